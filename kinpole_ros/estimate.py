@@ -1,0 +1,173 @@
+"""
+What is known of all bodies at one instant, each quantity computed when it is first asked for.
+
+Holds the poses with their derivatives and covariances; rates, poles and centrodes follow from them
+by `planar`. Whatever does not stand out of its noise is marked undetermined, with the reason.
+"""
+
+from functools import cache, cached_property
+from typing import NamedTuple
+
+import numpy as np
+
+from kinpole_ros import planar
+
+# A denominator counts as known when it exceeds its standard deviation this many times.
+SIGNIFICANT = 3.0
+# Beyond this many body sizes a pole is as good as at infinity.
+FARTHEST = 1e3
+POLE_NAMES = ('icr', 'iap', 'ijp', 'isp')
+RATE_NAMES = ('angular_velocity', 'angular_acceleration', 'angular_jerk', 'angular_snap')
+
+
+class Vectors(NamedTuple):
+    """Vectors of the plane (complex) with covariance (..., 2, 2) and where they are determined."""
+
+    value: np.ndarray
+    covariance: np.ndarray
+    determined: np.ndarray
+
+
+class Numbers(NamedTuple):
+    """Numbers with variance and where they are determined."""
+
+    value: np.ndarray
+    variance: np.ndarray
+    determined: np.ndarray
+
+
+class Estimate:
+    """
+    Motion of B bodies at the instant `stamp` (ns), up to the derivative of `order`.
+
+    `position` (order + 1, B) complex, m, and `angle` (order + 1, B), rad, are the poses of the
+    bodies' frames in the plane of `frame_id`; `position_covariance` and `angle_covariance`
+    (order + 1, order + 1, B) between orders, of one axis; `size` (B,) is the diameter of each body
+    and `height` (B,) where its markers are along the normal, m. NaN marks a body of which nothing
+    is known, for the reason in `missing` (B,).
+    """
+
+    def __init__(
+        self,
+        stamp: int,
+        frame_id: str,
+        bodies: tuple[str, ...],
+        position: np.ndarray,
+        angle: np.ndarray,
+        position_covariance: np.ndarray,
+        angle_covariance: np.ndarray,
+        size: np.ndarray,
+        height: np.ndarray,
+        missing: tuple[str, ...],
+    ) -> None:
+        self.stamp = stamp
+        self.frame_id = frame_id
+        self.bodies = bodies
+        self.position = position
+        self.angle = angle
+        self.position_covariance = position_covariance
+        self.angle_covariance = angle_covariance
+        self.size = size
+        self.height = height
+        self.missing = missing
+        self.pole = cache(self._pole)
+
+    @property
+    def order(self) -> int:
+        """The highest derivative known."""
+        return len(self.angle) - 1
+
+    def rate(self, order: int) -> Numbers:
+        """Derivative of the angle of that order (rad/s^order), order 1 to 4."""
+        value = self.angle[order]
+        return Numbers(value, self.angle_covariance[order, order], np.isfinite(value))
+
+    def _pole(self, order: int) -> Vectors:
+        """ICR, IAP, IJP or ISP (m) for order 1 to 4."""
+        pole = planar.pole(order, self.position, self.angle)
+        denominator = planar.rotation_coefficient(order, self.angle)
+        partials = planar.rotation_partials(order, self.angle)
+        noise = sum(
+            (partials[k] * partials[m].conj()).real * self.angle_covariance[k, m]
+            for k in partials
+            for m in partials
+        )
+        with np.errstate(invalid='ignore'):
+            turning = np.abs(denominator) > SIGNIFICANT * np.sqrt(noise)
+            near = np.abs(pole.value - self.position[0]) < FARTHEST * self.size
+        spread = planar.covariance(pole, self.position_covariance, self.angle_covariance)
+        finite = np.isfinite(pole.value) & np.isfinite(spread).all(axis=(-2, -1))
+        return Vectors(pole.value, spread, turning & near & finite)
+
+    @cached_property
+    def icr_velocity(self) -> Vectors:
+        """Velocity of the ICR along both centrodes (m/s)."""
+        u = planar.icr_velocity(self.position, self.angle)
+        spread = planar.covariance(u, self.position_covariance, self.angle_covariance)
+        finite = np.isfinite(u.value) & np.isfinite(spread).all(axis=(-2, -1))
+        return Vectors(u.value, spread, self.pole(1).determined & finite)
+
+    @cached_property
+    def centrode_curvature(self) -> Numbers:
+        """Signed curvature of the fixed centrode (1/m); undetermined where the ICR stands still."""
+        curvature = planar.centrode_curvature(self.position, self.angle)
+        value = curvature.value.real
+        noise = planar.variance(curvature, self.position_covariance, self.angle_covariance)
+        finite = np.isfinite(value) & np.isfinite(noise)
+        return Numbers(value, noise, self.icr_moves & finite)
+
+    @cached_property
+    def icr_moves(self) -> np.ndarray:
+        """Where (B,) the ICR is seen to move: a pinned body's centrode is a point."""
+        u = self.icr_velocity
+        with np.errstate(invalid='ignore'):
+            noise = np.sqrt(u.covariance[..., 0, 0] + u.covariance[..., 1, 1])
+            return np.asarray(u.determined & (np.abs(u.value) > SIGNIFICANT * noise))
+
+    @cached_property
+    def pairs(self) -> tuple[np.ndarray, np.ndarray]:
+        """Indices (j, i) of every pair of bodies, i before j."""
+        i, j = np.triu_indices(len(self.bodies), 1)
+        return j, i
+
+    @cached_property
+    def relative_rate(self) -> Numbers:
+        """Angular velocity of j with respect to i (rad/s) for every pair."""
+        j, i = self.pairs
+        value = self.angle[1, j] - self.angle[1, i]
+        noise = self.angle_covariance[1, 1]
+        return Numbers(value, noise[j] + noise[i], np.isfinite(value))
+
+    @cached_property
+    def relative_icr(self) -> Vectors:
+        """Relative instant center of j with respect to i (m) for every pair."""
+        j, i = self.pairs
+        by_j, by_i = planar.relative_pole(
+            self.position[:, j], self.angle[:, j], self.position[:, i], self.angle[:, i]
+        )
+        spread = sum(
+            planar.covariance(part, self.position_covariance[..., k], self.angle_covariance[..., k])
+            for part, k in ((by_j, j), (by_i, i))
+        )
+        rate = self.relative_rate
+        with np.errstate(invalid='ignore'):
+            turning = np.abs(rate.value) > SIGNIFICANT * np.sqrt(rate.variance)
+            middle = (self.position[0, j] + self.position[0, i]) / 2
+            near = np.abs(by_j.value - middle) < FARTHEST * np.maximum(self.size[j], self.size[i])
+        finite = np.isfinite(by_j.value) & np.isfinite(spread).all(axis=(-2, -1))
+        return Vectors(by_j.value, np.asarray(spread), turning & near & finite)
+
+    def reasons(self, body: int) -> dict[str, str]:
+        """Why each quantity of a body that can be told at this order is undetermined, if it is."""
+        if self.missing[body]:
+            return {'all': self.missing[body]}
+        found = {}
+        for order in range(1, self.order + 1):
+            pole = self.pole(order)
+            if not pole.determined[body]:
+                far = np.abs(pole.value[body] - self.position[0, body])
+                away = np.isfinite(far) and far > FARTHEST * self.size[body]
+                found[POLE_NAMES[order - 1]] = 'pole at infinity' if away else 'no rotation'
+        if self.order >= 3 and self.pole(1).determined[body] and not self.icr_moves[body]:
+            found['centrode_curvature'] = 'pinned: the ICR stands still'
+        return found

@@ -1,0 +1,239 @@
+"""Four message types carry markers; here each becomes a MarkerFrame, so only one form goes on."""
+
+import math
+from collections import Counter
+from collections.abc import Iterable, Sequence
+from functools import lru_cache
+from itertools import chain
+from operator import attrgetter
+from typing import Any
+
+import numpy as np
+from builtin_interfaces.msg import Time
+from geometry_msgs.msg import Point, Pose, PoseArray, Vector3
+from sensor_msgs.msg import PointCloud2
+from std_msgs.msg import ColorRGBA, Header
+from visualization_msgs.msg import Marker, MarkerArray
+
+from ..frame import MarkerFrame
+from ._cloud import MessageError, cloud_ids, cloud_points, make_cloud
+
+MARKER_TYPES: dict[str, type] = {
+    'marker_array': MarkerArray,
+    'marker': Marker,
+    'pose_array': PoseArray,
+    'point_cloud2': PointCloud2,
+}
+ROS_TYPE_NAMES: dict[str, str] = {
+    'marker_array': 'visualization_msgs/msg/MarkerArray',
+    'marker': 'visualization_msgs/msg/Marker',
+    'pose_array': 'geometry_msgs/msg/PoseArray',
+    'point_cloud2': 'sensor_msgs/msg/PointCloud2',
+}
+_IDENTITIES = ('auto', 'index', 'id', 'ns', 'ns_id')
+_xyz = attrgetter('x', 'y', 'z')
+
+
+def read_markers(message: Any, identity: str = 'auto') -> MarkerFrame:
+    """Markers of a MarkerArray, Marker, PoseArray or PointCloud2, in m in the header's frame.
+
+    A row with a coordinate that is not finite becomes NaN as a whole and keeps its place.
+    `identity` is auto, index, id, ns or ns_id. A MarkerArray offers all of them, auto meaning
+    ns_id ('ns/id', or 'id' where ns is empty), and its index counts every entry of the array, so
+    that one deleted marker does not rename the rest. The other types have only the index, except
+    that id reads an integer field `id` of a PointCloud2.
+
+    A Marker gives its `points`, moved by its pose. A MarkerArray gives one landmark per marker,
+    at its position, less those it deletes; its header is that of the first marker left.
+
+    Raises MessageError, a ValueError, when the message cannot be read this way, and ValueError
+    when `identity` is none of the above.
+    """
+    if identity not in _IDENTITIES:
+        raise ValueError(f"identity '{identity}' is unknown: use one of {', '.join(_IDENTITIES)}")
+    if isinstance(message, MarkerArray):
+        header, identities, points = _read_marker_array(message, identity)
+    else:
+        if isinstance(message, PointCloud2):
+            points = cloud_points(message)
+        elif isinstance(message, Marker):
+            points = _marker_points(message)
+        elif isinstance(message, PoseArray):
+            points = _positions(pose.position for pose in message.poses)
+        else:
+            raise MessageError(
+                f'{type(message).__name__} is not a message of markers: '
+                f'publish one of {", ".join(ROS_TYPE_NAMES.values())}'
+            )
+        header = message.header
+        identities = _identities(message, identity, len(points))
+    _blank_unseen(points)
+    return MarkerFrame(stamp_to_ns(header.stamp), header.frame_id, identities, points)
+
+
+def to_message(
+    kind: str, stamp_ns: int, frame_id: str, names: Sequence[str], points: np.ndarray
+) -> Any:
+    """Make a message of markers, the inverse of read_markers.
+
+    `kind` is a key of MARKER_TYPES, `stamp_ns` in ns, `points` (n, 3) in m in `frame_id`, and
+    `names` the n names, which only a MarkerArray can carry (as ns, with the row as id). It leaves
+    out a marker with a coordinate that is not finite, where the other types keep a row of NaN,
+    because there the place in the array is the identity. Raises ValueError for another kind or
+    shape, or a stamp that ROS cannot hold.
+    """
+    points = np.array(points, dtype=np.float64)
+    if points.shape != (len(names), 3):
+        raise ValueError(f'points have shape {points.shape}, expected ({len(names)}, 3)')
+    _blank_unseen(points)
+    header = Header(stamp=ns_to_stamp(stamp_ns), frame_id=frame_id)
+    if kind == 'point_cloud2':
+        return make_cloud(header, points)
+    positions = [Point(x=x, y=y, z=z) for x, y, z in points.tolist()]
+    if kind == 'pose_array':
+        return PoseArray(header=header, poses=[Pose(position=p) for p in positions])
+    if kind == 'marker':
+        return _sphere(header, 'markers', 0, type=Marker.SPHERE_LIST, points=positions)
+    if kind == 'marker_array':
+        rows = enumerate(zip(names, positions, strict=True))
+        return MarkerArray(
+            markers=[
+                _sphere(header, name, row, type=Marker.SPHERE, pose=Pose(position=p))
+                for row, (name, p) in rows
+                if not math.isnan(p.x)
+            ]
+        )
+    raise ValueError(f"kind '{kind}' is unknown: use one of {', '.join(MARKER_TYPES)}")
+
+
+def stamp_to_ns(stamp: Time) -> int:
+    """Return a builtin_interfaces Time as an exact count of ns."""
+    return stamp.sec * 1_000_000_000 + stamp.nanosec
+
+
+def ns_to_stamp(ns: int) -> Time:
+    """Make a builtin_interfaces Time of ns; ValueError outside what it holds (years 1970-2038)."""
+    sec, nanosec = divmod(int(ns), 1_000_000_000)
+    if not 0 <= sec < 2**31:
+        raise ValueError(f'stamp {ns} ns is out of range: a ROS time holds 0 to 2^31 s')
+    return Time(sec=sec, nanosec=nanosec)
+
+
+def _read_marker_array(
+    message: MarkerArray, identity: str
+) -> tuple[Header, tuple[str, ...], np.ndarray]:
+    markers = message.markers
+    kept = _remaining(markers)
+    points = _positions(markers[k].pose.position for k in kept)
+    first = kept[0] if kept else 0
+    header = markers[first].header if markers else Header()
+    if identity == 'index':
+        return header, tuple(map(str, kept)), points
+    if identity == 'id':
+        identities = tuple(str(markers[k].id) for k in kept)
+    elif identity == 'ns':
+        identities = tuple(markers[k].ns for k in kept)
+    else:
+        keys = [(markers[k].ns, markers[k].id) for k in kept]
+        identities = tuple(f'{ns}/{number}' if ns else str(number) for ns, number in keys)
+    _check_unique(identities, message, identity)
+    return header, identities, points
+
+
+def _remaining(markers: Sequence[Marker]) -> Sequence[int]:
+    """Places of the markers that a viewer would show once it has worked through the array."""
+    if all(marker.action < Marker.DELETE for marker in markers):
+        return range(len(markers))
+    # Backwards, because a deletion strikes only what stands before it.
+    kept: list[int] = []
+    deleted: set[tuple[str, int]] = set()
+    for place in reversed(range(len(markers))):
+        marker = markers[place]
+        if marker.action == Marker.DELETEALL:
+            break
+        if marker.action == Marker.DELETE:
+            deleted.add((marker.ns, marker.id))
+        elif (marker.ns, marker.id) not in deleted:
+            kept.append(place)
+    return kept[::-1]
+
+
+def _marker_points(marker: Marker) -> np.ndarray:
+    """Points of a Marker, (n, 3), taken from its local frame to that of its header."""
+    if marker.action in (Marker.DELETE, Marker.DELETEALL):
+        return np.empty((0, 3))
+    points = _positions(marker.points)
+    q = marker.pose.orientation
+    # A pose that is not finite makes every row NaN by itself; numpy need not warn of it.
+    with np.errstate(invalid='ignore', over='ignore'):
+        # RViz too takes the quaternion of a message nobody filled in, all zeros, as identity.
+        if q.x or q.y or q.z or not math.isfinite(q.w):
+            points = points @ _rotation(q.x, q.y, q.z, q.w).T
+        points += _xyz(marker.pose.position)
+    return points
+
+
+def _rotation(x: float, y: float, z: float, w: float) -> np.ndarray:
+    norm = math.hypot(x, y, z, w)
+    x, y, z, w = x / norm, y / norm, z / norm, w / norm
+    return np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
+            [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
+            [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
+        ]
+    )
+
+
+def _identities(message: Any, identity: str, n: int) -> tuple[str, ...]:
+    """Identities of a message that knows its markers by their place."""
+    if identity in ('auto', 'index'):
+        return _indices(n)
+    if identity == 'id' and isinstance(message, PointCloud2):
+        identities = cloud_ids(message)
+        _check_unique(identities, message, identity)
+        return identities
+    raise MessageError(
+        f"{type(message).__name__} has no identities but the index, so none by '{identity}': "
+        'set marker_identity to auto or index'
+    )
+
+
+# Few entries, because each of a dense cloud is megabytes, and a tracker sees few different n.
+@lru_cache(maxsize=16)
+def _indices(n: int) -> tuple[str, ...]:
+    return tuple(map(str, range(n)))
+
+
+def _check_unique(identities: tuple[str, ...], message: Any, identity: str) -> None:
+    if len(set(identities)) < len(identities):
+        name, times = Counter(identities).most_common(1)[0]
+        raise MessageError(
+            f"{type(message).__name__} has the identity '{name}' {times} times by '{identity}': "
+            'set another marker_identity (index always works)'
+        )
+
+
+def _positions(positions: Iterable[Any]) -> np.ndarray:
+    """Array (n, 3) of objects with x, y and z."""
+    flat = chain.from_iterable(map(_xyz, positions))
+    return np.fromiter(flat, np.float64).reshape(-1, 3)
+
+
+def _blank_unseen(points: np.ndarray) -> None:
+    """Make NaN of every row of `points` (n, 3) that is not finite, in place."""
+    finite = np.isfinite(points)
+    if not finite.all():
+        points[~finite.all(axis=1)] = np.nan
+
+
+def _sphere(header: Header, ns: str, number: int, **fields: Any) -> Marker:
+    return Marker(
+        header=header,
+        ns=ns,
+        id=number,
+        action=Marker.ADD,
+        scale=Vector3(x=0.01, y=0.01, z=0.01),
+        color=ColorRGBA(r=1.0, g=0.6, b=0.0, a=1.0),
+        **fields,
+    )

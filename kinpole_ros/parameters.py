@@ -1,0 +1,277 @@
+"""
+The parameters, once: names, defaults, ranges and what they mean.
+
+The node declares them and replay reads the same ROS 2 parameter file, so both accept and refuse
+the same things in the same words.
+"""
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+
+class ParameterError(ValueError):
+    """A parameter that is not known, or whose value cannot be used; says which and the mend."""
+
+
+@dataclass(frozen=True)
+class Settings:
+    """Parameters as the pipeline uses them. `bodies` maps a name to its markers, () for all."""
+
+    marker_topic: str = 'markers'
+    marker_type: str = 'auto'
+    marker_identity: str = 'auto'
+    plane: str = 'xy'
+    bodies: Mapping[str, tuple[str, ...]] = field(default_factory=lambda: {'body': ()})
+    window: float = 0.5
+    lag: float = 0.1
+    derivative_order: int | None = None
+    noise: float = 0.0
+    method: str = 'pose'
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """One row of the table: default, what it means, how a value is checked, and its range."""
+
+    default: Any
+    description: str
+    check: Callable[[Any], Any]
+    allowed: str
+    lowest: float | None = None
+    highest: float | None = None
+    fixed: bool = False
+
+
+def _text(value: Any) -> str:
+    if not isinstance(value, str) or not value.strip():
+        raise ValueError
+    return value
+
+
+def _one_of(*names: str) -> Callable[[Any], str]:
+    def check(value: Any) -> str:
+        if value not in names:
+            raise ValueError
+        return str(value)
+
+    return check
+
+
+def _number(lowest: float, highest: float) -> Callable[[Any], float]:
+    def check(value: Any) -> float:
+        if isinstance(value, bool) or not isinstance(value, int | float):
+            raise ValueError
+        if not (math.isfinite(value) and lowest <= value <= highest):
+            raise ValueError
+        return float(value)
+
+    return check
+
+
+def _order(value: Any) -> int | None:
+    if value == 'auto':
+        return None
+    if isinstance(value, str) and value.isdigit():
+        value = int(value)
+    if isinstance(value, bool) or not isinstance(value, int) or not 1 <= value <= 4:
+        raise ValueError
+    return value
+
+
+def _names(value: Any) -> tuple[str, ...]:
+    if isinstance(value, str) or any(not isinstance(name, str) or not name for name in value):
+        raise ValueError
+    if len(set(value)) != len(value):
+        raise ValueError
+    return tuple(value)
+
+
+def _body_names(value: Any) -> tuple[str, ...]:
+    names = _names(value)
+    if not names or not all(
+        name.isascii() and name.replace('_', 'a').isalnum() and not name[0].isdigit()
+        for name in names
+    ):
+        raise ValueError
+    return names
+
+
+def _choices(default: str, description: str, *names: str, fixed: bool = False) -> Parameter:
+    return Parameter(
+        default, description, _one_of(*names), 'one of ' + ', '.join(names), fixed=fixed
+    )
+
+
+def _range(default: float, description: str, lowest: float, highest: float, unit: str) -> Parameter:
+    check = _number(lowest, highest)
+    allowed = f'a number from {lowest:g} to {highest:g} {unit}'
+    return Parameter(default, description, check, allowed, lowest, highest)
+
+
+PARAMETERS: Mapping[str, Parameter] = {
+    'marker_topic': Parameter(
+        'markers', 'Topic the markers come on.', _text, 'the name of a topic', fixed=True
+    ),
+    'marker_type': _choices(
+        'auto',
+        'Type of the marker messages; auto looks at what is published.',
+        'auto',
+        'marker_array',
+        'marker',
+        'pose_array',
+        'point_cloud2',
+        fixed=True,
+    ),
+    'marker_identity': _choices(
+        'auto',
+        'What tells markers apart: their place in the message, their id, their namespace, or '
+        'both; auto takes namespace and id where there are any, else the place.',
+        'auto',
+        'index',
+        'id',
+        'ns',
+        'ns_id',
+    ),
+    'plane': _choices('xy', 'Plane of the motion, in the frame of the markers.', 'xy', 'yz', 'zx'),
+    'bodies': Parameter(
+        ['body'],
+        'Names of the bodies. Each has a parameter <body>.markers.',
+        _body_names,
+        'a list of different names of letters, digits and _',
+        fixed=True,
+    ),
+    'window': _range(0.5, 'The most past data used.', 1e-6, 3600.0, 's'),
+    'lag': _range(
+        0.1,
+        'How far the output may trail the newest sample; half a window of it buys the most '
+        'accurate derivatives.',
+        0.0,
+        3600.0,
+        's',
+    ),
+    'derivative_order': Parameter(
+        'auto',
+        'Highest derivative computed; auto: what the subscribed topics need.',
+        _order,
+        'auto, 1, 2, 3 or 4',
+    ),
+    'noise': _range(
+        0.0, 'Noise of the markers per axis, one standard deviation; 0: measure it.', 0.0, 1e6, 'm'
+    ),
+    'method': _choices(
+        'pose',
+        'What is differentiated: the pose fitted to each frame, or each landmark by itself.',
+        'pose',
+        'landmarks',
+    ),
+}
+MARKERS = Parameter(
+    [],
+    'Markers on this body, as their identities; empty, where there is one body: all markers.',
+    _names,
+    'a list of different marker identities, as text',
+    fixed=True,
+)
+# What ROS itself, or the node alone, understands in the same file.
+_NODE_ONLY = ('use_sim_time', 'autostart', 'start_type_description_service')
+
+
+def settings_from(values: Mapping[str, Any]) -> Settings:
+    """
+    Check parameters given by their ROS names, 'lag' or 'coupler.markers', and fill in the rest.
+
+    Raises ParameterError for a name that is not known and for a value out of its range.
+    """
+    names = _checked('bodies', PARAMETERS['bodies'], values)
+    known = {**PARAMETERS, **{f'{name}.markers': MARKERS for name in names}}
+    for name in values:
+        if name not in known and name not in _NODE_ONLY and not name.startswith('qos_overrides.'):
+            hint = ''
+            if name.endswith('.markers'):
+                hint = f'; {name[:-8]} is not among the bodies {", ".join(names)}'
+            raise ParameterError(
+                f'unknown parameter {name}{hint}; known are {", ".join(sorted(known))}'
+            )
+    checked = {name: _checked(name, row, values) for name, row in known.items()}
+    bodies = {name: checked.pop(f'{name}.markers') for name in names}
+    checked['bodies'] = bodies
+    if len(bodies) > 1:
+        for name, markers in bodies.items():
+            if not markers:
+                raise ParameterError(
+                    f'parameter {name}.markers is missing: with several bodies, list the markers '
+                    'of each'
+                )
+    for name, markers in bodies.items():
+        if len(markers) == 1:
+            raise ParameterError(
+                f'parameter {name}.markers names one marker; a body needs at least two'
+            )
+    settings = Settings(**checked)
+    if settings.lag >= settings.window:
+        raise ParameterError(
+            f'parameter lag is {settings.lag:g} s; it must be less than window, '
+            f'{settings.window:g} s'
+        )
+    return settings
+
+
+def _checked(name: str, row: Parameter, values: Mapping[str, Any]) -> Any:
+    value = values.get(name, row.default)
+    try:
+        return row.check(value)
+    except (TypeError, ValueError):
+        raise ParameterError(f'parameter {name} is {value!r}; it must be {row.allowed}') from None
+
+
+def load_settings(path: str | Path, node_name: str = 'kinpole') -> Settings:
+    """
+    Read a ROS 2 parameter file: the sections '/**' and that of the node.
+
+    Raises ParameterError naming the file for anything that cannot be used.
+    """
+    try:
+        document = yaml.safe_load(Path(path).read_text(encoding='utf-8'))
+    except OSError as error:
+        raise ParameterError(f'{path}: {error.strerror}; name a readable parameter file') from None
+    except (yaml.YAMLError, UnicodeDecodeError) as error:
+        reason = ' '.join(str(error).split())
+        raise ParameterError(f'{path}: not YAML ({reason})') from None
+    wanted = {'/**', node_name, f'/{node_name}'}
+    sections = document if isinstance(document, dict) else {}
+    values: dict[str, Any] = {}
+    found = False
+    for key, section in sections.items():
+        if key not in wanted:
+            continue
+        if not isinstance(section, dict) or not isinstance(section.get('ros__parameters'), dict):
+            raise ParameterError(
+                f'{path}: {key} must hold the key ros__parameters and under it all'
+            )
+        found = True
+        values.update(_flat(section['ros__parameters']))
+    if not found:
+        raise ParameterError(
+            f'{path}: no section for this node; write {node_name}: or /**: and under it '
+            'ros__parameters:'
+        )
+    try:
+        return settings_from(values)
+    except ParameterError as error:
+        raise ParameterError(f'{path}: {error}') from None
+
+
+def _flat(section: Mapping[str, Any], prefix: str = '') -> dict[str, Any]:
+    """Names as ROS has them: nested keys joined by dots."""
+    values: dict[str, Any] = {}
+    for key, value in section.items():
+        if isinstance(value, dict):
+            values.update(_flat(value, f'{prefix}{key}.'))
+        else:
+            values[f'{prefix}{key}'] = value
+    return values

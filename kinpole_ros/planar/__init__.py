@@ -1,0 +1,70 @@
+"""
+Rigid-body kinematics in the plane, as pure functions of arrays.
+
+Knows no time series, files or ROS: derivatives come in, rates, poles and centrodes go out. Inside,
+a vector (x, y) is the complex number x + iy, so that the seeds' matrix R (a turn by +90 degrees) is
+a product with i and each of their 2 x 2 matrices B, H and G is one complex number.
+"""
+
+from kinpole_ros.planar._centrode import (
+    centrode_curvature,
+    icr_acceleration,
+    icr_velocity,
+    moving_centrode,
+    moving_centrode_curvature,
+)
+from kinpole_ros.planar._landmarks import (
+    LandmarkKinematics,
+    landmark_kinematics,
+    point_derivatives,
+)
+from kinpole_ros.planar._linear import Linear, covariance, variance
+from kinpole_ros.planar._plane import to_complex, to_plane
+from kinpole_ros.planar._poisson import (
+    centrode_velocities,
+    fixed_centrode_from_reference,
+    moving_centrode_from_reference,
+    pole_from_reference,
+    relative_acceleration,
+    relative_velocity,
+    transport,
+)
+from kinpole_ros.planar._poles import (
+    body_point_derivative,
+    pole,
+    rotation_coefficient,
+    rotation_partials,
+)
+from kinpole_ros.planar._procrustes import Fit, fit_pose
+from kinpole_ros.planar._relative import relative_center, relative_pole
+
+__all__ = [
+    'Fit',
+    'LandmarkKinematics',
+    'Linear',
+    'body_point_derivative',
+    'centrode_curvature',
+    'centrode_velocities',
+    'covariance',
+    'fit_pose',
+    'fixed_centrode_from_reference',
+    'icr_acceleration',
+    'icr_velocity',
+    'landmark_kinematics',
+    'moving_centrode',
+    'moving_centrode_curvature',
+    'moving_centrode_from_reference',
+    'point_derivatives',
+    'pole',
+    'pole_from_reference',
+    'relative_acceleration',
+    'relative_center',
+    'relative_pole',
+    'relative_velocity',
+    'rotation_coefficient',
+    'rotation_partials',
+    'to_complex',
+    'to_plane',
+    'transport',
+    'variance',
+]

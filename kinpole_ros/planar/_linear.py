@@ -1,0 +1,67 @@
+"""
+Uncertainty of what is computed from a pose and its derivatives, to first order.
+
+Every quantity of this package is a function of the derivatives of a body's reference point z
+(complex, m) and of its angle (rad). A `Linear` carries the quantity together with its partial
+derivatives by each of these, so one rule serves them all.
+"""
+
+from collections.abc import Mapping
+from typing import NamedTuple
+
+import numpy as np
+
+from kinpole_ros.planar._plane import Complex, Real
+
+
+class Linear(NamedTuple):
+    """
+    A quantity and its first-order dependence on the derivatives of a pose.
+
+    `value` has shape (...), complex for a vector of the plane and real for a number. The change of
+    the value is the sum of by_position[k] * dz(k) and by_angle[k] * dangle(k) over the orders k of
+    the derivatives; where the value is real, the real part of that sum.
+    """
+
+    value: Complex
+    by_position: Mapping[int, Complex]
+    by_angle: Mapping[int, Complex]
+
+
+def covariance(linear: Linear, position_covariance: Real, angle_covariance: Real) -> Real:
+    """
+    Covariance (..., 2, 2) of a vector quantity.
+
+    `position_covariance` (K, K, ...) holds the covariances between the orders of derivative of one
+    axis of the reference point (both axes alike, and independent); `angle_covariance` (K, K, ...)
+    those of the angle. A circular error stays circular under a complex factor, so the share of the
+    position is a multiple of the unit matrix.
+    """
+    isotropic = _quadratic(linear.by_position, position_covariance)
+    result = np.empty((*np.shape(isotropic + np.abs(linear.value)), 2, 2))
+    parts = {k: (g.real, g.imag) for k, g in linear.by_angle.items()}
+    for row in range(2):
+        for column in range(row, 2):
+            shared = sum(
+                angle_covariance[k, m] * parts[k][row] * parts[m][column]
+                for k in parts
+                for m in parts
+            )
+            result[..., row, column] = shared + (isotropic if row == column else 0.0)
+    result[..., 1, 0] = result[..., 0, 1]
+    return result
+
+
+def variance(linear: Linear, position_covariance: Real, angle_covariance: Real) -> Real:
+    """Variance (...) of a real quantity; the covariances as in `covariance`."""
+    real = {k: np.asarray(g.real, complex) for k, g in linear.by_angle.items()}
+    return _quadratic(linear.by_position, position_covariance) + _quadratic(real, angle_covariance)
+
+
+def _quadratic(factors: Mapping[int, Complex], matrix: Real) -> Real:
+    """Sum of Re(f_k conj(f_m)) matrix[k, m]."""
+    total: Real = np.zeros(())
+    for k, f in factors.items():
+        for m, g in factors.items():
+            total = total + (f * np.conj(g)).real * matrix[k, m]
+    return total

@@ -1,0 +1,27 @@
+"""The two ways to write a vector of the plane, (x, y) and x + iy, and the checks at the door."""
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+Real = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+
+
+def to_complex(vectors: ArrayLike) -> Complex:
+    """Write vectors of shape (..., 2) as complex numbers of shape (...)."""
+    array = check_vectors(vectors, 'vectors')
+    return np.asarray(array[..., 0] + 1j * array[..., 1])
+
+
+def to_plane(numbers: ArrayLike) -> Real:
+    """Write complex numbers of shape (...) as vectors of shape (..., 2)."""
+    array = np.asarray(numbers, complex)
+    return np.stack((array.real, array.imag), axis=-1)
+
+
+def check_vectors(vectors: ArrayLike, name: str) -> Real:
+    """Return `vectors` as float64 of shape (..., 2), or raise ValueError with its name."""
+    array = np.asarray(vectors, float)
+    if array.ndim == 0 or array.shape[-1] != 2:
+        raise ValueError(f'{name} must have shape (..., 2), not {array.shape}')
+    return array

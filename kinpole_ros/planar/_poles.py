@@ -1,0 +1,80 @@
+"""
+Poles of any order, and the motion of any point of a body.
+
+A body is given by its reference point z and its angle with their derivatives. A point P fixed to
+the body has the n-th derivative z(n) + a_n (P - z), where a_n is the n-th derivative of
+exp(i angle) over exp(i angle): the seeds' wR, B, H and G (seed 000). The pole of order n is where
+that vanishes.
+"""
+
+import numpy as np
+
+from kinpole_ros.planar._linear import Linear
+from kinpole_ros.planar._plane import Complex, Real
+
+
+def rotation_coefficient(order: int, angle: Real) -> Complex:
+    """
+    a_n: the n-th derivative of the points of a turning body, per m from the pole of that order.
+
+    `angle` (K, ...) holds the angle and its derivatives (rad, rad/s, ...), K > order; order 1 to 4.
+    Seed 000: w R, B = a R - w^2, H and G.
+    """
+    w = angle[1]
+    if order == 1:
+        return np.asarray(1j * w)
+    a = angle[2]
+    if order == 2:
+        return np.asarray(1j * a - w**2)
+    j = angle[3]
+    if order == 3:
+        return np.asarray(1j * (j - w**3) - 3 * w * a)
+    if order == 4:
+        return np.asarray(1j * (angle[4] - 6 * w**2 * a) + w**4 - 4 * w * j - 3 * a**2)
+    raise ValueError(f'order must be 1 to 4, not {order}')
+
+
+def rotation_partials(order: int, angle: Real) -> dict[int, Complex]:
+    """Partial derivatives of `rotation_coefficient` by the derivatives of the angle."""
+    w = angle[1]
+    unit = np.full(np.shape(w), 1j)
+    if order == 1:
+        return {1: unit}
+    a = angle[2]
+    if order == 2:
+        return {1: -2 * w + 0j, 2: unit}
+    j = angle[3]
+    if order == 3:
+        return {1: -3j * w**2 - 3 * a, 2: -3 * w + 0j, 3: unit}
+    return {
+        1: -12j * w * a + 4 * w**3 - 4 * j,
+        2: -6j * w**2 - 6 * a,
+        3: -4 * w + 0j,
+        4: unit,
+    }
+
+
+def pole(order: int, position: Complex, angle: Real) -> Linear:
+    """
+    The point of the body whose n-th derivative vanishes: ICR, IAP, IJP or ISP for order 1 to 4.
+
+    `position` (K, ...) complex and `angle` (K, ...) hold the reference point and the angle with
+    their derivatives, K > order. Value in m, in the frame of `position`; not finite where the body
+    does not turn. Seed 000: r - (wR)^-1 v and its like.
+    """
+    a = rotation_coefficient(order, angle)
+    with np.errstate(divide='ignore', invalid='ignore'):
+        arm = -position[order] / a
+        by_angle = {k: -arm / a * d for k, d in rotation_partials(order, angle).items()}
+        by_position = {0: np.ones_like(a), order: -1 / a}
+    return Linear(position[0] + arm, by_position, by_angle)
+
+
+def body_point_derivative(order: int, point: Complex, position: Complex, angle: Real) -> Complex:
+    """
+    The n-th derivative (m/s^n), order 1 to 4, of the body's point now at `point`.
+
+    Written with the reference point, so that it holds for a body that does not turn as well; where
+    it turns this is a_n (P - pole of order n), the form of seed 000.
+    """
+    return np.asarray(position[order] + rotation_coefficient(order, angle) * (point - position[0]))

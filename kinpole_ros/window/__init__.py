@@ -1,0 +1,22 @@
+"""
+From samples of markers to derivatives at one instant.
+
+Knows rigid bodies only as shapes to fit, and neither ROS nor the names of quantities: poses and
+their noise go in at true time stamps, derivatives with covariances come out.
+"""
+
+from kinpole_ros.window._choice import Derivatives, differentiate
+from kinpole_ros.window._noise import Noise
+from kinpole_ros.window._polynomial import derivative_weights, stencil
+from kinpole_ros.window._samples import Samples
+from kinpole_ros.window._shape import Shapes
+
+__all__ = [
+    'Derivatives',
+    'Noise',
+    'Samples',
+    'Shapes',
+    'derivative_weights',
+    'differentiate',
+    'stencil',
+]

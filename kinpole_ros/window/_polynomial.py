@@ -1,0 +1,91 @@
+"""
+Local polynomials on arbitrary instants: what turns samples into derivatives.
+
+The fits are done in a basis that is orthonormal on the very samples (QR of Legendre polynomials on
+the window scaled to [-1, 1]), so they stay exact where powers of raw times would not, and so one
+projection holds the fits of all degrees at once. A polynomial through all its samples (degree
+n - 1) is the finite-difference stencil on these nodes (Fornberg 1988).
+"""
+
+import numpy as np
+from numpy.polynomial import legendre
+from numpy.typing import ArrayLike
+
+from kinpole_ros.planar._plane import Real
+
+
+def derivative_weights(
+    times: ArrayLike, degree: int, orders: int, weights: ArrayLike | None = None
+) -> Real:
+    """
+    Weights (orders + 1, n) that turn n samples into derivatives of order 0 to `orders` at time 0.
+
+    `times` (n,) in s, in any spacing, need not enclose 0; `weights` (n,) are inverse variances in
+    any unit. Fits a polynomial of `degree` by weighted least squares; orders above the degree come
+    out 0. Raises ValueError where the samples at distinct times are too few for the degree.
+
+    >>> derivative_weights([-0.1, 0.0, 0.1], degree=2, orders=2).round(3)
+    array([[   0.,    1.,    0.],
+           [  -5.,    0.,    5.],
+           [ 100., -200.,  100.]])
+    """
+    t = np.asarray(times, float)
+    w = np.ones_like(t) if weights is None else np.asarray(weights, float)
+    if t.ndim != 1 or w.shape != t.shape:
+        raise ValueError(f'times and weights must have one shape (n,), not {t.shape}, {w.shape}')
+    if not 0 <= degree < np.unique(t[w > 0]).size:
+        raise ValueError(f'degree must be 0 to the number of distinct times less 1, not {degree}')
+    root = np.sqrt(w)
+    basis, rows = orthonormal_basis(t[None], root[None], degree, orders)
+    return np.asarray((rows[0] @ basis[0].T) * root)
+
+
+def stencil(times: ArrayLike, orders: int) -> Real:
+    """
+    Finite-difference weights (orders + 1, n) on arbitrary nodes `times` (n,) for time 0.
+
+    The derivatives of the one polynomial through all n samples. Raises ValueError for equal times.
+    """
+    return derivative_weights(times, np.size(times) - 1, orders)
+
+
+def orthonormal_basis(times: Real, root: Real, degree: int, orders: int) -> tuple[Real, Real]:
+    """
+    Polynomials orthonormal on weighted samples, and their derivatives at time 0.
+
+    `times` (..., n) in s; `root` (..., n) are square roots of weights, 0 for a sample outside.
+    Returns the basis at the samples times `root`, (..., n, degree + 1), and the derivatives
+    (..., orders + 1, degree + 1) of its members at time 0. Members beyond the number of samples
+    mean nothing: the caller leaves them out.
+    """
+    inside = root > 0
+    first = np.min(times, axis=-1, where=inside, initial=np.max(times))
+    last = np.max(times, axis=-1, where=inside, initial=np.min(times))
+    center, half = (first + last) / 2, (last - first) / 2
+    half = np.where(half > 0, half, 1.0)
+    scaled = np.where(inside, (times - center[..., None]) / half[..., None], 0.0)
+    raw = legendre.legvander(scaled, degree) * root[..., None]
+    basis, triangle = np.linalg.qr(raw)
+    # Rank is lost in the last columns alone where samples are too few; keep the solve finite.
+    diagonal = np.einsum('...ii->...i', triangle)
+    diagonal[np.abs(diagonal) < 1e-13] = 1.0
+    at_zero = _legendre_derivatives(-center / half, degree, orders)
+    at_zero /= half[..., None, None] ** np.arange(orders + 1)[:, None]
+    rows = np.linalg.solve(np.swapaxes(triangle, -1, -2), np.swapaxes(at_zero, -1, -2))
+    return basis, np.swapaxes(rows, -1, -2)
+
+
+def _legendre_derivatives(x: Real, degree: int, orders: int) -> Real:
+    """Derivatives (..., orders + 1, degree + 1) of the Legendre polynomials at x (...)."""
+    result = np.zeros((*np.shape(x), orders + 1, degree + 1))
+    # (j + 1) P_{j+1} = (2 j + 1) x P_j - j P_{j-1}, differentiated m times.
+    result[..., 0, 0] = 1.0
+    order = np.arange(orders + 1)
+    for j in range(degree):
+        lower = np.zeros_like(result[..., 0])
+        lower[..., 1:] = order[1:] * result[..., :-1, j]
+        result[..., j + 1] = (2 * j + 1) * (x[..., None] * result[..., j] + lower)
+        if j > 0:
+            result[..., j + 1] -= j * result[..., j - 1]
+        result[..., j + 1] /= j + 1
+    return result

@@ -1,0 +1,52 @@
+from glob import glob
+
+from setuptools import find_packages, setup
+
+NAME = 'kinpole_ros'
+SHARE = f'share/{NAME}'
+
+setup(
+    name=NAME,
+    version='0.1.0',
+    packages=find_packages(include=[NAME, f'{NAME}.*']),
+    package_data={NAME: ['py.typed']},
+    data_files=[
+        ('share/ament_index/resource_index/packages', [f'resource/{NAME}']),
+        (SHARE, ['package.xml']),
+        (f'{SHARE}/config', glob('config/*.yaml')),
+        (f'{SHARE}/config/scenes', glob('config/scenes/*.yaml')),
+        (f'{SHARE}/launch', glob('launch/*.launch.py')),
+        (f'{SHARE}/bags', glob('bags/*.mcap')),
+    ],
+    python_requires='>=3.10',
+    # rclpy and the message packages come with ROS, or with the extra wheels: see the README.
+    install_requires=['numpy>=1.26', 'mcap>=1.2', 'PyYAML>=6'],
+    extras_require={
+        'wheels': [
+            'ros-jazzy-rclpy',
+            'ros-jazzy-common-interfaces',
+            'ros-jazzy-rmw-fastrtps-cpp',
+        ],
+        'plot': ['matplotlib>=3.7'],
+        'test': [
+            'hypothesis>=6.90',
+            'mcap-ros2-support>=0.5',
+            'mypy>=1.8',
+            'pytest>=7.4',
+            'rosbags>=0.10',
+            'ruff>=0.6',
+            'types-PyYAML',
+        ],
+    },
+    zip_safe=False,
+    maintainer='kinpole_ros maintainers',
+    maintainer_email='maintainers@users.noreply.github.com',
+    description='Live planar kinematics of real mechanisms from tracked markers',
+    license='Apache-2.0',
+    entry_points={
+        'console_scripts': [
+            'kinpole = kinpole_ros.cli:main',
+            'kinpole_node = kinpole_ros.node:main',
+        ],
+    },
+)

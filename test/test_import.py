@@ -1,0 +1,179 @@
+"""Tables of tracked points become bags; a cell that is wrong is named by line and column."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from rclpy.serialization import deserialize_message
+from visualization_msgs.msg import MarkerArray
+
+from kinpole_ros.bags import BagError, import_csv, read_messages, topics
+
+DATA = Path(__file__).parents[2] / 'shared' / 'data' / 'double_pendulum' / 'run16.csv'
+
+
+def import_text(folder: Path, text: str | bytes, **options) -> list[tuple[int, dict]]:
+    """Stamp and marker positions by name of each frame of the bag made from a CSV text."""
+    table, bag = folder / 'table.csv', folder / 'out.mcap'
+    table.write_bytes(text if isinstance(text, bytes) else text.encode())
+    count = import_csv(table, bag, **options)
+    frames = []
+    for message in read_messages(bag):
+        markers = deserialize_message(message.data, MarkerArray).markers
+        positions = {
+            m.ns: (m.pose.position.x, m.pose.position.y, m.pose.position.z) for m in markers
+        }
+        for marker in markers:
+            stamp = marker.header.stamp
+            assert stamp.sec * 1_000_000_000 + stamp.nanosec == message.log_time
+        frames.append((message.log_time, positions))
+    assert len(frames) == count
+    return frames
+
+
+def test_times_points_and_names(tmp_path):
+    text = (
+        'frame,t,red_x,red_y,top left_x,top left_y,top left_z\n7,2,1,2,3,4,5\n8,2.5,6,7,8,9,1e1\n'
+    )
+    assert import_text(tmp_path, text) == [
+        (2_000_000_000, {'red': (1.0, 2.0, 0.0), 'top left': (3.0, 4.0, 5.0)}),
+        (2_500_000_000, {'red': (6.0, 7.0, 0.0), 'top left': (8.0, 9.0, 10.0)}),
+    ]
+    assert topics(tmp_path / 'out.mcap') == {'/markers': 'visualization_msgs/msg/MarkerArray'}
+
+
+def test_scale_and_y_down(tmp_path):
+    (_, markers), *_ = import_text(
+        tmp_path, 't,a_x,a_y,a_z\n1,10,20,30\n', scale=0.1, y_down=True, topic='/m', frame_id='lab'
+    )
+    assert markers['a'] == pytest.approx((1.0, -2.0, 3.0))
+    (message,) = read_messages(tmp_path / 'out.mcap')
+    assert message.topic == '/m'
+    assert deserialize_message(message.data, MarkerArray).markers[0].header.frame_id == 'lab'
+
+
+def test_missing_cells_are_missing_markers_and_all_missing_an_empty_array(tmp_path):
+    text = 't,a_x,a_y,b_x,b_y\n1,,,3,4\n2,nan,NaN,5,6\n3,1, ,,\n4,1,2,3,4\n'
+    frames = import_text(tmp_path, text)
+    assert [set(markers) for _, markers in frames] == [{'b'}, {'b'}, set(), {'a', 'b'}]
+
+
+@pytest.mark.parametrize('row', ['', '\r\n\r\n'])
+def test_spreadsheet_habits_are_read(tmp_path, row):
+    text = b'\xef\xbb\xbf"t", a_x ,"a_y",\r\n1, 1.5,"2",\r\n2,3,4,left\r\n' + row.encode()
+    assert import_text(tmp_path, text) == [
+        (1_000_000_000, {'a': (1.5, 2.0, 0.0)}),
+        (2_000_000_000, {'a': (3.0, 4.0, 0.0)}),
+    ]
+
+
+@pytest.mark.parametrize(
+    ('times', 'stamps'),
+    [
+        ('0 0.004 0.008', [1_000_000_000, 1_004_000_000, 1_008_000_000]),
+        ('-0.5 0 0.25', [1_000_000_000, 1_500_000_000, 1_750_000_000]),
+        ('0.004 0.008 1', [4_000_000, 8_000_000, 1_000_000_000]),
+        ('1700000000 1700000000.5', [1_700_000_000_000_000_000, 1_700_000_000_500_000_000]),
+    ],
+)
+def test_stamps_are_t_unless_t_starts_at_or_before_zero(tmp_path, times, stamps):
+    text = 't,a_x,a_y\n' + ''.join(f'{time},0,0\n' for time in times.split())
+    assert [stamp for stamp, _ in import_text(tmp_path, text)] == stamps
+
+
+def test_rate_wins_over_t_and_does_not_drift(tmp_path):
+    text = 't,a_x,a_y\n' + 'x,0,0\n' * 301
+    stamps = [stamp for stamp, _ in import_text(tmp_path, text, rate=300.0)]
+    assert stamps[0] == 1_000_000_000
+    assert stamps[1] == 1_003_333_333
+    assert stamps[2] == 1_006_666_667
+    assert stamps[300] == 2_000_000_000
+
+
+@pytest.mark.parametrize(
+    ('text', 'rate', 'complaint'),
+    [
+        ('', None, 'is empty'),
+        ('\n\n', None, 'is empty'),
+        ('t,a_x,a_y\n', None, 'has no frames'),
+        ('t,a_x,a_y\n1,0,0\n2,0,zero\n', None, "line 3, column a_y: 'zero' is not a number"),
+        ('t,a_x,a_y\n\n1,0,0\n\n2,0,"1,5"\n', None, "line 5, column a_y: '1,5' is not a number"),
+        ('t,a_x,a_y\n1,inf,0\n', None, "line 2, column a_x: 'inf' is not a number"),
+        ('t,a_x,a_y\n1,1e999,0\n', None, "line 2, column a_x: '1e999' is not a number"),
+        ('t,a_x,a_y\nnow,0,0\n', None, "line 2, column t: 'now' is not a number"),
+        ('t,a_x,a_y\n1,0,0\n,0,0\n', None, "line 3, column t: '' is not a time"),
+        ('t,a_x,a_y\n,0,0\n1,0,0\n', None, "line 2, column t: '' is not a time"),
+        ('t,a_x,a_y\n1,0,0\nnan,0,0\n', None, "line 3, column t: 'nan' is not a time"),
+        ('t,a_x,a_y\n1700000000000,0,0\n', None, "'1700000000000' is not a time in seconds"),
+        ('t,a_x,a_y\n1,0,0\n2,0,0\n2,0,0\n', None, "line 4, column t: '2' is not later"),
+        ('t,a_x,a_y\n0,0,0\n-1,0,0\n', None, "line 3, column t: '-1' is not later"),
+        ('a_x,a_y\n1,2\n', None, 'has no column t'),
+        ('t,a_x\n1,2\n', None, "marker 'a' has no column a_y"),
+        ('t,a_y\n1,2\n', None, "marker 'a' has no column a_x"),
+        ('t,a_x,a_y,b_z\n1,2,3,4\n', None, "marker 'b' has no column b_x"),
+        ('t,a,b\n1,2,3\n', None, 'no column is named NAME_x'),
+        ('t;a_x;a_y\n1;2;3\n', None, 'line 1: cells are not separated by commas'),
+        ('t,_x,_y\n1,2,3\n', None, 'no column is named NAME_x'),
+        ('t,a_x,a_y,a_x\n1,2,3,4\n', None, "line 1: column 'a_x' is there twice"),
+        ('t,a_x,a_y\n1,2\n', None, 'line 2: 2 cells under 3 names'),
+        ('t,a_x,a_y\n1,2,3\n1,2,3,4\n', None, 'line 3: 4 cells under 3 names'),
+        (b't,a_x,a_y\n1,2,3\n2,\xb5,3\n', None, 'line 3: not UTF-8'),
+        ('t,a_x,a_y\n1,2,3\n'.encode('utf-16'), None, 'line 1: not UTF-8'),
+        ('t,a_x,a_y\n1,"2"x,3\n', None, 'line 2: '),
+        ('t,a_x,a_y\n1,"2,3\n', None, 'line 2: '),
+        ('a_x,a_y\n1,2\n', 0.0, 'rate is 0'),
+        ('a_x,a_y\n1,2\n', -5.0, 'rate is -5'),
+        ('a_x,a_y\n1,2\n', np.nan, 'rate is nan'),
+        ('a_x,a_y\n1,2\n', 1e-10, 'rate is 1e-10'),
+        ('a_x,a_y\n1,2\n', 1e10, 'rate is 1e[+]10'),
+    ],
+)
+def test_bad_table_is_one_line_and_leaves_the_output_alone(tmp_path, text, rate, complaint):
+    (tmp_path / 'out.mcap').write_text('precious')
+    with pytest.raises(BagError, match=complaint) as error:
+        import_text(tmp_path, text, rate=rate)
+    assert '\n' not in str(error.value)
+    assert 'mend: ' in str(error.value)
+    if rate is None:
+        assert 'table.csv' in str(error.value)
+    assert (tmp_path / 'out.mcap').read_text() == 'precious'
+
+
+@pytest.mark.parametrize('scale', [0.0, -1.0, np.inf, np.nan])
+def test_bad_scale_is_refused(tmp_path, scale):
+    with pytest.raises(BagError, match='scale is'):
+        import_text(tmp_path, 't,a_x,a_y\n1,2,3\n', scale=scale)
+
+
+def test_missing_table_and_table_as_output(tmp_path):
+    with pytest.raises(BagError, match='cannot be read: No such file'):
+        import_csv(tmp_path / 'none.csv', tmp_path / 'out.mcap')
+    table = tmp_path / 'table.csv'
+    table.write_text('t,a_x,a_y\n1,2,3\n')
+    with pytest.raises(BagError, match='is the table itself'):
+        import_csv(table, tmp_path / '.' / 'table.csv')
+    assert table.read_text() == 't,a_x,a_y\n1,2,3\n'
+
+
+def test_progress_rises_to_one(tmp_path):
+    seen: list[float] = []
+    import_text(tmp_path, 'a_x,a_y\n' + '1,2\n' * 1001, rate=100.0, progress=seen.append)
+    assert seen == sorted(seen)
+    assert seen[-1] == 1.0
+    assert 100 < len(seen) <= 201
+
+
+@pytest.mark.skipif(not DATA.exists(), reason='the measured double pendulum is not on this machine')
+def test_measured_double_pendulum_keeps_its_pivot_and_lengths(tmp_path):
+    # 2,000 frames are enough to see a wrong column, sign or scale.
+    head = DATA.read_bytes().splitlines(keepends=True)[:2001]
+    frames = import_text(tmp_path, b''.join(head), rate=400.0, scale=1e-3 / 6.47, y_down=True)
+    assert len(frames) == 2000
+    red, green, blue = (
+        np.array([markers[name] for _, markers in frames]) for name in ('red', 'green', 'blue')
+    )
+    unit = 1e-3 / 6.47
+    assert red.std(axis=0).max() < 2 * unit
+    assert np.median(np.linalg.norm(green - red, axis=1)) == pytest.approx(588.7 * unit, rel=3e-3)
+    assert np.median(np.linalg.norm(blue - green, axis=1)) == pytest.approx(450.5 * unit, rel=3e-3)
+    assert (red[:, 1] < 0).all()

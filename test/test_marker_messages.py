@@ -1,0 +1,515 @@
+"""The four marker messages give the same frames, and no message can lead the reader astray."""
+
+import math
+import struct
+
+import numpy as np
+import pytest
+from geometry_msgs.msg import Point, Pose, PoseArray, Quaternion
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from sensor_msgs.msg import PointCloud2, PointField
+from std_msgs.msg import Header
+from visualization_msgs.msg import Marker, MarkerArray
+
+from kinpole_ros.messages import (
+    MARKER_TYPES,
+    ROS_TYPE_NAMES,
+    MessageError,
+    ns_to_stamp,
+    read_markers,
+    stamp_to_ns,
+    to_message,
+)
+
+pytestmark = pytest.mark.filterwarnings('error')
+
+STAMP = 1_700_000_000_123_456_789
+NAMES = ['a', 'b', 'c', 'd', 'e']
+POINTS = np.arange(15.0).reshape(5, 3) / 7 - 1
+KINDS = list(MARKER_TYPES)
+INDEX_KINDS = ['marker', 'pose_array', 'point_cloud2']
+# struct codes and sizes of the datatypes of PointField, 1 to 8
+CODES = dict(enumerate('bBhHiIfd', start=1))
+SIZES = {datatype: struct.calcsize('<' + code) for datatype, code in CODES.items()}
+
+
+def make(kind, points=POINTS, names=NAMES):
+    return to_message(kind, STAMP, 'lab', names[: len(points)], points)
+
+
+def marker(ns='', number=0, x=0.0, action=Marker.ADD, sec=0, frame_id=''):
+    result = Marker(ns=ns, id=number, action=action, pose=Pose(position=Point(x=x)))
+    result.header.stamp.sec = sec
+    result.header.frame_id = frame_id
+    return result
+
+
+def cloud_with_ids(ids, datatype=PointField.UINT16, big=False):
+    code = CODES[datatype]
+    order = '>' if big else '<'
+    step = struct.calcsize(order + 'ff' + code)
+    cloud = PointCloud2(height=1, width=len(ids), point_step=step, row_step=step * len(ids))
+    cloud.is_bigendian = big
+    cloud.fields = [
+        PointField(name='x', offset=0, datatype=PointField.FLOAT32, count=1),
+        PointField(name='y', offset=4, datatype=PointField.FLOAT32, count=1),
+        PointField(name='id', offset=8, datatype=datatype, count=1),
+    ]
+    cloud.data = b''.join(struct.pack(order + 'ff' + code, k, -k, i) for k, i in enumerate(ids))
+    return cloud
+
+
+# The same scene in four messages
+
+
+@pytest.mark.parametrize('kind', KINDS)
+def test_round_trip_is_exact(kind):
+    frame = read_markers(make(kind))
+    assert frame.stamp == STAMP
+    assert frame.frame_id == 'lab'
+    assert frame.points.dtype == np.float64
+    assert frame.points.tolist() == POINTS.tolist()
+    expected = [f'{name}/{k}' for k, name in enumerate(NAMES)] if kind == 'marker_array' else None
+    assert frame.identities == tuple(expected or '01234')
+
+
+@pytest.mark.parametrize('kind', KINDS)
+def test_message_has_the_class_its_names_promise(kind):
+    cls = type(make(kind))
+    assert cls is MARKER_TYPES[kind]
+    package, folder, name = ROS_TYPE_NAMES[kind].split('/')
+    assert (cls.__module__.split('.')[:2], cls.__name__) == ([package, folder], name)
+
+
+@pytest.mark.parametrize('kind', KINDS)
+def test_frame_without_markers_round_trips(kind):
+    frame = read_markers(make(kind, np.empty((0, 3))))
+    assert frame.points.shape == (0, 3)
+    assert frame.identities == ()
+    if kind != 'marker_array':
+        assert (frame.stamp, frame.frame_id) == (STAMP, 'lab')
+
+
+def test_missing_marker_is_the_same_in_all_types():
+    points = POINTS.copy()
+    points[2] = np.nan
+    for kind in INDEX_KINDS:
+        frame = read_markers(make(kind, points))
+        assert frame.identities == tuple('01234')
+        np.testing.assert_array_equal(frame.points, points)
+    frame = read_markers(make('marker_array', points), 'ns')
+    assert frame.identities == ('a', 'b', 'd', 'e')
+    np.testing.assert_array_equal(frame.points, np.delete(points, 2, axis=0))
+
+
+@pytest.mark.parametrize('kind', KINDS)
+@pytest.mark.parametrize('axis', [0, 1, 2])
+@pytest.mark.parametrize('value', [math.inf, -math.inf, math.nan])
+def test_one_coordinate_not_finite_blanks_the_row_and_keeps_its_place(kind, axis, value):
+    message = make(kind)
+    if kind == 'point_cloud2':
+        struct.pack_into('<d', message.data, 24 * 3 + 8 * axis, value)
+        message.is_dense = True
+    else:
+        holders = {
+            'marker_array': lambda: message.markers[3].pose.position,
+            'marker': lambda: message.points[3],
+            'pose_array': lambda: message.poses[3].position,
+        }
+        setattr(holders[kind](), 'xyz'[axis], value)
+    frame = read_markers(message)
+    assert len(frame.identities) == 5
+    assert np.isnan(frame.points[3]).all()
+    assert np.delete(frame.points, 3, axis=0).tolist() == np.delete(POINTS, 3, axis=0).tolist()
+
+
+@pytest.mark.parametrize('dense', [True, False])
+def test_is_dense_is_not_believed(dense):
+    points = POINTS.copy()
+    points[1, 0] = np.inf
+    for scene in (POINTS, points):
+        message = make('point_cloud2', scene)
+        expected = read_markers(message).points
+        message.is_dense = dense
+        np.testing.assert_array_equal(read_markers(message).points, expected)
+
+
+def test_made_cloud_tells_truly_whether_it_is_dense():
+    points = POINTS.copy()
+    points[1, 0] = np.inf
+    assert make('point_cloud2').is_dense is True
+    assert make('point_cloud2', points).is_dense is False
+
+
+@pytest.mark.parametrize('kind', INDEX_KINDS)
+def test_making_blanks_a_row_that_is_not_finite_and_leaves_the_argument_alone(kind):
+    points = POINTS.copy()
+    points[1, 0] = np.inf
+    frame = read_markers(make(kind, points))
+    assert np.isnan(frame.points[1]).all()
+    assert points[1, 0] == np.inf and np.isfinite(points[1, 1:]).all()
+
+
+def test_made_markers_can_be_seen_and_keep_their_id_when_one_is_missing():
+    points = POINTS.copy()
+    points[0, 2] = np.nan
+    array = make('marker_array', points).markers
+    assert [(m.ns, m.id) for m in array] == [('b', 1), ('c', 2), ('d', 3), ('e', 4)]
+    single = make('marker')
+    assert (single.ns, single.id, single.type) == ('markers', 0, Marker.SPHERE_LIST)
+    assert {m.type for m in array} == {Marker.SPHERE}
+    for m in [*array, single]:
+        assert m.action == Marker.ADD
+        assert m.pose.orientation == Quaternion(w=1.0)
+        assert (m.scale.x, m.scale.y, m.scale.z, m.color.a) == (0.01, 0.01, 0.01, 1.0)
+    assert {p.orientation.w for p in make('pose_array').poses} == {1.0}
+
+
+# PointCloud2 layouts
+
+
+@st.composite
+def layouts(draw):
+    """Clouds of any legal layout, and what a plain struct.unpack of them says."""
+    order = draw(st.sampled_from('<>'))
+    height, width = draw(st.integers(0, 4)), draw(st.integers(0, 5))
+    names = ['x', 'y'] + draw(st.sampled_from([[], ['z']]))
+    others = draw(st.lists(st.sampled_from(['rgb', 'intensity', '_', 'ring']), max_size=3))
+    fields, end = [], 0
+    for name in draw(st.permutations(names + others)):
+        datatype = draw(st.sampled_from([7, 8] if name in 'xyz' else list(CODES)))
+        count = draw(st.integers(0, 1) if name in 'xyz' else st.integers(0, 3))
+        offset = end + draw(st.integers(0, 5))
+        fields.append(PointField(name=name, offset=offset, datatype=datatype, count=count))
+        end = offset + SIZES[datatype] * max(count, 1)
+    step = end + draw(st.integers(0, 5))
+    row_step = width * step + draw(st.integers(0, 7))
+    size = height * row_step
+    # Plain random bytes hold denormals, infinities and signaling NaNs too.
+    seed = draw(st.integers(0, 2**32 - 1))
+    data = bytearray(np.random.default_rng(seed).bytes(size + draw(st.integers(0, 3))))
+    special = draw(
+        st.sampled_from([None, b'\x7f\x80\x00\x01', b'\x7f\xf0\x00\x00\x00\x00\x00\x01'])
+    )
+    if special and size > len(special):
+        at = draw(st.integers(0, size - len(special)))
+        data[at : at + len(special)] = special if order == '>' else special[::-1]
+    cloud = PointCloud2(height=height, width=width, point_step=step, row_step=row_step)
+    cloud.fields = draw(st.permutations(fields))
+    cloud.is_bigendian = order == '>'
+    cloud.is_dense = draw(st.booleans())
+    cloud.data = draw(st.sampled_from([bytes, list]))(data)
+    expected = []
+    for row in range(height):
+        for column in range(width):
+            point = dict.fromkeys('xyz', 0.0)
+            for field in fields:
+                if field.name in point:
+                    at = row * row_step + column * step + field.offset
+                    (point[field.name],) = struct.unpack_from(
+                        order + CODES[field.datatype], data, at
+                    )
+            seen = all(map(math.isfinite, point.values()))
+            expected.append(list(point.values()) if seen else [math.nan] * 3)
+    return cloud, np.array(expected).reshape(-1, 3)
+
+
+@settings(max_examples=300, deadline=None)
+@given(layouts())
+def test_any_cloud_layout_reads_as_struct_reads_it(layout):
+    cloud, expected = layout
+    frame = read_markers(cloud)
+    np.testing.assert_array_equal(frame.points, expected)
+    assert frame.identities == tuple(str(k) for k in range(len(expected)))
+
+
+@pytest.mark.parametrize('big', [False, True])
+@pytest.mark.parametrize(('code', 'bits'), [('I', 0x7F800001), ('Q', 0x7FF0000000000001)])
+def test_signaling_nan_blanks_the_row_without_a_warning(code, bits, big):
+    order, size = '>' if big else '<', struct.calcsize('<' + code)
+    cloud = PointCloud2(height=1, width=2, point_step=2 * size, row_step=4 * size)
+    cloud.is_bigendian = big
+    datatype = PointField.FLOAT32 if code == 'I' else PointField.FLOAT64
+    cloud.fields = [
+        PointField(name=name, offset=size * axis, datatype=datatype, count=1)
+        for axis, name in enumerate('xy')
+    ]
+    cloud.data = struct.pack(order + 4 * code, 0, bits, 0, 0)
+    np.testing.assert_array_equal(read_markers(cloud).points, [[np.nan] * 3, [0, 0, 0]])
+
+
+def test_frame_of_a_cloud_does_not_share_the_memory_of_the_message():
+    cloud = make('point_cloud2')
+    frame = read_markers(cloud)
+    cloud.data[:] = type(cloud.data)('B', bytes(len(cloud.data)))
+    assert frame.points.tolist() == POINTS.tolist()
+
+
+def change_field(cloud, name, /, **values):
+    field = next(field for field in cloud.fields if field.name == name)
+    for key, value in values.items():
+        setattr(field, key, value)
+
+
+def drop_field(cloud, name):
+    cloud.fields = [field for field in cloud.fields if field.name != name]
+
+
+def change(message, **values):
+    for key, value in values.items():
+        setattr(message, key, value)
+
+
+HUGE = 2**32 - 1
+BAD_CLOUDS = {
+    "no field 'x'": lambda c: drop_field(c, 'x'),
+    "no field 'y'": lambda c: drop_field(c, 'y'),
+    "2 fields 'x'": lambda c: change_field(c, 'y', name='x'),
+    "'y' has datatype 5": lambda c: change_field(c, 'y', datatype=PointField.INT32),
+    "'z' has datatype 0": lambda c: change_field(c, 'z', datatype=0),
+    "'x' has datatype 99": lambda c: change_field(c, 'x', datatype=99),
+    "'x' has count 2": lambda c: change_field(c, 'x', count=2),
+    "'z' at offset 17 ends beyond point_step 24": lambda c: change_field(c, 'z', offset=17),
+    f"'x' at offset {HUGE} ends beyond": lambda c: change_field(c, 'x', offset=HUGE),
+    'ends beyond point_step 0': lambda c: change(c, point_step=0),
+    'row_step 119 is less than width 5 x point_step 24': lambda c: change(c, row_step=119),
+    'row_step 0 is less': lambda c: change(c, row_step=0),
+    f'less than width {HUGE}': lambda c: change(c, width=HUGE, height=HUGE),
+    'data has 119 bytes': lambda c: change(c, data=bytes(119)),
+    'data has 0 bytes': lambda c: change(c, data=b''),
+    'height 2 x row_step 120': lambda c: change(c, height=2),
+    f'height {HUGE} x row_step 120': lambda c: change(c, height=HUGE),
+    f'height 1 x row_step {HUGE}': lambda c: change(c, row_step=HUGE),
+    f'height {HUGE} x row_step {HUGE}': lambda c: change(c, height=HUGE, row_step=HUGE),
+}
+
+
+@pytest.mark.parametrize('text', BAD_CLOUDS)
+def test_bad_cloud_is_refused_in_one_line_before_memory_is_taken(text):
+    cloud = make('point_cloud2')
+    BAD_CLOUDS[text](cloud)
+    with pytest.raises(MessageError) as error:
+        read_markers(cloud)
+    assert text in str(error.value)
+    assert '\n' not in str(error.value)
+
+
+@pytest.mark.parametrize(('height', 'width'), [(0, 5), (1, 0), (HUGE, 0), (0, HUGE), (0, 0)])
+def test_cloud_without_rows_or_columns_is_empty(height, width):
+    cloud = make('point_cloud2')
+    change(cloud, height=height, width=width, row_step=0, data=b'')
+    assert read_markers(cloud).points.shape == (0, 3)
+
+
+# Marker: pose and actions
+
+
+@st.composite
+def quaternions(draw):
+    q = np.array(draw(st.tuples(*[st.floats(-1, 1)] * 4)))
+    return q if np.linalg.norm(q) > 1e-3 else np.array([0.0, 0.0, 0.0, 1.0])
+
+
+@settings(deadline=None)
+@given(quaternions(), st.floats(0.01, 100))
+def test_marker_pose_moves_its_points_as_the_sandwich_product_does(q, scale):
+    message = make('marker')
+    x, y, z, w = (q * scale).tolist()
+    message.pose = Pose(
+        position=Point(x=1.0, y=-2.0, z=3.0), orientation=Quaternion(x=x, y=y, z=z, w=w)
+    )
+    # v + 2w (u x v) + 2u x (u x v), with u the vector part of the unit quaternion
+    unit = q / np.linalg.norm(q)
+    turned = 2 * np.cross(unit[:3], POINTS)
+    expected = POINTS + unit[3] * turned + np.cross(unit[:3], turned) + [1, -2, 3]
+    np.testing.assert_allclose(read_markers(message).points, expected, atol=1e-12)
+
+
+def test_quarter_turn_about_z_takes_x_to_y():
+    message = make('marker', np.array([[1.0, 0.0, 0.0]]))
+    message.pose.orientation = Quaternion(z=math.sqrt(0.5), w=math.sqrt(0.5))
+    np.testing.assert_allclose(read_markers(message).points, [[0, 1, 0]], atol=1e-15)
+
+
+@pytest.mark.parametrize('w', [0.0, 1.0, -1.0, 0.3])
+def test_orientation_without_a_turn_leaves_the_points_exactly(w):
+    message = make('marker')
+    message.pose.orientation = Quaternion(x=0.0, y=0.0, z=0.0, w=w)
+    assert read_markers(message).points.tolist() == POINTS.tolist()
+
+
+@pytest.mark.parametrize('value', [math.inf, math.nan])
+@pytest.mark.parametrize('field', ['position.y', 'orientation.x', 'orientation.w'])
+def test_marker_pose_that_is_not_finite_blanks_all_rows(field, value):
+    message = make('marker')
+    part, name = field.split('.')
+    setattr(getattr(message.pose, part), name, value)
+    frame = read_markers(message)
+    assert frame.points.shape == (5, 3)
+    assert np.isnan(frame.points).all()
+
+
+def test_point_not_finite_in_a_turned_marker_blanks_only_its_row():
+    message = make('marker')
+    message.points[1].z = math.inf
+    message.pose.orientation = Quaternion(z=1.0, w=0.0)
+    points = read_markers(message).points
+    assert np.isnan(points).all(axis=1).tolist() == [False, True, False, False, False]
+
+
+@pytest.mark.parametrize('action', [Marker.DELETE, Marker.DELETEALL])
+def test_deleted_marker_has_no_points(action):
+    message = make('marker')
+    message.action = action
+    frame = read_markers(message)
+    assert (frame.stamp, frame.frame_id, frame.identities) == (STAMP, 'lab', ())
+    assert frame.points.shape == (0, 3)
+
+
+# MarkerArray: actions and header
+
+
+def test_deletions_in_an_array_leave_what_a_viewer_would_show():
+    array = MarkerArray(
+        markers=[
+            marker('a', 0, 1.0, sec=1),
+            marker('b', 0, 2.0, sec=2),
+            marker(action=Marker.DELETEALL, sec=3),
+            marker('c', 0, 3.0, sec=4, frame_id='lab'),
+            marker('d', 0, 4.0, sec=5),
+            marker('b', 0, action=Marker.DELETE, sec=6),
+            marker('b', 0, 5.0, sec=7),
+            marker('d', 0, action=Marker.DELETE, sec=8),
+        ]
+    )
+    frame = read_markers(array)
+    assert frame.identities == ('c/0', 'b/0')
+    assert frame.points[:, 0].tolist() == [3.0, 5.0]
+    assert (frame.stamp, frame.frame_id) == (4_000_000_000, 'lab')
+    # The index is the place in the array, so a deletion renames nobody.
+    assert read_markers(array, 'index').identities == ('3', '6')
+
+
+def test_array_of_deletions_keeps_the_first_header():
+    array = MarkerArray(
+        markers=[marker(action=Marker.DELETEALL, sec=3, frame_id='lab'), marker(action=2, sec=4)]
+    )
+    frame = read_markers(array)
+    assert (frame.stamp, frame.frame_id, frame.identities) == (3_000_000_000, 'lab', ())
+    assert frame.points.shape == (0, 3)
+
+
+def test_empty_array_has_stamp_zero_and_no_frame():
+    frame = read_markers(MarkerArray())
+    assert (frame.stamp, frame.frame_id, frame.identities) == (0, '', ())
+    assert frame.points.shape == (0, 3)
+
+
+def test_markers_that_disagree_in_stamp_take_the_first():
+    array = MarkerArray(markers=[marker('a', sec=9), marker('b', sec=5)])
+    assert read_markers(array).stamp == 9_000_000_000
+
+
+# Identities
+
+
+@pytest.mark.parametrize(
+    ('identity', 'expected'),
+    [
+        ('auto', ('left/7', '8', 'right/-1')),
+        ('ns_id', ('left/7', '8', 'right/-1')),
+        ('id', ('7', '8', '-1')),
+        ('ns', ('left', '', 'right')),
+        ('index', ('0', '1', '2')),
+    ],
+)
+def test_identities_of_an_array(identity, expected):
+    array = MarkerArray(markers=[marker('left', 7), marker('', 8), marker('right', -1)])
+    assert read_markers(array, identity).identities == expected
+
+
+@pytest.mark.parametrize(
+    ('identity', 'markers', 'name'),
+    [
+        ('auto', [('a', 1), ('b', 1), ('a', 1)], "'a/1' 2 times"),
+        ('ns_id', [('', 1), ('b', 1), ('', 1)], "'1' 2 times"),
+        ('id', [('a', 1), ('b', 1), ('c', 2)], "'1' 2 times"),
+        ('ns', [('b', 1), ('b', 2), ('b', 3)], "'b' 3 times"),
+    ],
+)
+def test_duplicate_identity_in_an_array_is_refused_by_name(identity, markers, name):
+    array = MarkerArray(markers=[marker(ns, number) for ns, number in markers])
+    with pytest.raises(MessageError, match=name) as error:
+        read_markers(array, identity)
+    assert 'another marker_identity' in str(error.value)
+    assert read_markers(array, 'index').identities == ('0', '1', '2')
+
+
+@pytest.mark.parametrize('kind', INDEX_KINDS)
+@pytest.mark.parametrize('identity', ['id', 'ns', 'ns_id'])
+def test_types_without_identities_say_so(kind, identity):
+    with pytest.raises(MessageError, match='set marker_identity to auto or index'):
+        read_markers(make(kind), identity)
+
+
+@pytest.mark.parametrize('datatype', range(1, 7))
+@pytest.mark.parametrize('big', [False, True])
+def test_integer_field_id_of_a_cloud_is_read_only_when_asked(datatype, big):
+    bits = 8 * SIZES[datatype]
+    signed = CODES[datatype].islower()
+    ids = [-(2 ** (bits - 1)), 2 ** (bits - 1) - 1, 5] if signed else [2**bits - 1, 0, 5]
+    cloud = cloud_with_ids(ids, datatype, big)
+    assert read_markers(cloud, 'id').identities == tuple(map(str, ids))
+    assert read_markers(cloud).identities == ('0', '1', '2')
+    assert read_markers(cloud, 'index').identities == ('0', '1', '2')
+    for identity in ('ns', 'ns_id'):
+        with pytest.raises(MessageError, match='no identities but the index'):
+            read_markers(cloud, identity)
+
+
+def test_bad_field_id_of_a_cloud_is_refused_when_asked():
+    with pytest.raises(MessageError, match="'4' 2 times"):
+        read_markers(cloud_with_ids([4, 3, 4]), 'id')
+    with pytest.raises(MessageError, match="'id' has datatype 7: publish it as an integer"):
+        read_markers(cloud_with_ids([1.0, 2.0], PointField.FLOAT32), 'id')
+    cloud = cloud_with_ids([1, 2])
+    change_field(cloud, 'id', offset=9)
+    with pytest.raises(MessageError, match="'id' at offset 9 ends beyond"):
+        read_markers(cloud, 'id')
+    assert len(read_markers(cloud).points) == 2
+
+
+def test_unknown_identity_is_refused():
+    with pytest.raises(ValueError, match="identity 'name' is unknown: use one of auto, index"):
+        read_markers(PoseArray(), 'name')
+
+
+def test_message_of_another_type_is_refused():
+    with pytest.raises(MessageError, match=r'Header is not .*sensor_msgs/msg/PointCloud2'):
+        read_markers(Header())
+
+
+# to_message and stamps
+
+
+def test_to_message_refuses_what_it_cannot_hold():
+    with pytest.raises(ValueError, match="kind 'pose' is unknown: use one of marker_array"):
+        make('pose')
+    with pytest.raises(ValueError, match=r'shape \(5, 2\), expected \(5, 3\)'):
+        make('marker', POINTS[:, :2])
+    with pytest.raises(ValueError, match=r'shape \(5, 3\), expected \(4, 3\)'):
+        make('marker', names=NAMES[:4])
+
+
+@given(st.integers(0, 2**31 * 10**9 - 1))
+def test_stamp_round_trips_exactly(ns):
+    stamp = ns_to_stamp(ns)
+    assert stamp_to_ns(stamp) == ns
+    assert 0 <= stamp.nanosec < 10**9
+
+
+@pytest.mark.parametrize('ns', [-1, 2**31 * 10**9])
+def test_stamp_out_of_range_is_refused(ns):
+    with pytest.raises(ValueError, match='out of range'):
+        ns_to_stamp(ns)
