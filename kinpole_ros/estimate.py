@@ -43,8 +43,9 @@ class Estimate:
     `position` (order + 1, B) complex, m, and `angle` (order + 1, B), rad, are the poses of the
     bodies' frames in the plane of `frame_id`; `position_covariance` and `angle_covariance`
     (order + 1, order + 1, B) between orders, of one axis; `size` (B,) is the diameter of each body
-    and `height` (B,) where its markers are along the normal, m. NaN marks a body of which nothing
-    is known, for the reason in `missing` (B,).
+    and `height` (B,) where its markers are along the normal, m; `span` (B,) in s and `degree` (B,)
+    tell on how much time and by which polynomial the angular velocity was found. NaN marks a body
+    of which nothing is known, for the reason in `missing` (B,).
     """
 
     def __init__(
@@ -58,6 +59,8 @@ class Estimate:
         angle_covariance: np.ndarray,
         size: np.ndarray,
         height: np.ndarray,
+        span: np.ndarray,
+        degree: np.ndarray,
         missing: tuple[str, ...],
     ) -> None:
         self.stamp = stamp
@@ -69,6 +72,8 @@ class Estimate:
         self.angle_covariance = angle_covariance
         self.size = size
         self.height = height
+        self.span = span
+        self.degree = degree
         self.missing = missing
         self.pole = cache(self._pole)
 

@@ -14,8 +14,7 @@ from kinpole_ros.estimate import Estimate
 from kinpole_ros.frame import MarkerFrame
 from kinpole_ros.parameters import Settings
 from kinpole_ros.planar import landmark_kinematics, to_plane
-from kinpole_ros.window import Noise, Samples, Shapes, differentiate
-from kinpole_ros.window._choice import FEWEST_SAMPLES
+from kinpole_ros.window import FEWEST_SAMPLES, Noise, Samples, Shapes, differentiate
 
 # Columns of a marker that span the plane, and the one along its normal.
 AXES = {'xy': (0, 1, 2), 'yz': (1, 2, 0), 'zx': (2, 0, 1)}
@@ -215,15 +214,10 @@ class Tracker:
         measured = np.isfinite(noise)
         usable = seen & measured
         noise = np.where(measured, noise, 1.0)
-        if self._points is None:
-            position, angle, position_covariance, angle_covariance = self._from_poses(
-                times, now, noise, order
-            )
-        else:
-            position, angle, position_covariance, angle_covariance = self._from_landmarks(
-                times, now, noise, order
-            )
-        for array in (position, angle, position_covariance, angle_covariance):
+        differentiated = self._from_poses if self._points is None else self._from_landmarks
+        found = differentiated(times, now, noise, order)
+        position, angle, position_covariance, angle_covariance, span, degree = found
+        for array in found:
             array[..., ~usable] = np.nan
         few = ~np.isfinite(angle[order]) | ~np.isfinite(position[order])
         missing = tuple(
@@ -240,6 +234,8 @@ class Tracker:
             angle_covariance,
             size,
             self._heights.view()[now].copy(),
+            span,
+            degree,
             missing,
         )
 
@@ -261,7 +257,15 @@ class Tracker:
         found = differentiate(times, signals, None if alike else weights, level, dimensions, order)
         position = found.values[:, count:, 0] + 1j * found.values[:, count:, 1]
         angle = found.values[:, :count, 0].copy()
-        return position, angle, found.covariance[..., count:], found.covariance[..., :count]
+        covariance = found.covariance
+        return (
+            position,
+            angle,
+            covariance[..., count:],
+            covariance[..., :count],
+            found.span[:count],
+            found.degree[:count],
+        )
 
     def _from_landmarks(
         self, times: np.ndarray, now: int, noise: np.ndarray, order: int
@@ -296,9 +300,12 @@ class Tracker:
             arms = np.where(here, _squared_arms(given[0], here), 0.0)
             position_covariance = covariance.sum(axis=-1) / number**2
             angle_covariance = (covariance * arms).sum(axis=-1) / arms.sum(axis=-1) ** 2
+        span = found.span.reshape(count, width).mean(axis=1)
+        degree = found.degree.reshape(count, width).mean(axis=1)
         angle = motion.angle[: order + 1].copy()
         angle[0] = self._angles.view()[now]
-        return motion.position[: order + 1].copy(), angle, position_covariance, angle_covariance
+        position = motion.position[: order + 1].copy()
+        return position, angle, position_covariance, angle_covariance, span, degree
 
 
 def find_marker(marker: str, identities: Sequence[str]) -> int:

@@ -1,20 +1,33 @@
 """MCAP bags in rosbag2's conventions, in and out, and spreadsheets into them."""
 
-from ._import import import_csv
-from ._reader import BagError, BagMessage, Truncated, bag_files, read_messages, topics
-from ._schema import definition, message_class, type_name
-from ._writer import BagWriter
+from kinpole_ros.bags._import import import_csv
+from kinpole_ros.bags._reader import (
+    BagError,
+    BagMessage,
+    Truncated,
+    bag_files,
+    read_messages,
+    topics,
+)
+from kinpole_ros.bags._replay import NODE_NAME, Replayed, replay
+from kinpole_ros.bags._schema import definition, message_class, type_name
+from kinpole_ros.bags._simulate import simulate
+from kinpole_ros.bags._writer import BagWriter
 
 __all__ = [
+    'NODE_NAME',
     'BagError',
     'BagMessage',
     'BagWriter',
+    'Replayed',
     'Truncated',
     'bag_files',
     'definition',
     'import_csv',
     'message_class',
     'read_messages',
+    'replay',
+    'simulate',
     'topics',
     'type_name',
 ]

@@ -8,9 +8,9 @@ from pathlib import Path
 
 import numpy as np
 
-from ..messages import to_message
-from ._reader import BagError
-from ._writer import BagWriter
+from kinpole_ros.bags._reader import BagError
+from kinpole_ros.bags._writer import BagWriter
+from kinpole_ros.messages import to_message
 
 _SECOND = 1_000_000_000  # ns
 _LONGEST = 2.0**31  # s; the seconds of a ROS stamp are an int32

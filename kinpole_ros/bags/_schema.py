@@ -8,7 +8,7 @@ from functools import cache
 from importlib import import_module
 from typing import Any
 
-from ._reader import BagError
+from kinpole_ros.bags._reader import BagError
 
 # rosidl names basic types as IDL does; .msg files use their own names for these.
 _BASIC = {'boolean': 'bool', 'octet': 'byte', 'float': 'float32', 'double': 'float64'}

@@ -9,8 +9,8 @@ from typing import Any
 from mcap.writer import CompressionType, Writer
 from rclpy.serialization import serialize_message
 
-from ._reader import BagError
-from ._schema import definition, message_class, type_name
+from kinpole_ros.bags._reader import BagError
+from kinpole_ros.bags._schema import definition, message_class, type_name
 
 # What a kill can lose, and what a reader must hold: small enough for both, large for zstd.
 _CHUNK_SIZE = 256 * 1024
@@ -94,6 +94,14 @@ class BagWriter:
                 data=data,
             )
             channel.messages += 1
+        except OSError as error:
+            raise self._failed(error) from error
+
+    def add_topic(self, topic: str, message_type: type) -> None:
+        """Have the topic in the bag, even if no message comes."""
+        try:
+            if topic not in self._channels:
+                self._add_channel(topic, message_type)
         except OSError as error:
             raise self._failed(error) from error
 

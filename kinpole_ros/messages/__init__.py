@@ -1,7 +1,8 @@
 """ROS messages to arrays and back: nothing behind this package handles a message itself."""
 
-from ._cloud import MessageError
-from ._markers import (
+from kinpole_ros.messages._cloud import MessageError
+from kinpole_ros.messages._diagnostics import DiagnosticsMaker
+from kinpole_ros.messages._markers import (
     MARKER_TYPES,
     ROS_TYPE_NAMES,
     ns_to_stamp,
@@ -9,13 +10,17 @@ from ._markers import (
     stamp_to_ns,
     to_message,
 )
+from kinpole_ros.messages._results import Output, result_outputs
 
 __all__ = [
     'MARKER_TYPES',
     'ROS_TYPE_NAMES',
+    'DiagnosticsMaker',
     'MessageError',
+    'Output',
     'ns_to_stamp',
     'read_markers',
+    'result_outputs',
     'stamp_to_ns',
     'to_message',
 ]

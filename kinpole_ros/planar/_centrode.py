@@ -16,9 +16,11 @@ def icr_velocity(position: Complex, angle: Real) -> Linear:
     """
     v, acc, w, a = position[1], position[2], angle[1], angle[2]
     with np.errstate(divide='ignore', invalid='ignore', over='ignore'):
-        value = v + 1j * acc / w - 1j * v * a / w**2
-        by_position = {1: 1 - 1j * a / w**2, 2: 1j / w}
-        by_angle = {1: -1j * acc / w**2 + 2j * v * a / w**3, 2: -1j * v / w**2}
+        # Not 1j / w: of one body alone w is a number, and Python refuses to divide 1j by 0.
+        q = 1 / w
+        value = v + 1j * acc * q - 1j * v * a * q**2
+        by_position = {1: 1 - 1j * a * q**2, 2: 1j * q}
+        by_angle = {1: -1j * acc * q**2 + 2j * v * a * q**3, 2: -1j * v * q**2}
     return Linear(value, by_position, by_angle)
 
 
@@ -27,16 +29,13 @@ def icr_acceleration(position: Complex, angle: Real) -> Linear:
     v, acc, jerk = position[1], position[2], position[3]
     w, a, j = angle[1], angle[2], angle[3]
     with np.errstate(divide='ignore', invalid='ignore', over='ignore'):
-        value = acc + 1j * jerk / w - 2j * acc * a / w**2 - 1j * v * j / w**2 + 2j * v * a**2 / w**3
-        by_position = {
-            1: -1j * j / w**2 + 2j * a**2 / w**3,
-            2: 1 - 2j * a / w**2,
-            3: 1j / w,
-        }
+        q = 1 / w
+        value = acc + 1j * jerk * q - (2j * acc * a + 1j * v * j) * q**2 + 2j * v * a**2 * q**3
+        by_position = {1: -1j * j * q**2 + 2j * a**2 * q**3, 2: 1 - 2j * a * q**2, 3: 1j * q}
         by_angle = {
-            1: -1j * jerk / w**2 + 4j * acc * a / w**3 + 2j * v * j / w**3 - 6j * v * a**2 / w**4,
-            2: -2j * acc / w**2 + 4j * v * a / w**3,
-            3: -1j * v / w**2,
+            1: -1j * jerk * q**2 + (4j * acc * a + 2j * v * j) * q**3 - 6j * v * a**2 * q**4,
+            2: -2j * acc * q**2 + 4j * v * a * q**3,
+            3: -1j * v * q**2,
         }
     return Linear(value, by_position, by_angle)
 

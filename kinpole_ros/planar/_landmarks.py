@@ -7,17 +7,13 @@ from numpy.typing import ArrayLike
 
 from kinpole_ros.planar._centrode import centrode_curvature, icr_velocity
 from kinpole_ros.planar._linear import Linear
-from kinpole_ros.planar._plane import Complex, Real, check_vectors, to_complex, to_plane
+from kinpole_ros.planar._plane import ROUNDING, Complex, Real, check_vectors, to_complex, to_plane
 from kinpole_ros.planar._poles import (
     body_point_derivative,
     pole,
     rotation_coefficient,
     rotation_partials,
 )
-
-# A sum of n products is off by a few units in the last place; a denominator counts as zero below
-# this many of them.
-_ROUNDING = 64 * np.finfo(float).eps
 
 
 @dataclass(frozen=True)
@@ -107,9 +103,10 @@ def landmark_kinematics(
     if len(given) > 2:
         u = icr_velocity(position, angle)
         velocity = _where(turning, u)
-        speed_rounding = _ROUNDING * (
-            np.abs(position[1]) + np.abs(u.by_position[2] * position[2])
-        ) + sum(np.abs(g) * error[k] for k, g in u.by_angle.items())
+        with np.errstate(invalid='ignore'):
+            speed_rounding = ROUNDING * (
+                np.abs(position[1]) + np.abs(u.by_position[2] * position[2])
+            ) + sum(np.abs(g) * error[k] for k, g in u.by_angle.items())
         if len(given) > 3:
             moves = turning & (np.abs(u.value) > speed_rounding)
             value = centrode_curvature(position, angle).value.real
@@ -160,12 +157,15 @@ def _rates(given: list[Complex], f: Real) -> tuple[Complex, Real, Real]:
         c = np.where(seen, given[0] - position[0][..., None], 0)
         spread = (f * np.abs(c) ** 2).sum(axis=-1)
         size = np.sqrt(spread / total)
-        apart = size > _ROUNDING * np.max(np.abs(means[0]), axis=-1, initial=0.0)
+        far = np.max(np.abs(means[0]), axis=-1, initial=0.0)
+        apart = size > ROUNDING * far
         spread = np.where(apart, spread, np.nan)
         for k in range(1, len(given)):
             relative = np.where(seen, given[k] - position[k][..., None], 0)
             angle[k] = (f * (c.conj() * relative).imag).sum(axis=-1) / spread
-            error[k] = _ROUNDING * np.max(np.abs(means[k]), axis=-1, initial=0.0) / size
+            # Rounding of the derivatives, and of the arms, which a far origin makes coarse.
+            largest = np.max(np.abs(means[k]), axis=-1, initial=0.0)
+            error[k] = ROUNDING * (largest + far * np.abs(angle[k])) / size
         if len(given) > 3:
             angle[3] += angle[1] ** 3
         if len(given) > 4:

@@ -5,12 +5,18 @@ from numpy.typing import ArrayLike, NDArray
 
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
+# A sum of n products is off by a few units in the last place; what is to tell apart from it counts
+# as zero below this many of them.
+ROUNDING = 64 * np.finfo(float).eps
 
 
 def to_complex(vectors: ArrayLike) -> Complex:
     """Write vectors of shape (..., 2) as complex numbers of shape (...)."""
     array = check_vectors(vectors, 'vectors')
-    return np.asarray(array[..., 0] + 1j * array[..., 1])
+    # Not x + 1j * y: an infinite y would make x NaN.
+    result = np.empty(array.shape[:-1], complex)
+    result.real, result.imag = array[..., 0], array[..., 1]
+    return result
 
 
 def to_plane(numbers: ArrayLike) -> Real:

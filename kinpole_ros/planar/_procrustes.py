@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from kinpole_ros.planar._plane import Complex, Real
+from kinpole_ros.planar._plane import ROUNDING, Complex, Real
 
 
 class Fit(NamedTuple):
@@ -47,9 +47,16 @@ def fit_pose(points: Complex, shape: Complex, weights: Real) -> Fit:
         s = s - shape_mean[..., None]
         spread = (weights * (s.real**2 + s.imag**2)).sum(axis=-1)
         cross = (weights * p * s.conj()).sum(axis=-1)
-        turn = np.where(np.abs(cross) > 0, cross / np.abs(cross), np.nan)
+        apart = _apart(p, point_mean, weights) & _apart(s, shape_mean, weights)
+        turn = np.where(apart & (np.abs(cross) > 0), cross / np.abs(cross), np.nan)
         position = point_mean - turn * shape_mean
         taken = weights * (2 / total[..., None] + np.abs(s) ** 2 / spread[..., None])
         freedom = np.where(seen, np.maximum(2 - taken, 0), 0)
     residual = np.where(seen, p * turn.conj()[..., None] - s, np.nan)
     return Fit(position, np.angle(turn), residual, spread, shape_mean, total, freedom)
+
+
+def _apart(arms: Complex, mean: Complex, weights: Real) -> np.ndarray:
+    """Where points of weight lie apart from their mean by more than rounding."""
+    farthest = np.max(np.abs(arms), axis=-1, where=weights > 0, initial=0.0)
+    return np.asarray(farthest > ROUNDING * np.abs(mean))

@@ -39,10 +39,11 @@ def relative_pole(
     w_j, w_i = angle_j[1], angle_i[1]
     between = position_j[0] - position_i[0]
     with np.errstate(divide='ignore', invalid='ignore'):
-        turning = w_j - w_i
-        arm = (1j * w_j * between - position_j[1] + position_i[1]) / (1j * turning)
-        by_j = {0: w_j / turning + 0j, 1: 1j / turning}
-        by_i = {0: -w_i / turning + 0j, 1: -1j / turning}
-        linear_j = Linear(position_i[0] + arm, by_j, {1: (between - arm) / turning})
-        linear_i = Linear(position_i[0] + arm, by_i, {1: arm / turning})
+        # Not 1j / (w_j - w_i): of one pair that is a number, and Python refuses to divide by 0.
+        q = 1 / (w_j - w_i)
+        arm = (w_j * between + 1j * (position_j[1] - position_i[1])) * q
+        by_j = {0: w_j * q + 0j, 1: 1j * q}
+        by_i = {0: -w_i * q + 0j, 1: -1j * q}
+        linear_j = Linear(position_i[0] + arm, by_j, {1: (between - arm) * q})
+        linear_i = Linear(position_i[0] + arm, by_i, {1: arm * q})
     return linear_j, linear_i

@@ -6,12 +6,17 @@ a marker that sits off the plane, a shape not yet known well. That part changes 
 residual is compared with the mean of the ones before and after it, which white noise survives.
 """
 
+from functools import lru_cache
+from statistics import NormalDist
+
 import numpy as np
 
 from kinpole_ros.planar import Fit
 from kinpole_ros.planar._plane import Real
 
-_KEPT = 129
+# How many frames the level is taken from, and which share of them may be wild.
+_KEPT = 512
+_WILD = 0.1
 
 
 class Noise:
@@ -19,6 +24,7 @@ class Noise:
 
     def __init__(self, bodies: int) -> None:
         self._squares = np.full((_KEPT, bodies), np.nan)
+        self._freedom = np.ones(bodies)
         self._count = 0
         self._before: list[Fit] = []
 
@@ -36,10 +42,9 @@ class Noise:
         expected = middle.freedom + (first.freedom + last.freedom) / 4
         freedom = np.where(seen, expected, 0).sum(axis=-1) / 1.5
         enough = freedom > 0.5
-        freedom = np.where(enough, freedom, 1.0)
-        # The median of a chi-square of f degrees of freedom (Wilson and Hilferty 1931).
-        median = 1.5 * freedom * (1 - 2 / (9 * freedom)) ** 3
-        self._squares[self._count % _KEPT] = np.where(enough, squares / median, np.nan)
+        self._freedom = np.where(enough, freedom, self._freedom)
+        row = np.where(enough, squares / (1.5 * self._freedom), np.nan)
+        self._squares[self._count % _KEPT] = row
         self._count += 1
 
     def forget_neighbors(self) -> None:
@@ -47,13 +52,25 @@ class Noise:
         self._before = []
 
     def level(self) -> Real:
-        """Standard deviation (B,) of one coordinate of one marker; NaN while not known."""
-        known = self._squares[: self._count]
-        if not len(known):
-            return np.full(known.shape[1], np.nan)
-        if np.isnan(known).any():
-            counts = (~np.isnan(known)).sum(axis=0)
-            filled = np.sort(np.where(np.isnan(known), np.inf, known), axis=0)
-            middle = filled[np.maximum(counts - 1, 0) // 2, np.arange(known.shape[1])]
-            return np.sqrt(np.where(counts > 0, middle, np.nan))
-        return np.sqrt(np.median(known, axis=0))
+        """
+        Standard deviation (B,) of one coordinate of one marker; NaN while not known.
+
+        From the mean of the squares less the largest tenth: a median would call a tracker that
+        rounds its coordinates free of noise, and a plain mean believes every jump.
+        """
+        known = np.sort(self._squares[: self._count], axis=0)  # NaN come last
+        counts = (~np.isnan(known)).sum(axis=0)
+        kept = np.ceil(counts * (1 - _WILD))
+        lowest = np.where(np.arange(len(known))[:, None] < kept, known, 0.0).sum(axis=0)
+        share = [_share_of_lowest(round(float(f), 1)) for f in self._freedom]
+        with np.errstate(divide='ignore', invalid='ignore'):
+            return np.sqrt(np.where(counts > 0, lowest / kept / share, np.nan))
+
+
+@lru_cache(maxsize=1024)
+def _share_of_lowest(freedom: float) -> float:
+    """Mean of the tame part of a chi-square over its mean (Wilson and Hilferty 1931)."""
+    levels = (np.arange(200) + 0.5) / 200 * (1 - _WILD)
+    normal = np.array([NormalDist().inv_cdf(level) for level in levels])
+    cube = np.maximum(1 - 2 / (9 * freedom) + normal * np.sqrt(2 / (9 * freedom)), 0)
+    return float((cube**3).mean())

@@ -1,0 +1,335 @@
+"""
+The command `kinpole`: each subcommand checks its words, calls one function and tells the outcome.
+
+Exit status 0 is done, 2 bad usage or bad input with one line on stderr. What a subcommand needs is
+imported when it runs, so that --help comes at once.
+"""
+
+import argparse
+import sys
+import time
+from collections.abc import Callable, Sequence
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, Any
+
+from kinpole_ros import __version__
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+_EPILOG = """examples:
+  kinpole simulate four_bar --output four_bar.mcap --noise 0.0002
+  kinpole replay four_bar.mcap --output result.mcap
+  kinpole plot result.mcap --output result.png
+  kinpole import tracked.csv --rate 240 --scale 0.001 --y-down --output markers.mcap
+  kinpole node --ros-args --params-file config/kinpole.yaml
+"""
+
+
+def main(args: Sequence[str] | None = None) -> int:
+    """Run one subcommand; returns the exit status."""
+    words = list(sys.argv[1:] if args is None else args)
+    if words[:1] == ['node'] and not {'-h', '--help'} & set(words):
+        # All that follows belongs to ROS.
+        from kinpole_ros.node import main as run_node
+
+        return run_node(['kinpole', *words[1:]])
+    parser = _parser()
+    options = parser.parse_args(words)
+    try:
+        return int(options.run(options) or 0)
+    except KeyboardInterrupt:
+        return 130
+    except BrokenPipeError:
+        return 0
+    except (ValueError, OSError, ImportError) as error:
+        if not _is_for_the_user(error):
+            raise
+        print(f'kinpole {options.command}: {_line(error)}', file=sys.stderr)
+        return 2
+
+
+def _is_for_the_user(error: Exception) -> bool:
+    """Whether it is one of our own one-line errors, not a bug that deserves its traceback."""
+    from kinpole_ros.bags import BagError
+    from kinpole_ros.mechanism import SceneError
+    from kinpole_ros.parameters import ParameterError
+
+    ours = (BagError, ParameterError, SceneError, OSError)
+    return isinstance(error, ours) or 'matplotlib' in str(error)
+
+
+def _line(error: Exception) -> str:
+    return ' '.join(str(error).split())
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog='kinpole',
+        description='Planar kinematics of mechanisms from tracked markers: angular rates, poles '
+        'and centrodes of every body, and between bodies, with their uncertainty.',
+        epilog=_EPILOG,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument('--version', action='version', version=f'kinpole {__version__}')
+    commands = parser.add_subparsers(dest='command', required=True, metavar='COMMAND')
+
+    node = commands.add_parser(
+        'node',
+        help='the live node',
+        description='The live node. Everything after it goes to ROS: '
+        'kinpole node --ros-args --params-file config/kinpole.yaml -r markers:=/mocap/markers',
+    )
+    node.set_defaults(run=lambda options: 0)
+
+    replay = commands.add_parser(
+        'replay',
+        help='a bag of markers to results, as fast as the machine goes',
+        description='Runs the markers of a bag through the same pipeline as the node. The same '
+        'bag and parameters give the same figures every time.',
+    )
+    replay.add_argument('bag', metavar='BAG', help='an .mcap file or a rosbag2 folder')
+    replay.add_argument(
+        '--config',
+        metavar='FILE',
+        help='ROS 2 parameter file, as for the node; without it one body, "body", of all markers',
+    )
+    replay.add_argument('--output', metavar='OUT.mcap', help='bag of results, under /kinpole/...')
+    replay.add_argument('--csv', metavar='OUT.csv', help='the same as a table, with sigmas')
+    replay.add_argument(
+        '--topic', metavar='T', help="topic of the markers (config's, /markers)"
+    )
+    replay.set_defaults(run=_replay)
+
+    simulate = commands.add_parser(
+        'simulate',
+        help='a bag of markers from a mechanism, with the exact answer beside it',
+        description='Writes markers on /markers and the exact motion on /kinpole/truth/...',
+    )
+    simulate.add_argument(
+        'scene', metavar='SCENE', help='a file, or the name of one in config/scenes: see --list'
+    )
+    simulate.add_argument('--list', action=_ListScenes, help='name the scenes that come along')
+    simulate.add_argument('--output', metavar='BAG', required=True, help='.mcap file to write')
+    simulate.add_argument('--rate', type=float, default=200.0, metavar='HZ', help='frames (200)')
+    simulate.add_argument('--duration', type=float, default=5.0, metavar='S', help='length (5)')
+    simulate.add_argument(
+        '--noise', type=float, default=0.0, metavar='M', help='noise of a marker per axis, m (0)'
+    )
+    simulate.add_argument('--seed', type=int, default=0, metavar='N', help='of the noise (0)')
+    simulate.add_argument(
+        '--dropout', type=float, default=0.0, metavar='P', help='share of markers not seen (0)'
+    )
+    simulate.add_argument(
+        '--jitter',
+        type=float,
+        default=0.0,
+        metavar='S',
+        help='how unevenly the frames are taken, s (0); the stamps tell the true instants',
+    )
+    simulate.add_argument(
+        '--message',
+        default='marker_array',
+        metavar='TYPE',
+        help='marker_array (the default), marker, pose_array or point_cloud2',
+    )
+    simulate.set_defaults(run=_simulate)
+
+    plot = commands.add_parser(
+        'plot',
+        help='a picture of a result bag',
+        description='Draws centrodes, poles and rates with their bands.',
+    )
+    plot.add_argument('bag', metavar='BAG', help='bag of results, from replay or recorded live')
+    plot.add_argument('--output', metavar='FILE.png', required=True, help='picture to write')
+    plot.set_defaults(run=_plot)
+
+    imported = commands.add_parser(
+        'import',
+        help='tracked points from a spreadsheet to a bag',
+        description='Columns NAME_x, NAME_y and maybe NAME_z make the marker NAME; empty cells are '
+        'markers that were not seen. Column t holds seconds, unless --rate is given.',
+    )
+    imported.add_argument('csv', metavar='CSV', help='the table')
+    imported.add_argument('--output', metavar='BAG', required=True, help='.mcap file to write')
+    imported.add_argument('--rate', type=float, metavar='HZ', help='frames per second')
+    imported.add_argument(
+        '--scale', type=float, default=1.0, metavar='M_PER_UNIT', help='m per unit of the table (1)'
+    )
+    imported.add_argument(
+        '--y-down', action='store_true', help='y of the table points down, as in pictures'
+    )
+    imported.set_defaults(run=_import)
+
+    play = commands.add_parser(
+        'play',
+        help='publish a bag, where there is no ros2 bag play',
+        description='Publishes a bag at the pace it was recorded, once somebody listens.',
+    )
+    play.add_argument('bag', metavar='BAG', help='an .mcap file or a rosbag2 folder')
+    play.add_argument('--topic', action='append', metavar='T', help='only this one; repeatable')
+    play.add_argument('--speed', type=float, default=1.0, metavar='X', help='times the pace (1)')
+    play.set_defaults(run=_play)
+
+    record = commands.add_parser(
+        'record',
+        help='record the results of a running node, where there is no ros2 bag record',
+        description='Records until Ctrl-C. A kill loses no more than the last second.',
+    )
+    record.add_argument('--output', metavar='BAG', required=True, help='.mcap file to write')
+    record.add_argument(
+        '--topic',
+        action='append',
+        metavar='PREFIX',
+        help='beginning of the topics to record; repeatable (/kinpole/ and /diagnostics)',
+    )
+    record.set_defaults(run=_record)
+
+    demo = commands.add_parser(
+        'demo',
+        help='the main job, shown: node, bag, recording and picture',
+        description='Starts the node, plays a bag of a four-bar into it, records what it '
+        'publishes, prints a table and draws a picture.',
+    )
+    demo.add_argument('--output', metavar='FOLDER', default='out', help='where to write (out)')
+    demo.set_defaults(run=_demo)
+    return parser
+
+
+class _ListScenes(argparse.Action):
+    """--list: print the scenes and end, as --version does."""
+
+    def __init__(self, **words: Any) -> None:
+        super().__init__(nargs=0, **words)
+
+    def __call__(self, parser: argparse.ArgumentParser, *_: Any) -> None:
+        from kinpole_ros.mechanism import scene_names
+
+        print('\n'.join(scene_names()))
+        parser.exit()
+
+
+def _replay(options: argparse.Namespace) -> int:
+    from kinpole_ros.bags import replay
+    from kinpole_ros.parameters import Settings, load_settings
+
+    settings = load_settings(options.config) if options.config else Settings()
+    with _progress('replay') as progress:
+        result = replay(options.bag, settings, options.output, options.csv, options.topic, progress)
+    print(f'{result.frames} frames in, {result.estimates} instants out')
+    for what, count in (('stamps repeated', result.repeated), ('jumps', result.resets)):
+        if count:
+            print(f'{what}: {count}')
+    for body, shares in result.determined.items():
+        told = ', '.join(f'{pole} {share:.1%}' for pole, share in shares.items())
+        print(f'{body}: determined at {told} of them')
+    for target in (options.output, options.csv):
+        if target:
+            print(f'written to {target}')
+    if result.unreadable:
+        print(
+            f'kinpole replay: {result.unreadable} messages left out, the first: {result.problem}',
+            file=sys.stderr,
+        )
+    if result.truncated is not None:
+        print(f'kinpole replay: {_line(result.truncated)}', file=sys.stderr)
+        return 2
+    return 0
+
+
+def _simulate(options: argparse.Namespace) -> int:
+    from kinpole_ros.bags import simulate
+    from kinpole_ros.mechanism import load_scene
+
+    scene = load_scene(options.scene)
+    with _progress('simulate') as progress:
+        count = simulate(
+            scene,
+            options.output,
+            rate=options.rate,
+            duration=options.duration,
+            noise=options.noise,
+            seed=options.seed,
+            dropout=options.dropout,
+            jitter=options.jitter,
+            message=options.message,
+            progress=progress,
+        )
+    print(f'{count} frames of {", ".join(scene.markers)} written to {options.output}')
+    return 0
+
+
+def _plot(options: argparse.Namespace) -> int:
+    from kinpole_ros.plot import plot
+
+    plot(options.bag, options.output)
+    print(f'drawn to {options.output}')
+    return 0
+
+
+def _import(options: argparse.Namespace) -> int:
+    from kinpole_ros.bags import import_csv
+
+    with _progress('import') as progress:
+        count = import_csv(
+            options.csv,
+            options.output,
+            rate=options.rate,
+            scale=options.scale,
+            y_down=options.y_down,
+            progress=progress,
+        )
+    print(f'{count} frames written to {options.output}')
+    return 0
+
+
+def _play(options: argparse.Namespace) -> int:
+    from kinpole_ros.live import play
+
+    with _progress('play') as progress:
+        count = play(options.bag, options.topic, options.speed, progress=progress)
+    print(f'{count} messages played')
+    return 0
+
+
+def _record(options: argparse.Namespace) -> int:
+    from kinpole_ros.live import record
+
+    count = record(options.output, options.topic or ['/kinpole/', '/diagnostics'])
+    print(f'{count} messages written to {options.output}')
+    return 0
+
+
+def _demo(options: argparse.Namespace) -> int:
+    from kinpole_ros.demo import demo
+
+    return demo(options.output)
+
+
+@contextmanager
+def _progress(what: str) -> 'Iterator[Callable[[float], None] | None]':
+    """A bar on a terminal, nothing in a pipe."""
+    if not sys.stderr.isatty():
+        yield None
+        return
+    start = shown = time.monotonic()
+
+    def show(share: float) -> None:
+        nonlocal shown
+        now = time.monotonic()
+        if now - shown < 0.1 and share < 1:
+            return
+        shown = now
+        left = (now - start) * (1 - share) / share if share > 0.01 else float('nan')
+        bar = '#' * round(30 * share)
+        tail = f'{left:4.0f} s left' if left == left else ''
+        print(f'\r{what} [{bar:<30}] {share:4.0%} {tail:12}', end='', file=sys.stderr, flush=True)
+
+    try:
+        yield show
+    finally:
+        print('\r' + ' ' * 70 + '\r', end='', file=sys.stderr, flush=True)
+
+
+if __name__ == '__main__':
+    sys.exit(main())

@@ -1,0 +1,151 @@
+"""
+Bags over DDS: play one into a running node and record what it says.
+
+Small stand-ins for `ros2 bag play` and `ros2 bag record`, for machines that have rclpy and no ROS
+installation, and for the demo and the tests, which must run there.
+"""
+
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import rclpy
+from rclpy.clock import Clock
+from rclpy.clock_type import ClockType
+from rclpy.executors import ExternalShutdownException
+from rclpy.node import Node
+from rclpy.qos import QoSProfile, ReliabilityPolicy
+
+from kinpole_ros.bags import BagError, BagWriter, message_class, read_messages, topics
+
+# What a kill may lose of a recording.
+_FLUSH_EVERY = 1.0
+_LOOK_EVERY = 0.1
+_DEEP = 1000
+
+
+def play(
+    bag: str | Path,
+    only: list[str] | None = None,
+    speed: float = 1.0,
+    wait: float = 10.0,
+    progress: Callable[[float], None] | None = None,
+) -> int:
+    """
+    Publish a bag's messages at the pace they were recorded, times `speed`.
+
+    `only` names the topics, None for all but the exact answers that simulate puts beside the
+    markers. Waits up to `wait` s for a subscriber of each, and at the end until reliable ones have
+    everything. Returns the number of messages. Raises BagError as reading does.
+    """
+    there = topics(bag)
+    for name in only or []:
+        if name not in there:
+            raise BagError(f'{bag}: no topic {name}; it holds {", ".join(sorted(there))}')
+    chosen = only or [name for name in there if '/truth/' not in name]
+    context = rclpy.Context()
+    rclpy.init(args=[], context=context)
+    node = Node('kinpole_player', context=context)
+    count = 0
+    try:
+        qos = QoSProfile(depth=_DEEP)
+        publishers = {
+            name: node.create_publisher(message_class(there[name]), name, qos) for name in chosen
+        }
+        deadline = time.monotonic() + wait
+        while time.monotonic() < deadline and context.ok():
+            if all(p.get_subscription_count() for p in publishers.values()):
+                break
+            time.sleep(_LOOK_EVERY / 10)
+        start, first = time.monotonic(), None
+        for message in read_messages(bag, chosen, progress):
+            first = message.log_time if first is None else first
+            late = start + (message.log_time - first) * 1e-9 / speed - time.monotonic()
+            if late > 0:
+                time.sleep(late)
+            if not context.ok():
+                break
+            publishers[message.topic].publish(message.data)
+            count += 1
+        for publisher in publishers.values():
+            publisher.wait_for_all_acked()
+    finally:
+        node.destroy_node()
+        context.try_shutdown()
+    return count
+
+
+class Recorder(Node):
+    """Records every topic under some prefixes, from when it appears."""
+
+    def __init__(self, writer: BagWriter, prefixes: list[str]) -> None:
+        super().__init__('kinpole_recorder')
+        self._writer = writer
+        self._prefixes = tuple(prefixes)
+        self._taken: set[str] = set()
+        self.messages = 0
+        self.error: BagError | None = None
+        steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self.create_timer(_LOOK_EVERY, self._look, clock=steady)
+        self.create_timer(_FLUSH_EVERY, self._flush, clock=steady)
+        self._look()
+
+    def _look(self) -> None:
+        for name, types in self.get_topic_names_and_types():
+            if name in self._taken or not name.startswith(self._prefixes):
+                continue
+            try:
+                cls = message_class(types[0])
+            except BagError:
+                continue
+            self._taken.add(name)
+            # Take what the publisher offers: reliable where all of them are.
+            offers = self.get_publishers_info_by_topic(name)
+            best = ReliabilityPolicy.BEST_EFFORT
+            unreliable = any(o.qos_profile.reliability == best for o in offers)
+            qos = QoSProfile(
+                depth=_DEEP, reliability=best if unreliable else ReliabilityPolicy.RELIABLE
+            )
+            self.create_subscription(cls, name, self._saver(name, cls), qos, raw=True)
+
+    def _saver(self, name: str, cls: type) -> Callable[[bytes], None]:
+        def save(data: bytes) -> None:
+            self._guard(
+                lambda: self._writer.write_raw(name, cls, data, self.get_clock().now().nanoseconds)
+            )
+            self.messages += 1
+
+        return save
+
+    def _flush(self) -> None:
+        self._guard(self._writer.flush)
+
+    def _guard(self, write: Callable[[], None]) -> None:
+        """Stop spinning on a full disk, with what was recorded before it kept."""
+        try:
+            write()
+        except BagError as error:
+            self.error = error
+            self.context.try_shutdown()
+
+
+def record(output: str | Path, prefixes: list[str]) -> int:
+    """
+    Record all topics that begin with one of `prefixes` until told to stop (SIGINT or SIGTERM).
+
+    Returns the number of messages. What was recorded is readable even if the process is killed,
+    but for the last second. Raises BagError when the output cannot be written.
+    """
+    with BagWriter(output) as writer:
+        rclpy.init(args=[])
+        recorder = Recorder(writer, prefixes)
+        try:
+            rclpy.spin(recorder)
+        except (KeyboardInterrupt, ExternalShutdownException):
+            pass
+        finally:
+            recorder.destroy_node()
+            rclpy.try_shutdown()
+        if recorder.error is not None:
+            raise recorder.error
+        return recorder.messages

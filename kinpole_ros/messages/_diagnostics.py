@@ -1,0 +1,116 @@
+"""How the tracking is going, in the words of diagnostic_msgs, for people who watch a rig."""
+
+from collections import Counter
+from collections.abc import Mapping
+
+import numpy as np
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+
+from kinpole_ros.estimate import Estimate
+from kinpole_ros.messages._markers import ns_to_stamp
+from kinpole_ros.tracker import Tracker
+from kinpole_ros.window import FEWEST_SAMPLES
+
+_WORDS = {
+    'frames': 'frames received',
+    'repeated': 'frames with the stamp of the one before, left out',
+    'resets': 'starts anew after a jump of the stamps',
+    'markers_not_seen': 'markers not seen, summed over frames',
+    'markers_unknown': 'markers in the last new layout that no body names',
+    'unreadable': 'messages that could not be read',
+}
+
+
+class DiagnosticsMaker:
+    """Makes the diagnostics of a tracker; remembers the last ones to tell rates by."""
+
+    def __init__(self, name: str) -> None:
+        self._name = name
+        self._before: Counter[str] = Counter()
+
+    def make(
+        self,
+        stamp: int,
+        tracker: Tracker,
+        latest: Estimate | None,
+        seconds: float,
+        trouble: Mapping[str, str],
+    ) -> DiagnosticArray:
+        """
+        Diagnostics stamped `stamp` (ns), of the `seconds` since the last ones.
+
+        `latest` is the newest estimate, if any; `trouble` names what else is wrong, by topic.
+        """
+        counts = tracker.counts
+        since = {key: counts[key] - self._before[key] for key in counts}
+        self._before = counts.copy()
+        array = DiagnosticArray()
+        array.header.stamp = ns_to_stamp(stamp)
+        array.status = [self._input(tracker, since, seconds, trouble)]
+        noise = tracker.noise()
+        for b, body in enumerate(tracker.bodies):
+            array.status.append(self._body(b, body, latest, noise, bool(since.get('frames'))))
+        return array
+
+    def _input(
+        self, tracker: Tracker, since: Mapping[str, int], seconds: float, trouble: Mapping[str, str]
+    ) -> DiagnosticStatus:
+        level, message = DiagnosticStatus.OK, 'receiving markers'
+        if trouble:
+            level, message = DiagnosticStatus.ERROR, next(iter(trouble.values()))
+        elif not since.get('frames'):
+            level, message = DiagnosticStatus.STALE, 'no markers received'
+        elif since.get('resets'):
+            level, message = DiagnosticStatus.WARN, 'stamps jumped: the window starts anew'
+        elif since.get('repeated'):
+            level, message = (
+                DiagnosticStatus.WARN,
+                'stamps repeat: see that the driver sets header.stamp to the time of capture',
+            )
+        elif tracker.samples < FEWEST_SAMPLES:
+            level, message = (
+                DiagnosticStatus.WARN,
+                f'the window holds {tracker.samples} frames and needs {FEWEST_SAMPLES}; '
+                'wait, or raise the parameter window',
+            )
+        values = {
+            'rate (Hz)': since.get('frames', 0) / seconds if seconds > 0 else 0.0,
+            'frames in the window': tracker.samples,
+        }
+        if np.isfinite(tracker.interval):
+            values['mean interval (s)'] = tracker.interval
+        values.update({_WORDS[key]: tracker.counts[key] for key in _WORDS})
+        return _status(f'{self._name}: markers', level, message, values)
+
+    def _body(
+        self, b: int, body: str, latest: Estimate | None, noise: np.ndarray, receiving: bool
+    ) -> DiagnosticStatus:
+        name = f'{self._name}: {body}'
+        values: dict[str, object] = {}
+        if np.isfinite(noise[b]):
+            values['noise of a marker per axis (m)'] = float(noise[b])
+        if latest is None or not receiving:
+            return _status(name, DiagnosticStatus.STALE, 'nothing known yet', values)
+        values['size (m)'] = float(latest.size[b])
+        if np.isfinite(latest.span[b]):
+            values['time used for the angular velocity (s)'] = float(latest.span[b])
+            values['degree used for the angular velocity'] = float(latest.degree[b])
+        reasons = latest.reasons(b)
+        if 'all' in reasons:
+            return _status(name, DiagnosticStatus.WARN, reasons['all'], values)
+        for quantity, reason in reasons.items():
+            values[f'{quantity} undetermined'] = reason
+        message = 'tracking'
+        if reasons:
+            message += '; undetermined: ' + ', '.join(reasons)
+        return _status(name, DiagnosticStatus.OK, message, values)
+
+
+def _status(
+    name: str, level: bytes, message: str, values: Mapping[str, object]
+) -> DiagnosticStatus:
+    pairs = [
+        KeyValue(key=key, value=f'{value:.6g}' if isinstance(value, float) else str(value))
+        for key, value in values.items()
+    ]
+    return DiagnosticStatus(name=name, level=level, message=message, hardware_id='', values=pairs)

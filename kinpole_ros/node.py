@@ -1,0 +1,261 @@
+"""
+The live node: markers in, results out, nothing computed that nobody reads.
+
+A thin shell around the tracker: it declares the parameters, finds the type of the marker topic,
+and publishes the rows of the results table that have subscribers.
+"""
+
+import sys
+from collections.abc import Sequence
+from typing import Any
+
+import rclpy
+from diagnostic_msgs.msg import DiagnosticArray
+from rcl_interfaces.msg import FloatingPointRange, ParameterDescriptor, SetParametersResult
+from rclpy.clock import Clock
+from rclpy.clock_type import ClockType
+from rclpy.exceptions import InvalidParameterTypeException, ParameterAlreadyDeclaredException
+from rclpy.executors import ExternalShutdownException
+from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
+from rclpy.parameter import Parameter as RosParameter
+from rclpy.qos import QoSProfile, ReliabilityPolicy
+from rclpy.qos_overriding_options import QoSOverridingOptions
+
+from kinpole_ros.estimate import Estimate
+from kinpole_ros.messages import (
+    MARKER_TYPES,
+    ROS_TYPE_NAMES,
+    DiagnosticsMaker,
+    MessageError,
+    Output,
+    read_markers,
+    result_outputs,
+)
+from kinpole_ros.parameters import MARKERS, PARAMETERS, Parameter, ParameterError, settings_from
+from kinpole_ros.tracker import Tracker
+
+_DIAGNOSTICS_EVERY = 1.0
+_LOOK_EVERY = 0.1
+
+
+class KinpoleNode(LifecycleNode):
+    """Tracks the bodies its parameters name; managed, and active from the start."""
+
+    def __init__(self) -> None:
+        super().__init__('kinpole', automatically_declare_parameters_from_overrides=True)
+        self._steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self._declare()
+        self.settings = settings_from(self._values())
+        self._tracker = Tracker(self.settings)
+        self._diagnostics = DiagnosticsMaker(self.get_name())
+        self._outputs: list[tuple[Output, Any]] = []
+        self._subscription: Any = None
+        self._timers_made: list[Any] = []
+        self._look: Any = None
+        self._latest: Estimate | None = None
+        self._trouble: dict[str, str] = {}
+        self._told = self._steady.now()
+        self._status: Any = None
+        self.add_on_set_parameters_callback(self._check_parameters)
+        self.add_post_set_parameters_callback(self._take_parameters)
+        if self.get_parameter('autostart').value:
+            self.trigger_configure()
+            self.trigger_activate()
+
+    def _declare(self) -> None:
+        """Declare every parameter with its description and range; unknown ones are refused."""
+        given = {name: p.value for name, p in self.get_parameters_by_prefix('').items()}
+        settings = settings_from(given)
+        autostart = Parameter(
+            True, 'Whether the node configures and activates itself.', bool, '', fixed=True
+        )
+        rows = {**PARAMETERS, 'autostart': autostart}
+        rows.update({f'{body}.markers': MARKERS for body in settings.bodies})
+        for name, row in rows.items():
+            descriptor = ParameterDescriptor(
+                description=row.description,
+                additional_constraints=row.allowed,
+                read_only=row.fixed,
+                dynamic_typing=True,
+            )
+            value = given.get(name, row.default)
+            if row.lowest is not None and row.highest is not None:
+                descriptor.floating_point_range = [
+                    FloatingPointRange(from_value=row.lowest, to_value=row.highest)
+                ]
+                value = float(value)
+            if self.has_parameter(name):
+                self.undeclare_parameter(name)
+            self.declare_parameter(name, value, descriptor, ignore_override=True)
+
+    def _values(self) -> dict[str, Any]:
+        names = {*PARAMETERS, *(f'{b}.markers' for b in self.get_parameter('bodies').value)}
+        return {name: self.get_parameter(name).value for name in names}
+
+    def _check_parameters(self, changes: Sequence[RosParameter]) -> SetParametersResult:
+        ours = {p.name: p.value for p in changes if self._is_ours(p.name)}
+        try:
+            settings_from({**self._values(), **ours})
+        except ParameterError as error:
+            return SetParametersResult(successful=False, reason=str(error))
+        return SetParametersResult(successful=True)
+
+    def _take_parameters(self, changes: Sequence[RosParameter]) -> None:
+        """Start anew with the changed settings."""
+        if not any(self._is_ours(p.name) for p in changes):
+            return
+        self.settings = settings_from(self._values())
+        self._tracker = Tracker(self.settings)
+        self._latest = None
+        if self._outputs:
+            self._drop_outputs()
+            self._make_outputs()
+
+    def _is_ours(self, name: str) -> bool:
+        return name in PARAMETERS or name.endswith('.markers')
+
+    def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Make the publishers."""
+        self._make_outputs()
+        self._status = self.create_publisher(DiagnosticArray, '/diagnostics', 10)
+        return super().on_configure(state)
+
+    def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Start listening, with an empty window."""
+        result = super().on_activate(state)
+        self._tracker = Tracker(self.settings)
+        self._diagnostics = DiagnosticsMaker(self.get_name())
+        self._latest = None
+        self._told = self._steady.now()
+        # A steady clock: these beat even where simulated time stands still.
+        self._timers_made = [
+            self.create_timer(_DIAGNOSTICS_EVERY, self._tell, clock=self._steady),
+            self.create_timer(_LOOK_EVERY, self._find_markers, clock=self._steady),
+        ]
+        self._find_markers()
+        return result
+
+    def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Stop listening."""
+        for timer in self._timers_made:
+            self.destroy_timer(timer)
+        self._timers_made = []
+        if self._subscription is not None:
+            self.destroy_subscription(self._subscription)
+            self._subscription = None
+        return super().on_deactivate(state)
+
+    def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Take the publishers down."""
+        self._drop_outputs()
+        if self._status is not None:
+            self.destroy_publisher(self._status)
+            self._status = None
+        return super().on_cleanup(state)
+
+    def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """From wherever the node is, stop and take everything down."""
+        self.on_deactivate(state)
+        return self.on_cleanup(state)
+
+    def _make_outputs(self) -> None:
+        highest = self.settings.derivative_order or 4
+        for output in result_outputs(tuple(self.settings.bodies), self.settings.plane):
+            if output.order <= highest:
+                publisher = self.create_lifecycle_publisher(
+                    output.message_type, f'~/{output.topic}', 10
+                )
+                if self._timers_made:
+                    publisher.on_activate(LifecycleState('active', 0))
+                self._outputs.append((output, publisher))
+
+    def _drop_outputs(self) -> None:
+        for _, publisher in self._outputs:
+            self.destroy_lifecycle_publisher(publisher)
+        self._outputs = []
+
+    def _find_markers(self) -> None:
+        """Subscribe as soon as the type of the markers is known."""
+        if self._subscription is not None:
+            return
+        kind = self.settings.marker_type
+        topic = self.settings.marker_topic
+        if kind == 'auto':
+            resolved = self.resolve_topic_name(topic)
+            published = {p.topic_type for p in self.get_publishers_info_by_topic(resolved)}
+            kinds = [kind for kind, name in ROS_TYPE_NAMES.items() if name in published]
+            if not kinds:
+                if published:
+                    self._warn(
+                        'type',
+                        f'{resolved} is published as {", ".join(sorted(published))}; it must be '
+                        f'one of {", ".join(ROS_TYPE_NAMES.values())}',
+                    )
+                return
+            kind = kinds[0]
+        self._trouble.pop('type', None)
+        # Drivers mostly send as sensors do; what is late is not worth waiting for.
+        qos = QoSProfile(depth=50, reliability=ReliabilityPolicy.BEST_EFFORT)
+        self._subscription = self.create_subscription(
+            MARKER_TYPES[kind],
+            topic,
+            self._on_markers,
+            qos,
+            qos_overriding_options=QoSOverridingOptions.with_default_policies(),
+        )
+
+    def _on_markers(self, message: Any) -> None:
+        try:
+            frame = read_markers(message, self.settings.marker_identity)
+        except MessageError as error:
+            self._tracker.counts['unreadable'] += 1
+            self._warn('message', str(error))
+            return
+        wanted = [row for row in self._outputs if row[1].get_subscription_count()]
+        order = max((output.order for output, _ in wanted), default=None)
+        for estimate in self._tracker.add(frame, order):
+            self._latest = estimate
+            for output, publisher in wanted:
+                result = output.build(estimate)
+                if result is not None:
+                    publisher.publish(result)
+
+    def _warn(self, topic: str, text: str) -> None:
+        """Say once what is wrong, and keep it for the diagnostics."""
+        if self._trouble.get(topic) != text:
+            self.get_logger().warning(text)
+        self._trouble[topic] = text
+
+    def _tell(self) -> None:
+        now = self._steady.now()
+        seconds = (now - self._told).nanoseconds * 1e-9
+        self._told = now
+        stamp = self.get_clock().now().nanoseconds
+        array = self._diagnostics.make(stamp, self._tracker, self._latest, seconds, self._trouble)
+        self._trouble.pop('message', None)
+        self._status.publish(array)
+
+
+def main(args: Sequence[str] | None = None) -> int:
+    """Run the node until it is told to stop; returns the exit status."""
+    node = None
+    try:
+        rclpy.init(args=list(args) if args is not None else None)
+        node = KinpoleNode()
+        rclpy.spin(node)
+    except (KeyboardInterrupt, ExternalShutdownException):
+        pass
+    except (ParameterError, InvalidParameterTypeException, ParameterAlreadyDeclaredException) as e:
+        print(f'kinpole: {e}', file=sys.stderr)
+        return 2
+    except rclpy.exceptions.ROSInterruptException:
+        pass
+    finally:
+        if node is not None:
+            node.destroy_node()
+        rclpy.try_shutdown()
+    return 0
+
+
+if __name__ == '__main__':
+    sys.exit(main())

@@ -1,0 +1,605 @@
+"""
+A picture of a result bag, for who wants to see at once what the mechanism did.
+
+One row per body: the plane with both centrodes and the poles of one instant, the rates of turning,
+and how the ICR runs along the fixed centrode. Everything is read from the messages alone, so a
+recording of the live node draws as well as a replay.
+"""
+
+from collections.abc import Callable, Collection, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from rclpy.serialization import deserialize_message
+
+from kinpole_ros.bags import BagError, Truncated, message_class, read_messages, topics
+from kinpole_ros.messages import stamp_to_ns
+from kinpole_ros.tracker import AXES
+
+MOST_BODIES = 4
+_WIDTH, _ROW_HEIGHT, _DPI = 12.0, 4.1, 150  # inches; 1800 px across
+# Longer than this many periods without a sample is a gap, not a lost frame.
+_GAP = 2.5
+_POLES = {'icr': 'o', 'iap': '^', 'ijp': 's'}
+_POLE_TEXT = {'icr': 'ICR (velocity pole)', 'iap': 'IAP (acceleration pole)', 'ijp': 'IJP (jerk)'}
+_BLACK, _BLUE, _RED, _GREEN, _GRAY = '#000000', '#0060a8', '#c8460a', '#00785a', '#777777'
+_PATH = {'color': _GRAY, 'linestyle': ':', 'linewidth': 1.4}
+_FIXED = {'color': _BLUE, 'linestyle': '-', 'linewidth': 2.0}
+_MOVING = {'color': _RED, 'linestyle': '--', 'linewidth': 1.4}
+_RELATIVE = {'color': _GREEN, 'linestyle': '-.', 'linewidth': 0.9}
+_BAND = {'color': _BLUE, 'alpha': 0.3, 'linewidth': 0.8}
+_HALO = {'facecolor': 'white', 'edgecolor': 'none', 'alpha': 0.75, 'pad': 1.0}
+
+
+class Series(NamedTuple):
+    """
+    One topic: `stamp` (T,) in ns, rising, and `value` (T,), complex where it is of the plane.
+
+    `covariance` (T, 2, 2), NaN where not published.
+    """
+
+    stamp: np.ndarray
+    value: np.ndarray
+    covariance: np.ndarray
+
+
+class Body(NamedTuple):
+    """
+    What a bag tells of one body: from odom at `stamp` (T,) in ns, the rest by topic in `series`.
+
+    `position` (T,) complex, m; `angle` (T,), rad; `rate` and its standard deviation `rate_sigma`
+    (T,), rad/s; `size`, m, is twice the root mean square distance of the markers from their mean,
+    NaN when it cannot be told.
+    """
+
+    name: str
+    stamp: np.ndarray
+    position: np.ndarray
+    angle: np.ndarray
+    rate: np.ndarray
+    rate_sigma: np.ndarray
+    size: float
+    series: dict[str, Series]
+
+
+class Results(NamedTuple):
+    """A result bag: its plane, the bodies, and relative instant centers by names (j, i)."""
+
+    plane: str
+    bodies: list[Body]
+    relative: dict[tuple[str, str], Series]
+    cut: bool
+
+
+class Centrodes(NamedTuple):
+    """
+    Loci of the ICR, both complex (K,) in m: `fixed` in the plane, `moving` in the body's frame.
+
+    Taken at `stamp` (K,) in ns, where the body turned at `rate` (K,), rad/s.
+    """
+
+    stamp: np.ndarray
+    fixed: np.ndarray
+    moving: np.ndarray
+    rate: np.ndarray
+
+
+def plot(bag: str | Path, output: str | Path) -> None:
+    """
+    Draw the results in `bag` (an .mcap file or a rosbag2 folder) to `output`.
+
+    The format goes by the suffix of `output`: png, pdf, svg or whatever else matplotlib writes.
+    Raises BagError when the bag holds no results, `output` cannot be written or matplotlib is
+    missing.
+    """
+    try:
+        from matplotlib.figure import Figure
+    except ImportError as error:
+        raise BagError(
+            "drawing needs matplotlib; install it with pip install 'kinpole_ros[plot]'"
+        ) from error
+    # A Figure of its own, without pyplot: whoever draws in the same process keeps his state.
+    figure = Figure(figsize=(_WIDTH, 1), layout='constrained')
+    formats = sorted(figure.canvas.get_supported_filetypes())
+    if Path(output).suffix[1:].lower() not in formats:
+        raise BagError(f'{output} is no picture; end its name in one of {", ".join(formats)}')
+    results = read_results(bag)
+    _draw(figure, Path(bag).name, results)
+    try:
+        figure.savefig(output, dpi=_DPI)
+    except OSError as error:
+        raise BagError(
+            f'{output} cannot be written: {error.strerror}; name a file in a folder that is there'
+        ) from error
+
+
+def read_results(bag: str | Path) -> Results:
+    """
+    The results of a bag, whatever node published them; exact answers of simulate are left out.
+
+    Raises BagError when there are none.
+    """
+    kinds = topics(bag)
+    prefixes = [
+        topic.removesuffix('/odom')
+        for topic, kind in kinds.items()
+        if topic.endswith('/odom') and topic.count('/') > 2 and kind == 'nav_msgs/msg/Odometry'
+    ]
+    prefixes = [name for name in prefixes if not name.rpartition('/')[0].endswith('/truth')]
+    # The order in which the node has them: each one is related to all before it.
+    prefixes.sort(key=lambda prefix: sum(t.startswith(f'{prefix}/wrt/') for t in kinds))
+    relative = {
+        topic: (prefix, f'{prefix.rpartition("/")[0]}/{topic.split("/")[-2]}')
+        for prefix in prefixes
+        for topic in kinds
+        if topic.startswith(f'{prefix}/wrt/') and topic.endswith('/icr')
+    }
+    wanted = {f'{prefix}/{part}' for prefix in prefixes for part in ('odom', *_PARTS)}
+    rows, cut = _read(bag, wanted | set(relative)) if prefixes else ({}, False)
+    prefixes = [prefix for prefix in prefixes if f'{prefix}/odom' in rows]
+    if not prefixes:
+        raise BagError(
+            f'{bag} holds no results (no odometry of a body); make them first: '
+            f'kinpole replay {bag} --output RESULT.mcap'
+        )
+    odometry = {prefix: rows[f'{prefix}/odom'] for prefix in prefixes}
+    plane = _plane(np.concatenate([values for _, values in odometry.values()]))
+    axes = AXES[plane]
+    nodes = {prefix.rpartition('/')[0] for prefix in prefixes}
+    names = {
+        prefix: prefix.rpartition('/')[2] if len(nodes) == 1 else prefix for prefix in prefixes
+    }
+    bodies = []
+    for prefix, (stamp, values) in odometry.items():
+        parts = {part: rows[name] for part in _PARTS if (name := f'{prefix}/{part}') in rows}
+        for pole in _POLES:
+            if f'{pole}/with_covariance' in parts:
+                parts[pole] = parts.pop(f'{pole}/with_covariance')
+        series = {part: _series(*found, axes, part in _NUMBERS) for part, found in parts.items()}
+        bodies.append(_body(names[prefix], stamp, values, axes, series))
+    between = {
+        (names[j], names[i]): _series(*rows[topic], axes, False)
+        for topic, (j, i) in relative.items()
+        if topic in rows and j in names and i in names
+    }
+    return Results(plane, bodies, between, cut)
+
+
+def centrodes(body: Body) -> Centrodes:
+    """Both centrodes of a body, at the instants at which its pose and its ICR are known."""
+    if 'icr' not in body.series:
+        none = np.empty(0)
+        return Centrodes(none.astype(np.int64), none + 0j, none + 0j, none)
+    icr = body.series['icr']
+    stamp, own, other = np.intersect1d(body.stamp, icr.stamp, return_indices=True)
+    fixed = icr.value[other]
+    moving = (fixed - body.position[own]) * np.exp(-1j * body.angle[own])
+    return Centrodes(stamp, fixed, moving, body.rate[own])
+
+
+_NUMBERS = ('angular_acceleration', 'angular_jerk', 'centrode_curvature')
+_PARTS = (*_NUMBERS, *_POLES, *(f'{pole}/with_covariance' for pole in _POLES), 'icr_velocity')
+
+
+def _xyz(part: Any) -> list[float]:
+    return [part.x, part.y, part.z]
+
+
+def _odometry_row(message: Any) -> list[float]:
+    """Place, turn, twist, and the diagonals of their covariances; 3 + 4 + 3 + 6 + 6 numbers."""
+    pose, twist = message.pose, message.twist
+    turn = pose.pose.orientation
+    return [
+        *_xyz(pose.pose.position),
+        *_xyz(turn),
+        turn.w,
+        *_xyz(twist.twist.angular),
+        *pose.covariance[::7],
+        *twist.covariance[::7],
+    ]
+
+
+_ROWS: dict[str, Callable[[Any], list[float]]] = {
+    'nav_msgs/msg/Odometry': _odometry_row,
+    'geometry_msgs/msg/PointStamped': lambda message: _xyz(message.point),
+    'geometry_msgs/msg/Vector3Stamped': lambda message: _xyz(message.vector),
+    'geometry_msgs/msg/PoseWithCovarianceStamped': lambda message: [
+        *_xyz(message.pose.pose.position),
+        *message.pose.covariance,
+    ],
+}
+
+
+def _read(
+    bag: str | Path, wanted: Collection[str]
+) -> tuple[dict[str, tuple[np.ndarray, np.ndarray]], bool]:
+    """Stamps (T,) and numbers (T, ...) of each topic with messages, and if the bag is cut off."""
+    found: dict[str, dict[int, list[float]]] = {}
+    cut = False
+    try:
+        for message in read_messages(bag, wanted):
+            row = _ROWS.get(message.type_name)
+            if row is None:
+                continue
+            decoded: Any = deserialize_message(message.data, message_class(message.type_name))
+            # A bag played in a loop says the same of an instant again: the last word counts.
+            found.setdefault(message.topic, {})[stamp_to_ns(decoded.header.stamp)] = row(decoded)
+    except Truncated:
+        cut = True
+    arrays = {}
+    for topic, rows in found.items():
+        stamp = np.fromiter(rows, np.int64, len(rows))
+        order = np.argsort(stamp)
+        arrays[topic] = stamp[order], np.array(list(rows.values()), float)[order]
+    return arrays, cut
+
+
+def _plane(odometry: np.ndarray) -> str:
+    """The plane whose normal the bodies turn about; where none turns, the one that was measured."""
+    turns = np.abs(odometry[:, 3:6]).sum(axis=0) + np.abs(odometry[:, 7:10]).sum(axis=0)
+    unmeasured = odometry[:, 13:16].sum(axis=0)
+    normals = {axes[2]: plane for plane, axes in AXES.items()}
+    # From z on, so that a tie is the plane xy.
+    z_first = [2, 0, 1]
+    measure = turns if turns.any() else -unmeasured
+    return normals[max(z_first, key=lambda axis: measure[axis])]
+
+
+def _series(
+    stamp: np.ndarray, values: np.ndarray, axes: tuple[int, int, int], number: bool
+) -> Series:
+    covariance = np.full((len(stamp), 2, 2), np.nan)
+    if values.shape[1] > 3:
+        matrix = values[:, 3:].reshape(-1, 6, 6)
+        covariance = matrix[:, axes[:2]][:, :, axes[:2]]
+    value = values[:, axes[2]] if number else values[:, axes[0]] + 1j * values[:, axes[1]]
+    return Series(stamp, value, covariance)
+
+
+def _body(
+    name: str,
+    stamp: np.ndarray,
+    values: np.ndarray,
+    axes: tuple[int, int, int],
+    series: dict[str, Series],
+) -> Body:
+    first, second, normal = axes
+    spread, turn_spread = values[:, 10 + first], values[:, 13 + normal]
+    with np.errstate(divide='ignore', invalid='ignore'):
+        # The noise of the markers moves their mean and turns them about it: that ratio is a length.
+        size = 2 * np.sqrt(np.median(spread) / np.median(turn_spread))
+    return Body(
+        name,
+        stamp,
+        values[:, first] + 1j * values[:, second],
+        2 * np.arctan2(values[:, 3 + normal], values[:, 6]),
+        values[:, 7 + normal],
+        np.sqrt(np.maximum(values[:, 19 + normal], 0)),
+        float(size) if np.isfinite(size) else float('nan'),
+        series,
+    )
+
+
+def _draw(figure: Any, bag: str, results: Results) -> None:
+    bodies = results.bodies[:MOST_BODIES]
+    figure.set_size_inches(_WIDTH, 1.3 + _ROW_HEIGHT * len(bodies))
+    start = min(int(body.stamp[0]) for body in bodies)
+    end = max(int(body.stamp[-1]) for body in bodies)
+    loci = [centrodes(body) for body in bodies]
+    views = [_view(body, locus) for body, locus in zip(bodies, loci, strict=True)]
+    instant = _instant(bodies, views, (start + end) // 2)
+    names = ', '.join(body.name for body in bodies)
+    left_out = [body.name for body in results.bodies[MOST_BODIES:]]
+    figure.suptitle(
+        f'{bag}: {names}'
+        + (f' (not drawn: {", ".join(left_out)})' if left_out else '')
+        + f'\n{(end - start) * 1e-9:.3g} s from stamp {start * 1e-9:.3f} s'
+        + (', bag cut off' if results.cut else '')
+        + f'; poles and moving centrode at t = {(instant - start) * 1e-9:.3f} s'
+    )
+    grid = figure.add_gridspec(len(bodies), 3, width_ratios=[1.5, 1, 1])
+    for row, (body, locus, view) in enumerate(zip(bodies, loci, views, strict=True)):
+        axis = figure.add_subplot(grid[row, 0])
+        others = {other.name: other for other in results.bodies}
+        related = [(others[i], s) for (j, i), s in results.relative.items() if j == body.name]
+        _draw_plane(axis, body, locus, view, instant, related)
+        axis.set_xlabel(f'{results.plane[0]} (m)')
+        axis.set_ylabel(f'{results.plane[1]} (m)')
+        for column, panels in ((1, _rates(body)), (2, _run(body, locus))):
+            inner = grid[row, column].subgridspec(len(panels), 1)
+            shared = None
+            for k, (text, series, sigma, limits) in enumerate(panels):
+                axis = shared = figure.add_subplot(inner[k], sharex=shared)
+                _draw_time(axis, body, series, sigma, limits, start, instant)
+                axis.set_ylabel(text)
+                axis.tick_params(labelbottom=k == len(panels) - 1)
+                if end > start:
+                    axis.set_xlim(0, (end - start) * 1e-9)
+            axis.set_xlabel('t (s)')
+    figure.align_ylabels()
+    _legend(figure, bool(results.relative))
+
+
+class _View(NamedTuple):
+    """What is worth seeing of the plane: a box, and how far from its body a pole is in it (m)."""
+
+    low: complex
+    high: complex
+    reach: float
+
+    def holds(self, points: np.ndarray) -> np.ndarray:
+        across = (points.real >= self.low.real) & (points.real <= self.high.real)
+        return across & (points.imag >= self.low.imag) & (points.imag <= self.high.imag)
+
+    def with_points(self, points: np.ndarray) -> '_View':
+        points = np.append(points, [self.low, self.high])
+        return _View(
+            complex(points.real.min(), points.imag.min()),
+            complex(points.real.max(), points.imag.max()),
+            self.reach,
+        )
+
+
+def _view(body: Body, locus: Centrodes) -> _View:
+    """The path and the poles near it: some poles are as good as at infinity, others are noise."""
+    path = body.position
+    extent = float(np.hypot(np.ptp(path.real), np.ptp(path.imag)))
+    size = body.size if np.isfinite(body.size) else 0.0
+    arms = np.abs(locus.moving)
+    usual = float(np.median(arms)) if len(arms) else 0.0
+    farthest = max(8 * size, 2 * extent) or np.inf
+    reach = min(max(2 * usual, size), farthest)
+    view = _View(complex(path[0]), complex(path[0]), reach).with_points(path)
+    view = view.with_points(locus.fixed[arms <= reach])
+    middle = (view.low + view.high) / 2
+    least = 0.6 * max(size, 1e-6) * (1 + 1j)
+    return view.with_points(np.array([middle - least, middle + least]))
+
+
+def _instant(bodies: Sequence[Body], views: Sequence[_View], middle: int) -> int:
+    """The stamp nearest to the middle of those with the most poles in view."""
+    marks = [
+        body.series[pole].stamp[view.holds(body.series[pole].value)]
+        for body, view in zip(bodies, views, strict=True)
+        for pole in _POLES
+        if pole in body.series
+    ]
+    stamps = np.concatenate(marks) if marks else np.empty(0, np.int64)
+    if not len(stamps):
+        stamps = np.concatenate([body.stamp for body in bodies])
+    stamps, counts = np.unique(stamps, return_counts=True)
+    best = stamps[counts == counts.max()]
+    return int(best[np.abs(best - middle).argmin()])
+
+
+def _breaks(body: Body, stamp: np.ndarray) -> np.ndarray:
+    """Indices after which a line through `stamp` has to stop: nothing is known in between."""
+    period = np.median(np.diff(body.stamp)) if len(body.stamp) > 1 else np.inf
+    return np.flatnonzero(np.diff(stamp) > _GAP * period)
+
+
+def _reversals(rate: np.ndarray) -> np.ndarray:
+    """Indices after which the rate changes sign: there the ICR passes through infinity."""
+    return np.flatnonzero(np.diff(np.sign(rate)) != 0)
+
+
+def _broken(values: np.ndarray, breaks: np.ndarray) -> tuple[np.ndarray, list[int]]:
+    """The values with NaN at each break, and where in them values stand alone."""
+    values = np.insert(values, np.unique(breaks) + 1, np.nan)
+    gap = np.concatenate([[True], np.isnan(values), [True]])
+    alone = ~gap[1:-1] & gap[:-2] & gap[2:]
+    return values, np.flatnonzero(alone).tolist()
+
+
+def _line(axis: Any, points: np.ndarray, breaks: np.ndarray, style: dict[str, Any]) -> None:
+    points, alone = _broken(points, breaks)
+    axis.plot(points.real, points.imag, marker='.', markersize=3, markevery=alone, **style)
+
+
+def _draw_plane(
+    axis: Any,
+    body: Body,
+    locus: Centrodes,
+    view: _View,
+    instant: int,
+    related: Sequence[tuple[Body, Series]],
+) -> None:
+    breaks = np.union1d(_breaks(body, locus.stamp), _reversals(locus.rate))
+    for other, series in related:
+        _draw_relative(axis, body, other, series, instant)
+    _line(axis, body.position, _breaks(body, body.stamp), _PATH)
+    _line(axis, locus.fixed, breaks, _FIXED)
+    here = np.flatnonzero(body.stamp == instant)
+    if len(here):
+        position, angle = body.position[here[0]], body.angle[here[0]]
+        rolled = position + locus.moving * np.exp(1j * angle)
+        _line(axis, rolled, breaks, _MOVING)
+        view = view.with_points(rolled[np.abs(locus.moving) <= view.reach])
+        axis.plot(position.real, position.imag, '+', color=_BLACK, markersize=9)
+    for pole in reversed(_POLES):
+        _draw_pole(axis, body, pole, instant)
+    _draw_velocity(axis, body, view, instant)
+    middle, half = (view.low + view.high) / 2, 0.54 * (view.high - view.low)
+    axis.set_xlim(middle.real - half.real, middle.real + half.real)
+    axis.set_ylim(middle.imag - half.imag, middle.imag + half.imag)
+    axis.set_aspect('equal', adjustable='datalim')
+    axis.grid(True, linewidth=0.3)
+    axis.set_title(body.name, fontweight='bold')
+
+
+def _draw_relative(axis: Any, body: Body, other: Body, series: Series, instant: int) -> None:
+    stamp, own, its = np.intersect1d(body.stamp, other.stamp, return_indices=True)
+    rate = np.interp(series.stamp, stamp, body.rate[own] - other.rate[its]) if len(stamp) else None
+    breaks = _breaks(body, series.stamp)
+    if rate is not None:
+        breaks = np.union1d(breaks, _reversals(rate))
+    _line(axis, series.value, breaks, _RELATIVE)
+    for value in series.value[series.stamp == instant]:
+        axis.plot(value.real, value.imag, 'D', color=_GREEN, markersize=6, fillstyle='none')
+        axis.annotate(
+            f'to {other.name}',
+            (value.real, value.imag),
+            (6, -11),
+            textcoords='offset points',
+            color=_GREEN,
+            fontsize='small',
+            annotation_clip=True,
+        )
+
+
+def _draw_pole(axis: Any, body: Body, pole: str, instant: int) -> None:
+    from matplotlib.patches import Ellipse
+
+    if pole not in body.series:
+        return
+    series = body.series[pole]
+    for k in np.flatnonzero(series.stamp == instant):
+        value, covariance = series.value[k], series.covariance[k]
+        fill = _BLACK if pole == 'icr' else 'white'
+        axis.plot(
+            value.real, value.imag, _POLES[pole], color=_BLACK, markerfacecolor=fill, markersize=7
+        )
+        if np.isfinite(covariance).all():
+            variances, directions = np.linalg.eigh(covariance)
+            width, height = 4 * np.sqrt(np.maximum(variances, 0))
+            tilt = np.degrees(np.arctan2(directions[1, 0], directions[0, 0]))
+            axis.add_patch(
+                Ellipse(
+                    (value.real, value.imag),
+                    width,
+                    height,
+                    angle=tilt,
+                    facecolor=(0, 0, 0, 0.12),
+                    edgecolor=_BLACK,
+                    linewidth=0.7,
+                )
+            )
+
+
+def _draw_velocity(axis: Any, body: Body, view: _View, instant: int) -> None:
+    """An arrow along u, not to scale, with the speed in words; none for an ICR that stands still."""
+    icr, u = body.series.get('icr'), body.series.get('icr_velocity')
+    if icr is None or u is None:
+        return
+    tail, velocity = icr.value[icr.stamp == instant], u.value[u.stamp == instant]
+    if not (len(tail) and len(velocity) and velocity[0]):
+        return
+    curvature = body.series.get('centrode_curvature')
+    if curvature is not None and instant not in curvature.stamp:
+        text = 'ICR not seen to move'
+    else:
+        text = f'$|u|$ = {np.abs(velocity[0]):.3g} m/s'
+        length = 0.2 * max((view.high - view.low).real, (view.high - view.low).imag)
+        head = tail[0] + length * velocity[0] / np.abs(velocity[0])
+        axis.annotate(
+            '',
+            (head.real, head.imag),
+            (tail[0].real, tail[0].imag),
+            arrowprops={'arrowstyle': '-|>', 'color': _BLACK, 'linewidth': 1.5},
+            annotation_clip=False,
+            clip_on=True,
+        )
+    axis.text(0.02, 0.98, text, transform=axis.transAxes, va='top', fontsize='small', bbox=_HALO)
+
+
+# A panel over time: its label, the series if there is one, the standard deviation of its values
+# if known, and the range to show.
+_Panel = tuple[str, Series | None, np.ndarray | None, tuple[float, float] | None]
+
+
+def _rates(body: Body) -> list[_Panel]:
+    covariance = np.full((len(body.stamp), 2, 2), np.nan)
+    rate = Series(body.stamp, body.rate, covariance)
+    # Measured by the turning itself: a steady wheel's acceleration is nothing, however jagged.
+    scale = float(np.median(np.abs(body.rate)))
+    panels: list[_Panel] = []
+    for order, (name, text) in enumerate(
+        (
+            ('angular_velocity', 'ω (rad/s)'),
+            ('angular_acceleration', 'α (rad/s²)'),
+            ('angular_jerk', 'jerk (rad/s³)'),
+        ),
+        start=1,
+    ):
+        series = rate if order == 1 else body.series.get(name)
+        sigma = body.rate_sigma if order == 1 else None
+        limits = _limits(series, 0.05 * scale**order, 0 if order == 1 else 1)
+        panels.append((text, series, sigma, limits))
+    return panels
+
+
+def _run(body: Body, locus: Centrodes) -> list[_Panel]:
+    curvature, speed = body.series.get('centrode_curvature'), body.series.get('icr_velocity')
+    if speed is not None:
+        speed = speed._replace(value=np.abs(speed.value))
+    return [
+        ('curvature of the\nfixed centrode (1/m)', curvature, None, _limits(curvature, 0.0, 4)),
+        ('speed of the ICR (m/s)', speed, None, _limits(speed, 0.0, 4)),
+    ]
+
+
+def _limits(series: Series | None, least: float, percent: float) -> tuple[float, float] | None:
+    """A range for all values but that percentage at each end, at least so wide."""
+    if series is None:
+        return None
+    low, high = np.percentile(series.value, [percent, 100 - percent])
+    spare = max(0.12 * (high - low), (least - (high - low)) / 2, 0.02 * max(abs(low), abs(high)))
+    return (float(low - spare), float(high + spare)) if spare > 0 else None
+
+
+def _draw_time(
+    axis: Any,
+    body: Body,
+    series: Series | None,
+    sigma: np.ndarray | None,
+    limits: tuple[float, float] | None,
+    start: int,
+    instant: int,
+) -> None:
+    axis.grid(True, linewidth=0.3)
+    axis.axvline((instant - start) * 1e-9, color=_GRAY, linestyle='--', linewidth=0.8)
+    axis.ticklabel_format(useOffset=False)
+    if series is None:
+        axis.set_yticks([])
+        axis.text(0.5, 0.5, 'undetermined', transform=axis.transAxes, ha='center', bbox=_HALO)
+        return
+    breaks = _breaks(body, series.stamp)
+    time, _ = _broken((series.stamp - start) * 1e-9, breaks)
+    value, alone = _broken(series.value, breaks)
+    axis.plot(time, value, '-', color=_BLUE, linewidth=1, marker='.', markevery=alone, markersize=4)
+    if sigma is not None:
+        band, _ = _broken(2 * sigma, breaks)
+        axis.fill_between(time, value - band, value + band, **_BAND)
+    if limits is not None:
+        axis.set_ylim(*limits)
+
+
+def _legend(figure: Any, relative: bool) -> None:
+    from matplotlib.lines import Line2D
+    from matplotlib.patches import Patch
+
+    def symbol(marker: str, text: str, fill: str = _BLACK, color: str = _BLACK) -> Any:
+        return Line2D(
+            [], [], linestyle='', marker=marker, color=color, markerfacecolor=fill, label=text
+        )
+
+    handles = [
+        Line2D([], [], label='path of the reference point', **_PATH),
+        Line2D([], [], label='fixed centrode', **_FIXED),
+        Line2D([], [], label='moving centrode', **_MOVING),
+        symbol('+', 'reference point'),
+        *(
+            symbol(marker, _POLE_TEXT[pole], _BLACK if pole == 'icr' else 'white')
+            for pole, marker in _POLES.items()
+        ),
+        symbol('$\u2192$', 'direction of the ICR velocity u'),
+        Patch(facecolor='#dddddd', edgecolor=_BLACK, label='2σ of a pole'),
+        Patch(label='2σ of ω', **_BAND),
+    ]
+    if relative:
+        handles += [
+            symbol('D', 'relative instant center', 'white', _GREEN),
+            Line2D([], [], label='its locus', **_RELATIVE),
+        ]
+    figure.legend(handles=handles, loc='outside lower center', ncol=4, frameon=False)
