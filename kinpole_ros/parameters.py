@@ -27,7 +27,7 @@ class Settings:
     marker_identity: str = 'auto'
     plane: str = 'xy'
     bodies: Mapping[str, tuple[str, ...]] = field(default_factory=lambda: {'body': ()})
-    window: float = 0.5
+    window: float = 0.3
     lag: float = 0.1
     derivative_order: int | None = None
     noise: float = 0.0
@@ -145,7 +145,7 @@ PARAMETERS: Mapping[str, Parameter] = {
         'a list of different names of letters, digits and _',
         fixed=True,
     ),
-    'window': _range(0.5, 'The most past data used.', 1e-6, 3600.0, 's'),
+    'window': _range(0.3, 'The most past data used.', 1e-6, 3600.0, 's'),
     'lag': _range(
         0.1,
         'How far the output may trail the newest sample; half a window of it buys the most '

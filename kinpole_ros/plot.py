@@ -24,12 +24,12 @@ _GAP = 2.5
 _POLES = {'icr': 'o', 'iap': '^', 'ijp': 's'}
 _POLE_TEXT = {'icr': 'ICR (velocity pole)', 'iap': 'IAP (acceleration pole)', 'ijp': 'IJP (jerk)'}
 _BLACK, _BLUE, _RED, _GREEN, _GRAY = '#000000', '#0060a8', '#c8460a', '#00785a', '#777777'
-_PATH = {'color': _GRAY, 'linestyle': ':', 'linewidth': 1.4}
-_FIXED = {'color': _BLUE, 'linestyle': '-', 'linewidth': 2.0}
-_MOVING = {'color': _RED, 'linestyle': '--', 'linewidth': 1.4}
-_RELATIVE = {'color': _GREEN, 'linestyle': '-.', 'linewidth': 0.9}
-_BAND = {'color': _BLUE, 'alpha': 0.3, 'linewidth': 0.8}
-_HALO = {'facecolor': 'white', 'edgecolor': 'none', 'alpha': 0.75, 'pad': 1.0}
+_PATH: dict[str, Any] = {'color': _GRAY, 'linestyle': ':', 'linewidth': 1.4}
+_FIXED: dict[str, Any] = {'color': _BLUE, 'linestyle': '-', 'linewidth': 2.0}
+_MOVING: dict[str, Any] = {'color': _RED, 'linestyle': '--', 'linewidth': 1.4}
+_RELATIVE: dict[str, Any] = {'color': _GREEN, 'linestyle': '-.', 'linewidth': 0.9}
+_BAND: dict[str, Any] = {'color': _BLUE, 'alpha': 0.3, 'linewidth': 0.8}
+_HALO: dict[str, Any] = {'facecolor': 'white', 'edgecolor': 'none', 'alpha': 0.75, 'pad': 1.0}
 
 
 class Series(NamedTuple):
@@ -420,10 +420,11 @@ def _draw_plane(
     for pole in reversed(_POLES):
         _draw_pole(axis, body, pole, instant)
     _draw_velocity(axis, body, view, instant)
-    middle, half = (view.low + view.high) / 2, 0.54 * (view.high - view.low)
-    axis.set_xlim(middle.real - half.real, middle.real + half.real)
-    axis.set_ylim(middle.imag - half.imag, middle.imag + half.imag)
-    axis.set_aspect('equal', adjustable='datalim')
+    middle, size = (view.low + view.high) / 2, view.high - view.low
+    half = 0.55 * max(size.real, size.imag)
+    axis.set_xlim(middle.real - half, middle.real + half)
+    axis.set_ylim(middle.imag - half, middle.imag + half)
+    axis.set_box_aspect(1)
     axis.grid(True, linewidth=0.3)
     axis.set_title(body.name, fontweight='bold')
 
@@ -478,7 +479,7 @@ def _draw_pole(axis: Any, body: Body, pole: str, instant: int) -> None:
 
 
 def _draw_velocity(axis: Any, body: Body, view: _View, instant: int) -> None:
-    """An arrow along u, not to scale, with the speed in words; none for an ICR that stands still."""
+    """An arrow along u, not to scale, with the speed in words; none for an ICR at rest."""
     icr, u = body.series.get('icr'), body.series.get('icr_velocity')
     if icr is None or u is None:
         return

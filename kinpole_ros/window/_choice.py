@@ -27,8 +27,9 @@ HIGHEST_ORDER = 4
 FEWEST_SAMPLES = 7
 _HIGHEST_DEGREE = 12
 _PER_COEFFICIENT = 6.0
-_PER_SAMPLE = 3.0
+_PER_SAMPLE = 2.5
 _LADDER = 1.33
+_ENOUGH_FREEDOM = 8
 
 
 class Derivatives(NamedTuple):
@@ -97,7 +98,8 @@ def differentiate(
     degrees = np.arange(models.rows.shape[-1])[:, None]
     counts = models.counts.T[:, None]
     allowed = degrees <= np.maximum(counts - 3, np.minimum(counts - 1, HIGHEST_ORDER))
-    criterion = rss.sum(axis=-1) / noise**2 + dimensions * (
+    level = _level(rss.sum(axis=-1), counts[:, 0], allowed, dimensions, noise)
+    criterion = rss.sum(axis=-1) / level**2 + dimensions * (
         _PER_COEFFICIENT * (degrees + 1) - _PER_SAMPLE * counts
     )
     orders = np.arange(order + 1)
@@ -130,6 +132,19 @@ def differentiate(
     first = share[min(1, order)]
     span = (first.sum(axis=1) * models.spans[:, None]).sum(axis=0)
     return Derivatives(values, covariance, span, (first * degrees).sum(axis=(0, 1)))
+
+
+def _level(
+    rss: Real, counts: np.ndarray, allowed: np.ndarray, dimensions: np.ndarray, noise: Real
+) -> Real:
+    """The noise (G,) to judge by: not less than what the best of the richest fits leaves."""
+    richest = allowed.sum(axis=1)  # coefficients of the richest fit, (L, G)
+    left = np.take_along_axis(rss, (richest - 1)[:, None], axis=1)[:, 0]
+    freedom = counts - richest
+    variance = np.where(
+        freedom >= _ENOUGH_FREEDOM, left / (dimensions * np.maximum(freedom, 1)), np.inf
+    ).min(axis=0)
+    return np.where(np.isfinite(variance), np.maximum(noise, np.sqrt(variance)), noise)
 
 
 def _by_group(array: Real, groups: int) -> Real:

@@ -9,7 +9,7 @@ found early and late stay comparable and nothing has to be fitted twice.
 import numpy as np
 
 from kinpole_ros.planar import Fit, fit_pose
-from kinpole_ros.planar._plane import Complex, Real
+from kinpole_ros.planar._plane import ROUNDING, Complex, Real
 
 # Beyond this many frames a shape follows slow changes (a marker that creeps) instead of averaging.
 _MEMORY = 10_000
@@ -35,8 +35,11 @@ class Shapes:
         if new.any():
             count = np.maximum(seen.sum(axis=-1, keepdims=True), 1)
             mean = np.where(seen, points, 0).sum(axis=-1, keepdims=True) / count
+            arms = np.where(seen, points - mean, 0)
+            # Markers all at one place, as of a tracker that has not found them yet, are no shape.
+            new &= np.abs(arms).max(axis=-1) > ROUNDING * np.abs(mean[:, 0])
             first = new[:, None] & seen
-            self.points[first] = (points - mean)[first]
+            self.points[first] = arms[first]
             self._frames[first] = 1.0
         # A marker known from N frames has 1 + 1/N times the variance of a well-known one.
         weights = np.where(seen, self._frames / (self._frames + 1.0), 0.0)
