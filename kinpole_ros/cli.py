@@ -96,9 +96,7 @@ def _parser() -> argparse.ArgumentParser:
     )
     replay.add_argument('--output', metavar='OUT.mcap', help='bag of results, under /kinpole/...')
     replay.add_argument('--csv', metavar='OUT.csv', help='the same as a table, with sigmas')
-    replay.add_argument(
-        '--topic', metavar='T', help="topic of the markers (config's, /markers)"
-    )
+    replay.add_argument('--topic', metavar='T', help="topic of the markers (config's, /markers)")
     replay.set_defaults(run=_replay)
 
     simulate = commands.add_parser(

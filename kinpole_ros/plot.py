@@ -21,13 +21,23 @@ MOST_BODIES = 4
 _WIDTH, _ROW_HEIGHT, _DPI = 12.0, 4.1, 150  # inches; 1800 px across
 # Longer than this many periods without a sample is a gap, not a lost frame.
 _GAP = 2.5
-_POLES = {'icr': 'o', 'iap': '^', 'ijp': 's'}
-_POLE_TEXT = {'icr': 'ICR (velocity pole)', 'iap': 'IAP (acceleration pole)', 'ijp': 'IJP (jerk)'}
-_BLACK, _BLUE, _RED, _GREEN, _GRAY = '#000000', '#0060a8', '#c8460a', '#00785a', '#777777'
-_PATH: dict[str, Any] = {'color': _GRAY, 'linestyle': ':', 'linewidth': 1.4}
-_FIXED: dict[str, Any] = {'color': _BLUE, 'linestyle': '-', 'linewidth': 2.0}
-_MOVING: dict[str, Any] = {'color': _RED, 'linestyle': '--', 'linewidth': 1.4}
-_RELATIVE: dict[str, Any] = {'color': _GREEN, 'linestyle': '-.', 'linewidth': 0.9}
+# An ICR known no better than this part of the picture is left out of the centrodes.
+_BLURRED = 0.05
+# What is positive and spreads over more than this factor goes on a logarithmic axis.
+_LOG_FACTOR = 30
+# Each fits around the one before: where poles meet, all are still seen.
+_POLES = {'icr': ('o', 6.0), 'iap': ('^', 9.0), 'ijp': ('s', 11.0)}
+_POLE_TEXT = {
+    'icr': 'ICR (velocity pole)',
+    'iap': 'IAP (acceleration pole)',
+    'ijp': 'IJP (jerk pole)',
+}
+_BLACK, _BLUE, _GREEN, _GRAY = '#000000', '#0060a8', '#00785a', '#777777'
+# Widths and shades differ too: dashes of the second turn fill the gaps of the first.
+_PATH: dict[str, Any] = {'color': '#a0a0a0', 'linestyle': ':', 'linewidth': 1.2}
+_FIXED: dict[str, Any] = {'color': '#7db4e6', 'linestyle': '-', 'linewidth': 3.5}
+_MOVING: dict[str, Any] = {'color': '#a83200', 'linestyle': '--', 'linewidth': 1.3}
+_RELATIVE: dict[str, Any] = {'color': '#00785a', 'linestyle': '-.', 'linewidth': 0.7}
 _BAND: dict[str, Any] = {'color': _BLUE, 'alpha': 0.3, 'linewidth': 0.8}
 _HALO: dict[str, Any] = {'facecolor': 'white', 'edgecolor': 'none', 'alpha': 0.75, 'pad': 1.0}
 
@@ -76,13 +86,15 @@ class Centrodes(NamedTuple):
     """
     Loci of the ICR, both complex (K,) in m: `fixed` in the plane, `moving` in the body's frame.
 
-    Taken at `stamp` (K,) in ns, where the body turned at `rate` (K,), rad/s.
+    Taken at `stamp` (K,) in ns, where the body turned at `rate` (K,), rad/s; `sigma` (K,), m, is
+    how well the ICR is known, NaN where not published.
     """
 
     stamp: np.ndarray
     fixed: np.ndarray
     moving: np.ndarray
     rate: np.ndarray
+    sigma: np.ndarray
 
 
 def plot(bag: str | Path, output: str | Path) -> None:
@@ -170,12 +182,13 @@ def centrodes(body: Body) -> Centrodes:
     """Both centrodes of a body, at the instants at which its pose and its ICR are known."""
     if 'icr' not in body.series:
         none = np.empty(0)
-        return Centrodes(none.astype(np.int64), none + 0j, none + 0j, none)
+        return Centrodes(none.astype(np.int64), none + 0j, none + 0j, none, none)
     icr = body.series['icr']
     stamp, own, other = np.intersect1d(body.stamp, icr.stamp, return_indices=True)
     fixed = icr.value[other]
     moving = (fixed - body.position[own]) * np.exp(-1j * body.angle[own])
-    return Centrodes(stamp, fixed, moving, body.rate[own])
+    sigma = np.sqrt(np.trace(icr.covariance[other], axis1=1, axis2=2))
+    return Centrodes(stamp, fixed, moving, body.rate[own], sigma)
 
 
 _NUMBERS = ('angular_acceleration', 'angular_jerk', 'centrode_curvature')
@@ -287,7 +300,9 @@ def _draw(figure: Any, bag: str, results: Results) -> None:
     start = min(int(body.stamp[0]) for body in bodies)
     end = max(int(body.stamp[-1]) for body in bodies)
     loci = [centrodes(body) for body in bodies]
-    views = [_view(body, locus) for body, locus in zip(bodies, loci, strict=True)]
+    reaches = [_reach(body, locus) for body, locus in zip(bodies, loci, strict=True)]
+    loci = [_sharp(locus, reach) for locus, reach in zip(loci, reaches, strict=True)]
+    views = [_view(*found) for found in zip(bodies, loci, reaches, strict=True)]
     instant = _instant(bodies, views, (start + end) // 2)
     names = ', '.join(body.name for body in bodies)
     left_out = [body.name for body in results.bodies[MOST_BODIES:]]
@@ -298,7 +313,9 @@ def _draw(figure: Any, bag: str, results: Results) -> None:
         + (', bag cut off' if results.cut else '')
         + f'; poles and moving centrode at t = {(instant - start) * 1e-9:.3f} s'
     )
-    grid = figure.add_gridspec(len(bodies), 3, width_ratios=[1.5, 1, 1])
+    columns: dict[int, list[Any]] = {0: [], 1: [], 2: []}
+    grid = figure.add_gridspec(len(bodies), 3, width_ratios=[1.2, 1, 1])
+    figure.get_layout_engine().set(w_pad=0.12)
     for row, (body, locus, view) in enumerate(zip(bodies, loci, views, strict=True)):
         axis = figure.add_subplot(grid[row, 0])
         others = {other.name: other for other in results.bodies}
@@ -306,18 +323,20 @@ def _draw(figure: Any, bag: str, results: Results) -> None:
         _draw_plane(axis, body, locus, view, instant, related)
         axis.set_xlabel(f'{results.plane[0]} (m)')
         axis.set_ylabel(f'{results.plane[1]} (m)')
-        for column, panels in ((1, _rates(body)), (2, _run(body, locus))):
+        columns[0].append(axis)
+        for column, panels in ((1, _rates(body)), (2, _run(body))):
             inner = grid[row, column].subgridspec(len(panels), 1)
             shared = None
-            for k, (text, series, sigma, limits) in enumerate(panels):
+            for k, panel in enumerate(panels):
                 axis = shared = figure.add_subplot(inner[k], sharex=shared)
-                _draw_time(axis, body, series, sigma, limits, start, instant)
-                axis.set_ylabel(text)
+                _draw_time(axis, body, panel, start, instant)
+                columns[column].append(axis)
                 axis.tick_params(labelbottom=k == len(panels) - 1)
                 if end > start:
                     axis.set_xlim(0, (end - start) * 1e-9)
             axis.set_xlabel('t (s)')
-    figure.align_ylabels()
+    for axes in columns.values():
+        figure.align_ylabels(axes)
     _legend(figure, bool(results.relative))
 
 
@@ -341,19 +360,32 @@ class _View(NamedTuple):
         )
 
 
-def _view(body: Body, locus: Centrodes) -> _View:
-    """The path and the poles near it: some poles are as good as at infinity, others are noise."""
-    path = body.position
-    extent = float(np.hypot(np.ptp(path.real), np.ptp(path.imag)))
-    size = body.size if np.isfinite(body.size) else 0.0
-    arms = np.abs(locus.moving)
-    usual = float(np.median(arms)) if len(arms) else 0.0
-    farthest = max(8 * size, 2 * extent) or np.inf
-    reach = min(max(2 * usual, size), farthest)
-    view = _View(complex(path[0]), complex(path[0]), reach).with_points(path)
-    view = view.with_points(locus.fixed[arms <= reach])
+def _size(body: Body) -> float:
+    return body.size if np.isfinite(body.size) else 0.0
+
+
+def _reach(body: Body, locus: Centrodes) -> float:
+    """How far from the reference point a pole is worth seeing, m; many go out to infinity."""
+    extent = float(np.hypot(np.ptp(body.position.real), np.ptp(body.position.imag)))
+    usual = float(np.median(np.abs(locus.moving))) if len(locus.moving) else 0.0
+    farthest = max(8 * _size(body), 2 * extent) or np.inf
+    return min(max(1.5 * usual, _size(body)), farthest)
+
+
+def _sharp(locus: Centrodes, reach: float) -> Centrodes:
+    """The loci without the instants at which noise alone would draw a star across the picture."""
+    with np.errstate(invalid='ignore'):
+        kept = ~(locus.sigma > _BLURRED * reach)
+    return Centrodes(*(part[kept] for part in locus))
+
+
+def _view(body: Body, locus: Centrodes, reach: float) -> _View:
+    """The path and the ICRs within reach of it."""
+    start = complex(body.position[0])
+    view = _View(start, start, reach).with_points(body.position)
+    view = view.with_points(locus.fixed[np.abs(locus.moving) <= reach])
     middle = (view.low + view.high) / 2
-    least = 0.6 * max(size, 1e-6) * (1 + 1j)
+    least = 0.6 * max(_size(body), 1e-6) * (1 + 1j)
     return view.with_points(np.array([middle - least, middle + least]))
 
 
@@ -406,8 +438,6 @@ def _draw_plane(
     related: Sequence[tuple[Body, Series]],
 ) -> None:
     breaks = np.union1d(_breaks(body, locus.stamp), _reversals(locus.rate))
-    for other, series in related:
-        _draw_relative(axis, body, other, series, instant)
     _line(axis, body.position, _breaks(body, body.stamp), _PATH)
     _line(axis, locus.fixed, breaks, _FIXED)
     here = np.flatnonzero(body.stamp == instant)
@@ -417,6 +447,10 @@ def _draw_plane(
         _line(axis, rolled, breaks, _MOVING)
         view = view.with_points(rolled[np.abs(locus.moving) <= view.reach])
         axis.plot(position.real, position.imag, '+', color=_BLACK, markersize=9)
+        for other, series in related:
+            centers = series.value[series.stamp == instant]
+            view = view.with_points(centers[np.abs(centers - position) <= view.reach])
+            _draw_relative(axis, body, other, series, instant)
     for pole in reversed(_POLES):
         _draw_pole(axis, body, pole, instant)
     _draw_velocity(axis, body, view, instant)
@@ -425,6 +459,7 @@ def _draw_plane(
     axis.set_xlim(middle.real - half, middle.real + half)
     axis.set_ylim(middle.imag - half, middle.imag + half)
     axis.set_box_aspect(1)
+    axis.locator_params(nbins=6)
     axis.grid(True, linewidth=0.3)
     axis.set_title(body.name, fontweight='bold')
 
@@ -457,9 +492,10 @@ def _draw_pole(axis: Any, body: Body, pole: str, instant: int) -> None:
     series = body.series[pole]
     for k in np.flatnonzero(series.stamp == instant):
         value, covariance = series.value[k], series.covariance[k]
-        fill = _BLACK if pole == 'icr' else 'white'
+        marker, size = _POLES[pole]
+        fill = _BLACK if pole == 'icr' else 'none'
         axis.plot(
-            value.real, value.imag, _POLES[pole], color=_BLACK, markerfacecolor=fill, markersize=7
+            value.real, value.imag, marker, color=_BLACK, markerfacecolor=fill, markersize=size
         )
         if np.isfinite(covariance).all():
             variances, directions = np.linalg.eigh(covariance)
@@ -504,86 +540,88 @@ def _draw_velocity(axis: Any, body: Body, view: _View, instant: int) -> None:
     axis.text(0.02, 0.98, text, transform=axis.transAxes, va='top', fontsize='small', bbox=_HALO)
 
 
-# A panel over time: its label, the series if there is one, the standard deviation of its values
-# if known, and the range to show.
-_Panel = tuple[str, Series | None, np.ndarray | None, tuple[float, float] | None]
+class _Panel(NamedTuple):
+    """
+    A quantity over time: its label, and the series if there is one.
+
+    `least` is how much of it is worth seeing at all; `cut` the percentage of values at each end
+    that may fall outside; `sigma` the standard deviation of the values, if known.
+    """
+
+    label: str
+    series: Series | None
+    least: float
+    cut: float
+    sigma: np.ndarray | None = None
 
 
 def _rates(body: Body) -> list[_Panel]:
     covariance = np.full((len(body.stamp), 2, 2), np.nan)
     rate = Series(body.stamp, body.rate, covariance)
     # Measured by the turning itself: a steady wheel's acceleration is nothing, however jagged.
-    scale = float(np.median(np.abs(body.rate)))
-    panels: list[_Panel] = []
-    for order, (name, text) in enumerate(
-        (
-            ('angular_velocity', 'ω (rad/s)'),
-            ('angular_acceleration', 'α (rad/s²)'),
-            ('angular_jerk', 'jerk (rad/s³)'),
-        ),
-        start=1,
-    ):
-        series = rate if order == 1 else body.series.get(name)
-        sigma = body.rate_sigma if order == 1 else None
-        limits = _limits(series, 0.05 * scale**order, 0 if order == 1 else 1)
-        panels.append((text, series, sigma, limits))
-    return panels
-
-
-def _run(body: Body, locus: Centrodes) -> list[_Panel]:
-    curvature, speed = body.series.get('centrode_curvature'), body.series.get('icr_velocity')
-    if speed is not None:
-        speed = speed._replace(value=np.abs(speed.value))
+    least = [0.05 * float(np.median(np.abs(body.rate))) ** order for order in (1, 2, 3)]
+    alpha, jerk = body.series.get('angular_acceleration'), body.series.get('angular_jerk')
     return [
-        ('curvature of the\nfixed centrode (1/m)', curvature, None, _limits(curvature, 0.0, 4)),
-        ('speed of the ICR (m/s)', speed, None, _limits(speed, 0.0, 4)),
+        _Panel('ω (rad/s)', rate, least[0], 0, body.rate_sigma),
+        _Panel('α (rad/s²)', alpha, least[1], 2),
+        _Panel('jerk (rad/s³)', jerk, least[2], 2),
     ]
 
 
-def _limits(series: Series | None, least: float, percent: float) -> tuple[float, float] | None:
-    """A range for all values but that percentage at each end, at least so wide."""
-    if series is None:
-        return None
-    low, high = np.percentile(series.value, [percent, 100 - percent])
-    spare = max(0.12 * (high - low), (least - (high - low)) / 2, 0.02 * max(abs(low), abs(high)))
-    return (float(low - spare), float(high + spare)) if spare > 0 else None
+def _run(body: Body) -> list[_Panel]:
+    curvature, speed = body.series.get('centrode_curvature'), body.series.get('icr_velocity')
+    if speed is not None:
+        speed = speed._replace(value=np.abs(speed.value))
+    least = 0.05 * float(np.median(speed.value)) if speed is not None else 0.0
+    # A centrode of a radius of many body sizes is straight.
+    straight = 0.5 / _size(body) if _size(body) else 0.0
+    return [
+        _Panel('curvature of the\nfixed centrode (1/m)', curvature, straight, 4),
+        _Panel('speed of the\nICR (m/s)', speed, least, 4),
+    ]
 
 
-def _draw_time(
-    axis: Any,
-    body: Body,
-    series: Series | None,
-    sigma: np.ndarray | None,
-    limits: tuple[float, float] | None,
-    start: int,
-    instant: int,
-) -> None:
+def _draw_time(axis: Any, body: Body, panel: _Panel, start: int, instant: int) -> None:
     axis.grid(True, linewidth=0.3)
     axis.axvline((instant - start) * 1e-9, color=_GRAY, linestyle='--', linewidth=0.8)
     axis.ticklabel_format(useOffset=False)
-    if series is None:
+    axis.set_ylabel(panel.label)
+    share = len(panel.series.stamp) / len(body.stamp) if panel.series is not None else 0.0
+    if share < 0.9:
+        text = f'determined at {share:.0%} of the instants' if share else 'undetermined'
+        axis.text(0.02, 0.96, text, transform=axis.transAxes, va='top', fontsize='small', zorder=5)
+    if panel.series is None:
         axis.set_yticks([])
-        axis.text(0.5, 0.5, 'undetermined', transform=axis.transAxes, ha='center', bbox=_HALO)
         return
-    breaks = _breaks(body, series.stamp)
-    time, _ = _broken((series.stamp - start) * 1e-9, breaks)
-    value, alone = _broken(series.value, breaks)
+    breaks = _breaks(body, panel.series.stamp)
+    time, _ = _broken((panel.series.stamp - start) * 1e-9, breaks)
+    value, alone = _broken(panel.series.value, breaks)
     axis.plot(time, value, '-', color=_BLUE, linewidth=1, marker='.', markevery=alone, markersize=4)
-    if sigma is not None:
-        band, _ = _broken(2 * sigma, breaks)
+    if panel.sigma is not None:
+        band, _ = _broken(2 * panel.sigma, breaks)
         axis.fill_between(time, value - band, value + band, **_BAND)
-    if limits is not None:
-        axis.set_ylim(*limits)
+    low, high = np.percentile(panel.series.value, [panel.cut, 100 - panel.cut])
+    if low > 0 and high > _LOG_FACTOR * low:
+        axis.set_yscale('log')
+        axis.set_ylim(low / 1.5, high * 1.5)
+    elif (spare := max(0.12 * (high - low), (panel.least - (high - low)) / 2)) > 0:
+        axis.set_ylim(low - spare, high + spare)
 
 
 def _legend(figure: Any, relative: bool) -> None:
     from matplotlib.lines import Line2D
     from matplotlib.patches import Patch
 
-    def symbol(marker: str, text: str, fill: str = _BLACK, color: str = _BLACK) -> Any:
-        return Line2D(
-            [], [], linestyle='', marker=marker, color=color, markerfacecolor=fill, label=text
-        )
+    def symbol(
+        marker: str, text: str, fill: str = _BLACK, color: str = _BLACK, size: float = 7
+    ) -> Any:
+        shape: dict[str, Any] = {
+            'marker': marker,
+            'markersize': size,
+            'color': color,
+            'markerfacecolor': fill,
+        }
+        return Line2D([], [], linestyle='', label=text, **shape)
 
     handles = [
         Line2D([], [], label='path of the reference point', **_PATH),
@@ -592,9 +630,9 @@ def _legend(figure: Any, relative: bool) -> None:
         symbol('+', 'reference point'),
         *(
             symbol(marker, _POLE_TEXT[pole], _BLACK if pole == 'icr' else 'white')
-            for pole, marker in _POLES.items()
+            for pole, (marker, _) in _POLES.items()
         ),
-        symbol('$\u2192$', 'direction of the ICR velocity u'),
+        symbol('$\u2192$', 'direction of the ICR velocity u', size=13),
         Patch(facecolor='#dddddd', edgecolor=_BLACK, label='2σ of a pole'),
         Patch(label='2σ of ω', **_BAND),
     ]

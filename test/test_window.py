@@ -521,10 +521,13 @@ def test_the_noise_is_measured(markers: int, seed: int) -> None:
     position, _ = poses(400)
     bent = points + 10 * SIGMA * position[:, None] * np.arange(markers)
     assert measured(bent) == pytest.approx(1, abs=0.2)
-    # A marker that jumps by 500 times the noise in every tenth frame.
+    # A marker that jumps by 500 times the noise, each time spoiling three comparisons.
     jumping = points.copy()
+    jumping[20::40, 0] += 500 * SIGMA
+    assert measured(jumping) == pytest.approx(1.15, abs=0.35)
+    # Where it jumps in every tenth frame the noise is at least not taken for less.
     jumping[rng.random(400) < 0.1, 0] += 500 * SIGMA
-    assert measured(jumping) == pytest.approx(1.25, abs=0.45)
+    assert measured(jumping) > 0.85
 
 
 @pytest.mark.parametrize('speed', [1.0, 0.1, 0.02, 0.008])

@@ -4,6 +4,8 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
+from geometry_msgs.msg import PointStamped, Vector3Stamped
+from nav_msgs.msg import Odometry
 
 from kinpole_ros.bags._reader import BagError
 from kinpole_ros.bags._replay import NODE_NAME
@@ -15,6 +17,8 @@ from kinpole_ros.messages import MARKER_TYPES, result_outputs, to_message
 # Exact to so many digits: below it the answers themselves are noise (a pinned body's centrode).
 _EXACT = 1e-12
 _FRAME = 'world'
+# Loci and covariances of an exact motion say nothing more.
+_EXACT_TYPES = (Odometry, PointStamped, Vector3Stamped)
 
 
 def simulate(
@@ -61,7 +65,7 @@ def simulate(
     size = np.array([_diameter(scene.markers[body]) for body in bodies])
     position_covariance = _diagonal((_EXACT * (np.abs(position).max(axis=1) + size)) ** 2)
     angle_covariance = _diagonal((_EXACT * np.abs(angle).max(axis=1)) ** 2)
-    outputs = [row for row in result_outputs(bodies, 'xy') if 'visual' not in row.topic]
+    outputs = [row for row in result_outputs(bodies, 'xy') if row.message_type in _EXACT_TYPES]
     with BagWriter(output) as writer:
         for k, stamp in enumerate(stamps.tolist()):
             markers = to_message(message, stamp, _FRAME, names, points[k])

@@ -42,11 +42,12 @@ def covariance(linear: Linear, position_covariance: Real, angle_covariance: Real
     parts = {k: (g.real, g.imag) for k, g in linear.by_angle.items()}
     for row in range(2):
         for column in range(row, 2):
-            shared = sum(
-                angle_covariance[k, m] * parts[k][row] * parts[m][column]
-                for k in parts
-                for m in parts
-            )
+            with np.errstate(invalid='ignore', over='ignore'):
+                shared = sum(
+                    angle_covariance[k, m] * parts[k][row] * parts[m][column]
+                    for k in parts
+                    for m in parts
+                )
             result[..., row, column] = shared + (isotropic if row == column else 0.0)
     result[..., 1, 0] = result[..., 0, 1]
     return result
@@ -61,7 +62,9 @@ def variance(linear: Linear, position_covariance: Real, angle_covariance: Real) 
 def _quadratic(factors: Mapping[int, Complex], matrix: Real) -> Real:
     """Sum of Re(f_k conj(f_m)) matrix[k, m]."""
     total: Real = np.zeros(())
-    for k, f in factors.items():
-        for m, g in factors.items():
-            total = total + (f * np.conj(g)).real * matrix[k, m]
+    # Where a quantity is not finite its factors are not either; that is the caller's to see.
+    with np.errstate(invalid='ignore', over='ignore'):
+        for k, f in factors.items():
+            for m, g in factors.items():
+                total = total + (f * np.conj(g)).real * matrix[k, m]
     return total

@@ -14,12 +14,9 @@ import numpy as np
 from kinpole_ros.planar import Fit
 from kinpole_ros.planar._plane import Real
 
-# How many frames the level is taken from, and which share of them may be wild: a few, or many.
+# How many frames the level is taken from, and which share of them may be wild.
 _KEPT = 512
-_FEW, _MANY = 0.1, 0.5
-# Many are wild where leaving out a few leaves this many times the noise. More than the second is
-# no noise that jumps: the lower half is free of noise, since the tracker rounds its coordinates.
-_SUSPECT, _ROUNDED = 3.0, 1e6
+_WILD = 0.1
 
 
 class Noise:
@@ -59,27 +56,21 @@ class Noise:
         Standard deviation (B,) of one coordinate of one marker; NaN while not known.
 
         From the mean of the squares less the largest tenth: a median would call a tracker that
-        rounds its coordinates free of noise, and a plain mean believes every jump. A jump spoils
-        three comparisons, so where that is not enough only the lower half is believed.
+        rounds its coordinates free of noise, and a plain mean believes every jump.
         """
         known = np.sort(self._squares[: self._count], axis=0)  # NaN come last
-        few, many = self._without(known, _FEW), self._without(known, _MANY)
-        return np.where((few > _SUSPECT * many) & (few < _ROUNDED * many), many, few)
-
-    def _without(self, known: Real, wild: float) -> Real:
-        """The level from sorted squares, less the share `wild` of the largest."""
         counts = (~np.isnan(known)).sum(axis=0)
-        kept = np.ceil(counts * (1 - wild))
+        kept = np.ceil(counts * (1 - _WILD))
         lowest = np.where(np.arange(len(known))[:, None] < kept, known, 0.0).sum(axis=0)
-        share = [_share_of_lowest(round(float(f), 1), wild) for f in self._freedom]
+        share = [_share_of_lowest(round(float(f), 1)) for f in self._freedom]
         with np.errstate(divide='ignore', invalid='ignore'):
             return np.sqrt(np.where(counts > 0, lowest / kept / share, np.nan))
 
 
 @lru_cache(maxsize=1024)
-def _share_of_lowest(freedom: float, wild: float) -> float:
+def _share_of_lowest(freedom: float) -> float:
     """Mean of the tame part of a chi-square over its mean (Wilson and Hilferty 1931)."""
-    levels = (np.arange(200) + 0.5) / 200 * (1 - wild)
+    levels = (np.arange(200) + 0.5) / 200 * (1 - _WILD)
     normal = np.array([NormalDist().inv_cdf(level) for level in levels])
     cube = np.maximum(1 - 2 / (9 * freedom) + normal * np.sqrt(2 / (9 * freedom)), 0)
     return float((cube**3).mean())

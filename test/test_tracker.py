@@ -1,0 +1,689 @@
+"""The whole pipeline, frames in and motion out, on scenes whose motion is known exactly."""
+
+from collections.abc import Iterable, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from kinpole_ros import planar
+from kinpole_ros.estimate import POLE_NAMES, Estimate
+from kinpole_ros.frame import MarkerFrame
+from kinpole_ros.mechanism import BodyMotion, load_scene, marker_positions
+from kinpole_ros.parameters import settings_from
+from kinpole_ros.tracker import AXES, MOST_MARKERS, Tracker, find_marker
+
+pytestmark = pytest.mark.filterwarnings('error')
+
+START, STEP = 10**18, 5_000_000
+SCENES = ('rolling_wheel', 'cardan', 'four_bar')
+PINNED = ('crank', 'rocker')
+
+
+class Record(NamedTuple):
+    """A scene seen at 200 Hz: the frames, what moves how at any stamp, and the settings."""
+
+    frames: list[MarkerFrame]
+    truth: Any  # stamps -> {body: BodyMotion}
+    values: dict[str, Any]
+
+
+def record(
+    scene_name: str,
+    count: int = 200,
+    turn: complex = 1.0,
+    shift: complex = 0.0,
+    noise: float = 0.0,
+    drop: float = 0.0,
+    shuffle: bool = False,
+    plane: str = 'xy',
+) -> Record:
+    """A scene turned and scaled by `turn`, moved by `shift`, and seen with the faults named."""
+    scene = load_scene(scene_name)
+    rng = np.random.default_rng(0)
+
+    def truth(stamps: Iterable[int]) -> dict[str, BodyMotion]:
+        motion = scene.motion((np.array(list(stamps), np.int64) - START) * 1e-9)
+        moved = {}
+        for body, (position, angle) in motion.items():
+            placed, turned = turn * position, angle.copy()
+            placed[0] += shift
+            turned[0] += np.angle(turn)
+            moved[body] = BodyMotion(placed, turned)
+        return moved
+
+    stamps = [START + STEP * k for k in range(count)]
+    motion = truth(stamps)
+    points = np.concatenate(
+        [marker_positions(motion[body], abs(turn) * scene.markers[body]) for body in scene.markers],
+        axis=1,
+    )
+    points = points + noise * rng.normal(size=points.shape)
+    first, second, normal = AXES[plane]
+    solid = np.empty((*points.shape[:2], 3))
+    solid[..., first], solid[..., second], solid[..., normal] = points[..., 0], points[..., 1], 0.7
+    solid[rng.random(solid.shape[:2]) < drop] = np.nan
+    names = np.array([name for body in scene.markers for name in scene.marker_names[body]])
+    frames = []
+    for stamp, rows in zip(stamps, solid, strict=True):
+        order = rng.permutation(len(names)) if shuffle else np.arange(len(names))
+        frames.append(MarkerFrame(stamp, 'world', tuple(names[order]), rows[order]))
+    values: dict[str, Any] = {'bodies': list(scene.markers), 'plane': plane}
+    for body in scene.markers:
+        values[f'{body}.markers'] = list(scene.marker_names[body])
+    return Record(frames, truth, values)
+
+
+def follow(
+    frames: Sequence[MarkerFrame], values: dict[str, Any], order: int | None = 4, every: int = 9
+) -> tuple[Tracker, list[Estimate]]:
+    """Run a tracker; ask for estimates at every so manieth frame only, since they take time."""
+    tracker = Tracker(settings_from(values))
+    found: list[Estimate] = []
+    for k, frame in enumerate(frames):
+        found += tracker.add(frame, order if k % every == 0 else None)
+    return tracker, found
+
+
+def check(
+    seen: Record, found: list[Estimate], poles: float = 1e-5, curvature: float = 1e-3
+) -> None:
+    """Poles to `poles` of the body's size and curvature to `curvature`, wherever determined."""
+    assert found
+    truth = seen.truth(estimate.stamp for estimate in found)
+    for b, body in enumerate(found[0].bodies):
+        position, angle = truth[body]
+        known = [k for k, estimate in enumerate(found) if not estimate.missing[b]]
+        # A body of four markers is hardly ever lost, whatever is dropped.
+        assert len(known) > 0.8 * len(found)
+        for k in known:
+            estimate, here = found[k], (position[:, k], angle[:, k])
+            size = estimate.size[b]
+            for order in range(1, 5):
+                # A rate is as good as the pole: the motion of a point one size away.
+                scale = 2 * np.pi * (4.0 if order > 1 else 1.0)
+                rate = estimate.rate(order).value[b]
+                assert rate == pytest.approx(here[1][order], abs=poles * scale**order * 10)
+                pole = estimate.pole(order)
+                assert pole.determined[b]
+                error = np.abs(pole.value[b] - planar.pole(order, *here).value)
+                assert error < poles * size, (body, POLE_NAMES[order - 1], k)
+            u = estimate.icr_velocity
+            assert u.determined[b]
+            expected = planar.icr_velocity(*here).value
+            assert np.abs(u.value[b] - expected) < 1e-3 * max(size, np.abs(expected))
+            kappa = estimate.centrode_curvature
+            assert kappa.determined[b] == (body not in PINNED)
+            if kappa.determined[b]:
+                true = planar.centrode_curvature(*here).value.real
+                error = np.abs(kappa.value[b] - true)
+                assert error < curvature * max(abs(true), 1 / size), (body, k)
+            assert kappa.determined[b] or 'pinned' in estimate.reasons(b)['centrode_curvature']
+
+
+# --- exact markers ------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize('method', ['pose', 'landmarks'])
+@pytest.mark.parametrize('lag', [0.1, 0.02, 0.0])
+@pytest.mark.parametrize('scene', SCENES)
+def test_exact_markers_give_exact_poles(scene: str, lag: float, method: str) -> None:
+    seen = record(scene)
+    _, found = follow(seen.frames, {**seen.values, 'lag': lag, 'method': method})
+    check(seen, found)
+
+
+@pytest.mark.parametrize('method', ['pose', 'landmarks'])
+@pytest.mark.parametrize('scene', SCENES)
+def test_markers_may_be_missing_now_and_then(scene: str, method: str) -> None:
+    seen = record(scene, drop=0.1)
+    tracker, found = follow(seen.frames, {**seen.values, 'method': method})
+    check(seen, found)
+    holes = sum(int(np.isnan(frame.points[:, 0]).sum()) for frame in seen.frames)
+    assert tracker.counts['markers_not_seen'] == holes
+
+
+@pytest.mark.parametrize('scene', SCENES)
+def test_markers_may_come_in_any_order(scene: str) -> None:
+    straight, shuffled = record(scene), record(scene, shuffle=True)
+    _, found = follow(straight.frames, straight.values)
+    _, other = follow(shuffled.frames, shuffled.values)
+    for one, two in zip(found, other, strict=True):
+        assert np.array_equal(one.position, two.position, equal_nan=True)
+        assert np.array_equal(one.angle, two.angle, equal_nan=True)
+
+
+@pytest.mark.parametrize(
+    ('turn', 'shift'),
+    [
+        (np.exp(2.1j), 3 - 7j),
+        (1e-6 * np.exp(0.3j), 0),
+        (1e6, 1e6j),
+        (np.exp(-1j), 3e5),
+        (1e-3, 3e2 - 1e2j),
+    ],
+    ids=['moved', 'tiny', 'huge', 'far away', 'small and far away'],
+)
+@pytest.mark.parametrize('scene', SCENES)
+def test_size_and_place_do_not_matter(scene: str, turn: complex, shift: complex) -> None:
+    seen = record(scene, turn=turn, shift=shift)
+    _, found = follow(seen.frames, seen.values)
+    far = abs(shift) > 1e3 * abs(turn)
+    if not far:
+        check(seen, found)
+        return
+    # Coordinates that are known to 1e-10 of the size tell so much.
+    truth = seen.truth(estimate.stamp for estimate in found)
+    for b, body in enumerate(found[0].bodies):
+        position, angle = truth[body]
+        for order, allowed in ((1, 1e-5), (2, 1e-4)):
+            exact = planar.pole(order, position, angle).value
+            errors = np.array([e.pole(order).value[b] for e in found]) - exact
+            # Beyond its own size a pole is as uncertain as it is far, squared.
+            reach = 1 + (np.abs(exact - position[0]) / found[0].size[b]) ** 2
+            assert (np.abs(errors) < allowed * found[0].size[b] * reach).all(), (body, order)
+
+
+@pytest.mark.parametrize('plane', ['yz', 'zx'])
+def test_the_plane_may_be_another(plane: str) -> None:
+    plain, turned = record('four_bar'), record('four_bar', plane=plane)
+    _, found = follow(plain.frames, plain.values)
+    _, other = follow(turned.frames, turned.values)
+    for one, two in zip(found, other, strict=True):
+        assert np.array_equal(one.position, two.position)
+        assert two.height == pytest.approx(0.7)
+        assert two.frame_id == 'world'
+
+
+def centrodes(seen: Record, found: list[Estimate]) -> tuple[np.ndarray, np.ndarray]:
+    """Fixed and moving centrode of the only body, complex; the latter from its true center."""
+    icr = np.array([estimate.pole(1).value[0] for estimate in found])
+    (motion,) = seen.truth(estimate.stamp for estimate in found).values()
+    own = planar.moving_centrode(
+        planar.to_plane(icr), planar.to_plane(motion.position[0]), motion.angle[0]
+    )
+    return icr, planar.to_complex(own)
+
+
+def test_a_wheel_rolls_its_rim_on_a_line() -> None:
+    seen = record('rolling_wheel')
+    _, found = follow(seen.frames, seen.values)
+    fixed, moving = centrodes(seen, found)
+    assert fixed.imag == pytest.approx(0, abs=1e-9)
+    assert np.abs(moving) == pytest.approx(0.1, abs=1e-9)
+    kappa = [estimate.centrode_curvature.value[0] for estimate in found]
+    assert kappa == pytest.approx(0, abs=1e-6)
+    for estimate in found:
+        assert estimate.angle[1, 0] == pytest.approx(-2 * np.pi)
+        speed = np.abs(estimate.icr_velocity.value[0])
+        rim = planar.moving_centrode_curvature(kappa[0], estimate.angle[1, 0], speed)
+        assert 1 / rim == pytest.approx(0.1)
+
+
+def test_a_rod_on_two_guides_rolls_one_of_cardans_circles_in_the_other() -> None:
+    seen = record('cardan')
+    _, found = follow(seen.frames, seen.values)
+    fixed, moving = centrodes(seen, found)
+    assert np.abs(fixed) == pytest.approx(0.3, abs=1e-9)
+    assert np.abs(moving) == pytest.approx(0.15, abs=1e-9)
+    # The ICR goes clockwise.
+    kappa = [estimate.centrode_curvature.value[0] for estimate in found]
+    assert kappa == pytest.approx(-1 / 0.3, rel=1e-6)
+
+
+def test_links_turn_about_their_joints() -> None:
+    seen = record('four_bar')
+    _, found = follow(seen.frames, seen.values)
+    scene = seen.truth(estimate.stamp for estimate in found)
+    crank_pin = scene['coupler'].position[0]
+    coupler_end = crank_pin + 0.36 * np.exp(1j * scene['coupler'].angle[0])
+    joints = {('coupler', 'crank'): crank_pin, ('rocker', 'coupler'): coupler_end}
+    for k, estimate in enumerate(found):
+        for p, (j, i) in enumerate(zip(*estimate.pairs, strict=True)):
+            pair = (estimate.bodies[j], estimate.bodies[i])
+            between = scene[pair[0]].angle[1, k] - scene[pair[1]].angle[1, k]
+            assert estimate.relative_rate.value[p] == pytest.approx(between, abs=1e-6)
+            if pair in joints:
+                assert estimate.relative_icr.determined[p]
+                error = np.abs(estimate.relative_icr.value[p] - joints[pair][k])
+                assert error < 1e-6
+        # Kennedy: the rocker's center relative to the crank is on the line of the pivots.
+        if estimate.relative_icr.determined[1]:
+            assert estimate.relative_icr.value[1].imag == pytest.approx(0, abs=1e-5)
+
+
+# --- noise --------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize('method', ['pose', 'landmarks'])
+def test_noisy_markers_give_what_the_variance_says(method: str) -> None:
+    seen = record('four_bar', count=400, noise=2e-4)
+    tracker, found = follow(seen.frames, {**seen.values, 'method': method}, every=5)
+    found = found[10:]
+    assert tracker.noise() == pytest.approx(2e-4, rel=0.2)
+    truth = seen.truth(estimate.stamp for estimate in found)
+    for b, body in enumerate(found[0].bodies):
+        position, angle = truth[body]
+        for order, highest in ((1, 2.0), (2, 2.0), (3, 3.0)):
+            rates = [estimate.rate(order) for estimate in found]
+            spread = np.sqrt([rate.variance[b] for rate in rates])
+            errors = np.array([rate.value[b] for rate in rates]) - angle[order]
+            # What is stated is neither much too small nor much too large.
+            assert 0.4 < np.sqrt(np.mean((errors / spread) ** 2)) < highest, (body, order)
+        exact = planar.pole(1, position, angle).value
+        poles = [estimate.pole(1) for estimate in found]
+        sure = np.array([pole.determined[b] for pole in poles])
+        assert sure.mean() > 0.9
+        errors = np.array([pole.value[b] for pole in poles]) - exact
+        spread = np.sqrt([np.trace(pole.covariance[b]) for pole in poles])
+        assert np.sqrt(np.mean(np.abs(errors[sure] / spread[sure]) ** 2)) < 2.0, body
+    relative = np.abs([e.angle[1, 1] for e in found] / truth['coupler'].angle[1] - 1)
+    assert np.median(relative) < 0.005
+
+
+def test_a_given_noise_is_believed() -> None:
+    seen = record('four_bar', count=120, noise=2e-4)
+    values = {**seen.values, 'noise': 1e-3}
+    tracker, found = follow(seen.frames, values)
+    assert tracker.noise() == pytest.approx([1e-3] * 3)
+    _, measured = follow(seen.frames, seen.values)
+    assert (found[-1].rate(1).variance > 2 * measured[-1].rate(1).variance).all()
+
+
+def test_a_still_body_does_not_turn_and_has_no_poles() -> None:
+    rng = np.random.default_rng(1)
+    exact = np.array([[0.1, 0, 0], [0, 0.2, 0], [-0.1, -0.1, 0]])
+    for noise in (0.0, 1e-4):
+        frames = [
+            MarkerFrame(
+                START + k * STEP, 'world', ('a', 'b', 'c'), exact + noise * rng.normal(size=(3, 3))
+            )
+            for k in range(200)
+        ]
+        _, found = follow(frames, {}, every=3)
+        found = found[5:]
+        wrong = 0
+        for estimate in found:
+            assert not estimate.missing[0]
+            for order in range(1, 5):
+                wrong += int(estimate.pole(order).determined[0])
+            reasons = estimate.reasons(0)
+            assert all(reasons[n] for n, p in enumerate_poles(estimate) if not p)
+            assert not estimate.centrode_curvature.determined[0]
+        # Three standard deviations are exceeded now and then.
+        assert wrong <= 0.1 * 4 * len(found)
+        assert 'no rotation' in found[-1].reasons(0).values()
+
+
+def enumerate_poles(estimate: Estimate) -> list[tuple[str, bool]]:
+    return [
+        (name, bool(estimate.pole(order).determined[0])) for order, name in enumerate(POLE_NAMES, 1)
+    ]
+
+
+def test_a_body_that_slides_has_no_icr() -> None:
+    shape = np.array([[0.1, 0, 0], [0, 0.2, 0], [-0.1, -0.1, 0]])
+    frames = [
+        MarkerFrame(START + k * STEP, 'world', ('a', 'b', 'c'), shape + [0.01 * k, 0, 0])
+        for k in range(200)
+    ]
+    _, found = follow(frames, {})
+    for estimate in found:
+        assert estimate.position[1, 0] == pytest.approx(2.0, abs=1e-6)
+        assert not estimate.pole(1).determined[0]
+        assert estimate.reasons(0)['icr'] in ('no rotation', 'pole at infinity')
+
+
+@pytest.mark.parametrize('noise', [0.0, 1e-4])
+def test_a_pinned_body_has_poles_and_no_curvature(noise: float) -> None:
+    seen = record('four_bar', noise=noise)
+    _, found = follow(seen.frames, seen.values)
+    found = found[4:]
+    told = [estimate.reasons(0).get('centrode_curvature', '') for estimate in found]
+    assert all(estimate.pole(1).determined[0] for estimate in found)
+    assert np.mean([text.startswith('pinned') for text in told]) > 0.8
+
+
+def test_too_few_markers_are_told_apart_from_too_few_frames() -> None:
+    seen = record('four_bar', count=40)
+    names = seen.frames[0].identities
+    for frame in seen.frames:
+        frame.points[[names.index('crank_1'), names.index('crank_2')]] = np.nan
+        if frame.stamp < seen.frames[30].stamp:
+            frame.points[[names.index(f'rocker_{k}') for k in (1, 2, 3)]] = np.nan
+    tracker, found = follow(seen.frames, {**seen.values, 'lag': 0.0}, every=1)
+    last = found[-1]
+    assert last.reasons(0) == {'all': 'too few markers seen, or all at one place'}
+    assert last.reasons(1) == {}
+    assert not last.missing[2]
+    just_back = next(e for e in found if e.stamp == seen.frames[31].stamp)
+    assert just_back.missing[2] in ('window not full', 'noise not known yet')
+    for order in range(1, 5):
+        assert not last.pole(order).determined[0]
+        assert last.pole(order).determined[1]
+    assert tracker.counts['markers_not_seen'] == 40 * 2 + 30 * 3
+
+
+def test_markers_at_one_place_are_no_body() -> None:
+    frames = [MarkerFrame(START + k * STEP, 'w', ('a', 'b'), np.ones((2, 3))) for k in range(30)]
+    _, found = follow(frames, {}, every=1)
+    assert {estimate.missing for estimate in found} == {
+        ('too few markers seen, or all at one place',)
+    }
+
+
+def test_a_tracker_that_finds_its_markers_late_is_followed_from_then_on() -> None:
+    """Some drivers send (0, 0, 0) for what they have not found yet."""
+    seen = record('cardan')
+    for frame in seen.frames[:60]:
+        frame.points[:] = 0
+    _, found = follow(seen.frames, {**seen.values, 'window': 0.3})
+    late = [estimate for estimate in found if estimate.stamp > seen.frames[60].stamp + 10 * STEP]
+    check(seen, late)
+
+
+# --- time ---------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize('jitter', [0.0, 0.4])
+@pytest.mark.parametrize('lag', [0.0, 0.02, 0.1, 0.0137])
+def test_every_stamp_is_answered_once_and_in_time(lag: float, jitter: float) -> None:
+    seen = record('cardan', count=120)
+    rng = np.random.default_rng(2)
+    moved = [
+        frame._replace(stamp=frame.stamp + round(jitter * STEP * rng.uniform(-1, 1)))
+        for frame in seen.frames
+    ]
+    tracker = Tracker(settings_from({**seen.values, 'lag': lag}))
+    answered: list[int] = []
+    for k, frame in enumerate(moved):
+        for estimate in tracker.add(frame, 1):
+            answered.append(estimate.stamp)
+            late = (frame.stamp - estimate.stamp) * 1e-9
+            # Trails by the lag; a quarter of an interval, and what stamps jitter, either way.
+            assert late <= lag + (0.25 + 2 * jitter) * STEP * 1e-9
+            assert late >= lag - (0.75 + 2 * jitter) * STEP * 1e-9 or k < 20 + lag / 0.005
+    stamps = [frame.stamp for frame in moved]
+    first = stamps.index(answered[0])
+    assert answered == stamps[first : first + len(answered)]
+    assert len(stamps) - first - len(answered) <= lag / 0.005 + 1
+
+
+def test_frames_at_even_times_are_answered_exactly_lag_later() -> None:
+    seen = record('cardan', count=60)
+    tracker = Tracker(settings_from({**seen.values, 'lag': 0.05}))
+    for frame in seen.frames:
+        assert all(frame.stamp - e.stamp == 50_000_000 for e in tracker.add(frame, 1))
+
+
+def test_a_repeated_stamp_is_left_out() -> None:
+    seen = record('cardan')
+    twice = [frame for frame in seen.frames for _ in range(2)]
+    for k in range(1, len(twice), 2):
+        twice[k] = twice[k]._replace(points=twice[k].points + 100.0)
+    tracker, found = follow(twice, seen.values, every=18)
+    assert tracker.counts == {
+        'frames': 400,
+        'repeated': 200,
+        'markers_not_seen': 0,
+        'markers_unknown': 0,
+    }
+    _, plain = follow(seen.frames, seen.values)
+    assert [e.stamp for e in found] == [e.stamp for e in plain]
+    assert all(np.array_equal(a.angle, b.angle) for a, b in zip(found, plain, strict=True))
+
+
+@pytest.mark.parametrize('method', ['pose', 'landmarks'])
+@pytest.mark.parametrize('jump', [-1, -(10**12), 501_000_000, 10**15])
+def test_a_clock_that_jumps_starts_everything_anew(jump: int, method: str) -> None:
+    seen = record('four_bar')
+    frames = seen.frames[:100]
+    # Another place, another shape: nothing of before may be left.
+    other = record('four_bar', turn=0.5j, shift=3.0)
+    last = frames[-1].stamp
+    late = [f._replace(stamp=f.stamp - START + last + jump) for f in other.frames]
+    tracker, found = follow([*frames, *late], {**seen.values, 'method': method})
+    assert tracker.counts['resets'] == 1
+    after = [estimate for estimate in found if estimate.stamp >= last + jump][-10:]
+    for estimate in after:
+        estimate.stamp += START - last - jump
+    check(other, after)
+
+
+def test_a_gap_within_the_window_resets_nothing() -> None:
+    seen = record('cardan', count=300)
+    frames = seen.frames[:100] + seen.frames[190:]
+    tracker, found = follow(frames, seen.values)
+    assert tracker.counts['resets'] == 0
+    check(seen, found)
+    assert tracker.samples <= 101
+
+
+@pytest.mark.parametrize('step', [100_000, 1_000_000_000])
+def test_the_rate_of_the_frames_does_not_matter(step: int) -> None:
+    """The same frames at 10 kHz and at 1 Hz: all times scale."""
+    seen = record('cardan')
+    factor = step / STEP
+    frames = [f._replace(stamp=START + k * step) for k, f in enumerate(seen.frames)]
+    values = {**seen.values, 'window': 0.5 * factor, 'lag': 0.1 * factor}
+    _, found = follow(frames, values)
+    _, plain = follow(seen.frames, seen.values)
+    for one, two in zip(found, plain, strict=True):
+        scaled = one.angle * factor ** np.arange(5)[:, None]
+        assert scaled[1] == pytest.approx(two.angle[1], rel=1e-6)
+        assert one.pole(1).value == pytest.approx(two.pole(1).value, abs=1e-6)
+
+
+# --- what is asked for --------------------------------------------------------------------------
+
+
+def test_nothing_is_computed_when_nothing_is_asked() -> None:
+    seen = record('cardan')
+    tracker, found = follow(seen.frames, seen.values, order=None)
+    assert found == []
+    assert tracker.samples == 101
+    assert tracker.interval == pytest.approx(0.005)
+    # From then on only what falls due, not what was missed.
+    more = record('cardan', count=201).frames[-1]
+    assert len(tracker.add(more, 4)) == 1
+
+
+@pytest.mark.parametrize('drop', [0.0, 0.3])
+@pytest.mark.parametrize('method', ['pose', 'landmarks'])
+def test_what_is_found_does_not_depend_on_the_order_asked_for(method: str, drop: float) -> None:
+    seen = record('four_bar', count=120, noise=1e-4, drop=drop)
+    values = {**seen.values, 'method': method}
+    _, full = follow(seen.frames, values, order=4, every=4)
+    for order in (1, 2, 3):
+        _, part = follow(seen.frames, values, order=order, every=4)
+        assert [e.stamp for e in part] == [e.stamp for e in full]
+        for few, all_ in zip(part, full, strict=True):
+            assert few.order == order
+            rows = slice(order + 1)
+            for name in ('position', 'angle'):
+                assert getattr(few, name) == pytest.approx(
+                    getattr(all_, name)[rows], rel=1e-9, abs=1e-9, nan_ok=True
+                )
+            assert few.angle_covariance == pytest.approx(
+                all_.angle_covariance[rows, rows], rel=1e-6, nan_ok=True
+            )
+
+
+def test_a_name_stands_for_identity_then_namespace_then_id() -> None:
+    identities = ('tip/3', 'tip/4', 'base/1', 'left/2', 'right/2', '7', 'plain')
+    places = {
+        'tip/3': 0,
+        'tip/4': 1,
+        '3': 0,
+        '4': 1,
+        'base': 2,
+        '1': 2,
+        'left': 3,
+        'right': 4,
+        '7': 5,
+        'plain': 6,
+    }
+    for marker, place in places.items():
+        assert find_marker(marker, identities) == place
+    # Two of that namespace, two of that id, none at all, none in an empty message.
+    for marker in ('tip', '2', 'nobody', 'base/2', '', '/'):
+        assert find_marker(marker, identities) == len(identities)
+    assert find_marker('tip', ()) == 0
+    # The full identity goes before the namespace, and that before the id.
+    assert find_marker('3', ('3/9', '1/3', '3')) == 2
+    assert find_marker('3', ('1/3', '3/9')) == 1
+    assert find_marker('a/b', ('a/b/1',)) == 0
+
+
+def test_markers_of_no_body_are_counted() -> None:
+    seen = record('four_bar', count=20)
+    values = {'bodies': ['crank'], 'crank.markers': seen.values['crank.markers']}
+    tracker, _ = follow(seen.frames, values)
+    assert tracker.counts['markers_unknown'] == 7
+    assert tracker.counts['markers_not_seen'] == 0
+
+
+# --- a body of all markers ----------------------------------------------------------------------
+
+
+@pytest.mark.parametrize('method', ['pose', 'landmarks'])
+def test_a_body_of_all_markers_takes_in_what_it_meets(method: str) -> None:
+    seen = record('cardan', count=300)
+    frames = []
+    for k, frame in enumerate(seen.frames):
+        met = 2 if k < 60 else 3 if k < 120 else 4
+        frames.append(frame._replace(identities=frame.identities[:met], points=frame.points[:met]))
+    tracker, found = follow(frames, {'method': method})
+    assert tracker.bodies == ('body',)
+    assert tracker.counts['markers_unknown'] == 0
+    truth = seen.truth(estimate.stamp for estimate in found)['rod']
+    for k, estimate in enumerate(found):
+        assert not estimate.missing[0]
+        for order in range(1, 5):
+            exact = planar.pole(order, truth.position[:, k], truth.angle[:, k]).value
+            assert np.abs(estimate.pole(order).value[0] - exact) < 1e-5 * estimate.size[0]
+    assert found[-1].size[0] == pytest.approx(found[0].size[0], rel=1)
+
+
+def test_a_marker_named_twice_counts_once() -> None:
+    seen = record('cardan', count=120, noise=1e-4)
+    doubled = [
+        f._replace(
+            identities=(*f.identities, f.identities[0]), points=np.vstack((f.points, f.points[:1]))
+        )
+        for f in seen.frames
+    ]
+    _, plain = follow(seen.frames, {})
+    _, found = follow(doubled, {})
+    for one, two in zip(plain, found, strict=True):
+        assert two.angle == pytest.approx(one.angle, rel=1e-9, nan_ok=True)
+
+
+def test_markers_that_are_named_anew_in_every_frame_do_not_fill_the_memory() -> None:
+    seen = record('cardan', count=10)
+    tracker = Tracker(settings_from({}))
+    for k, frame in enumerate(seen.frames):
+        names = tuple(f'{k}_{n}' for n in range(300))
+        tracker.add(frame._replace(identities=names, points=np.ones((300, 3))), None)
+    assert tracker.counts['markers_unknown'] == 300
+    assert tracker._shapes.points.shape[1] <= MOST_MARKERS
+
+
+def test_reset_forgets_what_was_learned() -> None:
+    seen, other = record('cardan'), record('rolling_wheel')
+    tracker, _ = follow(seen.frames, {}, order=None)
+    tracker.reset()
+    assert tracker.samples == 0
+    assert np.isnan(tracker.noise()).all()
+    found = []
+    for k, frame in enumerate(other.frames):
+        found += tracker.add(frame, 4 if k % 9 == 0 else None)
+    truth = other.truth(estimate.stamp for estimate in found)['wheel']
+    for k, estimate in enumerate(found):
+        exact = planar.pole(1, truth.position[:, k], truth.angle[:, k]).value
+        assert np.abs(estimate.pole(1).value[0] - exact) < 1e-6
+
+
+# --- whatever comes -----------------------------------------------------------------------------
+
+coordinates = st.one_of(
+    st.floats(-1, 1),
+    st.sampled_from((0.0, 1.0, 1e-300, -1e150, 1e200, 1e300, -1.7e308, np.inf, -np.inf, np.nan)),
+)
+messages = st.lists(
+    st.tuples(
+        st.sampled_from(('a', 'b', 'c', 'd', 'a/1', 'e/2')),
+        st.tuples(coordinates, coordinates, coordinates),
+    ),
+    max_size=6,
+)
+steps = st.sampled_from((STEP, STEP, STEP, STEP, 0, 1, -1, 10 * STEP, 600_000_000, 10**17))
+
+
+def sound(estimate: Estimate) -> None:
+    """Whatever is called determined is finite, and so is its uncertainty."""
+    assert len(estimate.missing) == len(estimate.bodies)
+    vectors = [estimate.pole(order) for order in range(1, estimate.order + 1)]
+    numbers = [estimate.rate(order) for order in range(1, estimate.order + 1)]
+    numbers.append(estimate.relative_rate)
+    vectors.append(estimate.relative_icr)
+    if estimate.order >= 2:
+        vectors.append(estimate.icr_velocity)
+    if estimate.order >= 3:
+        numbers.append(estimate.centrode_curvature)
+    for found in vectors:
+        assert np.isfinite(found.value[found.determined]).all()
+        assert np.isfinite(found.covariance[found.determined]).all()
+    for number in numbers:
+        assert np.isfinite(number.value[number.determined]).all()
+        assert np.isfinite(number.variance[number.determined]).all()
+        assert (number.variance[number.determined] >= 0).all()
+    for b in range(len(estimate.bodies)):
+        reasons = estimate.reasons(b)
+        assert all(isinstance(text, str) and text for text in reasons.values())
+        for order in range(1, estimate.order + 1):
+            assert (
+                vectors[order - 1].determined[b]
+                or 'all' in reasons
+                or (POLE_NAMES[order - 1] in reasons)
+            )
+
+
+@settings(max_examples=120, deadline=None)
+@given(
+    st.lists(st.tuples(steps, messages, st.sampled_from((None, 1, 2, 3, 4))), max_size=25),
+    st.sampled_from(('pose', 'landmarks')),
+    st.booleans(),
+    st.sampled_from((0.0, 0.01)),
+    st.sampled_from((0.0, 1e-3, 1e6)),
+)
+def test_whatever_comes_nothing_raises_and_nothing_unknown_is_called_known(
+    stream: list[Any], method: str, several: bool, lag: float, noise: float
+) -> None:
+    values: dict[str, Any] = {'method': method, 'lag': lag, 'noise': noise}
+    if several:
+        values |= {'bodies': ['p', 'q'], 'p.markers': ['a', 'b'], 'q.markers': ['b', 'c', 'e']}
+    tracker = Tracker(settings_from(values))
+    stamp = START
+    for step, message, order in stream:
+        stamp += step
+        names = tuple(name for name, _ in message)
+        points = np.array([row for _, row in message], float).reshape(-1, 3)
+        for estimate in tracker.add(MarkerFrame(stamp, 'world', names, points), order):
+            sound(estimate)
+
+
+@pytest.mark.parametrize('method', ['pose', 'landmarks'])
+@pytest.mark.parametrize('bad', [np.nan, np.inf, 1e300, 1e200, 1e155, 1e100, 1e20, 0.0])
+def test_frames_gone_wild_amid_good_ones_do_no_harm(bad: float, method: str) -> None:
+    seen = record('four_bar', count=80, noise=1e-4)
+    for frame in seen.frames[30:36]:
+        frame.points[::2] = bad
+    for k in (40, 43):
+        seen.frames[k].points[:] = bad
+    tracker, found = follow(seen.frames, {**seen.values, 'method': method, 'lag': 0.02}, every=2)
+    for estimate in found:
+        sound(estimate)
+    assert np.isfinite(tracker.noise()).all()
