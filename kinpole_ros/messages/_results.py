@@ -8,6 +8,7 @@ is only built for a topic somebody reads.
 import math
 from collections import deque
 from collections.abc import Callable, Sequence
+from functools import lru_cache
 from itertools import combinations
 from typing import Any, NamedTuple
 
@@ -94,10 +95,13 @@ def _pole(order: int) -> Callable[[Estimate], Vectors]:
 
 
 def _header(estimate: Estimate, frame_id: str | None = None) -> Header:
-    return Header(
-        stamp=ns_to_stamp(estimate.stamp),
-        frame_id=estimate.frame_id if frame_id is None else frame_id,
-    )
+    return _shared_header(estimate.stamp, estimate.frame_id if frame_id is None else frame_id)
+
+
+@lru_cache(maxsize=16)
+def _shared_header(stamp: int, frame_id: str) -> Header:
+    """One header for all messages of an instant; they are sent, never changed."""
+    return Header(stamp=ns_to_stamp(stamp), frame_id=frame_id)
 
 
 def _place(value: complex, height: float, axes: tuple[int, int, int]) -> list[float]:
@@ -254,23 +258,28 @@ def _path(
 ) -> Callable[[Estimate], Path | None]:
     beat = _Beat()
 
+    poses: deque[PoseStamped] = deque(maxlen=_TRAIL_POINTS)
+    taken = 0
+
     def build(estimate: Estimate) -> Path | None:
+        nonlocal taken
         trail.follow(estimate, b)
-        if not trail.stamps or not beat.due(estimate.stamp):
+        if estimate.missing[b] or not trail.stamps:
             return None
-        frame = None if fixed else estimate.bodies[b]
-        height = float(estimate.height[b]) if fixed else 0.0
-        path = Path(header=_header(estimate, frame))
-        for stamp, value in zip(trail.stamps, trail.fixed if fixed else trail.moving, strict=True):
-            if not math.isfinite(height):
-                return None
-            pose = PoseStamped()
-            pose.header.frame_id = path.header.frame_id
-            pose.header.stamp = ns_to_stamp(stamp)
-            x, y, z = _place(value, height, axes)
+        if trail.stamps[-1] < taken:
+            poses.clear()
+        if trail.stamps[-1] != taken:
+            # Made once and kept: most of a path is what it was a moment ago.
+            taken = trail.stamps[-1]
+            pose = PoseStamped(header=_header(estimate, None if fixed else estimate.bodies[b]))
+            place = trail.fixed[-1] if fixed else trail.moving[-1]
+            x, y, z = _place(place, estimate.height[b] if fixed else 0.0, axes)
             pose.pose.position = Point(x=x, y=y, z=z)
-            path.poses.append(pose)
-        return path
+            poses.append(pose)
+        if not beat.due(estimate.stamp):
+            return None
+        header = _header(estimate, None if fixed else estimate.bodies[b])
+        return Path(header=header, poses=list(poses))
 
     return build
 

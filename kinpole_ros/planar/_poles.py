@@ -63,7 +63,7 @@ def pole(order: int, position: Complex, angle: Real) -> Linear:
     does not turn. Seed 000: r - (wR)^-1 v and its like.
     """
     a = rotation_coefficient(order, angle)
-    with np.errstate(divide='ignore', invalid='ignore'):
+    with np.errstate(divide='ignore', invalid='ignore', over='ignore'):
         arm = -position[order] / a
         by_angle = {k: -arm / a * d for k, d in rotation_partials(order, angle).items()}
         by_position = {0: np.ones_like(a), order: -1 / a}

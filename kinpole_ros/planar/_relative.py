@@ -38,7 +38,7 @@ def relative_pole(
     """
     w_j, w_i = angle_j[1], angle_i[1]
     between = position_j[0] - position_i[0]
-    with np.errstate(divide='ignore', invalid='ignore'):
+    with np.errstate(divide='ignore', invalid='ignore', over='ignore'):
         # Not 1j / (w_j - w_i): of one pair that is a number, and Python refuses to divide by 0.
         q = 1 / (w_j - w_i)
         arm = (w_j * between + 1j * (position_j[1] - position_i[1])) * q
