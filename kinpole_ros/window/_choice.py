@@ -98,6 +98,9 @@ def differentiate(
     degrees = np.arange(models.rows.shape[-1])[:, None]
     counts = models.counts.T[:, None]
     allowed = degrees <= np.maximum(counts - 3, np.minimum(counts - 1, HIGHEST_ORDER))
+    # A fit through all of a few samples leaves nothing over and would always be believed, so
+    # windows thinned by missing samples serve only where there are no fuller ones.
+    allowed = allowed & (counts >= np.minimum(counts.max(axis=0), FEWEST_SAMPLES))
     level = _level(rss.sum(axis=-1), counts[:, 0], allowed, dimensions, noise)
     criterion = rss.sum(axis=-1) / level**2 + dimensions * (
         _PER_COEFFICIENT * (degrees + 1) - _PER_SAMPLE * counts
