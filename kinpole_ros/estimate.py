@@ -16,6 +16,9 @@ from kinpole_ros import planar
 SIGNIFICANT = 3.0
 # Beyond this many body sizes a pole is as good as at infinity.
 FARTHEST = 1e3
+# An ICR that moves by less than so many standard deviations, or body sizes per rad, stands still.
+_MOVING = 5.0
+_STILL = 1e-6
 POLE_NAMES = ('icr', 'iap', 'ijp', 'isp')
 RATE_NAMES = ('angular_velocity', 'angular_acceleration', 'angular_jerk', 'angular_snap')
 
@@ -127,7 +130,9 @@ class Estimate:
         u = self.icr_velocity
         with np.errstate(invalid='ignore'):
             noise = np.sqrt(u.covariance[..., 0, 0] + u.covariance[..., 1, 1])
-            return np.asarray(u.determined & (np.abs(u.value) > SIGNIFICANT * noise))
+            least = _STILL * np.abs(self.angle[1]) * self.size
+            moves = np.abs(u.value) > np.maximum(_MOVING * noise, least)
+            return np.asarray(u.determined & moves)
 
     @cached_property
     def pairs(self) -> tuple[np.ndarray, np.ndarray]:

@@ -13,7 +13,7 @@ import numpy as np
 from kinpole_ros.estimate import Estimate
 from kinpole_ros.frame import MarkerFrame
 from kinpole_ros.parameters import Settings
-from kinpole_ros.planar import landmark_kinematics, to_plane
+from kinpole_ros.planar import landmark_kinematics, to_complex, to_plane
 from kinpole_ros.window import FEWEST_SAMPLES, Noise, Samples, Shapes, differentiate
 
 # Columns of a marker that span the plane, and the one along its normal.
@@ -23,6 +23,8 @@ AXES = {'xy': (0, 1, 2), 'yz': (1, 2, 0), 'zx': (2, 0, 1)}
 MOST_MARKERS = 1024
 # Coordinates are known no better than a few units of their last place.
 _ROUNDING = 4 * np.finfo(float).eps
+# m. No marker is that far, and the squares of what is nearer do not overflow.
+_FARTHEST = 1e15
 # Weights this near to 1 are not worth fits of their own.
 _ALIKE = 0.97
 
@@ -109,8 +111,9 @@ class Tracker:
         padded = np.full((len(frame.points) + 1, 3), np.nan)
         padded[:-1] = frame.points
         points = padded[place]
-        flat = points[..., self._axes[0]] + 1j * points[..., self._axes[1]]
-        flat = np.where(np.isfinite(points).all(axis=-1), flat, complex(np.nan, np.nan))
+        with np.errstate(invalid='ignore'):
+            points[~(np.abs(points) < _FARTHEST).all(axis=-1)] = np.nan
+        flat = to_complex(points[..., self._axes[:2]])
         seen = ~np.isnan(flat)
         wanted = sum(len(markers) for markers in self._markers)
         self.counts['markers_not_seen'] += wanted - int(seen.sum())
@@ -177,7 +180,7 @@ class Tracker:
     def _take_new(self, identities: tuple[str, ...]) -> None:
         """A body of all markers: add those not met before."""
         markers = self._markers[0]
-        new = [name for name in identities if name not in set(markers)]
+        new = [name for name in dict.fromkeys(identities) if name not in set(markers)]
         markers += new[: MOST_MARKERS - len(markers)]
         if len(markers) > self._shapes.points.shape[1]:
             self._shapes.widen(len(markers))
@@ -219,7 +222,7 @@ class Tracker:
         position, angle, position_covariance, angle_covariance, span, degree = found
         for array in found:
             array[..., ~usable] = np.nan
-        few = ~np.isfinite(angle[order]) | ~np.isfinite(position[order])
+        few = ~np.isfinite(angle[1]) | ~np.isfinite(position[1])
         missing = tuple(
             _why_missing(bool(s), bool(m), bool(f))
             for s, m, f in zip(seen, measured, few, strict=True)
@@ -254,7 +257,14 @@ class Tracker:
         dimensions = np.repeat((1, 2), count)
         level = np.concatenate((noise, noise)) / np.sqrt(most)
         alike = bool(np.all(weights > _ALIKE))
-        found = differentiate(times, signals, None if alike else weights, level, dimensions, order)
+        found = differentiate(
+            times,
+            signals,
+            None if alike else weights,
+            level,
+            dimensions,
+            order,
+        )
         position = found.values[:, count:, 0] + 1j * found.values[:, count:, 1]
         angle = found.values[:, :count, 0].copy()
         covariance = found.covariance
