@@ -14,7 +14,7 @@ from kinpole_ros.estimate import Estimate
 from kinpole_ros.frame import MarkerFrame
 from kinpole_ros.parameters import Settings
 from kinpole_ros.planar import landmark_kinematics, to_complex, to_plane
-from kinpole_ros.window import FEWEST_SAMPLES, Noise, Samples, Shapes, differentiate
+from kinpole_ros.window import FEWEST_SAMPLES, Noise, Samples, Shapes, Spectrum, differentiate
 
 # Columns of a marker that span the plane, and the one along its normal.
 AXES = {'xy': (0, 1, 2), 'yz': (1, 2, 0), 'zx': (2, 0, 1)}
@@ -53,6 +53,7 @@ class Tracker:
         width = max(2, *(len(markers) for markers in self._markers))
         self._shapes = Shapes(count, width)
         self._noise = Noise(count)
+        self._spectrum = Spectrum()
         self._places: dict[tuple[str, ...], np.ndarray] = {}
         self._stamps = Samples((), np.int64)
         self._positions = Samples((count,), complex)
@@ -264,6 +265,7 @@ class Tracker:
             level,
             dimensions,
             order,
+            self._spectrum,
         )
         position = found.values[:, count:, 0] + 1j * found.values[:, count:, 1]
         angle = found.values[:, :count, 0].copy()
@@ -293,6 +295,7 @@ class Tracker:
             np.repeat(noise, width),
             np.full(count * width, 2),
             order,
+            self._spectrum,
         )
         derivatives = found.values.reshape(order + 1, count, width, 2)
         here = np.asarray(np.isfinite(derivatives).all(axis=(0, -1)))

@@ -17,6 +17,7 @@ from kinpole_ros.window import (
     Noise,
     Samples,
     Shapes,
+    Spectrum,
     derivative_weights,
     differentiate,
     stencil,
@@ -221,7 +222,7 @@ def test_a_sample_of_weight_0_is_as_good_as_left_out() -> None:
     # Windows reach over time, not samples, so those of the shortened list differ a little.
     without = differentiate(times[keep], signals[keep], None, LEVEL, TWO, 4)
     deviation = np.sqrt(np.einsum('kkg->kg', without.covariance))[..., None]
-    assert (np.abs(found.values - without.values) < 2 * deviation).all()
+    assert (np.abs(found.values - without.values) < 3 * deviation).all()
 
 
 def test_a_window_thinned_to_few_samples_is_not_believed_for_leaving_nothing_over() -> None:
@@ -332,7 +333,7 @@ def test_signals_seen_too_seldom_are_open_beside_others_that_are_not() -> None:
 
 @pytest.mark.parametrize(
     ('hertz', 'noise', 'lowest', 'highest'),
-    [(1.0, 1e-4, 0.7, 1.5), (2.0, 1e-5, 0.7, 1.5), (0.5, 1e-3, 0.7, 3.0), (2.0, 1e-2, 0.7, 3.0)],
+    [(1.0, 1e-4, 0.6, 1.5), (2.0, 1e-5, 0.6, 1.5), (0.5, 1e-3, 0.6, 2.0), (2.0, 1e-2, 0.6, 2.0)],
 )
 def test_errors_are_about_as_large_as_stated(
     hertz: float, noise: float, lowest: float, highest: float
@@ -380,9 +381,10 @@ def motions(times: np.ndarray) -> dict[str, tuple[np.ndarray, int]]:
 
 
 RATE, WINDOW, LAG = 200, 100, 20
-TIMES = np.arange(400) / RATE
+TIMES = np.arange(700) / RATE
 MOTIONS = motions(TIMES)
-INSTANTS = range(WINDOW, 400 - LAG, 3)
+INSTANTS = range(WINDOW, 700 - LAG)
+WARM = 100  # instants that the energies are first averaged over
 
 
 def answers(noise: float) -> dict[str, np.ndarray]:
@@ -395,12 +397,13 @@ def answers(noise: float) -> dict[str, np.ndarray]:
     samples[:, dimensions == 1, 1] = 0
     level = np.full(len(dimensions), max(noise, 1e-14))
     errors = []
+    spectrum = Spectrum()
     for now in INSTANTS:
         inside = slice(now + LAG - WINDOW, now + LAG + 1)
         times = (np.arange(inside.start, inside.stop) - now) * (10**9 // RATE)
-        found = differentiate(times, samples[inside], None, level, dimensions, 4).values
+        found = differentiate(times, samples[inside], None, level, dimensions, 4, spectrum).values
         errors.append(np.abs(found[..., 0] + 1j * found[..., 1] - truth[:, :, now].T) ** 2)
-    return dict(zip(MOTIONS, np.sqrt(np.mean(errors, axis=0)).T, strict=True))
+    return dict(zip(MOTIONS, np.sqrt(np.mean(errors[WARM:], axis=0)).T, strict=True))
 
 
 @pytest.fixture(scope='module')
@@ -415,13 +418,13 @@ def rough() -> dict[str, np.ndarray]:
 
 # RMS errors of first to fourth derivative: exact samples; noise 2e-4.
 BOUNDS = {
-    'fast turn': ((2e-13, 7e-13, 5e-11, 1e-09), (2e-04, 3e-03, 8e-02, 3e00)),
-    'sine 1 Hz': ((2e-12, 1e-10, 1e-08, 8e-07), (2e-03, 4e-02, 1e00, 5e01)),
-    'sine 4 Hz': ((1e-09, 1e-07, 6e-05, 1e-02), (5e-03, 4e-01, 2e01, 2e03)),
-    'stop and go': ((3e-07, 2e-04, 3e-02, 3e01), (5e-03, 3e-01, 3e01, 2e03)),
-    'coupler angle': ((4e-10, 1e-07, 4e-05, 9e-03), (3e-03, 1e-01, 6e00, 3e02)),
-    'crank pin': ((5e-13, 5e-11, 6e-09, 4e-07), (3e-03, 6e-02, 2e00, 8e01)),
-    'wheel hub': ((2e-15, 1e-14, 2e-13, 1e-11), (3e-04, 4e-03, 1e-01, 3e00)),
+    'fast turn': ((1e-12, 1e-12, 1e-12, 1e-12), (3e-04, 1e-09, 1e-09, 1e-09)),
+    'sine 1 Hz': ((3e-12, 2e-11, 6e-08, 3e-07), (2e-03, 6e-02, 2e00, 5e01)),
+    'sine 4 Hz': ((3e-12, 4e-09, 4e-07, 5e-04), (5e-03, 3e-01, 2e01, 9e02)),
+    'stop and go': ((1e-09, 3e-06, 2e-04, 4e-01), (5e-03, 3e-01, 2e01, 2e03)),
+    'coupler angle': ((2e-12, 6e-09, 3e-07, 8e-04), (4e-03, 2e-01, 8e00, 5e02)),
+    'crank pin': ((2e-12, 8e-11, 2e-08, 2e-06), (3e-03, 6e-02, 2e00, 6e01)),
+    'wheel hub': ((1e-12, 1e-12, 1e-12, 1e-12), (4e-04, 1e-09, 1e-09, 1e-09)),
 }
 
 
@@ -439,10 +442,10 @@ def test_the_choice_is_near_the_best_in_hindsight(name: str, rough: dict[str, np
     """Against the best single window and degree, known only once the truth is."""
     signal = MOTIONS[name][0]
     rng = np.random.default_rng(7)
-    noise = 2e-4 * (rng.normal(size=(400, len(MOTIONS), 2)) @ (1, 1j))[:, list(MOTIONS).index(name)]
+    noise = 2e-4 * (rng.normal(size=(700, len(MOTIONS), 2)) @ (1, 1j))[:, list(MOTIONS).index(name)]
     samples = signal[0] + (noise if MOTIONS[name][1] == 2 else noise.real)
     best = np.full(5, np.inf)
-    now = np.array(INSTANTS)
+    now = np.array(INSTANTS[WARM:])
     for length in range(7, WINDOW + 2, 6):
         ahead = min(LAG, (length - 1) // 2)
         nodes = np.arange(ahead - length + 1, ahead + 1)

@@ -5,7 +5,7 @@ Knows rigid bodies only as shapes to fit, and neither ROS nor the names of quant
 their noise go in at true time stamps, derivatives with covariances come out.
 """
 
-from kinpole_ros.window._choice import FEWEST_SAMPLES, Derivatives, differentiate
+from kinpole_ros.window._choice import FEWEST_SAMPLES, Derivatives, Spectrum, differentiate
 from kinpole_ros.window._noise import Noise
 from kinpole_ros.window._polynomial import derivative_weights, stencil
 from kinpole_ros.window._samples import Samples
@@ -17,6 +17,7 @@ __all__ = [
     'Noise',
     'Samples',
     'Shapes',
+    'Spectrum',
     'derivative_weights',
     'differentiate',
     'stencil',
