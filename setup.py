@@ -1,3 +1,5 @@
+"""The package as pip and colcon build it; its version is also in package.xml and __init__.py."""
+
 from glob import glob
 
 from setuptools import find_packages, setup
@@ -20,7 +22,7 @@ setup(
     ],
     python_requires='>=3.10',
     # rclpy and the message packages come with ROS, or with the extra wheels: see the README.
-    install_requires=['numpy>=1.26', 'mcap>=1.2', 'PyYAML>=6'],
+    install_requires=['numpy>=1.26', 'mcap>=1.5', 'PyYAML>=6'],
     extras_require={
         'wheels': [
             'ros-jazzy-rclpy',
@@ -29,13 +31,14 @@ setup(
         ],
         'plot': ['matplotlib>=3.7'],
         'test': [
+            'colcon-ros>=0.4',
             'hypothesis>=6.90',
             'mcap-ros2-support>=0.5',
-            'mypy>=1.8',
+            # Fixed, since later ones find fault with what these let pass.
+            'mypy==2.4.*',
             'pytest>=7.4',
             'rosbags>=0.10',
-            'ruff>=0.6',
-            'types-PyYAML',
+            'ruff==0.17.*',
         ],
     },
     zip_safe=False,

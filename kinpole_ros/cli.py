@@ -10,6 +10,7 @@ import sys
 import time
 from collections.abc import Callable, Sequence
 from contextlib import contextmanager
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from kinpole_ros import __version__
@@ -29,14 +30,13 @@ _EPILOG = """examples:
 def main(args: Sequence[str] | None = None) -> int:
     """Run one subcommand; returns the exit status."""
     words = list(sys.argv[1:] if args is None else args)
-    if words[:1] == ['node'] and not {'-h', '--help'} & set(words):
-        # All that follows belongs to ROS.
-        from kinpole_ros.node import main as run_node
-
-        return run_node(['kinpole', *words[1:]])
-    parser = _parser()
-    options = parser.parse_args(words)
     try:
+        if words[:1] == ['node'] and not {'-h', '--help'} & set(words):
+            # All that follows belongs to ROS.
+            from kinpole_ros.node import main as run_node
+
+            return run_node(['kinpole', *words[1:]])
+        options = _parser().parse_args(words)
         return int(options.run(options) or 0)
     except KeyboardInterrupt:
         return 130
@@ -45,7 +45,7 @@ def main(args: Sequence[str] | None = None) -> int:
     except (ValueError, OSError, ImportError) as error:
         if not _is_for_the_user(error):
             raise
-        print(f'kinpole {options.command}: {_line(error)}', file=sys.stderr)
+        print(f'kinpole {words[0]}: {_line(error)}', file=sys.stderr)
         return 2
 
 
@@ -211,6 +211,7 @@ def _replay(options: argparse.Namespace) -> int:
     from kinpole_ros.bags import replay
     from kinpole_ros.parameters import Settings, load_settings
 
+    _keep(options.config, options.output, options.csv)
     settings = load_settings(options.config) if options.config else Settings()
     with _progress('replay') as progress:
         result = replay(options.bag, settings, options.output, options.csv, options.topic, progress)
@@ -235,10 +236,19 @@ def _replay(options: argparse.Namespace) -> int:
     return 0
 
 
+def _keep(given: str | None, *outputs: str | None) -> None:
+    """Refuse to write over a file that is read."""
+    from kinpole_ros.bags import BagError
+
+    if given is not None and Path(given).resolve() in {Path(o).resolve() for o in outputs if o}:
+        raise BagError(f'{given} is to be read; name another file to write')
+
+
 def _simulate(options: argparse.Namespace) -> int:
     from kinpole_ros.bags import simulate
     from kinpole_ros.mechanism import load_scene
 
+    _keep(options.scene, options.output)
     scene = load_scene(options.scene)
     with _progress('simulate') as progress:
         count = simulate(

@@ -84,11 +84,16 @@ def live_run(bag: Path, config: Path, recording: Path, reliable: bool = True) ->
     first = f'/kinpole/{next(iter(settings.bodies))}/odom'
     watcher.create_subscription(Odometry, first, lambda _: heard.append(time.monotonic()), 1)
     try:
-        with _process(node_words), _process(['record', '--output', str(recording)]) as recorder:
+        with (
+            _process(node_words) as node,
+            _process(['record', '--output', str(recording)]) as recorder,
+        ):
             # Play only when every topic of the node is being recorded.
-            _await(lambda: _all_recorded(watcher), recorder, 'the node and its recorder')
+            _await(lambda: _all_recorded(watcher), node, recorder)
             count = play(bag, [name], wait=_START)
             _await_quiet(executor, heard)
+            if node.poll() is not None or recorder.poll() is not None:
+                raise BagError('the node or its recorder ended on the way; see what it printed')
             return count
     finally:
         watcher.destroy_node()
@@ -103,13 +108,14 @@ def _all_recorded(watcher: Any) -> bool:
     return all(watcher.count_subscribers(n) for n in names if 'transition_event' not in n)
 
 
-def _await(condition: Callable[[], bool], process: 'subprocess.Popen[bytes]', what: str) -> None:
+def _await(condition: Callable[[], bool], *processes: 'subprocess.Popen[bytes]') -> None:
     deadline = time.monotonic() + _START
     while not condition():
-        if process.poll() is not None or time.monotonic() > deadline:
+        ended = any(process.poll() is not None for process in processes)
+        if ended or time.monotonic() > deadline:
             raise BagError(
-                f'{what} did not come up within {_START:g} s; see what they printed, and whether '
-                'ROS_DOMAIN_ID or a firewall keeps processes of this machine apart'
+                f'the node and its recorder did not come up within {_START:g} s; see what they '
+                'printed, and whether ROS_DOMAIN_ID or a firewall keeps processes apart'
             )
         time.sleep(0.02)
 

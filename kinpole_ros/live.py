@@ -5,6 +5,7 @@ Small stand-ins for `ros2 bag play` and `ros2 bag record`, for machines that hav
 installation, and for the demo and the tests, which must run there.
 """
 
+import math
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -36,8 +37,11 @@ def play(
 
     `only` names the topics, None for all but the exact answers that simulate puts beside the
     markers. Waits up to `wait` s for a subscriber of each, and at the end until reliable ones have
-    everything. Returns the number of messages. Raises BagError as reading does.
+    everything. Returns the number of messages. Raises BagError as reading does, and for a speed
+    that is not more than 0.
     """
+    if not (math.isfinite(speed) and speed > 0):
+        raise BagError(f'--speed is {speed}; it must be more than 0')
     there = topics(bag)
     for name in only or []:
         if name not in there:
@@ -138,14 +142,22 @@ def record(output: str | Path, prefixes: list[str]) -> int:
     """
     with BagWriter(output) as writer:
         rclpy.init(args=[])
-        recorder = Recorder(writer, prefixes)
+        recorder = None
         try:
+            recorder = Recorder(writer, prefixes)
             rclpy.spin(recorder)
         except (KeyboardInterrupt, ExternalShutdownException):
             pass
+        except Exception:
+            # Told to stop amid a call, rclpy raises whatever that call makes of it.
+            if rclpy.ok():
+                raise
         finally:
-            recorder.destroy_node()
+            if recorder is not None:
+                recorder.destroy_node()
             rclpy.try_shutdown()
+        if recorder is None:
+            return 0
         if recorder.error is not None:
             raise recorder.error
         return recorder.messages

@@ -5,6 +5,7 @@ A thin shell around the tracker: it declares the parameters, finds the type of t
 and publishes the rows of the results table that have subscribers.
 """
 
+import re
 import sys
 from collections.abc import Sequence
 from typing import Any
@@ -14,12 +15,14 @@ from diagnostic_msgs.msg import DiagnosticArray
 from rcl_interfaces.msg import FloatingPointRange, ParameterDescriptor, SetParametersResult
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
-from rclpy.exceptions import InvalidParameterTypeException, ParameterAlreadyDeclaredException
+from rclpy.exceptions import ParameterException
 from rclpy.executors import ExternalShutdownException
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
+from rclpy.logging import LoggingSeverity, set_logger_level
 from rclpy.parameter import Parameter as RosParameter
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.qos_overriding_options import QoSOverridingOptions
+from rclpy.utilities import remove_ros_args
 
 from kinpole_ros.estimate import Estimate
 from kinpole_ros.messages import (
@@ -31,7 +34,7 @@ from kinpole_ros.messages import (
     read_markers,
     result_outputs,
 )
-from kinpole_ros.parameters import MARKERS, PARAMETERS, Parameter, ParameterError, settings_from
+from kinpole_ros.parameters import AUTOSTART, MARKERS, PARAMETERS, ParameterError, settings_from
 from kinpole_ros.tracker import Tracker
 
 _DIAGNOSTICS_EVERY = 1.0
@@ -42,7 +45,15 @@ class KinpoleNode(LifecycleNode):
     """Tracks the bodies its parameters name; managed, and active from the start."""
 
     def __init__(self) -> None:
-        super().__init__('kinpole', automatically_declare_parameters_from_overrides=True)
+        try:
+            super().__init__('kinpole', automatically_declare_parameters_from_overrides=True)
+        except ValueError:
+            # rclpy does not say which, and what was given is not public.
+            given = getattr(self, '_parameter_overrides', {})
+            names = [name for name, p in given.items() if p.type_ == RosParameter.Type.NOT_SET]
+            raise ParameterError(
+                f'parameter {", ".join(names)} has no value; leave it out or give it one'
+            ) from None
         self._steady = Clock(clock_type=ClockType.STEADY_TIME)
         self._declare()
         self.settings = settings_from(self._values())
@@ -50,6 +61,7 @@ class KinpoleNode(LifecycleNode):
         self._diagnostics = DiagnosticsMaker(self.get_name())
         self._outputs: list[tuple[Output, Any]] = []
         self._subscription: Any = None
+        self._kind = ''
         self._timers_made: list[Any] = []
         self._look: Any = None
         self._latest: Estimate | None = None
@@ -66,10 +78,7 @@ class KinpoleNode(LifecycleNode):
         """Declare every parameter with its description and range; unknown ones are refused."""
         given = {name: p.value for name, p in self.get_parameters_by_prefix('').items()}
         settings = settings_from(given)
-        autostart = Parameter(
-            True, 'Whether the node configures and activates itself.', bool, '', fixed=True
-        )
-        rows = {**PARAMETERS, 'autostart': autostart}
+        rows = {**PARAMETERS, 'autostart': AUTOSTART}
         rows.update({f'{body}.markers': MARKERS for body in settings.bodies})
         for name, row in rows.items():
             descriptor = ParameterDescriptor(
@@ -106,6 +115,7 @@ class KinpoleNode(LifecycleNode):
             return
         self.settings = settings_from(self._values())
         self._tracker = Tracker(self.settings)
+        self._diagnostics = DiagnosticsMaker(self.get_name())
         self._latest = None
         if self._outputs:
             self._drop_outputs()
@@ -140,9 +150,7 @@ class KinpoleNode(LifecycleNode):
         for timer in self._timers_made:
             self.destroy_timer(timer)
         self._timers_made = []
-        if self._subscription is not None:
-            self.destroy_subscription(self._subscription)
-            self._subscription = None
+        self._unsubscribe()
         return super().on_deactivate(state)
 
     def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
@@ -175,34 +183,47 @@ class KinpoleNode(LifecycleNode):
         self._outputs = []
 
     def _find_markers(self) -> None:
-        """Subscribe as soon as the type of the markers is known."""
-        if self._subscription is not None:
-            return
-        kind = self.settings.marker_type
+        """Subscribe as soon as the type of the markers is known; tell when none can be read."""
         topic = self.settings.marker_topic
-        if kind == 'auto':
-            resolved = self.resolve_topic_name(topic)
-            published = {p.topic_type for p in self.get_publishers_info_by_topic(resolved)}
-            kinds = [kind for kind, name in ROS_TYPE_NAMES.items() if name in published]
-            if not kinds:
-                if published:
-                    self._warn(
-                        'type',
-                        f'{resolved} is published as {", ".join(sorted(published))}; it must be '
-                        f'one of {", ".join(ROS_TYPE_NAMES.values())}',
-                    )
-                return
-            kind = kinds[0]
-        self._trouble.pop('type', None)
+        resolved = self.resolve_topic_name(topic)
+        published = {p.topic_type for p in self.get_publishers_info_by_topic(resolved)}
+        wanted = self.settings.marker_type
+        readable = [wanted] if wanted != 'auto' else list(MARKER_TYPES)
+        found = [kind for kind in readable if ROS_TYPE_NAMES[kind] in published]
+        if published and not found:
+            self._warn(
+                'type',
+                f'{resolved} is published as {", ".join(sorted(published))}; it must be '
+                f'one of {", ".join(ROS_TYPE_NAMES[kind] for kind in readable)}',
+            )
+        else:
+            self._trouble.pop('type', None)
+        kinds = found if wanted == 'auto' else readable
+        if not kinds or self._kind in kinds:
+            return
+        self._unsubscribe()
         # Drivers mostly send as sensors do; what is late is not worth waiting for.
         qos = QoSProfile(depth=50, reliability=ReliabilityPolicy.BEST_EFFORT)
-        self._subscription = self.create_subscription(
-            MARKER_TYPES[kind],
-            topic,
-            self._on_markers,
-            qos,
-            qos_overriding_options=QoSOverridingOptions.with_default_policies(),
-        )
+        try:
+            self._subscription = self.create_subscription(
+                MARKER_TYPES[kinds[0]],
+                topic,
+                self._on_markers,
+                qos,
+                qos_overriding_options=QoSOverridingOptions.with_default_policies(),
+            )
+        except Exception as error:  # rclpy raises many things, some without words
+            raise ParameterError(
+                f'parameters qos_overrides.{resolved}.subscription cannot be used '
+                f'({str(error) or type(error).__name__}); correct them or leave them out'
+            ) from None
+        self._kind = kinds[0]
+
+    def _unsubscribe(self) -> None:
+        if self._subscription is not None:
+            self.destroy_subscription(self._subscription)
+        self._subscription = None
+        self._kind = ''
 
     def _on_markers(self, message: Any) -> None:
         try:
@@ -213,6 +234,8 @@ class KinpoleNode(LifecycleNode):
             return
         wanted = [row for row in self._outputs if row[1].get_subscription_count()]
         order = max((output.order for output, _ in wanted), default=None)
+        if order is None:
+            self._latest = None
         for estimate in self._tracker.add(frame, order):
             self._latest = estimate
             for output, publisher in wanted:
@@ -238,23 +261,41 @@ class KinpoleNode(LifecycleNode):
 
 def main(args: Sequence[str] | None = None) -> int:
     """Run the node until it is told to stop; returns the exit status."""
+    words = list(sys.argv if args is None else args)
     node = None
+    started = False
     try:
-        rclpy.init(args=list(args) if args is not None else None)
+        # rcl logs what it also raises, and one line says it all.
+        set_logger_level('rcl', LoggingSeverity.FATAL)
+        rclpy.init(args=words)
+        set_logger_level('rcl', LoggingSeverity.UNSET)
+        started = True
+        if unknown := remove_ros_args(words)[1:]:
+            return _refuse(f'unknown words {" ".join(unknown)}; those for ROS follow --ros-args')
         node = KinpoleNode()
         rclpy.spin(node)
     except (KeyboardInterrupt, ExternalShutdownException):
         pass
-    except (ParameterError, InvalidParameterTypeException, ParameterAlreadyDeclaredException) as e:
-        print(f'kinpole: {e}', file=sys.stderr)
-        return 2
-    except rclpy.exceptions.ROSInterruptException:
-        pass
+    except (ParameterError, ParameterException) as error:
+        return _refuse(str(error))
+    except Exception as error:
+        if not started:
+            # Less the places in rcl's source.
+            reason = re.sub(r', at \S+:\d+', '', str(error))
+            return _refuse(f'ROS cannot use the words after --ros-args: {reason}')
+        # Told to stop amid a call, rclpy raises whatever that call makes of it.
+        if rclpy.ok():
+            raise
     finally:
         if node is not None:
             node.destroy_node()
         rclpy.try_shutdown()
     return 0
+
+
+def _refuse(reason: str) -> int:
+    print(f'kinpole node: {" ".join(reason.split())}', file=sys.stderr)
+    return 2
 
 
 if __name__ == '__main__':

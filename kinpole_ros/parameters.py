@@ -6,6 +6,7 @@ the same things in the same words.
 """
 
 import math
+import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -47,8 +48,18 @@ class Parameter:
     fixed: bool = False
 
 
-def _text(value: Any) -> str:
-    if not isinstance(value, str) or not value.strip():
+# As ROS 2 has it: names of letters, digits and _ between slashes.
+_TOPIC = re.compile(r'(~/|/)?[A-Za-z_]\w*(/[A-Za-z_]\w*)*', re.ASCII)
+
+
+def _topic(value: Any) -> str:
+    if not isinstance(value, str) or not _TOPIC.fullmatch(value):
+        raise ValueError
+    return value
+
+
+def _flag(value: Any) -> bool:
+    if not isinstance(value, bool):
         raise ValueError
     return value
 
@@ -115,7 +126,11 @@ def _range(default: float, description: str, lowest: float, highest: float, unit
 
 PARAMETERS: Mapping[str, Parameter] = {
     'marker_topic': Parameter(
-        'markers', 'Topic the markers come on.', _text, 'the name of a topic', fixed=True
+        'markers',
+        'Topic the markers come on.',
+        _topic,
+        'the name of a topic, such as markers or /rig/markers',
+        fixed=True,
     ),
     'marker_type': _choices(
         'auto',
@@ -177,6 +192,13 @@ MARKERS = Parameter(
     'a list of different marker identities, as text',
     fixed=True,
 )
+AUTOSTART = Parameter(
+    True,
+    'Whether the node configures and activates itself.',
+    _flag,
+    'true or false',
+    fixed=True,
+)
 # What ROS itself, or the node alone, understands in the same file.
 _NODE_ONLY = ('use_sim_time', 'autostart', 'start_type_description_service')
 
@@ -197,6 +219,7 @@ def settings_from(values: Mapping[str, Any]) -> Settings:
             raise ParameterError(
                 f'unknown parameter {name}{hint}; known are {", ".join(sorted(known))}'
             )
+    _checked('autostart', AUTOSTART, values)
     checked = {name: _checked(name, row, values) for name, row in known.items()}
     bodies = {name: checked.pop(f'{name}.markers') for name in names}
     checked['bodies'] = bodies
@@ -225,8 +248,17 @@ def _checked(name: str, row: Parameter, values: Mapping[str, Any]) -> Any:
     value = values.get(name, row.default)
     try:
         return row.check(value)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         raise ParameterError(f'parameter {name} is {value!r}; it must be {row.allowed}') from None
+
+
+class _Loader(yaml.SafeLoader):
+    """YAML as ROS reads it, where 1e-3 is a number although it has no point."""
+
+
+_Loader.add_implicit_resolver(
+    'tag:yaml.org,2002:float', re.compile(r'[-+]?\d+(\.\d*)?[eE][-+]?\d+$'), list('-+0123456789')
+)
 
 
 def load_settings(path: str | Path, node_name: str = 'kinpole') -> Settings:
@@ -236,10 +268,11 @@ def load_settings(path: str | Path, node_name: str = 'kinpole') -> Settings:
     Raises ParameterError naming the file for anything that cannot be used.
     """
     try:
-        document = yaml.safe_load(Path(path).read_text(encoding='utf-8'))
+        document = yaml.load(Path(path).read_text(encoding='utf-8'), _Loader)
     except OSError as error:
         raise ParameterError(f'{path}: {error.strerror}; name a readable parameter file') from None
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
+    # ValueError: also what PyYAML lets through of a malformed date or number.
+    except (yaml.YAMLError, ValueError, RecursionError) as error:
         reason = ' '.join(str(error).split())
         raise ParameterError(f'{path}: not YAML ({reason})') from None
     wanted = {'/**', node_name, f'/{node_name}'}
@@ -251,7 +284,7 @@ def load_settings(path: str | Path, node_name: str = 'kinpole') -> Settings:
             continue
         if not isinstance(section, dict) or not isinstance(section.get('ros__parameters'), dict):
             raise ParameterError(
-                f'{path}: {key} must hold the key ros__parameters and under it all'
+                f'{path}: {key} must hold the key ros__parameters, and that the parameters'
             )
         found = True
         values.update(_flat(section['ros__parameters']))

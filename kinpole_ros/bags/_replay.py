@@ -64,9 +64,14 @@ def replay(
     Raises BagError when the bag, its topic or an output cannot be used.
     """
     name, kind = _marker_topic(bag, settings, topic)
+    taken = {file.resolve(): 'the bag to be replayed' for file in bag_files(bag)}
     for target in (output, csv):
-        if target is not None and Path(target).resolve() in {f.resolve() for f in bag_files(bag)}:
-            raise BagError(f'{target} is the bag to be replayed; name another file for the results')
+        if target is None:
+            continue
+        path = Path(target).resolve()
+        if path in taken:
+            raise BagError(f'{target} is {taken[path]}; name another file for the results')
+        taken[path] = 'the bag of results'
     tracker = Tracker(settings)
     rows = [
         row

@@ -17,6 +17,8 @@ from kinpole_ros.messages import MARKER_TYPES, result_outputs, to_message
 # Exact to so many digits: below it the answers themselves are noise (a pinned body's centrode).
 _EXACT = 1e-12
 _FRAME = 'world'
+# ROS stamps hold hardly more, in s.
+_LONGEST = 2e9
 # Loci and covariances of an exact motion say nothing more.
 _EXACT_TYPES = (Odometry, PointStamped, Vector3Stamped)
 
@@ -42,12 +44,18 @@ def simulate(
     stamps tell the true instants). The first stamp is 1 s. Returns the number of frames. Raises
     BagError for a value out of range or an output that cannot be written.
     """
-    _check(rate, duration, noise, dropout, jitter, message)
+    _check(rate, duration, noise, seed, dropout, jitter, message)
     generator = np.random.default_rng(seed)
     count = max(1, round(duration * rate))
     times = np.arange(count) / rate
     if jitter > 0:
         times = np.sort(times + jitter * generator.standard_normal(count))
+    length = times[-1] - times[0]
+    if length > _LONGEST:
+        raise BagError(
+            f'--rate, --duration and --jitter make a bag of {length:g} s; it must be at most '
+            f'{_LONGEST:g} s'
+        )
     stamps = np.round((1.0 + times - times[0]) * 1e9).astype(np.int64)
     # Stamps are whole ns and all different; the motion is that of the stamps.
     stamps = np.maximum.accumulate(stamps - np.arange(count)) + np.arange(count)
@@ -94,7 +102,13 @@ def simulate(
 
 
 def _check(
-    rate: float, duration: float, noise: float, dropout: float, jitter: float, message: str
+    rate: float,
+    duration: float,
+    noise: float,
+    seed: int,
+    dropout: float,
+    jitter: float,
+    message: str,
 ) -> None:
     wrong = [
         ('--rate', rate, 'more than 0 Hz', 0 < rate <= 1e9),
@@ -102,6 +116,7 @@ def _check(
         ('--noise', noise, '0 m or more', 0 <= noise < np.inf),
         ('--dropout', dropout, 'from 0 to 1', 0 <= dropout <= 1),
         ('--jitter', jitter, '0 s or more', 0 <= jitter < np.inf),
+        ('--seed', seed, '0 or more', seed >= 0),
         ('--message', message, f'one of {", ".join(MARKER_TYPES)}', message in MARKER_TYPES),
         ('--rate times --duration', rate * duration, '1e8 at most', rate * duration <= 1e8),
     ]

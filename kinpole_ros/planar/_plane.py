@@ -1,10 +1,12 @@
 """The two ways to write a vector of the plane, (x, y) and x + iy, and the checks at the door."""
 
+from typing import TypeAlias
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-Real = NDArray[np.float64]
-Complex = NDArray[np.complex128]
+Real: TypeAlias = NDArray[np.float64]
+Complex: TypeAlias = NDArray[np.complex128]
 # A sum of n products is off by a few units in the last place; what is to tell apart from it counts
 # as zero below this many of them.
 ROUNDING = 64 * np.finfo(float).eps

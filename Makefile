@@ -1,0 +1,73 @@
+# The project's own commands. Each sets up .venv first, when it is missing or setup.py has changed.
+
+PYTHON ?= python3
+PYTEST_ARGS ?=
+RUN := .venv/bin/python
+
+.DEFAULT_GOAL := help
+.PHONY: help demo test lint bags clean
+
+help:  ## list these targets
+	@sed -n 's/^\([a-z]*\):.*## \(.*\)/make \1\t\2/p' $(MAKEFILE_LIST)
+
+ifneq ($(filter-out help clean,$(MAKECMDGOALS)),)
+# The Python beneath an active environment, which may be the very .venv that is to be made.
+FOUND := $(shell $(PYTHON) -c 'import os, sys; v = "%d.%d" % sys.version_info[:2]; \
+  print(v, sys.executable if sys.prefix == sys.base_prefix else \
+  os.path.join(sys.base_prefix, "bin", "python" + v))' 2>/dev/null)
+VERSION := $(firstword $(FOUND))
+BASE := $(wordlist 2,99,$(FOUND))
+ifeq ($(filter 3.10 3.11 3.12 3.13 3.14,$(VERSION)),)
+$(error $(PYTHON) is $(or $(VERSION),no Python that runs); kinpole needs Python 3.10 to 3.14: \
+  name one, as in make $(firstword $(MAKECMDGOALS)) PYTHON=python3.12)
+endif
+ifneq ($(AMENT_PREFIX_PATH),)
+KIND := $(shell "$(BASE)" -c 'import rclpy' 2>/dev/null && echo ros)
+endif
+ifeq ($(KIND),ros)
+EXTRAS := plot,test
+SITE := --system-site-packages
+else
+KIND := wheels
+EXTRAS := plot,test,wheels
+# The wheels have one middleware, and no use for parts of a ROS that belongs to another Python.
+unexport RMW_IMPLEMENTATION $(if $(AMENT_PREFIX_PATH),AMENT_PREFIX_PATH PYTHONPATH LD_LIBRARY_PATH)
+endif
+STAMP := .venv/ready-$(VERSION)-$(KIND)
+endif
+
+demo: $(STAMP)  ## track a four-bar live over DDS; a table, and a picture under out/
+	@$(RUN) -m kinpole_ros.cli demo --output out
+
+test: lint  ## lint, types and all tests; PYTEST_ARGS='-k wheel' for some of them
+	@PYTEST_DISABLE_PLUGIN_AUTOLOAD=1 $(RUN) -m pytest $(PYTEST_ARGS)
+
+lint: $(STAMP)  ## style and types
+	@$(RUN) -m ruff check
+	@$(RUN) -m ruff format --check
+	@$(RUN) -m mypy
+
+bags: $(STAMP)  ## simulate the bags in bags/ again
+	@for scene in four_bar rolling_wheel cardan; do \
+	  $(RUN) -m kinpole_ros.cli simulate $$scene --noise 0.0002 --rate 100 --duration 4 \
+	    --output bags/$$scene.mcap || exit 1; \
+	done
+
+clean:  ## remove .venv and all else that can be made again
+	rm -rf .venv build *.egg-info .hypothesis .mypy_cache .pytest_cache .ruff_cache
+	rm -f out/demo.mcap out/demo.png
+	find . -name __pycache__ -type d -prune -exec rm -rf {} +
+
+# Begun anew for another Python, and when ROS 2 has come or gone.
+$(STAMP): setup.py
+	@"$(BASE)" -c 'import ensurepip, venv' 2>/dev/null || { echo '$(BASE) has no venv: install it' \
+	  '(Debian and Ubuntu: sudo apt install python3-venv), then make again' >&2; exit 1; }
+	@echo 'Setting up .venv: a minute or two ...'
+	@{ grep -qs 'system-site-packages = $(if $(SITE),true,false)' .venv/pyvenv.cfg && $(RUN) -c \
+	  'import pip, sys; sys.exit("%d.%d" % sys.version_info[:2] != "$(VERSION)")' 2>/dev/null; } \
+	  || "$(BASE)" -m venv --clear $(SITE) .venv
+	@$(RUN) -m pip install --disable-pip-version-check --editable '.[$(EXTRAS)]' \
+	  > .venv/install.log 2>&1 || { tail -n 25 .venv/install.log >&2; \
+	  echo 'The installation failed, see above; all it said is in .venv/install.log.' \
+	  $(if $(SITE),,'Without ROS 2 it needs Linux on x86-64.') >&2; exit 1; }
+	@touch $@

@@ -1,0 +1,50 @@
+"""
+Start the node in a ROS installation, for one tracker or, with namespaces, for several.
+
+ros2 launch kinpole_ros kinpole.launch.py params_file:=my_rig.yaml markers:=/mocap/markers
+"""
+
+from launch import LaunchDescription
+from launch.actions import DeclareLaunchArgument
+from launch.substitutions import LaunchConfiguration, PathJoinSubstitution
+from launch_ros.actions import Node
+from launch_ros.substitutions import FindPackageShare
+
+
+def generate_launch_description() -> LaunchDescription:
+    """Return the arguments and the node, which configures and activates itself."""
+    defaults = PathJoinSubstitution([FindPackageShare('kinpole_ros'), 'config', 'kinpole.yaml'])
+    return LaunchDescription(
+        [
+            DeclareLaunchArgument(
+                'params_file',
+                default_value=defaults,
+                description='ROS 2 parameter file. By default all markers make one body.',
+            ),
+            DeclareLaunchArgument(
+                'namespace', default_value='', description='Namespace of the node.'
+            ),
+            DeclareLaunchArgument(
+                'markers',
+                default_value='markers',
+                description='Topic the markers come on, where params_file leaves marker_topic be.',
+            ),
+            DeclareLaunchArgument(
+                'use_sim_time',
+                default_value='false',
+                description='Whether the clock is /clock, of a simulation or a bag.',
+            ),
+            Node(
+                package='kinpole_ros',
+                executable='kinpole_node',
+                name='kinpole',
+                namespace=LaunchConfiguration('namespace'),
+                parameters=[
+                    LaunchConfiguration('params_file'),
+                    {'use_sim_time': LaunchConfiguration('use_sim_time')},
+                ],
+                remappings=[('markers', LaunchConfiguration('markers'))],
+                output='screen',
+            ),
+        ]
+    )

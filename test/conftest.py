@@ -1,0 +1,109 @@
+"""What several test files share: bags of scenes, made once, and the messages in a bag."""
+
+import os
+from array import array
+from collections.abc import Callable, Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+from rclpy.serialization import deserialize_message
+
+from kinpole_ros.bags import message_class, read_messages, simulate
+from kinpole_ros.mechanism import load_scene
+from kinpole_ros.parameters import Settings
+
+# Nodes of the tests meet nobody else's, nor those of another run on this machine.
+os.environ['ROS_DOMAIN_ID'] = str(100 + os.getpid() % 100)
+os.environ['ROS_AUTOMATIC_DISCOVERY_RANGE'] = 'LOCALHOST'
+
+
+@pytest.fixture(scope='session')
+def simulated(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., Path]:
+    """`simulated('four_bar', rate=100)` is the bag that `kinpole simulate` makes of that."""
+    folder = tmp_path_factory.mktemp('simulated')
+    made: dict[str, Path] = {}
+
+    def make(scene: str | Path, **options: Any) -> Path:
+        key = f'{scene} {sorted(options.items())}'
+        if key not in made:
+            bag = folder / f'{len(made)}.mcap'
+            simulate(load_scene(scene), bag, **options)
+            made[key] = bag
+        return made[key]
+
+    return make
+
+
+def bodies_of(scene: str | Path) -> dict[str, tuple[str, ...]]:
+    """The parameter `bodies` that fits a scene."""
+    return dict(load_scene(scene).marker_names)
+
+
+def write_config(path: Path, settings: Settings, **more: Any) -> Path:
+    """A ROS 2 parameter file of these settings, and of others by name."""
+    values = {
+        'bodies': list(settings.bodies),
+        'plane': settings.plane,
+        'window': settings.window,
+        'lag': settings.lag,
+        **{name: {'markers': list(m)} for name, m in settings.bodies.items() if m},
+        **more,
+    }
+    path.write_text(yaml.safe_dump({'/**': {'ros__parameters': values}}))
+    return path
+
+
+def decoded(bag: Path, *only: str) -> dict[str, list[Any]]:
+    """The messages of a bag by topic, in order; of all topics if none is named."""
+    found: dict[str, list[Any]] = {}
+    for message in read_messages(bag, only or None):
+        cls = message_class(message.type_name)
+        found.setdefault(message.topic, []).append(deserialize_message(message.data, cls))
+    return found
+
+
+def stamp_of(message: Any) -> int:
+    """Stamp in ns of a message, of its first marker if it is an array of them."""
+    header = message.header if hasattr(message, 'header') else message.markers[0].header
+    return int(header.stamp.sec * 1_000_000_000 + header.stamp.nanosec)
+
+
+def numbers(value: Any) -> Iterator[float]:
+    """Every floating-point number in a message, however deep."""
+    if isinstance(value, float):
+        yield value
+    elif isinstance(value, list | tuple | array | np.ndarray):
+        for item in value:
+            yield from numbers(item)
+    else:
+        for slot in getattr(value, '__slots__', ()):
+            if slot != '_check_fields':
+                yield from numbers(getattr(value, slot))
+
+
+def figures(messages: Mapping[str, list[Any]]) -> dict[str, dict[int, np.ndarray]]:
+    """Numbers of the results under /kinpole/ by topic and stamp, less the exact ones."""
+    return {
+        topic: {stamp_of(message): np.array(list(numbers(message))) for message in listed}
+        for topic, listed in messages.items()
+        if topic.startswith('/kinpole/') and '/truth/' not in topic
+    }
+
+
+def assert_alike(
+    found: Mapping[str, Mapping[int, np.ndarray]],
+    expected: Mapping[str, Mapping[int, np.ndarray]],
+    rtol: float = 1e-9,
+    atol: float = 1e-12,
+) -> None:
+    """The same topics with the same stamps and, nearly, figures."""
+    assert sorted(found) == sorted(expected)
+    for topic, values in expected.items():
+        assert list(found[topic]) == list(values), topic
+        for stamp, value in values.items():
+            np.testing.assert_allclose(
+                found[topic][stamp], value, rtol, atol, err_msg=f'{topic} at {stamp} ns'
+            )

@@ -1,0 +1,501 @@
+"""The command line: what is wrong is one clear line, and what can be done is done."""
+
+import io
+import os
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import pytest
+from conftest import bodies_of, decoded, figures, stamp_of, write_config
+
+from kinpole_ros import cli
+from kinpole_ros.bags import BagWriter, Truncated, read_messages
+from kinpole_ros.mechanism import scene_names
+from kinpole_ros.parameters import Settings
+
+Bag = Callable[..., Path]
+COMMANDS = ['node', 'replay', 'simulate', 'plot', 'import', 'play', 'record', 'demo']
+
+
+class Said(NamedTuple):
+    """How a command ended, and what it printed."""
+
+    status: int
+    out: str
+    err: str
+
+
+@pytest.fixture
+def kinpole(capsys: pytest.CaptureFixture[str]) -> Callable[..., Said]:
+    """Run a command in this process."""
+
+    def run(*words: str | Path) -> Said:
+        try:
+            status = cli.main([str(word) for word in words])
+        except SystemExit as end:
+            status = int(end.code or 0)
+        return Said(status, *capsys.readouterr())
+
+    return run
+
+
+def process(*words: str | Path, **options: Any) -> Said:
+    """Run a command as a user does."""
+    done = subprocess.run(
+        [sys.executable, '-m', 'kinpole_ros.cli', *map(str, words)],
+        capture_output=True,
+        text=True,
+        timeout=60,
+        **options,
+    )
+    return Said(done.returncode, done.stdout, done.stderr)
+
+
+def refusal(said: Said) -> str:
+    """The one line of a refusal."""
+    assert said.status == 2
+    assert said.err.endswith('\n')
+    assert said.err.count('\n') == 1, said.err
+    assert 'Traceback' not in said.err
+    return said.err
+
+
+@pytest.fixture
+def rod(simulated: Bag, tmp_path: Path) -> Path:
+    """A bag of a rod that a test may spoil."""
+    bag = tmp_path / 'rod.mcap'
+    bag.write_bytes(simulated('cardan', rate=100, duration=0.3, noise=1e-4).read_bytes())
+    return bag
+
+
+# Help and usage
+
+
+@pytest.mark.parametrize('words', [[], *([command] for command in COMMANDS)])
+def test_help_tells_what_each_command_does(kinpole: Any, words: list[str]) -> None:
+    said = kinpole(*words, '--help')
+    assert said.status == 0
+    assert said.out.startswith('usage: kinpole')
+    assert said.err == ''
+    listed = COMMANDS if not words else []
+    assert all(f'    {command} ' in said.out for command in listed)
+
+
+def test_help_comes_without_ros_and_numpy() -> None:
+    program = (
+        'import sys\nfrom kinpole_ros import cli\n'
+        'try:\n    cli.main(["--help"])\nexcept SystemExit:\n    pass\n'
+        'print("loaded:", sorted({"rclpy", "numpy", "mcap", "yaml"} & set(sys.modules)))'
+    )
+    done = subprocess.run([sys.executable, '-c', program], capture_output=True, text=True)
+    assert 'usage: kinpole' in done.stdout
+    assert done.stdout.endswith('loaded: []\n'), done.stderr
+
+
+def test_version_is_told(kinpole: Any) -> None:
+    from kinpole_ros import __version__
+
+    assert kinpole('--version').out == f'kinpole {__version__}\n'
+
+
+@pytest.mark.parametrize(
+    'words, complaint',
+    [
+        ([], 'COMMAND'),
+        (['fly'], 'invalid choice'),
+        (['replay'], 'BAG'),
+        (['replay', 'a.mcap', '--speed', '2'], 'unrecognized arguments: --speed 2'),
+        (['simulate', 'cardan'], '--output'),
+        (
+            ['simulate', 'cardan', '--output', 'x', '--rate', 'fast'],
+            "--rate: invalid float value: 'f",
+        ),
+        (['plot', 'a.mcap'], '--output'),
+        (['import', 'a.csv'], '--output'),
+        (['record'], '--output'),
+    ],
+)
+def test_bad_usage_is_status_2_and_names_what_is_missing(
+    kinpole: Any, words: list[str], complaint: str
+) -> None:
+    said = kinpole(*words)
+    assert said.status == 2
+    assert said.out == ''
+    assert complaint in said.err.splitlines()[-1]
+
+
+def test_scenes_are_listed(kinpole: Any) -> None:
+    said = kinpole('simulate', '--list')
+    assert (said.status, said.out.split()) == (0, scene_names())
+    assert 'four_bar' in scene_names()
+
+
+# Bad input
+
+
+def test_as_a_process_a_refusal_is_one_line_and_status_2(rod: Path, tmp_path: Path) -> None:
+    assert 'no such bag: none.mcap' in refusal(process('replay', 'none.mcap', cwd=tmp_path))
+    config = tmp_path / 'config.yaml'
+    config.write_text('/**: {ros__parameters: {windows: 1}}\n')
+    line = refusal(process('replay', rod, '--config', config))
+    assert line.startswith(f'kinpole replay: {config}: unknown parameter windows')
+
+
+def test_a_bag_that_is_not_there_or_no_bag_is_named(kinpole: Any, tmp_path: Path) -> None:
+    nothing, text = tmp_path / 'none.mcap', tmp_path / 'text.mcap'
+    text.write_text('hello, this is no bag')
+    for command in (['replay'], ['plot', '--output', tmp_path / 'x.png'], ['play']):
+        assert f'no such bag: {nothing}' in refusal(kinpole(*command, nothing))
+        assert f'{text} is not an MCAP file' in refusal(kinpole(*command, text))
+        assert f'{tmp_path}' in refusal(kinpole(*command, tmp_path / 'text.mcap'))
+
+
+def test_a_topic_that_is_not_there_is_named_with_those_that_are(kinpole: Any, rod: Path) -> None:
+    line = refusal(kinpole('replay', rod, '--topic', '/mocap'))
+    assert f'{rod}: no topic /mocap; it holds ' in line
+    assert '/markers (visualization_msgs/msg/MarkerArray)' in line
+    assert 'no topic /mocap' in refusal(kinpole('play', rod, '--topic', '/mocap'))
+
+
+def test_a_topic_of_another_type_is_named_with_the_types_that_are_read(
+    kinpole: Any, rod: Path
+) -> None:
+    line = refusal(kinpole('replay', rod, '--topic', '/kinpole/truth/rod/icr'))
+    assert 'topic /kinpole/truth/rod/icr is geometry_msgs/msg/PointStamped' in line
+    assert 'sensor_msgs/msg/PointCloud2' in line
+
+
+def test_a_topic_of_another_type_than_the_parameter_says_is_named(
+    kinpole: Any, rod: Path, tmp_path: Path
+) -> None:
+    config = write_config(tmp_path / 'c.yaml', Settings(), marker_type='pose_array')
+    line = refusal(kinpole('replay', rod, '--config', config))
+    assert 'marker_type is pose_array; set it to marker_array or auto' in line
+
+
+@pytest.mark.parametrize(
+    'text, complaint',
+    [
+        ('', 'no section for this node'),
+        ('other: {ros__parameters: {lag: 0.1}}', 'no section for this node'),
+        ('/**: {ros__parameters: {lag: 0.1', 'not YAML'),
+        (
+            '/**: {ros__parameters: {window: wide}}',
+            "parameter window is 'wide'; it must",
+        ),
+        ('/**: {ros__parameters: {plane: xz}}', 'one of xy, yz, zx'),
+        ('/**: {ros__parameters: {method: 2001-99-99}}', 'not YAML'),
+        ('/**: {ros__parameters: {bodies: [a], b.markers: [x, y]}}', 'unknown parameter b.markers'),
+        ('/**: {ros__parameters: {colour: red}}', 'unknown parameter colour; known are '),
+        ('/**: {ros__parameters: {window: 0.1, lag: 0.2}}', 'parameter lag is 0.2 s'),
+    ],
+)
+def test_a_config_that_cannot_be_used_is_named_with_the_parameter(
+    kinpole: Any, rod: Path, tmp_path: Path, text: str, complaint: str
+) -> None:
+    config, output = tmp_path / 'config.yaml', tmp_path / 'out.mcap'
+    config.write_text(text)
+    line = refusal(kinpole('replay', rod, '--config', config, '--output', output))
+    assert line.startswith(f'kinpole replay: {config}: ')
+    assert complaint in line
+    assert not output.exists()
+
+
+def test_a_config_that_is_not_there_is_named(kinpole: Any, rod: Path, tmp_path: Path) -> None:
+    line = refusal(kinpole('replay', rod, '--config', tmp_path / 'none.yaml'))
+    assert f'{tmp_path}/none.yaml: No such file' in line
+
+
+def test_a_bag_of_nothing_readable_is_one_line(kinpole: Any, tmp_path: Path) -> None:
+    bag = tmp_path / 'bad.mcap'
+    with BagWriter(bag) as writer:
+        writer.write_raw('/markers', 'sensor_msgs/msg/PointCloud2', b'\x00\x01\x00\x00\xff', 5)
+    line = refusal(kinpole('replay', bag))
+    assert f'{bag}: no message on /markers can be read' in line
+
+
+def test_some_messages_left_out_are_told_and_the_rest_is_done(
+    kinpole: Any, rod: Path, tmp_path: Path
+) -> None:
+    bag = tmp_path / 'some.mcap'
+    with BagWriter(bag) as writer:
+        for m in read_messages(rod, ['/markers']):
+            writer.write_raw(m.topic, m.type_name, m.data, m.log_time)
+        writer.write_raw('/markers', m.type_name, b'\x00\x01\x00\x00\xff', m.log_time)
+    said = kinpole('replay', bag)
+    assert said.status == 0
+    assert said.err.startswith('kinpole replay: 1 messages left out, the first: ')
+    assert said.err.count('\n') == 1
+    assert said.out.startswith('30 frames in')
+
+
+@pytest.mark.parametrize(
+    'text, complaint',
+    [
+        ('t,a_x,a_y\n0,1,two\n', "line 2, column a_y: 'two' is not a number"),
+        ('t,a_x\n0,1\n', 'no column a_y'),
+        ('a_x,a_y\n0,1\n', 'no column t'),
+        ('', 'is empty'),
+    ],
+)
+def test_a_table_with_a_fault_is_named_with_line_and_column(
+    kinpole: Any, tmp_path: Path, text: str, complaint: str
+) -> None:
+    table, output = tmp_path / 'table.csv', tmp_path / 'out.mcap'
+    table.write_text(text)
+    line = refusal(kinpole('import', table, '--output', output))
+    assert line.startswith(f'kinpole import: {table}')
+    assert complaint in line
+    assert not output.exists()
+
+
+def test_a_scene_that_is_not_there_is_named_with_those_that_are(
+    kinpole: Any, tmp_path: Path
+) -> None:
+    line = refusal(kinpole('simulate', 'five_bar', '--output', tmp_path / 'x.mcap'))
+    assert 'five_bar.yaml: there is no such scene' in line
+    assert 'cardan, four_bar, rolling_wheel' in line
+    line = refusal(kinpole('simulate', tmp_path / 'my.yaml', '--output', tmp_path / 'x.mcap'))
+    assert f'{tmp_path}/my.yaml: there is no such scene' in line
+
+
+@pytest.mark.parametrize(
+    'option, value, complaint',
+    [
+        ('--rate', '0', '--rate is 0.0; it must be more than 0 Hz'),
+        ('--rate', 'nan', '--rate is nan'),
+        ('--duration', '-1', '--duration is -1.0; it must be more than 0 s'),
+        ('--duration', '3e9', '--rate times --duration is 600000000000.0'),
+        ('--noise', '-0.1', '--noise is -0.1; it must be 0 m or more'),
+        ('--seed', '-1', '--seed is -1; it must be 0 or more'),
+        ('--dropout', '1.5', '--dropout is 1.5; it must be from 0 to 1'),
+        ('--jitter', '-1', '--jitter is -1.0; it must be 0 s or more'),
+        ('--jitter', '1e12', '--jitter make a bag of'),
+        ('--message', 'tf', '--message is tf; it must be one of marker_array, marker, '),
+    ],
+)
+def test_an_option_out_of_range_is_named_with_the_range(
+    kinpole: Any, tmp_path: Path, option: str, value: str, complaint: str
+) -> None:
+    output = tmp_path / 'x.mcap'
+    line = refusal(kinpole('simulate', 'cardan', '--output', output, f'{option}={value}'))
+    assert complaint in line
+    assert not output.exists()
+
+
+@pytest.mark.parametrize('speed', ['0', '-1', 'nan', 'inf'])
+def test_a_bag_is_not_played_at_no_speed(kinpole: Any, rod: Path, speed: str) -> None:
+    assert 'it must be more than 0' in refusal(kinpole('play', rod, f'--speed={speed}'))
+
+
+def test_a_rate_and_a_scale_out_of_range_are_named(kinpole: Any, tmp_path: Path) -> None:
+    table = tmp_path / 'table.csv'
+    table.write_text('a_x,a_y\n0,1\n')
+    words = ['import', table, '--output', tmp_path / 'x.mcap']
+    assert 'rate is -5' in refusal(kinpole(*words, '--rate', '-5'))
+    assert 'scale is 0' in refusal(kinpole(*words, '--rate', '5', '--scale', '0'))
+
+
+# Outputs
+
+
+def test_an_output_that_cannot_be_written_is_named(kinpole: Any, rod: Path, tmp_path: Path) -> None:
+    wrong = rod / 'under_a_file.out'
+    table = tmp_path / 'table.csv'
+    table.write_text('t,a_x,a_y\n0,1,2\n')
+    for words in (
+        ['replay', rod, '--output'],
+        ['replay', rod, '--csv'],
+        ['simulate', 'cardan', '--output'],
+        ['import', table, '--output'],
+        ['record', '--output'],
+    ):
+        assert f'{wrong} cannot be written' in refusal(kinpole(*words, wrong))
+        line = refusal(kinpole(*words, tmp_path))
+        assert f'{tmp_path} cannot be written: Is a directory' in line
+
+
+@pytest.mark.skipif(not Path('/dev/full').exists(), reason='needs /dev/full')
+@pytest.mark.parametrize('option', ['--output', '--csv'])
+def test_a_full_disk_is_one_line(kinpole: Any, rod: Path, option: str) -> None:
+    line = refusal(kinpole('replay', rod, option, '/dev/full'))
+    assert '/dev/full cannot be written: No space left on device' in line
+
+
+def test_no_command_writes_over_what_it_reads(kinpole: Any, rod: Path, tmp_path: Path) -> None:
+    table, config, scene = (tmp_path / name for name in ('t.csv', 'c.yaml', 's.yaml'))
+    table.write_text('t,a_x,a_y\n0,1,2\n')
+    write_config(config, Settings())
+    scene.write_text('mechanism: cardan\nlength: 1.0\n')
+    link = tmp_path / 'link.mcap'
+    link.symlink_to(rod)
+    before = [path.read_bytes() for path in (rod, table, config, scene)]
+    for target, *words in (
+        (rod, 'replay', rod, '--output', rod),
+        (link, 'replay', rod, '--output', link),
+        (rod, 'replay', rod, '--csv', rod),
+        (config, 'replay', rod, '--config', config, '--output', config),
+        (config, 'replay', rod, '--config', config, '--csv', config),
+        (table, 'import', table, '--output', table),
+        (scene, 'simulate', scene, '--output', scene),
+        (rod, 'plot', rod, '--output', rod),
+    ):
+        assert str(target) in refusal(kinpole(*words))
+        assert [path.read_bytes() for path in (rod, table, config, scene)] == before
+    both = tmp_path / 'both'
+    line = refusal(kinpole('replay', rod, '--output', both, '--csv', both))
+    assert f'{both} is the bag of results' in line
+
+
+def test_folders_of_outputs_are_made(kinpole: Any, rod: Path, tmp_path: Path) -> None:
+    output, table = tmp_path / 'new' / 'out.mcap', tmp_path / 'other' / 'out.csv'
+    said = kinpole('replay', rod, '--output', output, '--csv', table)
+    assert said.status == 0
+    assert f'written to {output}' in said.out
+    assert f'written to {table}' in said.out
+    assert decoded(output)['/kinpole/body/odom']
+    assert table.read_text().startswith('t,body_x,')
+
+
+# Damaged bags
+
+
+@pytest.mark.parametrize('share', [0.35, 0.8])
+def test_a_bag_cut_off_gives_the_results_of_all_before_the_cut(
+    kinpole: Any, simulated: Bag, tmp_path: Path, share: float
+) -> None:
+    whole = simulated('four_bar', rate=100, duration=1.5, noise=1e-4)
+    data = whole.read_bytes()
+    cut = tmp_path / 'cut.mcap'
+    cut.write_bytes(data[: int(share * len(data))])
+    left = 0
+    with pytest.raises(Truncated):
+        for _ in read_messages(cut, ['/markers']):
+            left += 1
+    assert 20 < left < 145
+
+    config = write_config(tmp_path / 'c.yaml', Settings(bodies=bodies_of('four_bar')))
+    words = ['--config', config, '--output']
+    assert kinpole('replay', whole, *words, tmp_path / 'whole_out.mcap').status == 0
+    line = refusal(kinpole('replay', cut, *words, tmp_path / 'cut_out.mcap'))
+    assert line.startswith(f'kinpole replay: {cut} ')
+    assert f'{left} messages up to stamp' in line
+
+    odom = '/kinpole/coupler/odom'
+    found, expected = decoded(tmp_path / 'cut_out.mcap'), decoded(tmp_path / 'whole_out.mcap')
+    assert len(found[odom]) == left - 10
+    last = stamp_of(found[odom][-1])
+    for topic, listed in expected.items():
+        if topic != '/diagnostics':
+            assert found.get(topic, []) == [m for m in listed if stamp_of(m) <= last], topic
+    assert found['/diagnostics'] == expected['/diagnostics'][: len(found['/diagnostics'])]
+
+
+def test_a_bag_cut_in_its_head_is_one_line(kinpole: Any, rod: Path) -> None:
+    rod.write_bytes(rod.read_bytes()[:40])
+    assert str(rod) in refusal(kinpole('replay', rod))
+    rod.write_bytes(b'')
+    assert f'{rod} is empty' in refusal(kinpole('replay', rod))
+
+
+# What is done
+
+
+def test_simulate_replay_and_plot_go_together(kinpole: Any, tmp_path: Path) -> None:
+    pytest.importorskip('matplotlib')
+    bag, result, picture = (tmp_path / name for name in ('a.mcap', 'b.mcap', 'c.png'))
+    said = kinpole('simulate', 'rolling_wheel', '--output', bag, '--rate', '100', '--duration', '1')
+    assert (said.status, said.err) == (0, '')
+    assert said.out == f'100 frames of wheel written to {bag}\n'
+    said = kinpole('replay', bag, '--output', result)
+    assert (said.status, said.err) == (0, '')
+    assert '100 frames in, 90 instants out' in said.out
+    assert 'body: determined at icr 100.0%' in said.out
+    said = kinpole('plot', result, '--output', picture)
+    assert (said.status, said.err) == (0, '')
+    assert picture.read_bytes().startswith(b'\x89PNG')
+
+
+@pytest.mark.parametrize('message', ['marker_array', 'marker', 'pose_array', 'point_cloud2'])
+def test_simulated_messages_are_of_the_type_asked_for(
+    kinpole: Any, tmp_path: Path, message: str
+) -> None:
+    words = ['--rate', '50', '--duration', '0.5', '--message', message]
+    assert kinpole('simulate', 'cardan', '--output', tmp_path / 'a.mcap', *words).status == 0
+    assert kinpole('replay', tmp_path / 'a.mcap', '--output', tmp_path / 'b.mcap').status == 0
+    assert len(figures(decoded(tmp_path / 'b.mcap'))['/kinpole/body/odom']) == 20
+
+
+def test_the_seed_decides_the_noise_and_dropout_the_markers_missing(
+    kinpole: Any, tmp_path: Path
+) -> None:
+    def markers(name: str, *words: str) -> list[Any]:
+        bag = tmp_path / f'{name}.mcap'
+        command = ['simulate', 'four_bar', '--output', bag, '--rate', '50', '--duration', '1']
+        assert kinpole(*command, *words).status == 0
+        return decoded(bag, '/markers')['/markers']
+
+    noisy = ['--noise', '1e-3', '--dropout', '0.2', '--jitter', '0.001']
+    first, again = markers('a', *noisy, '--seed', '3'), markers('b', *noisy, '--seed', '3')
+    other, exact = markers('c', *noisy, '--seed', '4'), markers('d')
+    assert first == again != other
+    assert all(len(message.markers) == 10 for message in exact)
+    missing = 1 - np.mean([len(message.markers) for message in first if message.markers]) / 10
+    assert 0.14 < missing < 0.26
+    steps = np.diff([stamp_of(message) for message in exact])
+    assert (steps == 20_000_000).all()
+    uneven = np.diff([stamp_of(message) for message in first if message.markers])
+    assert uneven.min() > 0
+    assert np.ptp(uneven) > 1_000_000
+
+
+def test_a_table_of_points_becomes_results(kinpole: Any, tmp_path: Path) -> None:
+    table, bag = tmp_path / 'table.csv', tmp_path / 'bag.mcap'
+    # Two points that turn about (2, 1) by 2 rad/s, in cm, y down.
+    t = np.arange(60) / 100
+    arms = np.exp(1j * (2 * t[:, None] + [0.0, 1.5])) * [5, 8]
+    lines = [f'{a.real + 2},{-(a.imag + 1)},{b.real + 2},{-(b.imag + 1)}' for a, b in arms]
+    table.write_text('\n'.join(['a_x,a_y,b_x,b_y', *lines]))
+    words = ['--rate', '100', '--scale', '0.01', '--y-down', '--output', bag]
+    said = kinpole('import', table, *words)
+    assert (said.status, said.out) == (0, f'60 frames written to {bag}\n')
+    assert kinpole('replay', bag, '--output', tmp_path / 'out.mcap').status == 0
+    found = decoded(tmp_path / 'out.mcap')
+    for icr, omega in zip(
+        found['/kinpole/body/icr'], found['/kinpole/body/angular_velocity'], strict=True
+    ):
+        assert [icr.point.x, icr.point.y] == pytest.approx([0.02, 0.01], abs=1e-9)
+        assert omega.vector.z == pytest.approx(2.0)
+
+
+def test_a_pipe_shows_no_progress_and_a_terminal_does(
+    rod: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert cli.main(['replay', str(rod)]) == 0
+    assert capsys.readouterr().err == ''
+
+    class Terminal(io.StringIO):
+        def isatty(self) -> bool:
+            return True
+
+    terminal = Terminal()
+    monkeypatch.setattr(sys, 'stderr', terminal)
+    assert cli.main(['replay', str(rod)]) == 0
+    shown = terminal.getvalue()
+    assert 'replay [' in shown
+    assert '100%' in shown
+    # The bar is wiped away in the end.
+    assert shown.endswith(' \r')
+
+
+def test_a_reader_that_goes_away_is_no_error(rod: Path) -> None:
+    reading, writing = os.pipe()
+    os.close(reading)
+    words = [sys.executable, '-m', 'kinpole_ros.cli', 'replay', str(rod)]
+    with os.fdopen(writing, 'wb') as out:
+        done = subprocess.run(words, stdout=out, stderr=subprocess.PIPE, text=True, timeout=60)
+    assert 'Traceback' not in done.stderr

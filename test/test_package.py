@@ -1,0 +1,219 @@
+"""The package as ROS, pip and colcon see it: what it declares is what it holds."""
+
+import ast
+import os
+import runpy
+import shutil
+import subprocess
+import sys
+import xml.etree.ElementTree as ET
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import pytest
+
+import kinpole_ros
+from kinpole_ros.bags import read_messages
+from kinpole_ros.mechanism import load_scene, scene_names
+from kinpole_ros.parameters import load_settings
+
+ROOT = Path(__file__).parents[1]
+PACKAGE_XML = ET.parse(ROOT / 'package.xml').getroot()
+# Imports that are no ROS packages, and what package.xml calls them; None: no rosdep key, or comes
+# with mcap, or needed for pictures only, as the README says.
+PYTHON_PACKAGES = {
+    'lz4': None,
+    'matplotlib': None,
+    'mcap': None,
+    'numpy': 'python3-numpy',
+    'yaml': 'python3-yaml',
+    'zstandard': None,
+}
+NOT_OURS = {'.venv', '.git', 'build', 'install', 'log', 'out', '__pycache__'}
+
+
+def python_files() -> list[Path]:
+    files = [path for path in ROOT.rglob('*.py') if not NOT_OURS & {*path.relative_to(ROOT).parts}]
+    assert len(files) > 30
+    return files
+
+
+def setup_words() -> dict[str, Any]:
+    """What setup.py passes to setup(), where it is written out."""
+    words: dict[str, Any] = {}
+    for node in ast.walk(ast.parse((ROOT / 'setup.py').read_text())):
+        if isinstance(node, ast.keyword) and node.arg in ('version', 'entry_points'):
+            words[node.arg] = ast.literal_eval(node.value)
+    return words
+
+
+def test_package_xml_is_a_manifest_of_format_3_for_ament_python():
+    packages = pytest.importorskip('catkin_pkg.package')
+    package = packages.parse_package(str(ROOT / 'package.xml'))
+    package.validate()
+    assert package.package_format == 3
+    assert package.get_build_type() == 'ament_python'
+    assert package.licenses == ['Apache-2.0']
+
+
+# catkin_pkg uses what its docutils has grown out of.
+@pytest.mark.filterwarnings('ignore::DeprecationWarning')
+def test_version_is_one_in_package_xml_setup_code_and_changelog():
+    versions = {PACKAGE_XML.findtext('version'), setup_words()['version'], kinpole_ros.__version__}
+    assert len(versions) == 1
+    changelogs = pytest.importorskip('catkin_pkg.changelog')
+    changelog = changelogs.get_changelog_from_path(str(ROOT / 'CHANGELOG.rst'), 'kinpole_ros')
+    latest, _date, entries = next(iter(changelog.foreach_version()))
+    assert {latest} == versions
+    assert entries
+
+
+def test_every_import_is_declared_in_package_xml():
+    declared = {element.text for element in PACKAGE_XML.iter('exec_depend')}
+    imported = set()
+    for path in [*(ROOT / 'kinpole_ros').rglob('*.py'), *(ROOT / 'launch').glob('*.py')]:
+        for node in ast.walk(ast.parse(path.read_text())):
+            if isinstance(node, ast.Import):
+                imported |= {alias.name.split('.')[0] for alias in node.names}
+            elif isinstance(node, ast.ImportFrom) and node.module and not node.level:
+                imported.add(node.module.split('.')[0])
+    assert {'rclpy', 'launch_ros', 'numpy'} <= imported
+    needed = {
+        PYTHON_PACKAGES.get(name, name)
+        for name in imported - sys.stdlib_module_names - {'kinpole_ros'}
+    }
+    assert needed - {None} == declared
+
+
+def test_every_python_file_says_first_why_it_exists():
+    silent = [path for path in python_files() if not ast.get_docstring(ast.parse(path.read_text()))]
+    assert silent == []
+
+
+def test_no_tracked_file_is_over_a_megabyte():
+    if not (ROOT / '.git').exists() or not shutil.which('git'):
+        pytest.skip('not a git tree')
+    command = ['git', '-c', f'safe.directory={ROOT}', 'ls-files', '-z']
+    listing = subprocess.run(command, cwd=ROOT, capture_output=True, check=True).stdout
+    paths = [ROOT / os.fsdecode(name) for name in listing.split(b'\0') if name]
+    assert len(paths) > 30
+    assert [p for p in paths if p.is_file() and p.stat().st_size > 1_000_000] == []
+
+
+@pytest.mark.parametrize('scene', scene_names())
+def test_bags_hold_markers_and_the_exact_answer(scene):
+    topics = [message.topic for message in read_messages(ROOT / 'bags' / f'{scene}.mcap')]
+    assert topics.count('/markers') == 400
+    answered = {topic.split('/')[3] for topic in topics if topic.startswith('/kinpole/truth/')}
+    assert answered == set(load_scene(scene).markers)
+
+
+class Call:
+    """Stands for a class of launch: keeps what it was made with."""
+
+    def __init__(self, *args: Any, **words: Any) -> None:
+        self.args, self.words = args, words
+
+
+def of_launch(monkeypatch: pytest.MonkeyPatch, module: str, *names: str) -> dict[str, type[Call]]:
+    classes = {name: type(name, (Call,), {}) for name in names}
+    fake = ModuleType(module)
+    fake.__dict__.update(classes)
+    monkeypatch.setitem(sys.modules, module, fake)
+    return classes
+
+
+def test_launch_file_starts_the_node_with_every_argument_it_declares(monkeypatch):
+    of_launch(monkeypatch, 'launch', 'LaunchDescription')
+    declare = of_launch(monkeypatch, 'launch.actions', 'DeclareLaunchArgument')
+    values = of_launch(
+        monkeypatch, 'launch.substitutions', 'LaunchConfiguration', 'PathJoinSubstitution'
+    )
+    of_launch(monkeypatch, 'launch_ros', 'actions')
+    nodes = of_launch(monkeypatch, 'launch_ros.actions', 'Node')
+    of_launch(monkeypatch, 'launch_ros.substitutions', 'FindPackageShare')
+    launch = runpy.run_path(str(ROOT / 'launch' / 'kinpole.launch.py'))
+    entities = launch['generate_launch_description']().args[0]
+
+    arguments = {
+        e.args[0]: e.words for e in entities if isinstance(e, declare['DeclareLaunchArgument'])
+    }
+    (node,) = (e.words for e in entities if isinstance(e, nodes['Node']))
+    assert all(words['description'] for words in arguments.values())
+    share, *path = arguments['params_file']['default_value'].args[0]
+    assert share.args == ('kinpole_ros',)
+    load_settings(ROOT.joinpath(*path))
+
+    assert node['package'] == 'kinpole_ros'
+    scripts = setup_words()['entry_points']['console_scripts']
+    assert node['executable'] in [script.split()[0] for script in scripts]
+    params_file, parameters = node['parameters']
+    ((topic, markers),) = node['remappings']
+    assert topic == load_settings(ROOT / 'config' / 'kinpole.yaml').marker_topic
+    used = {
+        'params_file': params_file,
+        'namespace': node['namespace'],
+        'use_sim_time': parameters['use_sim_time'],
+        'markers': markers,
+    }
+    assert {name: value.args for name, value in used.items()} == {n: (n,) for n in arguments}
+    assert all(isinstance(value, values['LaunchConfiguration']) for value in used.values())
+
+
+def run(words: list[str | Path], folder: Path) -> str:
+    """Run a command as in a fresh shell; returns what it printed."""
+    ours = ('COLCON', 'PYTEST')
+    env = {name: value for name, value in os.environ.items() if not name.startswith(ours)}
+    env['COLCON_HOME'] = str(folder / 'colcon_home')
+    done = subprocess.run(words, cwd=folder, env=env, capture_output=True, text=True, timeout=60)
+    assert done.returncode == 0, done.stdout + done.stderr
+    return done.stdout
+
+
+@pytest.fixture(scope='module')
+def workspace(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A colcon workspace with a copy of the package, built."""
+    pytest.importorskip('colcon_ros')
+    folder = tmp_path_factory.mktemp('workspace')
+    leave = shutil.ignore_patterns(*NOT_OURS, '*.egg-info', '.*_cache', '.hypothesis')
+    shutil.copytree(ROOT, folder / 'src' / 'kinpole_ros', ignore=leave)
+    colcon(folder, 'build')
+    return folder
+
+
+def colcon(workspace: Path, *words: str) -> str:
+    # Not by the name colcon, which may belong to another Python.
+    code = 'import sys; from colcon_core.command import main; sys.exit(main())'
+    return run([sys.executable, '-c', code, *words], workspace)
+
+
+def test_colcon_installs_what_ros2_run_and_launch_look_for(workspace):
+    prefix = workspace / 'install' / 'kinpole_ros'
+    for script in ('kinpole', 'kinpole_node'):
+        assert os.access(prefix / 'lib' / 'kinpole_ros' / script, os.X_OK)
+    marker = prefix / 'share' / 'ament_index' / 'resource_index' / 'packages' / 'kinpole_ros'
+    assert marker.is_file()
+    share = prefix / 'share' / 'kinpole_ros'
+    for folder, suffix in (('config', '.yaml'), ('launch', '.launch.py'), ('bags', '.mcap')):
+        files = [path.relative_to(ROOT) for path in (ROOT / folder).rglob(f'*{suffix}')]
+        assert files
+        assert [path for path in files if not (share / path).is_file()] == []
+    assert (share / 'package.xml').is_file()
+
+
+def test_installed_command_runs_on_installed_files_alone(workspace):
+    prefix = workspace / 'install' / 'kinpole_ros'
+    kinpole = prefix / 'lib' / 'kinpole_ros' / 'kinpole'
+    script = (
+        '. install/local_setup.sh && "$0" simulate four_bar --duration 0.1 --output a.mcap && '
+        '"$1" -c "from kinpole_ros.mechanism import share_folder; print(share_folder())"'
+    )
+    printed = run(['sh', '-c', script, kinpole, sys.executable], workspace)
+    assert printed.splitlines()[-1] == str(prefix / 'share' / 'kinpole_ros')
+    assert any(message.topic == '/markers' for message in read_messages(workspace / 'a.mcap'))
+
+
+def test_colcon_test_finds_and_runs_the_tests(workspace):
+    colcon(workspace, 'test', '--pytest-args', 'test/test_package.py', '-k', 'version')
+    assert 'Summary: 1 test, 0 errors, 0 failures' in colcon(workspace, 'test-result')

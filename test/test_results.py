@@ -1,0 +1,329 @@
+"""Result messages: each says what the estimate holds, in every plane, and nothing that is not."""
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+from conftest import numbers, stamp_of
+from geometry_msgs.msg import PointStamped, PoseWithCovarianceStamped, Vector3Stamped
+from nav_msgs.msg import Odometry, Path
+from visualization_msgs.msg import Marker, MarkerArray
+
+from kinpole_ros.estimate import POLE_NAMES, RATE_NAMES, Estimate
+from kinpole_ros.messages import Output, result_outputs
+
+# Along the two axes of each plane, and its normal.
+PLANES = {plane: np.roll(np.eye(3), shift, axis=0) for plane, shift in (('xy', 0), ('yz', -1))}
+PLANES['zx'] = np.roll(np.eye(3), -2, axis=0)
+BODIES = ('crank', 'coupler')
+# What a message about the ground frame of the markers says of it.
+FRAME = 'rig'
+STEP = 10_000_000
+
+
+def estimate(
+    stamp: int = 5_000_000_000, order: int = 4, missing: tuple[str, ...] = ('', ''), spin: float = 1
+) -> Estimate:
+    """Two bodies in general motion; `spin` 0 stops their turning."""
+    generator = np.random.default_rng(3)
+    parts = generator.normal(size=(2, 5, 2))
+    position = parts[0] + 1j * parts[1]
+    position[0] += 0.05 * stamp * 1e-9
+    angle = generator.normal(size=(5, 2)) + [[0], [2], [0], [0], [0]]
+    angle[1:] *= spin
+    angle[0] += 0.3 * stamp * 1e-9
+    mix = generator.normal(size=(2, 2, 5, 5)) * 1e-4
+    covariance = np.einsum('sbik,sbjk->sijb', mix, mix)
+    gone = np.array([bool(reason) for reason in missing])
+    position[:, gone] = angle[:, gone] = np.nan
+    covariance[..., gone] = np.nan
+    return Estimate(
+        stamp,
+        FRAME,
+        BODIES,
+        position[: order + 1],
+        angle[: order + 1],
+        covariance[0, : order + 1, : order + 1],
+        covariance[1, : order + 1, : order + 1],
+        np.array([0.5, 0.8]),
+        np.where(gone, np.nan, [0.25, -0.125]),
+        np.array([0.2, 0.2]),
+        np.array([4.0, 4.0]),
+        missing,
+    )
+
+
+def rows(plane: str = 'xy') -> dict[str, Output]:
+    return {row.topic: row for row in result_outputs(BODIES, plane)}
+
+
+def placed(plane: str, value: complex, height: float = 0.0) -> np.ndarray:
+    first, second, normal = PLANES[plane]
+    return np.asarray(value.real * first + value.imag * second + height * normal)
+
+
+def xyz(message: Any) -> np.ndarray:
+    return np.array([message.x, message.y, message.z])
+
+
+def turned(q: Any, vector: np.ndarray) -> np.ndarray:
+    """A vector turned by a quaternion."""
+    axis = np.array([q.x, q.y, q.z])
+    return np.asarray(vector + 2 * np.cross(axis, q.w * vector + np.cross(axis, vector)))
+
+
+def test_the_topics_are_those_of_the_interface() -> None:
+    one = ['odom', *RATE_NAMES, *POLE_NAMES, *(f'{pole}/with_covariance' for pole in POLE_NAMES)]
+    one += ['icr_velocity', 'centrode_curvature', 'centrode/fixed', 'centrode/moving']
+    pair = ['coupler/wrt/crank/icr', 'coupler/wrt/crank/angular_velocity']
+    expected = [f'{body}/{topic}' for body in BODIES for topic in one] + pair + ['visualization']
+    assert sorted(row.topic for row in result_outputs(BODIES, 'xy')) == sorted(expected)
+
+
+def test_pairs_name_the_later_body_first() -> None:
+    topics = {row.topic for row in result_outputs(('a', 'b', 'c'), 'xy')}
+    found = {topic for topic in topics if '/wrt/' in topic and topic.endswith('icr')}
+    assert found == {'b/wrt/a/icr', 'c/wrt/a/icr', 'c/wrt/b/icr'}
+
+
+@pytest.mark.parametrize('plane', PLANES)
+def test_points_are_in_the_plane_at_the_height_of_the_markers(plane: str) -> None:
+    now = estimate()
+    for b, body in enumerate(BODIES):
+        for order, name in enumerate(POLE_NAMES, 1):
+            message = rows(plane)[f'{body}/{name}'].build(now)
+            assert isinstance(message, PointStamped)
+            expected = placed(plane, now.pole(order).value[b], now.height[b])
+            np.testing.assert_array_equal(xyz(message.point), expected)
+    message = rows(plane)['coupler/wrt/crank/icr'].build(now)
+    expected = placed(plane, now.relative_icr.value[0], now.height[0])
+    np.testing.assert_array_equal(xyz(message.point), expected)
+
+
+@pytest.mark.parametrize('plane', PLANES)
+def test_rates_and_curvature_are_along_the_normal(plane: str) -> None:
+    now = estimate()
+    for b, body in enumerate(BODIES):
+        values = {name: now.rate(k).value[b] for k, name in enumerate(RATE_NAMES, 1)}
+        values['centrode_curvature'] = now.centrode_curvature.value[b]
+        for name, value in values.items():
+            message = rows(plane)[f'{body}/{name}'].build(now)
+            assert isinstance(message, Vector3Stamped)
+            np.testing.assert_array_equal(xyz(message.vector), placed(plane, 0j, value))
+    message = rows(plane)['coupler/wrt/crank/angular_velocity'].build(now)
+    expected = placed(plane, 0j, now.relative_rate.value[0])
+    np.testing.assert_array_equal(xyz(message.vector), expected)
+
+
+@pytest.mark.parametrize('plane', PLANES)
+def test_icr_velocity_is_a_free_vector_of_the_plane(plane: str) -> None:
+    now = estimate()
+    message = rows(plane)['coupler/icr_velocity'].build(now)
+    expected = placed(plane, now.icr_velocity.value[1])
+    np.testing.assert_array_equal(xyz(message.vector), expected)
+
+
+@pytest.mark.parametrize('plane', PLANES)
+def test_covariance_of_a_pole_fills_its_place_in_the_matrix_and_no_other(plane: str) -> None:
+    now = estimate()
+    first, second, _ = PLANES[plane]
+    basis = np.zeros((2, 6))
+    basis[0, :3], basis[1, :3] = first, second
+    for order, name in enumerate(POLE_NAMES, 1):
+        message = rows(plane)[f'coupler/{name}/with_covariance'].build(now)
+        assert isinstance(message, PoseWithCovarianceStamped)
+        covariance = now.pole(order).covariance[1]
+        expected = basis.T @ covariance @ basis
+        assert covariance[0, 0] != covariance[1, 1]
+        assert covariance[0, 1] != 0
+        found = message.pose.covariance.reshape(6, 6)
+        np.testing.assert_allclose(found, expected, rtol=1e-12, atol=0)
+        point = rows(plane)[f'coupler/{name}'].build(now).point
+        np.testing.assert_array_equal(xyz(message.pose.pose.position), xyz(point))
+        assert message.pose.pose.orientation.w == 1.0
+
+
+@pytest.mark.parametrize('plane', PLANES)
+def test_odometry_turns_the_body_about_the_normal_and_has_its_twist_in_the_body(
+    plane: str,
+) -> None:
+    now = estimate()
+    first, second, normal = PLANES[plane]
+    for b, body in enumerate(BODIES):
+        message = rows(plane)[f'{body}/odom'].build(now)
+        assert isinstance(message, Odometry)
+        assert message.child_frame_id == body
+        pose, twist = message.pose.pose, message.twist.twist
+        expected = placed(plane, now.position[0, b], now.height[b])
+        np.testing.assert_array_equal(xyz(pose.position), expected)
+        angle = now.angle[0, b]
+        axis = np.cos(angle) * first + np.sin(angle) * second
+        np.testing.assert_allclose(turned(pose.orientation, first), axis, atol=1e-15)
+        np.testing.assert_allclose(turned(pose.orientation, normal), normal, atol=1e-15)
+        velocity = turned(pose.orientation, xyz(twist.linear))
+        expected = placed(plane, now.position[1, b])
+        np.testing.assert_allclose(velocity, expected, rtol=1e-12, atol=1e-15)
+        expected = placed(plane, 0j, now.angle[1, b])
+        np.testing.assert_array_equal(xyz(twist.angular), expected)
+
+
+@pytest.mark.parametrize('plane', PLANES)
+def test_odometry_says_how_well_the_plane_is_known_and_that_the_rest_is_not(plane: str) -> None:
+    now = estimate()
+    first, second, normal = (int(axis.argmax()) for axis in PLANES[plane])
+    message = rows(plane)['coupler/odom'].build(now)
+    for order, part in enumerate((message.pose, message.twist)):
+        matrix = part.covariance.reshape(6, 6)
+        np.testing.assert_array_equal(matrix, matrix.T)
+        assert np.linalg.eigvalsh(matrix).min() > 0
+        position = now.position_covariance[order, order, 1]
+        assert matrix[first, first] == matrix[second, second] == position
+        assert matrix[3 + normal, 3 + normal] == now.angle_covariance[order, order, 1]
+        unknown = [normal, 3 + first, 3 + second]
+        assert (np.diag(matrix)[unknown] >= 1e6).all()
+        assert np.count_nonzero(matrix) == 6
+
+
+def test_every_message_has_the_stamp_and_frame_of_its_estimate() -> None:
+    now = estimate(stamp=1_700_000_000_123_456_789)
+    for topic, row in rows().items():
+        message: Any = row.build(now)
+        assert type(message).__name__ == row.message_type.__name__, topic
+        assert stamp_of(message) == now.stamp, topic
+        array = isinstance(message, MarkerArray)
+        headers = [marker.header for marker in message.markers] if array else [message.header]
+        # The moving centrode is drawn on the body.
+        frame = 'crank' if topic == 'crank/centrode/moving' else FRAME
+        frame = 'coupler' if topic == 'coupler/centrode/moving' else frame
+        assert {header.frame_id for header in headers} == {frame}, topic
+
+
+def test_no_row_needs_a_higher_derivative_than_it_says() -> None:
+    for topic, row in rows().items():
+        lean = row.build(estimate(order=row.order))
+        assert lean == rows()[topic].build(estimate()), topic
+
+
+def test_rows_say_the_least_order_they_need() -> None:
+    orders = {row.topic.removeprefix('crank/'): row.order for row in rows().values()}
+    assert orders['odom'] == orders['angular_velocity'] == orders['icr'] == 1
+    assert orders['iap'] == orders['angular_acceleration'] == orders['icr_velocity'] == 2
+    assert orders['centrode_curvature'] == orders['ijp/with_covariance'] == 3
+    assert orders['isp'] == orders['angular_snap'] == 4
+    assert orders['coupler/wrt/crank/icr'] == orders['centrode/moving'] == 1
+
+
+def test_nothing_is_said_of_a_body_that_is_not_known() -> None:
+    now = estimate(missing=('', 'too few markers seen'))
+    for topic, row in rows().items():
+        message = row.build(now)
+        if topic.startswith('coupler'):
+            assert message is None, topic
+        else:
+            assert np.isfinite(list(numbers(message))).all(), topic
+
+
+def test_a_body_that_does_not_turn_has_rates_and_pose_but_no_poles() -> None:
+    now = estimate(spin=0)
+    for topic, row in rows().items():
+        has = topic.endswith(('odom', 'visualization')) or 'angular' in topic
+        assert (row.build(now) is not None) == has, topic
+
+
+# What is drawn
+
+
+def test_markers_keep_their_names_and_are_deleted_when_gone() -> None:
+    build = rows()['visualization'].build
+    start = 5_000_000_000
+    ways: list[dict[str, Any]] = [{}, {}, {'missing': ('', 'gone')}, {'spin': 0}, {}]
+    arrays = [build(estimate(start + 10 * STEP * k, **way)) for k, way in enumerate(ways)]
+    names = [[(marker.ns, marker.id) for marker in array.markers] for array in arrays]
+    assert len(set(names[0])) == len(names[0])
+    assert all(listed == names[0] for listed in names)
+    for array, way in zip(arrays, ways, strict=True):
+        assert np.isfinite(list(numbers(array))).all()
+        for marker in array.markers:
+            drawn = marker.action == Marker.ADD
+            assert drawn or marker.action == Marker.DELETE
+            if marker.ns == 'coupler/icr':
+                assert drawn == (not way)
+            if marker.ns.startswith('coupler') and 'missing' in way:
+                assert not drawn
+            if drawn:
+                # RViz shows nothing of what has no size, no color or a quaternion of zeros.
+                assert marker.scale.x > 0
+                assert marker.color.a > 0
+                assert marker.pose.orientation.w == 1.0
+
+
+def test_the_drawn_poles_are_the_published_ones_and_the_centrodes_touch_there() -> None:
+    table = rows('zx')
+    arrays = []
+    for k in range(21):
+        now = estimate(5_000_000_000 + STEP * k)
+        arrays += [built for built in [table['visualization'].build(now)] if built]
+    array = arrays[-1]
+    drawn = {marker.ns: marker for marker in array.markers}
+    assert stamp_of(array) == now.stamp
+    icr = xyz(table['crank/icr'].build(now).point)
+    np.testing.assert_array_equal(xyz(drawn['crank/icr'].pose.position), icr)
+    iap = xyz(table['crank/iap'].build(now).point)
+    np.testing.assert_array_equal(xyz(drawn['crank/iap'].pose.position), iap)
+    for name in ('crank/centrode_fixed', 'crank/centrode_moving'):
+        np.testing.assert_allclose(xyz(drawn[name].points[-1]), icr, rtol=1e-12)
+    tail, head = (xyz(point) for point in drawn['crank/icr_velocity'].points)
+    velocity = xyz(table['crank/icr_velocity'].build(now).vector)
+    np.testing.assert_array_equal(tail, icr)
+    np.testing.assert_allclose(np.cross(head - tail, velocity), 0, atol=1e-12)
+    assert (head - tail) @ velocity > 0
+
+
+def follow(build: Callable[[Estimate], Any], count: int, step: int = STEP // 2) -> list[Any]:
+    found = [build(estimate(5_000_000_000 + step * k)) for k in range(count)]
+    return [message for message in found if message is not None]
+
+
+@pytest.mark.parametrize('locus', ['fixed', 'moving'])
+def test_loci_are_of_late_in_order_and_told_ten_times_a_second(locus: str) -> None:
+    paths = follow(rows()[f'crank/centrode/{locus}'].build, 801)
+    assert all(isinstance(path, Path) for path in paths)
+    assert len(paths) == 41
+    stamps = [stamp_of(pose) for pose in paths[-1].poses]
+    assert len(stamps) == 200
+    assert np.diff(stamps).min() >= STEP
+    assert stamps[-1] == stamp_of(paths[-1])
+    assert {pose.header.frame_id for pose in paths[-1].poses} == {paths[-1].header.frame_id}
+
+
+def test_the_moving_locus_is_the_fixed_one_seen_from_the_body() -> None:
+    stamps = [5_000_000_000 + STEP * k for k in range(11)]
+    fixed = follow(rows()['crank/centrode/fixed'].build, 11, STEP)[-1]
+    moving = follow(rows()['crank/centrode/moving'].build, 11, STEP)[-1]
+    assert len(fixed.poses) == len(moving.poses) == len(stamps)
+    for stamp, here, there in zip(stamps, fixed.poses, moving.poses, strict=True):
+        then = estimate(stamp)
+        icr = then.pole(1).value[0]
+        expected = placed('xy', icr, then.height[0])
+        np.testing.assert_array_equal(xyz(here.pose.position), expected)
+        seen = (icr - then.position[0, 0]) * np.exp(-1j * then.angle[0, 0])
+        np.testing.assert_allclose(xyz(there.pose.position), placed('xy', seen), rtol=1e-12)
+
+
+def test_what_one_topic_says_does_not_depend_on_who_reads_the_others() -> None:
+    alone = follow(rows()['crank/centrode/fixed'].build, 100)
+    table = rows()
+
+    def among_all(now: Estimate) -> Any:
+        messages = {topic: row.build(now) for topic, row in table.items()}
+        return messages['crank/centrode/fixed']
+
+    assert follow(among_all, 100) == alone
+
+
+def test_loci_start_anew_when_the_clock_steps_back() -> None:
+    build = rows()['crank/centrode/fixed'].build
+    assert len(follow(build, 400)[-1].poses) > 100
+    again = build(estimate(5_000_000_000))
+    assert [stamp_of(pose) for pose in again.poses] == [5_000_000_000]
