@@ -34,7 +34,7 @@ class Tracker:
     Follows the bodies of `settings` from frame to frame.
 
     `counts` says what became of the frames, for diagnostics: frames, repeated, resets,
-    markers_not_seen, markers_unknown.
+    markers_not_seen, markers_unknown, and the markers_... that were mended, see `window.untangle`.
     """
 
     def __init__(self, settings: Settings) -> None:
@@ -119,10 +119,13 @@ class Tracker:
         wanted = sum(len(markers) for markers in self._markers)
         self.counts['markers_not_seen'] += wanted - int(seen.sum())
 
-        fit = self._shapes.fit(flat)
+        fit, flat = self._shapes.fit(flat)
         if self._stamps.view().size and self._gap(frame.stamp):
             self._noise.forget_neighbors()
         self._noise.add(fit)
+        self.counts.update(self._shapes.mended)
+        self._shapes.mended.clear()
+        seen = ~np.isnan(flat)
         self._largest = max(self._largest, np.abs(flat).max(where=seen, initial=0.0))
         with np.errstate(divide='ignore', invalid='ignore'):
             # Inverse variances of angle and position, per variance of a coordinate of a marker.

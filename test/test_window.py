@@ -521,7 +521,7 @@ def measured(points: np.ndarray) -> float:
     """The noise level found, over the true one."""
     noise, shapes = Noise(1), Shapes(1, points.shape[1])
     for row in points:
-        noise.add(shapes.fit(row[None]))
+        noise.add(shapes.fit(row[None])[0])
     return float(noise.level()[0]) / SIGMA
 
 
@@ -561,7 +561,7 @@ def test_the_noise_is_unknown_without_residuals() -> None:
     assert np.isnan(noise.level()).all()
     points = tracked(3, 20, 0)
     for row in points:
-        noise.add(shapes.fit(np.stack((row, [row[0], np.nan, np.nan]))))
+        noise.add(shapes.fit(np.stack((row, [row[0], np.nan, np.nan])))[0])
     assert np.isfinite(noise.level()).tolist() == [True, False]
 
 
@@ -572,7 +572,7 @@ def test_bodies_have_noise_of_their_own() -> None:
     loud = exact + 100 * (loud - exact)
     noise, shapes = Noise(2), Shapes(2, 4)
     for row in np.stack((quiet, loud), axis=1):
-        noise.add(shapes.fit(row))
+        noise.add(shapes.fit(row)[0])
     assert noise.level() / SIGMA == pytest.approx([1, 100], rel=0.15)
 
 
@@ -594,7 +594,7 @@ def test_residuals_across_a_gap_are_not_compared() -> None:
 
 def learned(points: np.ndarray) -> tuple[Shapes, list[Fit]]:
     shapes = Shapes(1, points.shape[1])
-    return shapes, [shapes.fit(row[None]) for row in points]
+    return shapes, [shapes.fit(row[None])[0] for row in points]
 
 
 def shape_error(shapes: Shapes, markers: int) -> float:

@@ -17,6 +17,10 @@ _WORDS = {
     'resets': 'starts anew after a jump of the stamps',
     'markers_not_seen': 'markers not seen, summed over frames',
     'markers_unknown': 'markers in the last new layout that no body names',
+    'markers_exchanged': 'markers exchanged with one another, put back',
+    'markers_left_out': 'markers left out, since they did not fit their body',
+    'markers_mirrored': 'markers left out, since their body was seen mirrored',
+    'markers_of_misfits': 'markers left out, since their body did not fit its shape',
     'unreadable': 'messages that could not be read',
 }
 

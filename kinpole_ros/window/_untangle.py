@@ -1,0 +1,65 @@
+"""
+Markers that are not where the body can have them: left out, or put back where two were exchanged.
+
+Looked at only where a rigid fit leaves far more than it does as a rule, so what is tried here need
+not be fast.
+"""
+
+from itertools import combinations
+
+import numpy as np
+
+from kinpole_ros.planar import fit_pose
+from kinpole_ros.planar._plane import Complex, Real
+
+EXCHANGED = 'markers_exchanged'
+LEFT_OUT = 'markers_left_out'
+MIRRORED = 'markers_mirrored'
+DROPPED = 'markers_of_misfits'
+
+
+def untangle(
+    points: Complex, shape: Complex, weights: Real, limit: float
+) -> tuple[Complex, str, int]:
+    """
+    Mend one body's markers (n,) that do not fit its `shape` (n,) with `weights` (n,).
+
+    Tries, in this order, every exchange of two markers, leaving out one marker, and leaving out
+    two; the first kind that leaves no marker farther than `limit` (m) from its place is taken, at
+    its best. Returns the markers, NaN where left out, what was done, and how many markers it took.
+    A body that none of it mends, or that fits mirrored, is left out as a whole.
+    """
+    seen = np.flatnonzero(weights > 0)
+    pairs = list(combinations(seen, 2))
+    exchanges = np.tile(points, (len(pairs), 1))
+    for row, (i, j) in enumerate(pairs):
+        exchanges[row, [i, j]] = points[[j, i]]
+    nothing = np.full_like(points, complex(np.nan, np.nan))
+    if len(seen) > 2:
+        best, worst = _best(exchanges, shape, np.tile(weights, (len(pairs), 1)))
+        if worst <= limit:
+            return exchanges[best], EXCHANGED, 2
+        mirrored = points[None].conj()
+        if _best(mirrored, shape, weights[None])[1] <= limit:
+            return nothing, MIRRORED, len(seen)
+    for leave in (1, 2):
+        # At least two markers have to remain that agree on the distance between them.
+        if len(seen) - leave < 2:
+            break
+        sets = list(combinations(seen, leave))
+        lighter = np.tile(weights, (len(sets), 1))
+        for row, left in enumerate(sets):
+            lighter[row, list(left)] = 0.0
+        best, worst = _best(np.tile(points, (len(sets), 1)), shape, lighter)
+        if worst <= limit:
+            return np.where(lighter[best] > 0, points, nothing), LEFT_OUT, leave
+    return nothing, DROPPED, len(seen)
+
+
+def _best(points: Complex, shape: Complex, weights: Real) -> tuple[int, float]:
+    """Which row (m, n) fits the shape best, by its worst marker, and how far off that is."""
+    residual = np.abs(fit_pose(points, np.broadcast_to(shape, points.shape), weights).residual)
+    worst = np.where(np.isnan(residual), 0.0, residual).max(axis=-1)
+    worst = np.where(np.isnan(residual).all(axis=-1), np.inf, worst)
+    best = int(worst.argmin())
+    return best, float(worst[best])
