@@ -101,10 +101,17 @@ class KinpoleNode(LifecycleNode):
         names = {*PARAMETERS, *(f'{b}.markers' for b in self.get_parameter('bodies').value)}
         return {name: self.get_parameter(name).value for name in names}
 
+    def set_parameters_atomically(self, parameter_list: list[RosParameter]) -> SetParametersResult:
+        """As in rclpy, but tell the names that are known, where it raises without any."""
+        if not all(self.has_parameter(p.name) for p in parameter_list):
+            result = self._check_parameters(parameter_list)
+            if not result.successful:
+                return result
+        return super().set_parameters_atomically(parameter_list)
+
     def _check_parameters(self, changes: Sequence[RosParameter]) -> SetParametersResult:
-        ours = {p.name: p.value for p in changes if self._is_ours(p.name)}
         try:
-            settings_from({**self._values(), **ours})
+            settings_from({**self._values(), **{p.name: p.value for p in changes}})
         except ParameterError as error:
             return SetParametersResult(successful=False, reason=str(error))
         return SetParametersResult(successful=True)

@@ -92,7 +92,9 @@ WRONG = [
 
 
 @pytest.mark.parametrize(
-    'name, value, allowed', [(name, v, allowed) for name, values, allowed in WRONG for v in values]
+    'name, value, allowed',
+    [(name, v, allowed) for name, values, allowed in WRONG for v in values],
+    ids=lambda part: repr(part)[:20],
 )
 def test_a_bad_value_is_refused_with_its_name_and_what_is_allowed(
     name: str, value: Any, allowed: str

@@ -6,12 +6,16 @@ from typing import Any
 import numpy as np
 import pytest
 from conftest import numbers, stamp_of
+from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import PointStamped, PoseWithCovarianceStamped, Vector3Stamped
 from nav_msgs.msg import Odometry, Path
 from visualization_msgs.msg import Marker, MarkerArray
 
 from kinpole_ros.estimate import POLE_NAMES, RATE_NAMES, Estimate
-from kinpole_ros.messages import Output, result_outputs
+from kinpole_ros.frame import MarkerFrame
+from kinpole_ros.messages import DiagnosticsMaker, Output, result_outputs
+from kinpole_ros.parameters import Settings
+from kinpole_ros.tracker import Tracker
 
 # Along the two axes of each plane, and its normal.
 PLANES = {plane: np.roll(np.eye(3), shift, axis=0) for plane, shift in (('xy', 0), ('yz', -1))}
@@ -327,3 +331,24 @@ def test_loci_start_anew_when_the_clock_steps_back() -> None:
     assert len(follow(build, 400)[-1].poses) > 100
     again = build(estimate(5_000_000_000))
     assert [stamp_of(pose) for pose in again.poses] == [5_000_000_000]
+
+
+# What is told of the tracking
+
+
+def test_a_body_without_results_says_whether_markers_or_readers_are_missing() -> None:
+    tracker = Tracker(Settings())
+    maker = DiagnosticsMaker('kinpole')
+
+    def told() -> list[tuple[bytes, str]]:
+        array = maker.make(1_000_000_000, tracker, None, 1.0, {})
+        return [(status.level, status.message) for status in array.status]
+
+    assert told() == [(DiagnosticStatus.STALE, 'no markers received')] * 2
+    points = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0]])
+    for k in range(20):
+        tracker.add(MarkerFrame(STEP * k, FRAME, ('0', '1'), points), None)
+    markers, body = told()
+    assert markers == (DiagnosticStatus.OK, 'receiving markers')
+    assert body[0] == DiagnosticStatus.STALE
+    assert 'nobody subscribes' in body[1]

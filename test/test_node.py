@@ -1,0 +1,520 @@
+"""The live node, in a process of its own and over real DDS: it says what replay says."""
+
+import itertools
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import rclpy
+from conftest import assert_alike, bodies_of, decoded, figures, stamp_of, write_config
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from geometry_msgs.msg import PointStamped
+from lifecycle_msgs.srv import ChangeState, GetState
+from nav_msgs.msg import Odometry
+from rcl_interfaces.msg import Parameter as ParameterMessage
+from rcl_interfaces.srv import DescribeParameters, SetParameters
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.parameter import Parameter
+from rclpy.qos import QoSProfile
+from visualization_msgs.msg import MarkerArray
+
+from kinpole_ros.bags import replay
+from kinpole_ros.demo import live_run
+from kinpole_ros.estimate import Estimate
+from kinpole_ros.frame import MarkerFrame
+from kinpole_ros.messages import MARKER_TYPES, read_markers, to_message
+from kinpole_ros.node import KinpoleNode
+from kinpole_ros.parameters import PARAMETERS, Settings
+from kinpole_ros.tracker import Tracker
+
+Bag = Callable[..., Path]
+ROD = Settings(bodies=bodies_of('cardan'))
+# The markers by place: the one identity that all four types of messages have.
+BY_PLACE = Settings(bodies={'rod': ('0', '1', '2', '3')}, marker_identity='index')
+LIMIT = 15.0
+RELIABLE = {
+    f'qos_overrides./markers.subscription.{key}': value
+    for key, value in (('reliability', 'reliable'), ('depth', 1000))
+}
+
+
+class Peer:
+    """A ROS node of the test's own, beside the one under test."""
+
+    def __init__(self) -> None:
+        self._context = rclpy.Context()
+        rclpy.init(args=[], context=self._context)
+        self.node = rclpy.create_node('peer', context=self._context)
+        self._executor = SingleThreadedExecutor(context=self._context)
+        self._executor.add_node(self.node)
+        self._heard: list[Any] = []
+        self.also: Callable[[], None] = lambda: None
+
+    def close(self) -> None:
+        self.node.destroy_node()
+        self._context.try_shutdown()
+
+    def until(self, condition: Callable[[], Any], what: str) -> None:
+        """Let things happen until the condition holds."""
+        deadline = time.monotonic() + LIMIT
+        while not condition():
+            assert time.monotonic() < deadline, f'{what}: not within {LIMIT:g} s'
+            self._executor.spin_once(timeout_sec=0.02)
+            self.also()
+
+    def hear(self, topic: str, message_type: type) -> list[Any]:
+        """What comes on a topic from now on, as it comes."""
+        heard: list[Any] = []
+        qos = QoSProfile(depth=1000)
+        made = self.node.create_subscription(message_type, topic, heard.append, qos)
+        self._heard.append(made)
+        self.until(lambda: self.node.count_publishers(topic), f'a publisher of {topic}')
+        return heard
+
+    def forget(self) -> None:
+        """Hear no more."""
+        for subscription in self._heard:
+            self.node.destroy_subscription(subscription)
+        self._heard = []
+
+    def call(self, service: str, service_type: Any, request: Any) -> Any:
+        client = self.node.create_client(service_type, service)
+        self.until(client.service_is_ready, f'the service {service}')
+        future = client.call_async(request)
+        self.until(future.done, f'an answer of {service}')
+        self.node.destroy_client(client)
+        return future.result()
+
+    def state(self) -> str:
+        return str(
+            self.call('/kinpole/get_state', GetState, GetState.Request()).current_state.label
+        )
+
+    def change(self, label: str) -> bool:
+        request = ChangeState.Request()
+        request.transition.label = label
+        return bool(self.call('/kinpole/change_state', ChangeState, request).success)
+
+    def set(self, **values: Any) -> list[Any]:
+        parameters: list[ParameterMessage] = [
+            Parameter(name, value=value).to_parameter_msg() for name, value in values.items()
+        ]
+        request = SetParameters.Request(parameters=parameters)
+        return list(self.call('/kinpole/set_parameters', SetParameters, request).results)
+
+    @contextmanager
+    def publisher(self, message_type: type, topic: str = '/markers') -> Iterator[Any]:
+        """A publisher that the node has found."""
+        made = self.node.create_publisher(message_type, topic, QoSProfile(depth=1000))
+        self.until(made.get_subscription_count, f'the node on {topic}')
+        yield made
+        self.node.destroy_publisher(made)
+
+    def feed(
+        self, publisher: Any, messages: Iterator[Any], condition: Callable[[], Any], what: str
+    ) -> None:
+        """Publish one message after the other until the condition holds."""
+
+        def publish_and_look() -> bool:
+            if condition():
+                return True
+            publisher.publish(next(messages))
+            return False
+
+        self.until(publish_and_look, what)
+
+
+@pytest.fixture
+def peer() -> Iterator[Peer]:
+    made = Peer()
+    yield made
+    made.close()
+
+
+@contextmanager
+def process(*words: str | Path, log: Path) -> Iterator['subprocess.Popen[bytes]']:
+    """A `kinpole` command beside the test, which ends with it at the latest."""
+    command = [sys.executable, '-m', 'kinpole_ros.cli', *map(str, words)]
+    with open(log, 'wb') as err:
+        started = subprocess.Popen(
+            ['timeout', '--foreground', '-k', '2', '60', *command], stderr=err
+        )
+    try:
+        yield started
+    finally:
+        started.send_signal(signal.SIGINT)
+        started.wait(LIMIT)
+
+
+def node_words(config: Path, **parameters: Any) -> list[str]:
+    words = ['node', '--ros-args', '--params-file', str(config)]
+    for name, value in parameters.items():
+        words += ['-p', f'{name}:={str(value).lower() if isinstance(value, bool) else value}']
+    return words
+
+
+@pytest.fixture(scope='module')
+def by_place(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp('config')
+    return write_config(folder / 'by_place.yaml', BY_PLACE, marker_identity='index', **RELIABLE)
+
+
+def rod_messages(simulated: Bag, kind: str = 'marker_array') -> list[Any]:
+    bag = simulated('cardan', rate=100, duration=0.8, noise=1e-4, message=kind)
+    return decoded(bag, '/markers')['/markers']
+
+
+def endless(simulated: Bag, kind: str = 'marker_array') -> Iterator[Any]:
+    """Frames of the rod one after the other, with stamps that go on; never the same ones twice."""
+    first = read_markers(rod_messages(simulated)[0])
+    generator = np.random.default_rng(5)
+    start = next(_starts)
+    for k in itertools.count():
+        turn = np.exp(1j * 2 * np.pi * k / 100)
+        flat = turn * (first.points[:, 0] + 1j * first.points[:, 1])
+        points = np.stack((flat.real, flat.imag, 0 * flat.real), axis=-1)
+        points[:, :2] += 1e-4 * generator.normal(size=(len(points), 2))
+        yield to_message(kind, start + 10_000_000 * k, 'world', 'abcd', points)
+
+
+_starts = itertools.count(1_000_000_000_000, 1_000_000_000_000)
+
+
+def said(arrays: list[Any], status: int = 0) -> dict[str, str]:
+    """The last diagnostics: key and value of one status, and its message."""
+    last = arrays[-1].status[status]
+    return {'message': last.message, **{pair.key: pair.value for pair in last.values}}
+
+
+# The main job
+
+
+def test_live_figures_are_those_of_replay(simulated: Bag, tmp_path: Path) -> None:
+    bag = simulated('four_bar', rate=100, duration=2.0, noise=2e-4, dropout=0.02)
+    settings = Settings(bodies=bodies_of('four_bar'))
+    config = write_config(tmp_path / 'config.yaml', settings)
+    assert live_run(bag, config, tmp_path / 'live.mcap') == 200
+    replay(bag, settings, tmp_path / 'replay.mcap')
+    live = decoded(tmp_path / 'live.mcap')
+    assert [array.status[1].name for array in live['/diagnostics']][:1] == ['kinpole: crank']
+    live.pop('/kinpole/transition_event', None)
+    found = figures(live)
+    expected = figures(decoded(tmp_path / 'replay.mcap'))
+    assert len(found['/kinpole/coupler/odom']) == 190
+    assert_alike(found, expected)
+
+
+@pytest.fixture(scope='class')
+def running(by_place: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Peer]:
+    peer = Peer()
+    log = tmp_path_factory.mktemp('shared') / 'stderr'
+    with process(*node_words(by_place), log=log):
+        yield peer
+    peer.close()
+
+
+class TestOneNode:
+    """One node, asked many things."""
+
+    @pytest.fixture
+    def shared(self, running: Peer) -> Iterator[Peer]:
+        yield running
+        running.forget()
+
+    def test_the_node_is_active_from_the_start(self, shared: Peer) -> None:
+        assert shared.state() == 'active'
+
+    @pytest.mark.parametrize('kind', MARKER_TYPES)
+    def test_the_node_finds_out_the_type_of_the_markers(
+        self, shared: Peer, simulated: Bag, kind: str
+    ) -> None:
+        odom = shared.hear('/kinpole/rod/odom', Odometry)
+        with shared.publisher(MARKER_TYPES[kind]) as publisher:
+            messages = endless(simulated, kind)
+            shared.feed(publisher, messages, lambda: len(odom) >= 10, f'results from {kind}')
+        omega = [message.twist.twist.angular.z for message in odom[5:]]
+        assert omega == pytest.approx([2 * np.pi] * len(omega), rel=0.1)
+
+    def test_a_topic_of_another_type_is_named_in_the_diagnostics(self, shared: Peer) -> None:
+        arrays = shared.hear('/diagnostics', DiagnosticArray)
+        publisher = shared.node.create_publisher(PointStamped, '/markers', 1)
+        shared.until(
+            lambda: arrays and '/markers is published as geometry_msgs' in said(arrays)['message'],
+            'diagnostics of the type',
+        )
+        assert arrays[-1].status[0].level == DiagnosticStatus.ERROR
+        assert 'sensor_msgs/msg/PointCloud2' in said(arrays)['message']
+        shared.node.destroy_publisher(publisher)
+        over = lambda: said(arrays)['message'] == 'no markers received'  # noqa: E731
+        shared.until(over, 'the end of the complaint')
+        assert arrays[-1].status[0].level == DiagnosticStatus.STALE
+
+    def test_diagnostics_come_by_themselves_and_tell_of_the_markers(
+        self, shared: Peer, simulated: Bag
+    ) -> None:
+        arrays = shared.hear('/diagnostics', DiagnosticArray)
+        odom = shared.hear('/kinpole/rod/odom', Odometry)
+        with shared.publisher(MarkerArray) as publisher:
+            messages = endless(simulated)
+            shared.feed(publisher, messages, lambda: len(odom) >= 5, 'results')
+            arrays.clear()
+            shared.feed(publisher, messages, lambda: len(arrays) >= 3, 'three diagnostics')
+        # About once a second of the node's clock, whatever the stamps of the markers do.
+        steps = np.diff([stamp_of(array) for array in arrays]) * 1e-9
+        assert steps.min() > 0
+        assert 0.4 < steps.mean() < 5
+        assert [status.name for status in arrays[-1].status] == ['kinpole: markers', 'kinpole: rod']
+        values = said(arrays)
+        assert values['message'] == 'receiving markers'
+        assert float(values['rate (Hz)']) > 5
+        assert float(values['mean interval (s)']) == pytest.approx(0.01)
+        body = said(arrays, 1)
+        assert body['message'].startswith('tracking')
+        assert float(body['noise of a marker per axis (m)']) == pytest.approx(1e-4, rel=0.5)
+
+    def test_a_message_that_cannot_be_read_is_named_in_the_diagnostics(
+        self, shared: Peer, simulated: Bag
+    ) -> None:
+        arrays = shared.hear('/diagnostics', DiagnosticArray)
+        cloud = to_message('point_cloud2', 5, 'world', 'ab', np.zeros((2, 3)))
+        cloud.fields = cloud.fields[1:]
+        with shared.publisher(MARKER_TYPES['point_cloud2']) as publisher:
+            shared.feed(
+                publisher,
+                itertools.repeat(cloud),
+                lambda: arrays and "no field 'x'" in said(arrays)['message'],
+                'diagnostics of the message',
+            )
+        assert arrays[-1].status[0].level == DiagnosticStatus.ERROR
+        assert int(said(arrays)['messages that could not be read']) > 0
+
+    def test_bad_values_set_live_are_refused_with_the_reason(self, shared: Peer) -> None:
+        refused = {
+            'window': (-1.0, 'Parameter window out of range Min: 1e-06, Max: 3600.0'),
+            'method': ('poses', "parameter method is 'poses'; it must be one of pose, landmarks"),
+            'lag': (0.5, 'parameter lag is 0.5 s; it must be less than window, 0.3 s'),
+            'plane': ('xz', "parameter plane is 'xz'; it must be one of xy, yz, zx"),
+            'derivative_order': (9, 'auto, 1, 2, 3 or 4'),
+            'noise': ('low', 'a number from 0 to 1e+06 m'),
+            'bodies': (['other'], 'read-only'),
+            'windows': (0.3, 'unknown parameter windows; known are bodies, '),
+        }
+        for name, (value, reason) in refused.items():
+            (result,) = shared.set(**{name: value})
+            assert not result.successful
+            assert reason in result.reason
+            assert '\n' not in result.reason
+
+    def test_a_good_value_set_live_takes_effect_and_the_counts_start_anew(
+        self, shared: Peer, simulated: Bag
+    ) -> None:
+        arrays = shared.hear('/diagnostics', DiagnosticArray)
+        odom = shared.hear('/kinpole/rod/odom', Odometry)
+        sent: list[int] = []
+
+        def messages() -> Iterator[Any]:
+            for message in endless(simulated):
+                sent.append(stamp_of(message))
+                yield message
+
+        with shared.publisher(MarkerArray) as publisher:
+            frames = messages()
+            for lag in (0.05, 0.1):
+                assert [result.successful for result in shared.set(lag=lag)] == [True]
+                odom.clear()
+                shared.feed(publisher, frames, lambda: len(odom) >= 10, f'results with lag {lag}')
+                trails = partial(lambda lag: sent[-1] - stamp_of(odom[-1]) <= lag * 1e9, lag)
+                shared.until(trails, f'a lag of {lag}')
+                arrays.clear()
+                shared.until(lambda: arrays, 'diagnostics')
+                assert float(said(arrays)['rate (Hz)']) >= 0
+
+    def test_every_parameter_describes_itself(self, shared: Peer) -> None:
+        names = [*PARAMETERS, 'rod.markers', 'autostart']
+        request = DescribeParameters.Request(names=names)
+        answer = shared.call('/kinpole/describe_parameters', DescribeParameters, request)
+        for name, descriptor in zip(names, answer.descriptors, strict=True):
+            assert descriptor.name == name
+            assert descriptor.description.endswith('.')
+            assert descriptor.additional_constraints
+        ranges = {d.name: d.floating_point_range for d in answer.descriptors}
+        assert (ranges['lag'][0].from_value, ranges['lag'][0].to_value) == (0.0, 3600.0)
+
+
+# Nodes of their own
+
+
+def test_a_managed_node_waits_stops_and_starts_again(
+    peer: Peer, simulated: Bag, by_place: Path, tmp_path: Path
+) -> None:
+    messages = rod_messages(simulated)
+    replay(
+        simulated('cardan', rate=100, duration=0.8, noise=1e-4), BY_PLACE, tmp_path / 'replay.mcap'
+    )
+    expected = figures(decoded(tmp_path / 'replay.mcap', '/kinpole/rod/odom'))
+    assert len(messages) == 80
+
+    def reached(due: int) -> bool:
+        return bool(heard) and stamp_of(heard[-1]) == due
+
+    def run_through(publisher: Any) -> None:
+        """Each frame once its result is there: as fast as the node goes, and none is lost."""
+        heard.clear()
+        for k, message in enumerate(messages):
+            publisher.publish(message)
+            due = stamp_of(message) - 100_000_000
+            if k >= 20:
+                peer.until(partial(reached, due), f'the result at {due} ns')
+        here = {'/kinpole/rod/odom': heard}
+        assert_alike(figures(here), expected)
+
+    with process(*node_words(by_place, autostart=False), log=tmp_path / 'stderr'):
+        assert peer.state() == 'unconfigured'
+        assert peer.node.count_subscribers('/markers') == 0
+        assert peer.change('configure')
+        heard = peer.hear('/kinpole/rod/odom', Odometry)
+        assert peer.state() == 'inactive'
+        assert peer.change('activate')
+        with peer.publisher(MarkerArray) as publisher:
+            run_through(publisher)
+            # A bag that loops: the stamps jump back, and all is right again.
+            arrays = peer.hear('/diagnostics', DiagnosticArray)
+            run_through(publisher)
+            peer.until(lambda: arrays, 'diagnostics')
+            assert said(arrays)['starts anew after a jump of the stamps'] == '1'
+
+            assert peer.change('deactivate')
+            assert peer.state() == 'inactive'
+            gone = lambda: not publisher.get_subscription_count()  # noqa: E731
+            peer.until(gone, 'the end of the subscription')
+            assert peer.change('activate')
+            peer.until(publisher.get_subscription_count, 'the subscription again')
+            run_through(publisher)
+        assert peer.change('deactivate')
+        assert peer.change('cleanup')
+        assert peer.state() == 'unconfigured'
+        peer.until(lambda: not peer.node.count_publishers('/kinpole/rod/odom'), 'the end')
+    assert (tmp_path / 'stderr').read_text() == ''
+
+
+def test_simulated_time_that_stands_still_stops_nothing(
+    peer: Peer, simulated: Bag, by_place: Path, tmp_path: Path
+) -> None:
+    with process(*node_words(by_place, use_sim_time=True), log=tmp_path / 'stderr'):
+        odom = peer.hear('/kinpole/rod/odom', Odometry)
+        arrays = peer.hear('/diagnostics', DiagnosticArray)
+        with peer.publisher(MarkerArray) as publisher:
+            messages = endless(simulated)
+            both = lambda: len(odom) >= 5 and len(arrays) >= 2  # noqa: E731
+            peer.feed(publisher, messages, both, 'results and diagnostics')
+    assert np.diff([stamp_of(message) for message in odom]).min() > 0
+    assert {stamp_of(array) for array in arrays} == {0}
+
+
+@pytest.mark.parametrize('sign', [signal.SIGINT, signal.SIGTERM], ids=lambda sign: sign.name)
+def test_told_to_stop_node_and_recorder_end_at_once_and_the_recording_is_whole(
+    peer: Peer, simulated: Bag, by_place: Path, tmp_path: Path, sign: signal.Signals
+) -> None:
+    logs, recording = (tmp_path / 'node', tmp_path / 'recorder'), tmp_path / 'live.mcap'
+    with (
+        process(*node_words(by_place), log=logs[0]) as node,
+        process('record', '--output', recording, log=logs[1]) as recorder,
+    ):
+        odom = peer.hear('/kinpole/rod/odom', Odometry)
+        topic = '/kinpole/rod/odom'
+        peer.until(lambda: peer.node.count_subscribers(topic) == 2, 'the recorder')
+        with peer.publisher(MarkerArray) as publisher:
+            peer.feed(publisher, endless(simulated), lambda: len(odom) >= 30, 'results')
+        for told in (node, recorder):
+            told.send_signal(sign)
+        assert [told.wait(2) for told in (node, recorder)] == [0, 0]
+    assert [log.read_text() for log in logs] == ['', '']
+    recorded = decoded(recording)
+    assert len(recorded[topic]) >= 25
+    assert recorded[topic][-1].header.frame_id == 'world'
+
+
+@pytest.mark.parametrize(
+    'words, complaint',
+    [
+        (['-p', 'windows:=0.3'], 'unknown parameter windows; known are '),
+        (['-p', 'window:=-1.0'], 'parameter window is -1.0; it must be a number from 1e-06 to'),
+        (['-p', 'plane:=xz'], 'one of xy, yz, zx'),
+        (['-p', 'autostart:=5'], 'parameter autostart is 5; it must be true or false'),
+        (['-p', 'bodies:=[]'], 'parameter bodies has no value'),
+        (['-p', "marker_topic:='a b'"], "parameter marker_topic is 'a b'"),
+        (['-p', 'marker_type:=marker', '-p', 'qos_overrides./markers.subscription.history:=much'],
+         'parameters qos_overrides./markers.subscription cannot be used'),
+        (['--params-file', 'none.yaml'], "parse params file: '--params-file none.yaml'"),
+        (['--params-file', 'broken.yaml'], "parse params file: '--params-file broken.yaml'"),
+        (['--unknown'], '--unknown'),
+        (['--', 'window', '0.3'], 'unknown words window 0.3; those for ROS follow --ros-args'),
+    ],
+)  # fmt: skip
+def test_a_node_that_cannot_start_as_told_says_why_in_one_line(
+    tmp_path: Path, words: list[str], complaint: str
+) -> None:
+    (tmp_path / 'broken.yaml').write_text('/**: {ros__parameters: {lag: 0.1')
+    command = [sys.executable, '-m', 'kinpole_ros.cli', 'node', '--ros-args', *words]
+    done = subprocess.run(
+        ['timeout', '-k', '2', '30', *command], cwd=tmp_path, capture_output=True, text=True
+    )
+    assert done.returncode == 2, done.stderr
+    assert done.stderr.startswith('kinpole node: ')
+    assert done.stderr.count('\n') == 1, done.stderr
+    assert complaint in done.stderr
+
+
+# What nobody asks for
+
+
+def test_nothing_is_computed_that_nobody_subscribes_to(
+    peer: Peer, simulated: Bag, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked: list[int | None] = []
+
+    class Watched(Tracker):
+        def add(self, frame: MarkerFrame, order: int | None) -> list[Estimate]:
+            asked.append(order)
+            return super().add(frame, order)
+
+    monkeypatch.setattr('kinpole_ros.node.Tracker', Watched)
+    context = rclpy.get_default_context()
+    rclpy.init(args=['kinpole', '--ros-args', '-p', 'marker_type:=marker_array'])
+    node = KinpoleNode()
+    executor = SingleThreadedExecutor(context=context)
+    executor.add_node(node)
+    peer.also = lambda: executor.spin_once(timeout_sec=0)
+    try:
+        with peer.publisher(MarkerArray) as publisher:
+            messages = endless(simulated)
+            peer.feed(publisher, messages, lambda: asked, 'a frame')
+            assert set(asked) == {None}
+            subscriptions = []
+            for topic, message_type, order in (
+                ('/kinpole/body/odom', Odometry, 1),
+                ('/kinpole/body/iap', PointStamped, 2),
+                ('/kinpole/body/isp', PointStamped, 4),
+            ):
+                subscriptions.append(
+                    peer.node.create_subscription(message_type, topic, lambda _: None, 1)
+                )
+                asked.clear()
+                reached = lambda order=order: asked and asked[-1] == order  # noqa: E731
+                peer.feed(publisher, messages, reached, f'the order of {topic}')
+                before = subscriptions[:-1]
+                assert set(asked) <= {order, (None, 1, 2)[len(before)]}
+            for subscription in subscriptions:
+                peer.node.destroy_subscription(subscription)
+            peer.feed(publisher, messages, lambda: asked[-1] is None, 'the end of the work')
+    finally:
+        node.destroy_node()
+        rclpy.try_shutdown()
