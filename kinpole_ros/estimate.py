@@ -48,7 +48,8 @@ class Estimate:
     (order + 1, order + 1, B) between orders, of one axis; `size` (B,) is the diameter of each body
     and `height` (B,) where its markers are along the normal, m; `span` (B,) in s and `degree` (B,)
     tell on how much time and by which polynomial the angular velocity was found. NaN marks a body
-    of which nothing is known, for the reason in `missing` (B,).
+    of which nothing is known, for the reason in `missing` (B,). `since` is the stamp of the frame
+    that the tracker last began with: poses from before it are in other body frames.
     """
 
     def __init__(
@@ -65,6 +66,7 @@ class Estimate:
         span: np.ndarray,
         degree: np.ndarray,
         missing: tuple[str, ...],
+        since: int = 0,
     ) -> None:
         self.stamp = stamp
         self.frame_id = frame_id
@@ -78,6 +80,7 @@ class Estimate:
         self.span = span
         self.degree = degree
         self.missing = missing
+        self.since = since
         self.pole = cache(self._pole)
 
     @property

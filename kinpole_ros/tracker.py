@@ -64,6 +64,7 @@ class Tracker:
         if self.settings.method == 'landmarks':
             self._points = Samples((count, width), complex)
         self._largest = 0.0
+        self._since = 0
         self._due = 0
 
     @property
@@ -103,6 +104,8 @@ class Tracker:
             if step < 0 or step > self._window:
                 self.counts['resets'] += 1
                 self.reset()
+        if not len(self._stamps):
+            self._since = frame.stamp
         self._append(frame)
         return self._estimates(frame.frame_id, order)
 
@@ -244,6 +247,7 @@ class Tracker:
             span,
             degree,
             missing,
+            self._since,
         )
 
     def _from_poses(

@@ -513,3 +513,12 @@ def test_stamp_round_trips_exactly(ns):
 def test_stamp_out_of_range_is_refused(ns):
     with pytest.raises(ValueError, match='out of range'):
         ns_to_stamp(ns)
+
+
+@pytest.mark.parametrize('kind', MARKER_TYPES)
+def test_a_stamp_before_the_beginning_of_time_is_refused(kind: str) -> None:
+    message = to_message(kind, 0, 'world', ['a', 'b'], np.zeros((2, 3)))
+    for header in [m.header for m in getattr(message, 'markers', [message])]:
+        header.stamp.sec = -1
+    with pytest.raises(MessageError, match=r'header\.stamp is -1 s'):
+        read_markers(message)

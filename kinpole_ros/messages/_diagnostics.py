@@ -93,8 +93,11 @@ class DiagnosticsMaker:
         values: dict[str, object] = {}
         if np.isfinite(noise[b]):
             values['noise of a marker per axis (m)'] = float(noise[b])
-        if latest is None or not receiving:
-            return _status(name, DiagnosticStatus.STALE, 'nothing known yet', values)
+        if not receiving:
+            return _status(name, DiagnosticStatus.STALE, 'no markers received', values)
+        if latest is None:
+            reason = 'nothing known: too few frames yet, or nobody subscribes to a result'
+            return _status(name, DiagnosticStatus.STALE, reason, values)
         values['size (m)'] = float(latest.size[b])
         if np.isfinite(latest.span[b]):
             values['time used for the angular velocity (s)'] = float(latest.span[b])

@@ -67,6 +67,11 @@ def read_markers(message: Any, identity: str = 'auto') -> MarkerFrame:
             )
         header = message.header
         identities = _identities(message, identity, len(points))
+    if header.stamp.sec < 0:
+        raise MessageError(
+            f'header.stamp is {header.stamp.sec} s; see that the driver sets it to the time of '
+            'capture, counted from 1970 or from its start'
+        )
     _blank_unseen(points)
     return MarkerFrame(stamp_to_ns(header.stamp), header.frame_id, identities, points)
 

@@ -222,11 +222,13 @@ class _Trail:
         self.fixed: deque[complex] = deque(maxlen=_TRAIL_POINTS)
         self.moving: deque[complex] = deque(maxlen=_TRAIL_POINTS)
         self.stamps: deque[int] = deque(maxlen=_TRAIL_POINTS)
+        self._since = 0
 
     def follow(self, estimate: Estimate, b: int) -> None:
         """Take the pole of this instant, unless it has it or one hardly older."""
         pole = estimate.pole(1)
-        if self.stamps and estimate.stamp < self.stamps[-1]:
+        if estimate.since != self._since:
+            self._since = estimate.since
             self.fixed.clear()
             self.moving.clear()
             self.stamps.clear()
@@ -259,14 +261,15 @@ def _path(
     beat = _Beat()
 
     poses: deque[PoseStamped] = deque(maxlen=_TRAIL_POINTS)
-    taken = 0
+    taken = since = 0
 
     def build(estimate: Estimate) -> Path | None:
-        nonlocal taken
+        nonlocal taken, since
         trail.follow(estimate, b)
         if estimate.missing[b] or not trail.stamps:
             return None
-        if trail.stamps[-1] < taken:
+        if estimate.since != since:
+            since = estimate.since
             poses.clear()
         if trail.stamps[-1] != taken:
             # Made once and kept: most of a path is what it was a moment ago.
