@@ -29,6 +29,7 @@ setup(
             'ros-jazzy-common-interfaces',
             'ros-jazzy-rmw-fastrtps-cpp',
         ],
+        'bench': ['matplotlib>=3.7', 'pynumdiff>=0.3', 'scipy>=1.11'],
         'plot': ['matplotlib>=3.7'],
         'test': [
             'colcon-ros>=0.4',

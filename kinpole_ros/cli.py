@@ -191,6 +191,17 @@ def _parser() -> argparse.ArgumentParser:
     )
     demo.add_argument('--output', metavar='FOLDER', default='out', help='where to write (out)')
     demo.set_defaults(run=_demo)
+
+    bench = commands.add_parser(
+        'bench',
+        help='measure errors, uncertainty, peers and limits, and draw the charts of the docs',
+        description='Writes benchmarks.md and charts/ anew. Takes several minutes; wants '
+        'matplotlib, and compares with PyNumDiff where it is installed: '
+        "pip install 'kinpole_ros[bench]'.",
+    )
+    bench.add_argument('--output', metavar='FOLDER', default='docs', help='where to write (docs)')
+    bench.add_argument('--quick', action='store_true', help='little data: shows that it works')
+    bench.set_defaults(run=_bench)
     return parser
 
 
@@ -312,6 +323,16 @@ def _demo(options: argparse.Namespace) -> int:
     from kinpole_ros.demo import demo
 
     return demo(options.output)
+
+
+def _bench(options: argparse.Namespace) -> int:
+    from kinpole_ros.bench import bench
+
+    with _progress('bench') as progress:
+        written = bench(options.output, options.quick, progress)
+    for path in written:
+        print(f'written to {path}')
+    return 0
 
 
 @contextmanager

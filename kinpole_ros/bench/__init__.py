@@ -1,0 +1,11 @@
+"""
+How good the estimates are, measured against exact motions and against other ways to get them.
+
+Nothing else depends on it. What is measured is the real tracker, run as replay runs it.
+"""
+
+from kinpole_ros.bench._atlas import survey
+from kinpole_ros.bench._motions import Motion, motions
+from kinpole_ros.bench._report import bench, hindsight_table
+
+__all__ = ['Motion', 'bench', 'hindsight_table', 'motions', 'survey']

@@ -1,0 +1,194 @@
+"""
+Our errors beside those of the best fixed window and degree, known only in hindsight.
+
+A fixed local polynomial on the same fitted poses, with the same window and lag at its disposal, is
+run in all its settings; for each quantity of each case the one that turns out best is the bound.
+"""
+
+import numpy as np
+
+from kinpole_ros.bench._record import (
+    LAG,
+    POLES,
+    QUANTITIES,
+    RATE,
+    WINDOW,
+    Figures,
+    Recording,
+    fit_poses,
+    quantities,
+    rms,
+)
+from kinpole_ros.window import derivative_weights
+
+# Highest derivative in each quantity.
+ORDER = dict(zip(QUANTITIES, (1, 2, 3, 1, 2, 3, 3), strict=True))
+# Fewer determined frames than this are no basis for a figure.
+FEWEST = 50
+
+
+def settings(lag: float = LAG) -> list[tuple[int, int]]:
+    """All pairs (samples, degree): windows to the longest in steps of a fifth, degrees 1 to 12."""
+    most = round(WINDOW * RATE) + 1
+    lengths = [5]
+    while lengths[-1] < most:
+        lengths.append(min(most, max(lengths[-1] + 2, round(lengths[-1] * 1.2) // 2 * 2 + 1)))
+    return [(n, d) for n in lengths for d in range(1, 13) if d < n]
+
+
+def fixed_weights(samples: int, degree: int, lag: float = LAG) -> tuple[np.ndarray, int]:
+    """Weights (4, samples) for order 0 to 3 and how many samples lie ahead of the instant."""
+    ahead = min((samples - 1) // 2, round(lag * RATE))
+    t = (np.arange(samples) - (samples - 1 - ahead)) / RATE
+    return derivative_weights(t, degree, 3), ahead
+
+
+def apply_weights(
+    weights: np.ndarray, ahead: int, frames: np.ndarray, *signals: np.ndarray, stride: int = 1
+) -> list[np.ndarray]:
+    """Derivatives (4, M, C) of signals (N, C) at the frames (M,)."""
+    samples = weights.shape[1]
+    offsets = stride * (np.arange(samples) - (samples - 1 - ahead))
+    # About each instant's own value, which keeps the digits of far-off coordinates.
+    found = []
+    for signal in signals:
+        here = signal[frames]
+        total = np.zeros((len(weights), *here.shape), here.dtype)
+        for k, offset in enumerate(offsets):
+            total += weights[:, k, None, None] * (signal[frames + offset] - here)
+        total[0] += here
+        found.append(total)
+    return found
+
+
+def errors_of(
+    recording: Recording, frames: np.ndarray, position: np.ndarray, angle: np.ndarray
+) -> dict[str, np.ndarray]:
+    """Errors (M, C) of the quantities that follow from derivatives (4, M, C)."""
+    with np.errstate(all='ignore'):
+        found = quantities(position, angle)
+        return {name: np.abs(found[name] - recording.truth[name][frames]) for name in QUANTITIES}
+
+
+def own_errors(recording: Recording, ours: Figures) -> dict[str, np.ndarray]:
+    """Our errors (M, C)."""
+    return {
+        name: np.abs(ours.values[name] - recording.truth[name][ours.frames]) for name in QUANTITIES
+    }
+
+
+def counted(recording: Recording, ours: Figures) -> dict[str, np.ndarray]:
+    """Frames (M, C) that count: determined by us, and the true figure is not next to infinite."""
+    near = recording.near()
+    return {name: ours.determined[name] & near[name][ours.frames] for name in QUANTITIES}
+
+
+def by_condition(recording: Recording, values: np.ndarray) -> dict[tuple[str, float], np.ndarray]:
+    """Columns (..., C) put together by motion and noise level, all seeds of it: (..., seeds)."""
+    groups: dict[tuple[str, float], list[int]] = {}
+    for k, case in enumerate(recording.cases):
+        groups.setdefault((case.motion, case.noise), []).append(k)
+    return {key: values[..., columns] for key, columns in groups.items()}
+
+
+def pooled_rms(
+    recording: Recording, errors: dict[str, np.ndarray], where: dict[str, np.ndarray]
+) -> dict[tuple[str, float, str], float]:
+    """RMS over all frames and seeds that count, by motion, noise and quantity."""
+    result = {}
+    for name in QUANTITIES:
+        masks = by_condition(recording, where[name])
+        for key, error in by_condition(recording, errors[name]).items():
+            mask = masks[key]
+            enough = mask.sum() >= FEWEST
+            value = rms(error.reshape(-1, 1), mask.reshape(-1, 1))[0] if enough else np.nan
+            motion, noise = key
+            result[motion, noise, name] = float(value)
+    return result
+
+
+def best_fixed(
+    recording: Recording,
+    frames: np.ndarray,
+    where: dict[str, np.ndarray],
+    poses: tuple[np.ndarray, np.ndarray] | None = None,
+    lag: float = LAG,
+) -> dict[tuple[str, float, str], tuple[float, int, int]]:
+    """Least RMS with its samples and degree, by motion, noise and quantity."""
+    position, angle = fit_poses(recording) if poses is None else poses
+    best: dict[tuple[str, float, str], tuple[float, int, int]] = {}
+    for samples, degree in settings(lag):
+        weights, ahead = fixed_weights(samples, degree, lag)
+        z, turn = apply_weights(weights, ahead, frames, position, angle)
+        found = pooled_rms(recording, errors_of(recording, frames, z, turn), where)
+        for key, value in found.items():
+            # An order above the degree comes out zero, which is no measurement of what is zero.
+            if (
+                degree >= ORDER[key[2]]
+                and np.isfinite(value)
+                and value < best.get(key, (np.inf, 0, 0))[0]
+            ):
+                best[key] = (value, samples, degree)
+    return best
+
+
+def coverage(recording: Recording, ours: Figures) -> list[dict[str, object]]:
+    """
+    Rows by motion, noise and quantity: how far the stated uncertainty holds.
+
+    `covered` is the share of determined frames within 95% (|error| < 1.96 deviations; of a pole the
+    squared error over the covariance below 5.991, chi-square of 2), `mean_square` the mean of that
+    square per degree of freedom, which should be 1. A frame is `bad` where the true error exceeds
+    10 stated deviations or the true pole lies beyond 1000 sizes, otherwise good, if the stated
+    deviation is below 0.3 of what is measured (of a pole: of the body's size; of a rate at least
+    that power of the rms of ω): what is known worse than that is no loss. A frame whose true pole
+    does not exist is bad, and not covered where it is marked determined.
+    """
+    errors = own_errors(recording, ours)
+    rows: list[dict[str, object]] = []
+    for name in QUANTITIES:
+        limit, freedom = (5.991, 2) if name in POLES else (1.96**2, 1)
+        truth = recording.truth[name][ours.frames]
+        with np.errstate(all='ignore'):
+            bad = ~(errors[name] <= 10 * ours.deviations[name])
+            # A rate that is zero for now, or for good, is held against what the body does else.
+            turning = rms(recording.truth['ω'], np.isfinite(recording.truth['ω']))
+            scale = np.maximum(np.abs(truth), turning ** ORDER[name])
+            if name in POLES:
+                scale = np.broadcast_to(recording.size, truth.shape)
+            pole = recording.truth[name if name in POLES else 'ICR'][ours.frames]
+            if name in POLES or name == 'κ':
+                bad |= ~(np.abs(pole - recording.middle[ours.frames]) <= 1e3 * recording.size)
+            if name == 'κ':
+                scale = np.maximum(np.abs(truth), 1 / recording.size)
+            useful = ours.deviations[name] < 0.3 * scale
+        good = ~bad & useful
+        columns = {
+            'determined': ours.determined[name],
+            'covered': ours.squares[name] < limit,
+            'square': ours.squares[name] / freedom,
+            'bad': bad,
+            'good': good,
+        }
+        parts = {what: by_condition(recording, column) for what, column in columns.items()}
+        for key in parts['bad']:
+            here = {what: part[key] for what, part in parts.items()}
+            told = here['determined']
+            enough = told.sum() >= FEWEST
+            square = here['square'][told & np.isfinite(here['square'])]
+            rows.append(
+                {
+                    'motion': key[0],
+                    'noise': key[1],
+                    'quantity': name,
+                    'determined': told.mean(),
+                    'covered': here['covered'][told].mean() if enough else np.nan,
+                    'mean_square': square.mean() if enough else np.nan,
+                    'median_square': np.median(square) if enough else np.nan,
+                    'bad': int(here['bad'].sum()),
+                    'bad_let_through': int((here['bad'] & told).sum()),
+                    'good': int(here['good'].sum()),
+                    'good_withheld': int((here['good'] & ~told).sum()),
+                }
+            )
+    return rows

@@ -1,0 +1,207 @@
+"""
+What all benchmarks share: noisy recordings, our figures for them, and how errors are counted.
+
+Many recordings are made at once and given to one real `Tracker` as so many bodies: it judges each
+by itself, and a minute does what would take an hour one by one.
+"""
+
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from kinpole_ros import planar
+from kinpole_ros.bench._motions import Motion, motions
+from kinpole_ros.frame import MarkerFrame
+from kinpole_ros.mechanism import BodyMotion, marker_positions
+from kinpole_ros.parameters import Settings
+from kinpole_ros.planar import fit_pose
+from kinpole_ros.tracker import Tracker
+
+RATE = 200
+WINDOW = 0.5
+LAG = 0.1
+START, STEP = 10**18, 10**9 // RATE
+# s. Averages need this long before a record counts.
+WARM_UP = 1.5
+NOISES = (1e-5, 1e-3, 1e-2)
+RATES, POLES = ('ω', 'α', 'jerk'), ('ICR', 'IAP', 'IJP')
+QUANTITIES = (*RATES, *POLES, 'κ')
+UNITS = {'ω': 'rad/s', 'α': 'rad/s²', 'jerk': 'rad/s³', 'κ': '1/m'} | dict.fromkeys(POLES, 'm')
+# A pole beyond this many body sizes, or a curvature above it per size, is left out of errors.
+NEAR = 10.0
+
+
+class Case(NamedTuple):
+    """One recording: which motion, its noise in body sizes and its number among its like."""
+
+    motion: str
+    noise: float
+    seed: int
+
+
+@dataclass(frozen=True, eq=False)
+class Recording:
+    """
+    N frames of C cases: `points` (N, C, n) complex, m; `truth` by quantity (N, C) and `middle`
+    (N, C), the mean of the exact markers; `shape` (C, n) the markers about it; `size` (C,), m.
+    """
+
+    cases: tuple[Case, ...]
+    points: np.ndarray
+    truth: dict[str, np.ndarray]
+    middle: np.ndarray
+    shape: np.ndarray
+    size: np.ndarray
+
+    def near(self) -> dict[str, np.ndarray]:
+        """Where (N, C) each true quantity is one to be measured: see `NEAR`."""
+        far = {name: np.abs(self.truth[name] - self.middle) / self.size for name in POLES}
+        near = {name: np.ones(self.middle.shape, bool) for name in RATES}
+        with np.errstate(invalid='ignore'):
+            near |= {name: far[name] <= NEAR for name in POLES}
+            near['κ'] = near['ICR'] & (np.abs(self.truth['κ']) * self.size <= NEAR)
+        return near
+
+
+class Figures(NamedTuple):
+    """
+    Ours, by quantity: `values` (M, C), `deviations` (M, C) as stated, in units of the quantity,
+    `squares` (M, C), the squared error over the covariance, and `determined` (M, C).
+
+    M are the frames `frames` (M,) of the recording.
+    """
+
+    frames: np.ndarray
+    values: dict[str, np.ndarray]
+    deviations: dict[str, np.ndarray]
+    squares: dict[str, np.ndarray]
+    determined: dict[str, np.ndarray]
+
+
+def make_recording(
+    names: tuple[str, ...], noises: tuple[float, ...], seeds: int, seconds: float
+) -> Recording:
+    """Record each motion at each noise level so many times, each from another instant on."""
+    known = motions()
+    cases = tuple(
+        Case(name, noise, seed) for name in names for noise in noises for seed in range(seeds)
+    )
+    count = round(seconds * RATE)
+    points = np.empty((count, len(cases), 4), complex)
+    middle = np.empty((count, len(cases)), complex)
+    parts = []
+    for k, case in enumerate(cases):
+        # Seeds by name, so that a case is the same in whatever selection it is in.
+        number = sorted(known).index(case.motion)
+        rng = np.random.default_rng((number, round(1e9 * case.noise), case.seed))
+        moved, exact = observe(known[case.motion], times(count) + 0.37 * case.seed)
+        noise = case.noise * known[case.motion].size
+        points[:, k] = exact + noise * (rng.normal(size=(count, 4, 2)) @ (1, 1j))
+        middle[:, k] = exact.mean(axis=-1)
+        parts.append(quantities(moved.position, moved.angle))
+    truth = {name: np.stack([part[name] for part in parts], axis=1) for name in QUANTITIES}
+    size = np.array([known[case.motion].size for case in cases])
+    shape = np.stack([planar.to_complex(known[case.motion].markers) for case in cases])
+    shape -= shape.mean(axis=1, keepdims=True)
+    return Recording(cases, points, truth, middle, shape, size)
+
+
+def times(count: int) -> np.ndarray:
+    """Instants (count,) of the frames, s."""
+    return np.arange(count) / RATE
+
+
+def observe(motion: Motion, t: np.ndarray) -> tuple[BodyMotion, np.ndarray]:
+    """The motion at instants (N,) and its exact markers there, (N, n) complex."""
+    moved = motion.motion(t)
+    return moved, planar.to_complex(marker_positions(moved, motion.markers))
+
+
+def quantities(position: np.ndarray, angle: np.ndarray) -> dict[str, np.ndarray]:
+    """All quantities from derivatives of order 0 to 3 or more, (K, ...)."""
+    result = {name: angle[k + 1] for k, name in enumerate(RATES)}
+    result |= {name: planar.pole(k + 1, position, angle).value for k, name in enumerate(POLES)}
+    result['κ'] = planar.centrode_curvature(position, angle).value.real
+    return result
+
+
+def frames_of(points: np.ndarray, stamps: np.ndarray) -> tuple[list[MarkerFrame], Settings]:
+    """Frames of bodies seen at `points` (N, C, n), and settings that tell the bodies apart."""
+    count, bodies, markers = points.shape
+    names = {f'b{b}': tuple(f'm{b}_{k}' for k in range(markers)) for b in range(bodies)}
+    identities = tuple(name for body in names.values() for name in body)
+    solid = np.zeros((count, bodies * markers, 3))
+    flat = points.reshape(count, -1)
+    solid[..., 0], solid[..., 1] = flat.real, flat.imag
+    frames = [
+        MarkerFrame(int(stamp), 'world', identities, rows)
+        for stamp, rows in zip(stamps, solid, strict=True)
+    ]
+    return frames, Settings(bodies=names, window=WINDOW, lag=LAG)
+
+
+def stamps_of(count: int) -> np.ndarray:
+    """Stamps (count,) of the frames, ns."""
+    return START + STEP * np.arange(count, dtype=np.int64)
+
+
+def fit_poses(recording: Recording) -> tuple[np.ndarray, np.ndarray]:
+    """Positions and continuous angles (N, C) of the bodies, fitted to their true shapes."""
+    with np.errstate(all='ignore'):
+        fit = fit_pose(recording.points, recording.shape, np.ones(recording.points.shape))
+    return fit.position, np.unwrap(fit.angle, axis=0)
+
+
+def measure(recording: Recording, tracker_type: type[Tracker] = Tracker, **changes: Any) -> Figures:
+    """Run the tracker over a recording; `changes` are settings other than those above."""
+    frames, settings = frames_of(recording.points, stamps_of(len(recording.points)))
+    tracker = tracker_type(Settings(**{**vars(settings), **changes}))
+    found = [estimate for frame in frames for estimate in tracker.add(frame, 3)]
+    index = np.array([(estimate.stamp - START) // STEP for estimate in found])
+    kept = index >= WARM_UP * RATE
+    found = [estimate for estimate, keep in zip(found, kept, strict=True) if keep]
+    index = index[kept]
+    truth = {name: values[index] for name, values in recording.truth.items()}
+    values: dict[str, np.ndarray] = {}
+    deviations: dict[str, np.ndarray] = {}
+    squares: dict[str, np.ndarray] = {}
+    determined: dict[str, np.ndarray] = {}
+    for k, name in enumerate(RATES):
+        _numbers(
+            [e.rate(k + 1) for e in found], name, truth, values, deviations, squares, determined
+        )
+    _numbers(
+        [e.centrode_curvature for e in found], 'κ', truth, values, deviations, squares, determined
+    )
+    for k, name in enumerate(POLES):
+        poles = [e.pole(k + 1) for e in found]
+        values[name] = np.stack([pole.value for pole in poles])
+        spread = np.stack([pole.covariance for pole in poles])
+        determined[name] = np.stack([pole.determined for pole in poles])
+        error = planar.to_plane(values[name] - truth[name])
+        a, b, d = spread[..., 0, 0], spread[..., 0, 1], spread[..., 1, 1]
+        x, y = error[..., 0], error[..., 1]
+        with np.errstate(all='ignore'):
+            deviations[name] = np.sqrt(a + d)
+            squares[name] = (d * x**2 - 2 * b * x * y + a * y**2) / (a * d - b**2)
+    return Figures(index, values, deviations, squares, determined)
+
+
+def _numbers(
+    found: list[Any], name: str, truth: dict[str, np.ndarray], *into: dict[str, np.ndarray]
+) -> None:
+    values, deviations, squares, determined = into
+    values[name] = np.stack([number.value for number in found])
+    variance = np.stack([number.variance for number in found])
+    determined[name] = np.stack([number.determined for number in found])
+    with np.errstate(all='ignore'):
+        deviations[name] = np.sqrt(variance)
+        squares[name] = (values[name] - truth[name]) ** 2 / variance
+
+
+def rms(error: np.ndarray, where: np.ndarray) -> np.ndarray:
+    """Root mean square (C,) of errors (M, C) over the frames in `where`; NaN where none are."""
+    with np.errstate(all='ignore'):
+        square = np.where(where, np.abs(error) ** 2, 0.0)
+        return np.asarray(np.sqrt(square.sum(axis=0) / where.sum(axis=0)))
