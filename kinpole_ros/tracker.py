@@ -25,6 +25,8 @@ MOST_MARKERS = 1024
 _ROUNDING = 4 * np.finfo(float).eps
 # m. No marker is that far, and the squares of what is nearer do not overflow.
 _FARTHEST = 1e15
+# rad. An angle noisier than this wanders round, and its errors are no longer small.
+_UNSTEADY = 0.15
 # Weights this near to 1 are not worth fits of their own.
 _ALIKE = 0.97
 
@@ -222,7 +224,9 @@ class Tracker:
         information = self._information.view()
         seen = information[now, :count] > 0
         measured = np.isfinite(noise)
-        usable = seen & measured
+        with np.errstate(invalid='ignore'):
+            firm = noise**2 < _UNSTEADY**2 * self._shapes.spread()
+        usable = seen & measured & firm
         noise = np.where(measured, noise, 1.0)
         differentiated = self._from_poses if self._points is None else self._from_landmarks
         found = differentiated(times, now, noise, order)
@@ -231,8 +235,7 @@ class Tracker:
             array[..., ~usable] = np.nan
         few = ~np.isfinite(angle[1]) | ~np.isfinite(position[1])
         missing = tuple(
-            _why_missing(bool(s), bool(m), bool(f))
-            for s, m, f in zip(seen, measured, few, strict=True)
+            _why_missing(*flags) for flags in zip(seen, measured, firm, few, strict=True)
         )
         return Estimate(
             int(stamps[now]),
@@ -365,9 +368,11 @@ def _unwrapped(angles: np.ndarray) -> np.ndarray:
     return np.unwrap(angles, axis=0)
 
 
-def _why_missing(seen: bool, measured: bool, few: bool) -> str:
+def _why_missing(seen: bool, measured: bool, firm: bool, few: bool) -> str:
     if not seen:
         return 'too few markers seen, or all at one place'
     if not measured:
         return 'noise not known yet'
+    if not firm:
+        return 'markers too close together for their noise'
     return 'window not full' if few else ''

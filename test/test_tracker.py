@@ -703,3 +703,18 @@ def test_frames_gone_wild_amid_good_ones_do_no_harm(bad: float, method: str) -> 
     for estimate in found:
         sound(estimate)
     assert np.isfinite(tracker.noise()).all()
+
+
+@pytest.mark.parametrize('count', [2, 3, 4])
+def test_markers_lost_in_their_noise_make_no_body(count: int) -> None:
+    """Their angle is anything, so whatever followed from it would be, too."""
+    rng = np.random.default_rng(5)
+    shape = 1e-4 * rng.normal(size=(count, 3))
+    tracker = Tracker(settings_from({}))
+    names = tuple(str(k) for k in range(count))
+    found = []
+    for k in range(300):
+        rows = shape + 0.01 * rng.normal(size=(count, 3))
+        found += tracker.add(MarkerFrame(10**9 + k * 5_000_000, 'world', names, rows), 4)
+    told = [estimate.missing[0] for estimate in found[50:]]
+    assert told.count('markers too close together for their noise') > 0.95 * len(told)
