@@ -61,20 +61,19 @@ def demo(output: str | Path) -> int:
     return 0
 
 
-def live_run(bag: Path, config: Path, recording: Path, reliable: bool = True) -> int:
+def live_run(bag: Path, config: Path, recording: Path) -> int:
     """
     Play the markers of `bag` into a node of its own and record everything it publishes.
 
-    With `reliable` the node is told to lose no marker. Returns the number of messages played.
+    The node is told to lose no marker. Returns the number of messages played.
     Raises BagError when the node or the recorder does not come up.
     """
     settings = load_settings(config)
     topic = settings.marker_topic
     name = topic if topic.startswith('/') else f'/{topic}'
     node_words = ['node', '--ros-args', '--params-file', str(config)]
-    if reliable:
-        prefix = f'qos_overrides.{name}.subscription'
-        node_words += ['-p', f'{prefix}.reliability:=reliable', '-p', f'{prefix}.depth:=1000']
+    prefix = f'qos_overrides.{name}.subscription'
+    node_words += ['-p', f'{prefix}.reliability:=reliable', '-p', f'{prefix}.depth:=1000']
     context = rclpy.Context()
     rclpy.init(args=[], context=context)
     executor = SingleThreadedExecutor(context=context)

@@ -63,7 +63,6 @@ class KinpoleNode(LifecycleNode):
         self._subscription: Any = None
         self._kind = ''
         self._timers_made: list[Any] = []
-        self._look: Any = None
         self._latest: Estimate | None = None
         self._trouble: dict[str, str] = {}
         self._told = self._steady.now()
