@@ -49,7 +49,9 @@ class Estimate:
     and `height` (B,) where its markers are along the normal, m; `span` (B,) in s and `degree` (B,)
     tell on how much time and by which polynomial the angular velocity was found. NaN marks a body
     of which nothing is known, for the reason in `missing` (B,). `since` is the stamp of the frame
-    that the tracker last began with: poses from before it are in other body frames.
+    that the tracker last began with: poses from before it are in other body frames. `pin` (B,) is
+    the fixed point a body was found to turn about, complex, m, with `pin_variance` (B,), m^2, of
+    one coordinate; NaN for a body on no pin.
     """
 
     def __init__(
@@ -67,6 +69,8 @@ class Estimate:
         degree: np.ndarray,
         missing: tuple[str, ...],
         since: int = 0,
+        pin: np.ndarray | None = None,
+        pin_variance: np.ndarray | None = None,
     ) -> None:
         self.stamp = stamp
         self.frame_id = frame_id
@@ -81,6 +85,10 @@ class Estimate:
         self.degree = degree
         self.missing = missing
         self.since = since
+        nowhere = np.full(len(bodies), np.nan)
+        self.pin = nowhere + 0j if pin is None else pin
+        self.pin_variance = nowhere if pin_variance is None else pin_variance
+        self.pinned = np.isfinite(self.pin)
         self.pole = cache(self._pole)
 
     @property
@@ -107,16 +115,38 @@ class Estimate:
             turning = np.abs(denominator) > SIGNIFICANT * np.sqrt(noise)
             near = np.abs(pole.value - self.position[0]) < FARTHEST * self.size
         spread = planar.covariance(pole, self.position_covariance, self.angle_covariance)
-        finite = np.isfinite(pole.value) & np.isfinite(spread).all(axis=(-2, -1))
-        return Vectors(pole.value, spread, turning & near & finite)
+        value = pole.value
+        if self.pinned.any():
+            value = np.where(self.pinned, self.pin, value)
+            even = self.pin_variance[:, None, None] * np.eye(2)
+            spread = np.where(self.pinned[:, None, None], even, spread)
+            near = near | self.pinned
+        finite = np.isfinite(value) & np.isfinite(spread).all(axis=(-2, -1))
+        return Vectors(value, spread, turning & near & finite)
+
+    def motion(self, body: int) -> str:
+        """
+        What a body does as far as can be told: 'still', 'translating', 'pinned' or 'general'.
+
+        Empty for a body of which nothing is known.
+        """
+        if self.missing[body]:
+            return ''
+        if _stands_out(np.abs(self.angle), self.angle_covariance)[body]:
+            return 'pinned' if self.pinned[body] else 'general'
+        # Two axes have twice the variance of one.
+        moves = _stands_out(np.abs(self.position), 2 * self.position_covariance)
+        return 'translating' if moves[body] else 'still'
 
     @cached_property
     def icr_velocity(self) -> Vectors:
         """Velocity of the ICR along both centrodes (m/s)."""
         u = planar.icr_velocity(self.position, self.angle)
         spread = planar.covariance(u, self.position_covariance, self.angle_covariance)
-        finite = np.isfinite(u.value) & np.isfinite(spread).all(axis=(-2, -1))
-        return Vectors(u.value, spread, self.pole(1).determined & finite)
+        value = np.where(self.pinned, 0.0, u.value)
+        spread = np.where(self.pinned[:, None, None], 0.0, spread)
+        finite = np.isfinite(value) & np.isfinite(spread).all(axis=(-2, -1))
+        return Vectors(value, spread, self.pole(1).determined & finite)
 
     @cached_property
     def centrode_curvature(self) -> Numbers:
@@ -153,7 +183,11 @@ class Estimate:
 
     @cached_property
     def relative_icr(self) -> Vectors:
-        """Relative instant center of j with respect to i (m) for every pair."""
+        """
+        Relative instant center of j with respect to i (m) for every pair.
+
+        From the velocities as measured, pins or no: what bends both alike cancels between them.
+        """
         j, i = self.pairs
         by_j, by_i = planar.relative_pole(
             self.position[:, j], self.angle[:, j], self.position[:, i], self.angle[:, i]
@@ -184,3 +218,11 @@ class Estimate:
         if self.order >= 3 and self.pole(1).determined[body] and not self.icr_moves[body]:
             found['centrode_curvature'] = 'pinned: the ICR stands still'
         return found
+
+
+def _stands_out(values: np.ndarray, covariance: np.ndarray) -> np.ndarray:
+    """Where (B,) any of the derivatives (K, B) of order 1 and up exceeds its noise."""
+    orders = np.arange(1, len(values))
+    with np.errstate(invalid='ignore'):
+        noise = np.sqrt(covariance[orders, orders])
+        return np.asarray((values[1:] > SIGNIFICANT * noise).any(axis=0))

@@ -14,7 +14,15 @@ from kinpole_ros.estimate import Estimate
 from kinpole_ros.frame import MarkerFrame
 from kinpole_ros.parameters import Settings
 from kinpole_ros.planar import landmark_kinematics, to_complex, to_plane
-from kinpole_ros.window import FEWEST_SAMPLES, Noise, Samples, Shapes, Spectrum, differentiate
+from kinpole_ros.window import (
+    FEWEST_SAMPLES,
+    Noise,
+    Pins,
+    Samples,
+    Shapes,
+    Spectrum,
+    differentiate,
+)
 
 # Columns of a marker that span the plane, and the one along its normal.
 AXES = {'xy': (0, 1, 2), 'yz': (1, 2, 0), 'zx': (2, 0, 1)}
@@ -55,6 +63,7 @@ class Tracker:
         width = max(2, *(len(markers) for markers in self._markers))
         self._shapes = Shapes(count, width)
         self._noise = Noise(count)
+        self._pins = Pins(count)
         self._spectrum = Spectrum()
         self._places: dict[tuple[str, ...], np.ndarray] = {}
         self._stamps = Samples((), np.int64)
@@ -124,9 +133,10 @@ class Tracker:
         wanted = sum(len(markers) for markers in self._markers)
         self.counts['markers_not_seen'] += wanted - int(seen.sum())
 
-        fit, flat = self._shapes.fit(flat)
         if self._stamps.view().size and self._gap(frame.stamp):
+            self._shapes.forget_motion()
             self._noise.forget_neighbors()
+        fit, flat = self._shapes.fit(flat)
         self._noise.add(fit)
         self.counts.update(self._shapes.mended)
         self._shapes.mended.clear()
@@ -139,6 +149,10 @@ class Tracker:
             height = np.where(seen, points[..., self._axes[2]], 0).sum(axis=-1) / seen.sum(axis=-1)
         information = np.concatenate((fit.spread, position))
         known = np.isfinite(np.concatenate((fit.angle, fit.angle)))
+        if self._points is None:
+            with np.errstate(divide='ignore', invalid='ignore'):
+                variance = self._misfit() / np.stack((position, fit.spread))
+            self._pins.add(frame.stamp, fit.position, fit.angle, variance, self._size())
         self._stamps.append(frame.stamp)
         self._positions.append(fit.position)
         self._angles.append(fit.angle)
@@ -147,6 +161,15 @@ class Tracker:
         if self._points is not None:
             self._points.append(flat)
         self._trim(frame.stamp - self._window)
+
+    def _misfit(self) -> np.ndarray:
+        """Variance (B,) of one coordinate of a marker, of all that keeps it off its place."""
+        rounding = _ROUNDING * self._largest
+        return np.maximum(self._shapes.misfit(), max(self.settings.noise, rounding) ** 2)
+
+    def _size(self) -> np.ndarray:
+        """Diameters (B,) of the bodies: twice the rms distance of their markers from the mean."""
+        return np.asarray(2 * np.sqrt(self._shapes.spread() / np.maximum(self._shapes.known(), 1)))
 
     def _gap(self, stamp: int) -> bool:
         """Whether this frame comes much later than the frames before it did."""
@@ -220,7 +243,6 @@ class Tracker:
         stamps = self._stamps.view()
         times = stamps - stamps[now]
         noise = self.noise()
-        size = 2 * np.sqrt(self._shapes.spread() / np.maximum(self._shapes.known(), 1))
         information = self._information.view()
         seen = information[now, :count] > 0
         measured = np.isfinite(noise)
@@ -245,12 +267,25 @@ class Tracker:
             angle,
             position_covariance,
             angle_covariance,
-            size,
+            self._size(),
             self._heights.view()[now].copy(),
             span,
             degree,
             missing,
             self._since,
+            *self._pinned(),
+        )
+
+    def _pinned(self) -> tuple[np.ndarray, np.ndarray]:
+        """
+        Fixed pins (B,) of the bodies, complex, NaN for none, and their variance.
+
+        A pin holds for the whole window or not at all.
+        """
+        held = np.isfinite(self._pins.center) & (self._pins.since <= self._stamps.view()[0])
+        return (
+            np.where(held, self._pins.center, complex(np.nan, np.nan)),
+            np.where(held, self._pins.variance, np.nan),
         )
 
     def _from_poses(

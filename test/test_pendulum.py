@@ -122,6 +122,9 @@ def test_poles_are_at_the_pivot_and_the_joint(results: dict[str, np.ndarray]) ->
         print(f'{name}: {np.median(off):.4f} / {np.percentile(off, 90):.4f} of {told.sum()}')
         assert np.median(off) <= median, name
         assert np.percentile(off, 90) <= most, name
+        if name in ('ICR', 'IAP', 'IJP'):
+            # With the pin recognized; the pivot's own marker is as far off.
+            assert np.percentile(off, 90) <= 0.006, name
 
 
 def test_the_live_node_says_the_same_at_the_pace_of_the_film(

@@ -105,6 +105,10 @@ class DiagnosticsMaker:
         reasons = latest.reasons(b)
         if 'all' in reasons:
             return _status(name, DiagnosticStatus.WARN, reasons['all'], values)
+        motion = latest.motion(b)
+        values['motion'] = motion
+        if motion == 'pinned':
+            values['pin (m)'] = f'{latest.pin[b].real:.6g}, {latest.pin[b].imag:.6g}'
         for quantity, reason in reasons.items():
             values[f'{quantity} undetermined'] = reason
         message = 'tracking'

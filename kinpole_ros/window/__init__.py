@@ -7,6 +7,7 @@ their noise go in at true time stamps, derivatives with covariances come out.
 
 from kinpole_ros.window._choice import FEWEST_SAMPLES, Derivatives, Spectrum, differentiate
 from kinpole_ros.window._noise import Noise
+from kinpole_ros.window._pin import Pins
 from kinpole_ros.window._polynomial import derivative_weights, stencil
 from kinpole_ros.window._samples import Samples
 from kinpole_ros.window._shape import Shapes
@@ -15,6 +16,7 @@ __all__ = [
     'FEWEST_SAMPLES',
     'Derivatives',
     'Noise',
+    'Pins',
     'Samples',
     'Shapes',
     'Spectrum',

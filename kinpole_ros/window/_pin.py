@@ -1,0 +1,133 @@
+"""
+Pins: the fixed points of the ground about which bodies have turned as far as can be told.
+
+A body on a pin at p with the arm c in its own axes has its origin at z = p - c exp(i angle). Poses
+are kept spaced by the angle turned, not by time, so a slow body is known as surely as a fast one,
+and a body at rest stays what it was. It counts as pinned when a pin explains its poses as well as
+its shape explains its markers: bearing play and lenses bend both alike, and judged by white noise
+alone no real pin would pass.
+"""
+
+import numpy as np
+
+from kinpole_ros.planar._plane import Complex, Real
+
+# Poses kept per body, and the angle between them, rad: 4 rad of one-way turning.
+_KEPT = 64
+_STEP = 1 / 16
+# Poses wanted before a body is called pinned, and before it can be called not pinned; twice as many
+# after each time it was and then was not, up to so many.
+_ENOUGH, _SOME, _WARY = 32, 12, 512
+# Mean square misfit, over what the rigid fit lets expect, below which a pin is taken and above
+# which it is dropped. Apart, so that nothing flaps.
+_TAKEN, _DROPPED = 1.5, 2.5
+# Off by so many deviations so many frames running, a body has left its pin.
+_OFF, _STRIKES = 5.0, 3
+# A misfit is alike from pose to pose when the product of neighbors stands so many deviations out of
+# chance; an arc bent by it has its center off by this many times its square over the spread of the
+# angles (a centrode of constant speed, seen over a small arc).
+_ALIKE, _BEND = 3.0, 15.0
+# An ICR that wandered by this much, body sizes per rad, would have been seen.
+_WANDER = 0.05
+
+
+class Pins:
+    """
+    The pins of B bodies.
+
+    `center` (B,) is complex, m, in the ground frame, NaN for a body without one; `arm` (B,) leads
+    from the body's origin to it in the body's axes; `variance` (B,), m^2, is that of one coordinate
+    of the center; `since` (B,), ns, from when on the body has been seen to turn about it.
+    """
+
+    def __init__(self, bodies: int) -> None:
+        self.center = np.full(bodies, complex(np.nan, np.nan))
+        self.arm = np.zeros(bodies, complex)
+        self.variance = np.full(bodies, np.nan)
+        self.since = np.zeros(bodies, np.int64)
+        self._positions = np.zeros((_KEPT, bodies), complex)
+        self._turns = np.zeros((_KEPT, bodies), complex)
+        self._count = np.zeros(bodies, int)
+        self._wanted = np.full(bodies, _ENOUGH)
+        self._last = np.full(bodies, np.nan)
+        self._strikes = np.zeros(bodies, int)
+
+    def add(self, stamp: int, position: Complex, angle: Real, variance: Real, size: Real) -> None:
+        """
+        Take the poses (B,) of one frame, NaN where not known.
+
+        `variance` (2, B) is that of one coordinate of the position, m^2, and of the angle, rad^2,
+        as the misfit of the rigid bodies has it; `size` (B,), m, is theirs.
+        """
+        known = np.isfinite(angle) & np.isfinite(variance).all(axis=0)
+        turn = np.exp(1j * np.where(known, angle, 0.0))
+        with np.errstate(invalid='ignore'):
+            off = np.abs(position + turn * self.arm - self.center) ** 2
+            spread = variance[0] + np.abs(self.arm) ** 2 * variance[1]
+            strayed = known & (off > _OFF**2 * spread)
+            moved = np.abs(np.angle(turn * np.exp(-1j * self._last))) > _STEP
+        self._strikes = np.where(strayed, self._strikes + 1, 0)
+        self._forget(self._strikes >= _STRIKES)
+        new = known & ~strayed & (moved | (self._count == 0))
+        if not new.any():
+            return
+        self.since[new & (self._count == 0)] = stamp
+        row = self._count[new] % _KEPT
+        self._positions[row, new] = position[new]
+        self._turns[row, new] = turn[new]
+        self._last[new] = angle[new]
+        self._count[new] += 1
+        ready = np.flatnonzero(new & (self._count >= _SOME))
+        if len(ready):
+            self._judge(ready, variance[:, ready], size[ready])
+
+    def _judge(self, which: np.ndarray, variance: Real, size: Real) -> None:
+        """Fit a pin to the poses of the bodies `which` (b,) and see whether it may stand."""
+        count = np.minimum(self._count[which], _KEPT)
+        held = np.arange(_KEPT)[:, None] < count
+        z = self._positions[:, which]
+        e = self._turns[:, which]
+        z_mean = z.sum(axis=0, where=held) / count
+        e_mean = e.sum(axis=0, where=held) / count
+        z, around = np.where(held, z - z_mean, 0), np.where(held, e - e_mean, 0)
+        spread = (np.abs(around) ** 2).sum(axis=0)
+        arm = -(z * around.conj()).sum(axis=0) / spread
+        misfit = (z + arm * around) * np.where(held, e, 1).conj()
+        along = np.where(arm == 0, 1, arm / np.maximum(np.abs(arm), np.finfo(float).tiny))
+        misfit = misfit * along.conj()
+        across = variance[0] + np.abs(arm) ** 2 * variance[1]
+        square = (misfit.real**2).sum(axis=0) / variance[0] + (misfit.imag**2).sum(axis=0) / across
+        square /= 2 * count - 4
+        # Of the sum over poses that the center is, by the mean of the noise along and across, and
+        # more for a misfit that is alike from pose to pose: no noise, it bends the arc.
+        shares = np.where(held, 1 / count - e_mean * around.conj() / spread, 0)
+        each = np.maximum(square, 1) * (variance[0] + across) / 2
+        alike = (misfit * np.roll(misfit, 1, axis=0).conj()).real.sum(axis=0) / count
+        total = (np.abs(misfit) ** 2).sum(axis=0) / count
+        bent = np.maximum(alike - _ALIKE * total / np.sqrt(count), 0) / 2
+        found = (np.abs(shares) ** 2).sum(axis=0) * each + _BEND * bent * count / spread
+        refuted = square > _DROPPED
+        # What wandering would leave: 0.45 of it times the spread of the angles (to third order).
+        seen = np.sqrt(variance[0]) < _WANDER * 0.45 * size * spread / count
+        seen &= found < (_WANDER * size) ** 2
+        taken = (square < _TAKEN) & (self._count[which] >= self._wanted[which]) & seen
+        taken |= np.isfinite(self.center[which])
+        taken &= ~refuted
+        pinned = which[taken]
+        self.center[pinned] = (z_mean + arm * e_mean)[taken]
+        self.arm[pinned] = arm[taken]
+        self.variance[pinned] = found[taken]
+        gone = np.zeros(len(self.center), bool)
+        gone[which[refuted]] = True
+        self._forget(gone)
+
+    def _forget(self, which: np.ndarray) -> None:
+        """Take the bodies `which` (B,) off their pins and look at them afresh."""
+        if which.any():
+            left = which & np.isfinite(self.center)
+            self._wanted[left] = np.minimum(2 * self._wanted[left], _WARY)
+            self.center[which] = complex(np.nan, np.nan)
+            self.arm[which] = 0.0
+            self.variance[which] = np.nan
+            self._count[which] = 0
+            self._strikes[which] = 0

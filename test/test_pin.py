@@ -1,0 +1,215 @@
+"""Bodies on pins are recognized as such, others are not, and what is done with it is right."""
+
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from test_tracker import PINNED, START, STEP, follow, record
+
+from kinpole_ros.bench._motions import motions, still_turning
+from kinpole_ros.frame import MarkerFrame
+from kinpole_ros.mechanism import BodyMotion, marker_positions
+from kinpole_ros.window import Pins
+
+pytestmark = pytest.mark.filterwarnings('error')
+
+MARKERS = np.array([(0.09, 0.02), (-0.03, 0.1), (-0.08, -0.05), (0.05, -0.06)])
+SIZE = 2 * np.sqrt((MARKERS**2).sum(axis=1).mean())
+
+
+def seen(motion: Any, count: int, noise: float = 0.0, seed: int = 0) -> list[MarkerFrame]:
+    """A body that moves by `motion`, seen at 200 Hz with noise, m."""
+    points = marker_positions(motion(np.arange(count) / 200), MARKERS)
+    points = points + noise * np.random.default_rng(seed).normal(size=points.shape)
+    solid = np.concatenate((points, np.zeros((*points.shape[:2], 1))), axis=2)
+    return [
+        MarkerFrame(START + k * STEP, 'world', ('a', 'b', 'c', 'd'), rows)
+        for k, rows in enumerate(solid)
+    ]
+
+
+def about(center: complex, arm: complex, angle: Any) -> Any:
+    """A motion about a pin: only the pose is right, its derivatives are not needed."""
+
+    def motion(t: np.ndarray) -> BodyMotion:
+        turned = angle(t)
+        place = center - arm * np.exp(1j * turned)
+        return BodyMotion(np.stack([place] * 5), np.stack([turned] * 5))
+
+    return motion
+
+
+def recognized(frames: list[MarkerFrame], **values: Any) -> np.ndarray:
+    """Whether the body is called pinned, by estimate."""
+    found = follow(frames, values, order=1, every=1)[1]
+    return np.array([estimate.pinned[0] for estimate in found])
+
+
+def ever_taken(frames: list[MarkerFrame]) -> bool:
+    """Whether the body is ever thought to be pinned."""
+    tracker = follow(frames[:1], {})[0]
+    for frame in frames:
+        tracker.add(frame, None)
+        if np.isfinite(tracker._pins.center[0]):
+            return True
+    return False
+
+
+@pytest.mark.parametrize('noise', [0.0, 1e-5, 1e-3])
+def test_cranks_and_rockers_are_pinned_and_couplers_are_not(noise: float) -> None:
+    scene = record('four_bar', count=700, noise=noise * 0.2)
+    found = follow(scene.frames, scene.values, order=4, every=20)[1]
+    last = found[-1]
+    assert [last.motion(b) for b in range(3)] == [
+        'pinned' if body in PINNED else 'general' for body in last.bodies
+    ]
+    truth = scene.truth([estimate.stamp for estimate in found])
+    for b, body in enumerate(last.bodies):
+        pinned = np.array([estimate.pinned[b] for estimate in found])
+        if body not in PINNED:
+            assert not pinned.any()
+            continue
+        position, angle = truth[body]
+        pivot = (position[0] + 1j * position[1] / angle[1])[0]
+        assert pinned[-10:].all()
+        for order in range(1, 5):
+            poles = [e.pole(order) for e, on in zip(found, pinned, strict=True) if on]
+            values = np.array([p.value[b] for p in poles if p.determined[b]])
+            assert len(values) > 0.75 * len(poles)
+            assert np.abs(values - pivot).max() < (1e-9 + 2 * noise) * last.size[b]
+        assert last.icr_velocity.value[b] == 0
+        assert 'pinned' in last.reasons(b)['centrode_curvature']
+
+
+@pytest.mark.parametrize('noise', [1e-5, 1e-3, 1e-2])
+@pytest.mark.parametrize('name', motions())
+def test_no_general_motion_is_taken_for_a_turn_about_a_pin(name: str, noise: float) -> None:
+    motion = motions()[name]
+    points = marker_positions(motion.motion(np.arange(1600) / 200), motion.markers)
+    points += noise * motion.size * np.random.default_rng(1).normal(size=points.shape)
+    solid = np.concatenate((points, np.zeros((*points.shape[:2], 1))), axis=2)
+    names = tuple('abcd'[: points.shape[1]])
+    frames = [MarkerFrame(START + k * STEP, 'world', names, rows) for k, rows in enumerate(solid)]
+    assert not ever_taken(frames)
+
+
+@pytest.mark.parametrize('orbit', [0.1, 0.03, 0.01])
+def test_an_icr_on_a_small_circle_is_no_pin(orbit: float) -> None:
+    frames = seen(lambda t: still_turning(t, 3.0, orbit * SIZE), 1600, 1e-3 * SIZE)
+    assert not ever_taken(frames)
+
+
+def test_what_passes_for_a_pin_is_one_within_the_noise_it_states() -> None:
+    frames = seen(lambda t: still_turning(t, 3.0, 0.005 * SIZE), 1600, 1e-2 * SIZE)
+    found = [e for e in follow(frames, {}, order=1, every=1)[1] if e.pinned[0]]
+    assert found
+    for estimate in found:
+        true = still_turning((np.array([estimate.stamp]) - START) * 1e-9, 3.0, 0.005 * SIZE)
+        icr = (true.position[0] + 1j * true.position[1] / true.angle[1])[0]
+        # The circle of the ICR is below the noise of a single frame.
+        assert abs(estimate.pole(1).value[0] - icr) < 0.01 * SIZE
+
+
+def test_a_slow_hinge_is_recognized_as_surely_as_a_fast_one() -> None:
+    for rate in (0.4, 4.0, 40.0):
+        count = int(6.0 / rate * 200) + 200
+        motion = about(0.3 + 0.2j, 0.1 - 0.05j, lambda t, w=rate: w * t)
+        tracker = follow(seen(motion, count, 1e-4), {}, order=None)[0]
+        assert np.isfinite(tracker._pins.center[0]), rate
+
+
+def test_a_hinge_at_rest_stays_one_and_has_no_poles() -> None:
+    motion = about(0.3 + 0.2j, 0.1 + 0j, lambda t: 3.0 * np.minimum(t, 2.0))
+    found = follow(seen(motion, 700, 1e-4), {}, order=2, every=1)[1]
+    assert found[-1].pinned[0]
+    assert found[-1].motion(0) == 'still'
+    assert not found[-1].pole(1).determined[0]
+    assert found[-1].reasons(0)['icr'] == 'no rotation'
+
+
+def test_a_body_that_leaves_its_pin_is_told_of_at_once() -> None:
+    def motion(t: np.ndarray) -> BodyMotion:
+        on = about(0.3 + 0.2j, 0.1 + 0j, lambda t: 3.0 * t)(t)
+        gone = np.maximum(t - 3.0, 0.0)
+        on.position[:] += 0.5 * gone
+        return on
+
+    frames = seen(motion, 900, 1e-4)
+    found = follow(frames, {'lag': 0.1}, order=1, every=1)[1]
+    pinned = {(e.stamp - START) // STEP: bool(e.pinned[0]) for e in found}
+    # 0.5 m/s leaves the noise within a few frames, which lie ahead of the instant that is told.
+    assert pinned[570]
+    assert not any(on for frame, on in pinned.items() if frame >= 590)
+
+
+@pytest.mark.parametrize('bad', [1, 2])
+def test_a_frame_or_two_off_its_place_leaves_a_body_on_its_pin(bad: int) -> None:
+    motion = about(0.3 + 0.2j, 0.1 + 0j, lambda t: 3.0 * t)
+    frames = seen(motion, 900, 1e-4)
+    for k in range(600, 600 + bad):
+        frames[k] = frames[k]._replace(points=frames[k].points + 0.05)
+    found = recognized(frames)
+    assert found[-300:].all()
+
+
+def poses(angle: np.ndarray, place: np.ndarray, noise: float, seed: int) -> Iterator[Pins]:
+    """What is made of poses (N,) of a body of size 0.2 whose markers have that noise."""
+    rng = np.random.default_rng(seed)
+    pins = Pins(1)
+    variance = np.array([[noise**2 / 4], [noise**2 / 0.04]])
+    for k, (turned, at) in enumerate(zip(angle, place, strict=True)):
+        found = at + noise / 2 * (rng.normal(size=(1, 2)) @ (1, 1j))
+        off = noise / 0.2 * rng.normal(size=1)
+        pins.add(k, found, turned + off, variance, np.array([0.2]))
+        yield pins
+
+
+@pytest.mark.parametrize('orbit', np.geomspace(1e-4, 4e-3, 6))
+def test_nothing_flaps(orbit: float) -> None:
+    # An orbit about as small as a frame's noise: whether it is one is hardest to tell.
+    t = np.arange(4000) / 200
+    place = orbit * np.exp(2j * np.pi * 0.7 * t)
+    held = [np.isfinite(pins.center[0]) for pins in poses(3.0 * t, place, 4e-4, 0)]
+    assert np.abs(np.diff(np.array(held, int))).sum() <= 5
+
+
+angles = st.floats(-np.pi, np.pi)
+places = st.complex_numbers(max_magnitude=1e3, allow_nan=False, allow_infinity=False)
+
+
+@settings(max_examples=40, deadline=None)
+@given(angles, places, st.floats(1e-3, 1e3), st.integers(0, 10))
+def test_turning_moving_and_scaling_the_scene_does_the_same_to_its_pin(
+    turn: float, shift: complex, scale: float, seed: int
+) -> None:
+    rng = np.random.default_rng(seed)
+    angle = np.cumsum(rng.uniform(0.02, 0.2, 60))
+    exact = 0.4 - 0.1j - (0.2 + 0.1j) * np.exp(1j * angle)
+    noisy = exact + 1e-4 * (rng.normal(size=(60, 2)) @ (1, 1j))
+    variance = np.array([[1e-8], [1e-6]])
+    size = np.array([0.2])
+    plain, moved = Pins(1), Pins(1)
+    for k in range(60):
+        plain.add(k, noisy[k : k + 1], angle[k : k + 1], variance, size)
+        place = scale * np.exp(1j * turn) * noisy[k : k + 1] + shift
+        larger = variance * np.array([[scale**2], [1.0]])
+        moved.add(k, place, angle[k : k + 1] + turn, larger, scale * size)
+    assert np.isfinite(plain.center[0])
+    expected = scale * np.exp(1j * turn) * plain.center[0] + shift
+    close = 1e-9 * (scale + abs(shift))
+    assert abs(moved.center[0] - expected) < close
+    assert abs(moved.arm[0] - scale * plain.arm[0]) < close
+    assert moved.variance[0] == pytest.approx(scale**2 * plain.variance[0], rel=1e-3)
+
+
+def test_the_stated_deviation_of_a_pin_is_its_error() -> None:
+    angle = 3.0 * np.arange(420) / 200
+    squares = []
+    for seed in range(60):
+        *_, pins = poses(angle, 0.4 - 0.15 * np.exp(1j * angle), 1e-3, seed)
+        squares.append(np.abs(pins.center[0] - 0.4) ** 2 / pins.variance[0] / 2)
+    # Sixty draws of a chi-square of 2 over 2 have a mean within 0.13 of 1, two times in three.
+    assert 0.6 < np.mean(squares) < 1.5
