@@ -4,12 +4,16 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from kinpole_ros.estimate import Estimate
 from kinpole_ros.frame import MarkerFrame
 from kinpole_ros.mechanism import load_scene, marker_positions
 from kinpole_ros.parameters import settings_from
+from kinpole_ros.planar import Fit
 from kinpole_ros.tracker import Tracker
+from kinpole_ros.window import Noise, Shapes
 
 SCENE = load_scene('four_bar')
 NAMES = tuple(name for body in SCENE.markers for name in SCENE.marker_names[body])
@@ -18,12 +22,14 @@ BAD = 200  # the frame that is spoiled
 COUPLER = slice(3, 7)
 
 
-def track(spoil: Callable[[np.ndarray], object] | None, **values: object) -> tuple[Tracker, list]:
+def track(
+    spoil: Callable[[np.ndarray], object] | None, noise: float = 2e-4, /, **values: object
+) -> tuple[Tracker, list]:
     motion = SCENE.motion(np.arange(COUNT) / RATE)
     flat = [marker_positions(motion[body], SCENE.markers[body]) for body in SCENE.markers]
     points = np.zeros((COUNT, len(NAMES), 3))
     points[..., :2] = np.concatenate(flat, axis=1)
-    points[..., :2] += 2e-4 * np.random.default_rng(0).normal(size=(COUNT, len(NAMES), 2))
+    points[..., :2] += noise * np.random.default_rng(0).normal(size=(COUNT, len(NAMES), 2))
     if spoil is not None:
         spoil(points)
     markers = {f'{body}.markers': SCENE.marker_names[body] for body in SCENE.markers}
@@ -134,3 +140,217 @@ def test_landmarks_by_themselves_are_mended_alike() -> None:
     _, straight = track(None, method='landmarks')
     for one, other in zip(found, straight, strict=True):
         assert np.allclose(one.angle, other.angle, rtol=1e-9, equal_nan=True)
+
+
+# --- what is left of a fault later --------------------------------------------------------------
+
+
+@pytest.mark.parametrize('spoil', [jump, two_jump, swap, lose])
+def test_without_noise_a_fault_changes_no_figure(spoil: Callable[[np.ndarray], None]) -> None:
+    _, straight = track(None, 0.0)
+    tracker, found = track(spoil, 0.0)
+    assert sum(tracker.counts.values()) > COUNT  # something was seen to be wrong
+    truth = SCENE.motion(np.arange(COUNT) / RATE)
+    turning = np.array([np.abs(truth[body].angle[1]).max() for body in SCENE.markers])
+    # Inside the window too: to 1e-9 of a figure that changes as fast as the body turns.
+    allowed = 1e-9 * turning ** np.arange(4)[:, None]
+    for one, other in zip(straight, found, strict=True):
+        assert (np.isnan(one.angle) == np.isnan(other.angle)).all()
+        assert not (np.abs(one.angle - other.angle) > allowed).any()
+
+
+@pytest.mark.parametrize('spoil', [jump, two_jump])
+def test_in_noise_a_fault_hardly_changes_what_comes_after_the_window(
+    spoil: Callable[[np.ndarray], None], clean: dict[int, np.ndarray]
+) -> None:
+    spoiled = errors(track(spoil)[1])
+    after = [f for f in clean if f > BAD + 120]  # a window of 100, of which 20 lie ahead
+    change = np.median([np.abs(spoiled[f] - clean[f]) for f in after], axis=0)
+    usual = np.sqrt(np.mean([clean[f] ** 2 for f in after], axis=0))
+    assert (change[:, 1:] < 1e-3 * usual[:, 1:]).all()
+
+
+SETTLED = 1000  # frames from which on a shape is held
+RECTANGLE = np.array([0.1 + 0.06j, -0.1 + 0.06j, -0.1 - 0.06j, 0.1 - 0.06j])
+KITE = np.array([0.13 + 0.02j, -0.03 + 0.1j, -0.12 - 0.05j, 0.05 - 0.11j])
+
+
+def markers(shape: np.ndarray, frames: int, turn: float = 0.03, noise: float = 1e-4) -> np.ndarray:
+    """Noisy markers (frames, n) of a body that goes round and turns by `turn` rad a frame."""
+    k = np.arange(frames)
+    pose = 0.3 * np.exp(0.01j * k)[:, None] + np.exp(1j * turn * k)[:, None] * shape
+    normal = np.random.default_rng(2).normal(size=(frames, len(shape), 2))
+    return np.asarray(pose + noise * (normal @ (1, 1j)))
+
+
+def fitted(points: np.ndarray) -> tuple[Shapes, list[Fit], np.ndarray]:
+    """Shapes after all frames, the fits, and the noise after each frame."""
+    shapes, noise, fits, levels = Shapes(1, points.shape[1]), Noise(1), [], []
+    for row in points:
+        fits.append(shapes.fit(row[None])[0])
+        noise.add(fits[-1])
+        levels.append(noise.level()[0])
+    return shapes, fits, np.array(levels)
+
+
+def turns(fits: list[Fit]) -> np.ndarray:
+    return np.exp(1j * np.array([fit.angle[0] for fit in fits]))
+
+
+@pytest.mark.parametrize('fault', ['jump', 'mirror', 'scatter', 'hide'])
+def test_a_bad_frame_leaves_no_trace_in_the_poses_of_a_settled_body(fault: str) -> None:
+    bad = SETTLED + 20
+    points = markers(KITE, bad + 520)
+    spoiled = points.copy()
+    if fault == 'jump':
+        spoiled[bad, 1] += 0.05
+    elif fault == 'mirror':
+        spoiled[bad] = spoiled[bad].conj()
+    elif fault == 'scatter':
+        spoiled[bad] += [0.1, 0.2j, -0.15, 0.1j]
+    else:
+        spoiled[bad, 2] = np.nan
+    _, straight, level = fitted(points)
+    shapes, found, other = fitted(spoiled)
+    assert (not shapes.mended) == (fault == 'hide')
+    for k in range(len(points)):
+        same = found[k].angle == straight[k].angle and found[k].position == straight[k].position
+        assert bool(same) == (k != bad)
+    # Of the noise it spoils three comparisons, of which the last leaves 512 frames later.
+    assert level[bad - 1] == other[bad - 1]
+    assert (level[bad : bad + 513] != other[bad : bad + 513]).any()
+    assert np.array_equal(level[bad + 514 :], other[bad + 514 :])
+
+
+def test_figures_forget_a_bad_frame_of_a_settled_body() -> None:
+    """To 1e-9 once it has left the window, the 512 frames of the noise, and the choice's means."""
+    bad = SETTLED + 20
+    points = markers(KITE, bad + 760)
+    spoiled = points.copy()
+    spoiled[bad, 1] += 0.05
+    rates = []
+    for rows in (points, spoiled):
+        tracker, found = Tracker(settings_from({'window': 0.1, 'lag': 0.05})), []
+        for k, row in enumerate(rows):
+            solid = np.stack((row.real, row.imag, 0 * row.real), axis=-1)
+            order = 3 if k > bad - 60 else None
+            found += tracker.add(MarkerFrame(k * 5_000_000, 'w', tuple('abcd'), solid), order)
+        turning = 0.03 * RATE
+        rates.append([estimate.angle[:, 0] / turning ** np.arange(4) for estimate in found])
+    change = np.abs(np.subtract(*rates))
+    assert (change[:35] == 0).all()
+    assert change[40:80].max() > 1e-6
+    assert change[-50:].max() < 1e-9
+
+
+def test_a_settled_shape_is_held_until_a_marker_creeps() -> None:
+    points = markers(KITE, SETTLED + 3000)
+    held, _, _ = fitted(points[: SETTLED + 10])
+    shapes, _, _ = fitted(points[: SETTLED + 1000])
+    assert np.array_equal(shapes.points, held.points)
+    # By 30 times the noise in all, so slowly that no frame is suspect.
+    creep = 3e-3 * np.clip((np.arange(len(points)) - SETTLED) / 2000, 0, 1)
+    points[:, 0] += creep * np.exp(0.03j * np.arange(len(points)))
+    shapes, fits, _ = fitted(points)
+    assert not shapes.mended
+    assert np.abs([fit.residual[0] for fit in fits[-200:]]).max() < 6e-4
+
+
+# --- half a turn --------------------------------------------------------------------------------
+
+
+def exchange(points: np.ndarray, first: int, count: int) -> np.ndarray:
+    """The markers of opposite places exchanged in `count` frames."""
+    spoiled, half = points.copy(), points.shape[1] // 2
+    spoiled[first : first + count] = np.roll(points[first : first + count], half, axis=1)
+    return spoiled
+
+
+@pytest.mark.parametrize('turn', [0.0, 0.03, -0.6])
+@pytest.mark.parametrize('count', [1, 5])
+@pytest.mark.parametrize('shape', [KITE[:2], RECTANGLE], ids=['two', 'rectangle'])
+def test_markers_exchanged_by_half_a_turn_leave_no_trace(
+    shape: np.ndarray, count: int, turn: float
+) -> None:
+    points = markers(shape, 140, turn)
+    _, straight, _ = fitted(points)
+    shapes, found, _ = fitted(exchange(points, 90, count))
+    assert shapes.mended == {'markers_exchanged': len(shape) * count}
+    assert np.array_equal(turns(found), turns(straight))
+
+
+@pytest.mark.parametrize('shape', [KITE[:2], RECTANGLE], ids=['two', 'rectangle'])
+def test_markers_exchanged_for_good_are_taken_so_and_no_pose_jumps(shape: np.ndarray) -> None:
+    points = markers(shape, 400)
+    _, straight, _ = fitted(points)
+    shapes, found, _ = fitted(exchange(points, 90, 310))
+    assert shapes.mended == {'markers_exchanged': len(shape) * 100}
+    assert np.abs(turns(found) - turns(straight)).max() < 20e-4
+    # And back again, later.
+    shapes, found, _ = fitted(exchange(points, 90, 200))
+    assert shapes.mended == {'markers_exchanged': len(shape) * 200}
+    assert np.abs(turns(found) - turns(straight)).max() < 20e-4
+
+
+@pytest.mark.parametrize('revolutions', [0.15, 0.25, 0.4, 0.45, 0.49])
+@pytest.mark.parametrize('lost', [0.0, 0.1, 0.5])
+def test_a_body_that_turns_fast_is_not_turned_back(revolutions: float, lost: float) -> None:
+    points = markers(KITE[:2], 400, 2 * np.pi * revolutions)
+    rng = np.random.default_rng(3)
+    points = np.where(rng.random((400, 1)) < lost, np.nan, points)
+    shapes, _, _ = fitted(points)
+    assert not shapes.mended
+    # Nor where whole frames are lost and nobody says so.
+    shapes, _, _ = fitted(points[rng.random(400) > 0.2])
+    assert not shapes.mended
+
+
+def test_nothing_is_expected_after_a_gap() -> None:
+    points = markers(KITE[:2], 300, 0.06)
+    first, later = points[:100], points[100 + 52 :]  # half a turn farther on
+    shapes, _, _ = fitted(first)
+    shapes.forget_motion()
+    for row in later:
+        shapes.fit(row[None])
+    assert not shapes.mended
+
+
+def test_a_body_lost_in_its_noise_is_not_turned_back() -> None:
+    shapes = Shapes(1, 2)
+    for row in markers(KITE[:2], 1300, 0.0, noise=0.06):
+        shapes.fit(row[None])
+    assert 'markers_exchanged' not in shapes.mended
+
+
+def test_the_figures_of_two_markers_survive_their_exchange() -> None:
+    def exchanged(points: np.ndarray) -> None:
+        points[BAD : BAD + 5, [3, 4]] = points[BAD : BAD + 5, [4, 3]]
+
+    pair = {'coupler.markers': ['coupler_1', 'coupler_2']}
+    straight, (tracker, found) = track(None, **pair)[1], track(exchanged, **pair)
+    assert tracker.counts['markers_exchanged'] == 10
+    for one, other in zip(straight, found, strict=True):
+        assert np.array_equal(one.angle, other.angle, equal_nan=True)
+
+
+@settings(max_examples=25, deadline=None)
+@given(
+    turn=st.floats(-3, 3),
+    shift=st.complex_numbers(max_magnitude=10),
+    scale=st.floats(-3, 3).map(lambda x: 10**x),
+    order=st.permutations(range(4)),
+)
+def test_mending_does_not_depend_on_names_place_turn_or_size(
+    turn: float, shift: complex, scale: float, order: list[int]
+) -> None:
+    for shape in (KITE, RECTANGLE):
+        points = exchange(markers(shape, 80), 60, 2) if shape is RECTANGLE else markers(shape, 80)
+        points[50, 1] += 0.05
+        points[70, [0, 1]] = points[70, [1, 0]]
+        shapes, fits, level = fitted(points)
+        assert {'markers_left_out', 'markers_exchanged'} == set(shapes.mended)
+        there = (scale * np.exp(1j * turn) * points + scale * shift)[:, order]
+        others, found, other = fitted(there)
+        assert others.mended == shapes.mended
+        assert turns(found) / turns(found)[:1] == pytest.approx(turns(fits) / turns(fits)[:1])
+        assert other[-1] == pytest.approx(scale * level[-1], rel=1e-6)

@@ -1,8 +1,8 @@
 """
 Markers that are not where the body can have them: left out, or put back where two were exchanged.
 
-Looked at only where a rigid fit leaves far more than it does as a rule, so what is tried here need
-not be fast.
+Looked at only where a rigid fit leaves far more than it does as a rule, or a body seems to jump by
+half a turn, so what is tried here need not be fast.
 """
 
 from itertools import combinations
@@ -54,6 +54,24 @@ def untangle(
         if worst <= limit:
             return np.where(lighter[best] > 0, points, nothing), LEFT_OUT, leave
     return nothing, DROPPED, len(seen)
+
+
+def half_turn(shape: Complex, weights: Real, limit: float) -> np.ndarray | None:
+    """
+    Which marker (n,) takes whose place as the body turns by half a turn about its mean.
+
+    Of the markers of weight, none of which may come to lie farther than `limit` (m) from the place
+    it takes; None where the shape (n,) has no such symmetry.
+    """
+    seen = np.flatnonzero(weights > 0)
+    arms = shape[seen] - shape[seen].mean()
+    apart = np.abs(arms[:, None] + arms)
+    other = apart.argmin(axis=1)
+    if apart.min(axis=1).max() > limit or (other[other] != np.arange(len(seen))).any():
+        return None
+    order = np.arange(len(shape))
+    order[seen] = seen[other]
+    return order
 
 
 def _best(points: Complex, shape: Complex, weights: Real) -> tuple[int, float]:
