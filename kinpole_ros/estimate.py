@@ -120,7 +120,10 @@ class Estimate:
             value = np.where(self.pinned, self.pin, value)
             even = self.pin_variance[:, None, None] * np.eye(2)
             spread = np.where(self.pinned[:, None, None], even, spread)
-            near = near | self.pinned
+            # Whatever rate is seen, the pin has none of that order; the formula need not be known.
+            rates = slice(order + 1)
+            turns = _stands_out(np.abs(self.angle[rates]), self.angle_covariance[rates, rates])
+            turning, near = turning | (self.pinned & turns), near | self.pinned
         finite = np.isfinite(value) & np.isfinite(spread).all(axis=(-2, -1))
         return Vectors(value, spread, turning & near & finite)
 
