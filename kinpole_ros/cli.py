@@ -201,6 +201,9 @@ def _parser() -> argparse.ArgumentParser:
     )
     bench.add_argument('--output', metavar='FOLDER', default='docs', help='where to write (docs)')
     bench.add_argument('--quick', action='store_true', help='little data: shows that it works')
+    bench.add_argument(
+        '--long', action='store_true', help='only the run of 1e7 frames: an hour or two'
+    )
     bench.set_defaults(run=_bench)
     return parser
 
@@ -326,10 +329,13 @@ def _demo(options: argparse.Namespace) -> int:
 
 
 def _bench(options: argparse.Namespace) -> int:
-    from kinpole_ros.bench import bench
+    from kinpole_ros.bench import bench, bench_long
 
     with _progress('bench') as progress:
-        written = bench(options.output, options.quick, progress)
+        if options.long:
+            written = bench_long(options.output, progress)
+        else:
+            written = bench(options.output, options.quick, progress)
     for path in written:
         print(f'written to {path}')
     return 0

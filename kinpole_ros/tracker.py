@@ -169,7 +169,7 @@ class Tracker:
 
     def _size(self) -> np.ndarray:
         """Diameters (B,) of the bodies: twice the rms distance of their markers from the mean."""
-        return np.asarray(2 * np.sqrt(self._shapes.spread() / np.maximum(self._shapes.known(), 1)))
+        return np.asarray(2 * np.sqrt(self._shapes.spread / np.maximum(self._shapes.known, 1)))
 
     def _gap(self, stamp: int) -> bool:
         """Whether this frame comes much later than the frames before it did."""
@@ -247,7 +247,7 @@ class Tracker:
         seen = information[now, :count] > 0
         measured = np.isfinite(noise)
         with np.errstate(invalid='ignore'):
-            firm = noise**2 < _UNSTEADY**2 * self._shapes.spread()
+            firm = noise**2 < _UNSTEADY**2 * self._shapes.spread
         usable = seen & measured & firm
         noise = np.where(measured, noise, 1.0)
         differentiated = self._from_poses if self._points is None else self._from_landmarks

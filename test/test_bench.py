@@ -1,20 +1,45 @@
 """The benchmarks themselves: exact motions, rivals that are what they are called, honest counts."""
 
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+from typing import Any
+
 import numpy as np
 import pytest
 
-from kinpole_ros.bench import hindsight_table, motions
-from kinpole_ros.bench._hindsight import apply_weights, fixed_weights
-from kinpole_ros.bench._peers import make_kalman, run_kalman
-from kinpole_ros.bench._record import QUANTITIES, make_recording, rms
+from kinpole_ros import planar
+from kinpole_ros.bench import _long, hindsight_table, motions
+from kinpole_ros.bench._bounds import bound_variance
+from kinpole_ros.bench._hindsight import LEVELS, apply_weights, coverage, fixed_weights
+from kinpole_ros.bench._motions import cusped, swinging
+from kinpole_ros.bench._page import _beyond, _long_part
+from kinpole_ros.bench._peers import OURS, make_kalman, run_kalman
+from kinpole_ros.bench._pendulum import _fixed, _poles
+from kinpole_ros.bench._record import (
+    POLES,
+    QUANTITIES,
+    Figures,
+    Recording,
+    make_recording,
+    quantities,
+    rms,
+)
+from kinpole_ros.bench._report import _read_csv, _write_csv
+from kinpole_ros.frame import MarkerFrame
+from kinpole_ros.tracker import Tracker
 
 STEP = 1e-5
+MOTIONS: dict[str, Callable[[np.ndarray], Any]] = {
+    name: motion.motion for name, motion in motions().items()
+}
+MOTIONS |= {'swing': partial(swinging, amplitude=0.7), 'cusp': partial(cusped, least=0.01)}
 
 
-@pytest.mark.parametrize('name', motions())
+@pytest.mark.parametrize('name', MOTIONS)
 def test_each_derivative_is_the_slope_of_the_one_before(name: str) -> None:
     t = np.arange(0.0071, 2.2, 0.0137)
-    motion = motions()[name].motion
+    motion = MOTIONS[name]
     here, before, after = motion(t), motion(t - STEP), motion(t + STEP)
     for exact, low, high in zip(here, before, after, strict=True):
         for order in range(1, 5):
@@ -23,14 +48,155 @@ def test_each_derivative_is_the_slope_of_the_one_before(name: str) -> None:
             assert np.abs(slope - exact[order]).max() < allowed
 
 
+@pytest.mark.parametrize('least', [0.0, 1e-3, 0.3])
+def test_at_a_cusp_the_icr_of_a_turning_body_is_as_slow_as_asked(least: float) -> None:
+    t = np.arange(0.5, 1.5, 0.001)
+    moved = cusped(t, least)
+    speed = np.abs(planar.icr_velocity(moved.position, moved.angle).value)
+    usual = 0.05 * 2 * np.pi
+    assert speed.argmin() == np.abs(t - 1).argmin()
+    assert speed.min() == pytest.approx(least * usual, abs=1e-9)
+    assert speed.max() == pytest.approx((2 - least) * usual, rel=1e-3)
+    assert np.abs(moved.angle[1]).min() > 10
+
+
 def test_table_of_one_motion_has_every_quantity_and_sane_ratios() -> None:
-    rows, covered = hindsight_table(('four-bar coupler',), (1e-3,), 1, 3.0)
+    rows, covered, bounds = hindsight_table(('four-bar coupler',), (1e-3,), 1, 3.0)
     assert [row['quantity'] for row in rows] == list(QUANTITIES)
     assert {row['quantity'] for row in covered} == set(QUANTITIES)
     for row in rows:
         # The rival is picked in hindsight, but it keeps one setting; ours is not far from it.
         assert 0.2 < row['ratio'] < 5
     assert all(0.5 < row['covered'] <= 1 for row in covered)
+    for ratio, bound in zip(rows, bounds, strict=True):
+        assert bound['quantity'] == ratio['quantity']
+        assert bound['seeds_10'] == bound['seeds_90'] == pytest.approx(1)
+        both = bound['ours_over_bound'] / bound['best_over_bound']
+        assert both == pytest.approx(ratio['ratio'], rel=1e-6)
+
+
+def test_the_bound_is_what_least_squares_errs_where_its_model_is_true() -> None:
+    weights, ahead = fixed_weights(41, 4)
+    t = (np.arange(41) - (40 - ahead)) / 200
+    powers = t[:, None] ** np.arange(5) / (1, 1, 2, 6, 24)
+    position = np.array((0.3 - 0.1j, 0.5 + 0.2j, -1 + 2j, 4 - 3j, 10 + 5j))
+    angle = np.array((0.2, 3.0, -2.0, 20.0, 50.0))
+    rng = np.random.default_rng(3)
+    sigma, turn = 1e-6, 2e-6
+    z = (powers @ position)[:, None] + sigma * (rng.normal(size=(41, 4000, 2)) @ (1, 1j))
+    theta = (powers @ angle)[:, None] + turn * rng.normal(size=(41, 4000))
+    found = quantities(weights @ z, weights @ theta)
+    true = quantities(position[:4, None, None], angle[:4, None, None])
+    for name in QUANTITIES:
+        bound = bound_variance(
+            name,
+            position[:4, None, None],
+            angle[:4, None, None],
+            np.array([sigma**2]),
+            np.array([turn**2]),
+            weights,
+        )
+        error = np.mean(np.abs(found[name] - true[name]) ** 2)
+        assert error == pytest.approx(float(bound[0, 0]), rel=0.1), name
+
+
+def stated(recording: Recording, error: np.ndarray, deviation: float) -> Figures:
+    """Figures off by `error` (N, C) complex where `deviation` is stated for each axis."""
+    count = len(recording.middle)
+    values = {name: truth + error for name, truth in recording.truth.items()}
+    squares = {
+        name: np.abs(error) ** 2 / deviation**2 if name in POLES else (error.real / deviation) ** 2
+        for name in QUANTITIES
+    }
+    everywhere = {name: np.ones(error.shape, bool) for name in QUANTITIES}
+    deviations = {name: np.full(error.shape, deviation) for name in QUANTITIES}
+    return Figures(np.arange(count), values, deviations, squares, everywhere)
+
+
+def test_errors_as_stated_are_covered_as_often_and_distributed_like_chi_square() -> None:
+    recording = make_recording(('rolling wheel',), (1e-3,), 4, 6.0)
+    shape = recording.middle.shape
+    error = 1e-4 * (np.random.default_rng(5).normal(size=(*shape, 2)) @ (1, 1j))
+    for row in coverage(recording, stated(recording, error, 1e-4)):
+        assert row['covered'] == pytest.approx(0.95, abs=0.015)
+        assert row['exact'] == 0
+        for level in LEVELS:
+            below = row[f'below_{100 * level:g}']
+            if row['quantity'] in POLES:
+                assert below == pytest.approx(level, abs=0.025)
+            else:
+                assert np.isnan(below)
+
+
+def test_figures_without_error_are_told_as_exact() -> None:
+    recording = make_recording(('rolling wheel',), (1e-3,), 1, 1.0)
+    nothing = np.zeros(recording.middle.shape, complex)
+    for row in coverage(recording, stated(recording, nothing, 1e-4)):
+        assert (row['exact'], row['covered']) == (1, 1)
+
+
+def test_ours_is_held_against_the_least_of_the_peers_named() -> None:
+    key = ('two sines', 1e-3, 'ω')
+    tables = {OURS: {key: 3.0}, 'a': {key: 2.0}, 'b': {key: 1.5}, 'c': {key: 0.1}}
+    assert _beyond(tables, ('a', 'b')) == [(2.0, key, 'b')]
+    tables['b'][key] = np.nan
+    assert _beyond(tables, ('a', 'b')) == [(1.5, key, 'a')]
+
+
+def test_pendulum_of_exact_motion_has_its_poles_at_pivot_and_joint() -> None:
+    t = np.arange(400) / 500
+    pivot = 0.4 + 0.1j
+    first, second = 2 * np.sin(3 * t), 1 - 4 * t**2
+    joint = pivot + 0.09 * np.exp(1j * first)
+    tip = joint + 0.07 * np.exp(1j * second)
+    frames = np.arange(60, 340)
+    seen = np.stack((np.full(400, pivot), joint, tip), axis=1)
+    icr, relative, of_second, iap, ijp = _poles(*_fixed(seen, frames, 21, 6))
+    for poles, place, off in ((icr, pivot, 1e-6), (iap, pivot, 1e-4), (ijp, pivot, 3e-3)):
+        told = np.abs(np.cos(3 * t[frames])) > 0.3
+        assert np.abs(poles - place)[told].max() < off * 0.09
+    assert np.abs(relative - joint[frames]).max() < 1e-5
+    # Kennedy: the three centers are on one line.
+    along = (pivot - joint[frames]) / 0.09
+    across = ((of_second - joint[frames]) * along.conj()).imag
+    assert np.abs(across[np.abs(second[frames] - 1) > 0.1]).max() < 1e-4
+
+
+class Turning(Tracker):
+    """Its bodies' frames turn on and on, and move."""
+
+    def add(self, frame: MarkerFrame, order: int | None) -> list[Any]:
+        found = super().add(frame, order)
+        self._shapes.points *= np.exp(1e-7j)
+        self._shapes.points += 1e-9
+        return found
+
+
+def test_a_long_run_tells_a_frame_that_drifts_from_one_that_stays(monkeypatch: Any) -> None:
+    monkeypatch.setattr(_long, 'STRETCHES', 3)
+    still = _long.long_run(600)
+    assert [row['frame'] for row in still] == [200, 400, 600]
+    for row in still:
+        assert abs(row['turned']) < 1e-6
+        assert row['shifted'] < 1e-9
+        assert row['omega_error'] < 0.05
+        assert row['icr_determined'] > 0.9
+    monkeypatch.setattr(_long, 'Tracker', Turning)
+    drifting = _long.long_run(600)
+    assert drifting[-1]['turned'] == pytest.approx(4e-5, rel=0.05)
+    assert drifting[-1]['shifted'] > 1e-7
+
+
+def test_the_page_quotes_a_long_run_once_it_is_written(tmp_path: Path) -> None:
+    path = tmp_path / 'long.csv'
+    assert _read_csv(path) == []
+    assert 'Not measured' in _long_part([])
+    names = ('omega_error', 'icr_error', 'turned', 'shifted', 'shape_error', 'memory', 'cpu')
+    rows = [{'frame': 5e4 * k} | dict.fromkeys(names, 1e-3 * k) for k in range(1, 201)]
+    _write_csv(path, rows)
+    told = _long_part(_read_csv(path))
+    assert '1e+07 frames' in told
+    assert 'turned by 0.2 rad' in told
 
 
 def test_a_case_is_the_same_in_whatever_selection_it_is_in() -> None:

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from kinpole_ros import planar
-from kinpole_ros.bench._motions import Motion, motions, still_turning
+from kinpole_ros.bench._motions import Motion, cusped, motions, still_turning, swinging
 from kinpole_ros.bench._peers import FixedTracker
 from kinpole_ros.bench._record import RATE, START, frames_of, quantities
 from kinpole_ros.estimate import Estimate, Numbers, Vectors
@@ -35,6 +35,11 @@ class Cell(NamedTuple):
     rounding: float = 0.0
     jitter: float = 0.0
     offset: float = 0.0
+    # s. Judged within `_ABOUT` of it, otherwise in the second half.
+    instant: float | None = None
+
+
+_ABOUT = 0.05
 
 
 def cells() -> Iterator[Cell]:
@@ -44,6 +49,12 @@ def cells() -> Iterator[Cell]:
 
     def turning(rate: float, orbit: float = 0.05) -> Motion:
         return Motion(lambda t: still_turning(t, rate, orbit), turner)
+
+    def swing(amplitude: float) -> Motion:
+        return Motion(lambda t: swinging(t, amplitude), turner)
+
+    def cusp(least: float) -> Motion:
+        return Motion(lambda t: cusped(t, least), turner)
 
     def shaped(markers: np.ndarray) -> Motion:
         return Motion(bar.motion, markers)
@@ -57,8 +68,12 @@ def cells() -> Iterator[Cell]:
 
     for rate in (10.0, 1.0, 0.1, 1e-2, 1e-3, 1e-5, 0.0):
         yield Cell('angular velocity to 0', 'rad/s', rate, turning(rate))
+    for angle in (1.0, 0.1, 1e-2, 1e-3, 1e-5, 0.0):
+        yield Cell('swing to rest, ω and α to 0', 'rad to each side', angle, swing(angle))
     for orbit in (1e-2, 1e-3, 1e-4, 1e-6, 0.0):
         yield Cell('centrode velocity to 0 (pinned)', 'm, orbit', orbit, turning(6.0, orbit))
+    for least in (1.0, 0.1, 1e-2, 1e-4, 0.0):
+        yield Cell('centrode to a cusp', 'of its speed left', least, cusp(least), instant=2.0)
     line = bar.markers - bar.markers.mean(axis=0)
     for width in (1.0, 1e-1, 1e-2, 1e-4, 0.0):
         yield Cell('markers to a line', 'width kept', width, shaped(line * (1.0, width)))
@@ -128,7 +143,12 @@ def _row(cell: Cell, name: str, kind: Callable[[Settings], Tracker]) -> dict[str
             for k, frame in enumerate(frames):
                 asked = 3 if k % every == 0 and k > count // 2 - 100 * every else None
                 found += tracker.add(frame, asked)
-            found = [e for e in found if e.stamp >= int(stamps[count // 2])]
+            first, last = int(stamps[count // 2]), int(stamps[-1])
+            if cell.instant is not None:
+                first, last = (
+                    START + round((cell.instant + side * _ABOUT) * 1e9) for side in (-1, 1)
+                )
+            found = [e for e in found if first <= e.stamp <= last]
             _fill(row, found, cell)
     # Whatever it is, it belongs in the table.
     except Exception as error:

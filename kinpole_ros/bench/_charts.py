@@ -92,31 +92,36 @@ def hindsight(rows: Rows, path: Path) -> None:
     _finish(figure, panels, path)
 
 
-def atlas(rows: Rows, path: Path) -> None:
+def atlas(rows: Rows, path: Path, names: tuple[str, ...] = ('ω', 'ICR')) -> None:
     """Chart (c): error (above) and share determined (below) as each thing goes to its limit."""
     from matplotlib.figure import Figure
 
     limits = list(dict.fromkeys(row['limit'] for row in rows))
     figure = Figure(figsize=(12, 4.6 * ((len(limits) + 2) // 3)), layout='constrained')
     outer = figure.subfigures((len(limits) + 2) // 3, 3, squeeze=False).ravel()
-    lines = [('ω', 'ours', 'o', '-'), ('ICR', 'ours', 's', '-')]
-    lines += [('ω', 'fixed 41/4', 'o', ':'), ('ICR', 'fixed 41/4', 's', ':')]
+    methods = {'ours': '-', 'fixed 41/4': ':'}
     for part, limit in zip(outer, limits, strict=False):
         above, below = part.subplots(2, 1, sharex=True, height_ratios=(2, 1))
-        for name, method, mark, line in lines:
+        above.set_yscale('log')
+        for method, line in methods.items():
             mine = [r for r in rows if r['limit'] == limit and r['method'] == method]
             mine.sort(key=lambda row: float(row['value']))
             x = np.arange(len(mine))
-            style = {'marker': mark, 'linestyle': line, 'color': '0.0' if line == '-' else '0.5'}
-            style |= {'markerfacecolor': 'white'}
-            errors = [row.get(f'{name}_error', np.nan) for row in mine]
-            above.plot(x, np.maximum(errors, 1e-16), label=f'{name}, {method}', **style)
-            below.plot(x, [row.get(f'{name}_determined', 0.0) for row in mine], **style)
+            for name, mark in zip(names, 'os', strict=True):
+                style = {'marker': mark, 'linestyle': line, 'markerfacecolor': 'white'}
+                style |= {'color': '0.0' if line == '-' else '0.5'}
+                errors = np.array([row.get(f'{name}_error', np.nan) for row in mine])
+                errors[errors == 0] = np.nan
+                above.plot(x, errors, label=f'{name}, {method}', **style)
+                below.plot(x, [row.get(f'{name}_determined', 0.0) for row in mine], **style)
             below.set_xticks(x, [f'{row["value"]:g}' for row in mine], fontsize=7)
-        above.set_yscale('log')
+        # What is flat shall look flat.
+        low, high = above.get_ylim()
+        wider = max(1.0, np.sqrt(100 * low / high))
+        above.set_ylim(low / wider, high * wider)
         above.set_ylabel('median error, relative', fontsize=8)
         below.set_ylim(-0.05, 1.05)
-        below.set_ylabel('determined', fontsize=8)
+        below.set_ylabel('share determined', fontsize=8)
         unit = next(row['unit'] for row in rows if row['limit'] == limit)
         below.set_xlabel(f'{limit} ({unit})', fontsize=9)
     first = outer[0].axes[0]

@@ -5,6 +5,8 @@ A fixed local polynomial on the same fitted poses, with the same window and lag 
 run in all its settings; for each quantity of each case the one that turns out best is the bound.
 """
 
+from typing import NamedTuple
+
 import numpy as np
 
 from kinpole_ros.bench._record import (
@@ -21,10 +23,25 @@ from kinpole_ros.bench._record import (
 )
 from kinpole_ros.window import derivative_weights
 
+# Motion, noise level and quantity.
+Key = tuple[str, float, str]
 # Highest derivative in each quantity.
 ORDER = dict(zip(QUANTITIES, (1, 2, 3, 1, 2, 3, 3), strict=True))
 # Fewer determined frames than this are no basis for a figure.
 FEWEST = 50
+# Chi-square of 2 is exponential: below -2 ln(1 - p) lies the share p.
+LEVELS = (0.5, 0.9, 0.95, 0.99)
+# An error below this share of the scale is rounding.
+_EXACT = 1e-9
+
+
+class Best(NamedTuple):
+    """The best fixed setting of one cell: pooled RMS, window and degree, RMS by seed (seeds,)."""
+
+    error: float
+    samples: int
+    degree: int
+    seeds: np.ndarray
 
 
 def settings(lag: float = LAG) -> list[tuple[int, int]]:
@@ -91,20 +108,29 @@ def by_condition(recording: Recording, values: np.ndarray) -> dict[tuple[str, fl
     return {key: values[..., columns] for key, columns in groups.items()}
 
 
+def rms_by_seed(
+    recording: Recording, errors: dict[str, np.ndarray], where: dict[str, np.ndarray]
+) -> dict[Key, tuple[float, np.ndarray]]:
+    """RMS over what counts, pooled and of each seed (seeds,), by motion, noise and quantity."""
+    result: dict[Key, tuple[float, np.ndarray]] = {}
+    for name in QUANTITIES:
+        with np.errstate(all='ignore'):
+            squares = np.where(where[name], np.abs(errors[name]) ** 2, 0.0).sum(axis=0)
+        counts = by_condition(recording, where[name].sum(axis=0))
+        for (motion, noise), square in by_condition(recording, squares).items():
+            count = counts[motion, noise]
+            enough = count.sum() >= FEWEST
+            with np.errstate(all='ignore'):
+                pooled = float(np.sqrt(square.sum() / count.sum())) if enough else np.nan
+                result[motion, noise, name] = pooled, np.sqrt(square / count)
+    return result
+
+
 def pooled_rms(
     recording: Recording, errors: dict[str, np.ndarray], where: dict[str, np.ndarray]
-) -> dict[tuple[str, float, str], float]:
+) -> dict[Key, float]:
     """RMS over all frames and seeds that count, by motion, noise and quantity."""
-    result = {}
-    for name in QUANTITIES:
-        masks = by_condition(recording, where[name])
-        for key, error in by_condition(recording, errors[name]).items():
-            mask = masks[key]
-            enough = mask.sum() >= FEWEST
-            value = rms(error.reshape(-1, 1), mask.reshape(-1, 1))[0] if enough else np.nan
-            motion, noise = key
-            result[motion, noise, name] = float(value)
-    return result
+    return {key: pooled for key, (pooled, _) in rms_by_seed(recording, errors, where).items()}
 
 
 def best_fixed(
@@ -113,22 +139,22 @@ def best_fixed(
     where: dict[str, np.ndarray],
     poses: tuple[np.ndarray, np.ndarray] | None = None,
     lag: float = LAG,
-) -> dict[tuple[str, float, str], tuple[float, int, int]]:
-    """Least RMS with its samples and degree, by motion, noise and quantity."""
+) -> dict[Key, Best]:
+    """The setting of least RMS by motion, noise and quantity."""
     position, angle = fit_poses(recording) if poses is None else poses
-    best: dict[tuple[str, float, str], tuple[float, int, int]] = {}
+    best: dict[Key, Best] = {}
     for samples, degree in settings(lag):
         weights, ahead = fixed_weights(samples, degree, lag)
         z, turn = apply_weights(weights, ahead, frames, position, angle)
-        found = pooled_rms(recording, errors_of(recording, frames, z, turn), where)
-        for key, value in found.items():
+        found = rms_by_seed(recording, errors_of(recording, frames, z, turn), where)
+        for key, (value, seeds) in found.items():
             # An order above the degree comes out zero, which is no measurement of what is zero.
             if (
                 degree >= ORDER[key[2]]
                 and np.isfinite(value)
-                and value < best.get(key, (np.inf, 0, 0))[0]
+                and (key not in best or value < best[key].error)
             ):
-                best[key] = (value, samples, degree)
+                best[key] = Best(value, samples, degree, seeds)
     return best
 
 
@@ -142,7 +168,10 @@ def coverage(recording: Recording, ours: Figures) -> list[dict[str, object]]:
     10 stated deviations or the true pole lies beyond 1000 sizes, otherwise good, if the stated
     deviation is below 0.3 of what is measured (of a pole: of the body's size; of a rate at least
     that power of the rms of ω): what is known worse than that is no loss. A frame whose true pole
-    does not exist is bad, and not covered where it is marked determined.
+    does not exist is bad, and not covered where it is marked determined. `exact` is the share of
+    determined frames without any error but rounding: where it is above 0.97 `covered` cannot be
+    below. `below_50` and so on are, for poles, the shares of squared errors over the covariance
+    below that percentile of chi-square.
     """
     errors = own_errors(recording, ours)
     rows: list[dict[str, object]] = []
@@ -167,6 +196,7 @@ def coverage(recording: Recording, ours: Figures) -> list[dict[str, object]]:
             'determined': ours.determined[name],
             'covered': ours.squares[name] < limit,
             'square': ours.squares[name] / freedom,
+            'exact': errors[name] <= _EXACT * scale,
             'bad': bad,
             'good': good,
         }
@@ -176,6 +206,10 @@ def coverage(recording: Recording, ours: Figures) -> list[dict[str, object]]:
             told = here['determined']
             enough = told.sum() >= FEWEST
             square = here['square'][told & np.isfinite(here['square'])]
+            chi = {f'below_{100 * p:g}': np.nan for p in LEVELS}
+            if name in POLES and enough:
+                all_told = 2 * here['square'][told]
+                chi = {f'below_{100 * p:g}': np.mean(all_told < -2 * np.log1p(-p)) for p in LEVELS}
             rows.append(
                 {
                     'motion': key[0],
@@ -183,12 +217,14 @@ def coverage(recording: Recording, ours: Figures) -> list[dict[str, object]]:
                     'quantity': name,
                     'determined': told.mean(),
                     'covered': here['covered'][told].mean() if enough else np.nan,
+                    'exact': here['exact'][told].mean() if enough else np.nan,
                     'mean_square': square.mean() if enough else np.nan,
                     'median_square': np.median(square) if enough else np.nan,
                     'bad': int(here['bad'].sum()),
                     'bad_let_through': int((here['bad'] & told).sum()),
                     'good': int(here['good'].sum()),
                     'good_withheld': int((here['good'] & ~told).sum()),
+                    **chi,
                 }
             )
     return rows

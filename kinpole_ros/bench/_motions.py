@@ -55,6 +55,29 @@ def still_turning(t: np.ndarray, rate: float, orbit: float = 0.05) -> BodyMotion
     return BodyMotion(orbit * _turning(t, 2 * pi * 0.7), angle)
 
 
+def swinging(t: np.ndarray, amplitude: float) -> BodyMotion:
+    """Swings by `amplitude` rad to either side, on the orbit of `still_turning`."""
+    return still_turning(t, 0.0)._replace(angle=amplitude * _turning(t, 2 * pi * 0.8).imag)
+
+
+def cusped(t: np.ndarray, least: float) -> BodyMotion:
+    """
+    A body whose ICR slows down once a second, when t is whole, to `least` of its usual speed.
+
+    The ICR P goes like a point of a wheel on a wheel, P' = i r c (exp(i c t) - (1 - least)
+    exp(2 i c t)): a cusp of the centrode where `least` is 0. A body turning at a constant w, with P
+    for its ICR, has a reference point z with z' = i w (z - P), term by term
+    z = P w / (w - k c) for the term of k c.
+    """
+    circling, rate = 2 * pi, 2 * pi * 3.3
+    body = still_turning(t, rate)
+    position = sum(
+        share * 0.05 * rate / (rate - k * circling) * _turning(t, k * circling)
+        for k, share in ((1, 1.0), (2, (least - 1) / 2))
+    )
+    return BodyMotion(np.asarray(position), body.angle)
+
+
 def _fast_rotation(t: np.ndarray) -> BodyMotion:
     return still_turning(t, 2 * pi * 5.0)
 

@@ -18,6 +18,8 @@ import numpy as np
 from kinpole_ros import planar
 from kinpole_ros.bench._hindsight import (
     ORDER,
+    Best,
+    Key,
     apply_weights,
     best_fixed,
     counted,
@@ -45,7 +47,6 @@ from kinpole_ros.planar import fit_pose
 from kinpole_ros.tracker import Tracker
 from kinpole_ros.window import derivative_weights, stencil
 
-Key = tuple[str, float, str]
 Table = dict[Key, float]
 
 OURS = 'ours'
@@ -56,6 +57,9 @@ SAVGOL = 'Savitzky-Golay 41/4 on markers'
 SAVGOL_BEST = 'Savitzky-Golay on markers, hindsight'
 KALMAN = 'Kalman filter, hindsight, no lag'
 SMOOTHER = 'Kalman smoother, hindsight'
+# The peers that lag no more than ours, and those of them that the truth has not tuned.
+UNTUNED = (DIFFERENCES, SAVGOL)
+REAL_TIME = (*UNTUNED, SPACED, SAVGOL_BEST, SMOOTHER)
 # The methods and where PyNumDiff's optimizer starts its search (a set: each; a list: near each).
 PYNUMDIFF = {
     'savgoldiff': {'degree': {4, 7}, 'window_size': [21, 61, 101], 'smoothing_win': {3}},
@@ -131,8 +135,19 @@ def over_lag(
     return tables
 
 
-def _values(best: dict[Key, tuple[float, int, int]]) -> Table:
-    return {key: value for key, (value, *_) in best.items()}
+def median_over_ours(tables: dict[str, Table], method: str, quantity: str, noise: float) -> float:
+    """Median over the motions of a method's error over ours; NaN where there is none."""
+    ours = tables[OURS]
+    ratios = [
+        error / ours[key]
+        for key, error in tables[method].items()
+        if key[1:] == (noise, quantity) and ours[key] > 0 and np.isfinite(error / ours[key])
+    ]
+    return float(np.median(ratios)) if ratios else float('nan')
+
+
+def _values(best: dict[Key, Best]) -> Table:
+    return {key: found.error for key, found in best.items()}
 
 
 def _least(tables: list[Table]) -> Table:

@@ -14,6 +14,7 @@ from kinpole_ros import planar
 from kinpole_ros.bench._motions import Motion, motions
 from kinpole_ros.frame import MarkerFrame
 from kinpole_ros.mechanism import BodyMotion, marker_positions
+from kinpole_ros.mechanism._motions import rotation_derivatives
 from kinpole_ros.parameters import Settings
 from kinpole_ros.planar import fit_pose
 from kinpole_ros.tracker import Tracker
@@ -43,16 +44,28 @@ class Case(NamedTuple):
 @dataclass(frozen=True, eq=False)
 class Recording:
     """
-    N frames of C cases: `points` (N, C, n) complex, m; `truth` by quantity (N, C) and `middle`
-    (N, C), the mean of the exact markers; `shape` (C, n) the markers about it; `size` (C,), m.
+    N frames of C cases: `points` (N, C, n) complex, m; `truth` by quantity (N, C); `position`
+    (4, N, C), the exact mean of the markers, and `angle` (4, N, C) with their derivatives; `shape`
+    (C, n) the markers about their mean; `size` (C,) and `noise` (C,) per axis of a marker, m.
     """
 
     cases: tuple[Case, ...]
     points: np.ndarray
     truth: dict[str, np.ndarray]
-    middle: np.ndarray
+    position: np.ndarray
+    angle: np.ndarray
     shape: np.ndarray
     size: np.ndarray
+
+    @property
+    def middle(self) -> np.ndarray:
+        """Where (N, C) the mean of the exact markers is."""
+        return np.asarray(self.position[0])
+
+    @property
+    def noise(self) -> np.ndarray:
+        """Standard deviation (C,) of one coordinate of a marker, m."""
+        return np.array([case.noise for case in self.cases]) * self.size
 
     def near(self) -> dict[str, np.ndarray]:
         """Where (N, C) each true quantity is one to be measured: see `NEAR`."""
@@ -89,7 +102,8 @@ def make_recording(
     )
     count = round(seconds * RATE)
     points = np.empty((count, len(cases), 4), complex)
-    middle = np.empty((count, len(cases)), complex)
+    position = np.empty((4, count, len(cases)), complex)
+    angle = np.empty((4, count, len(cases)))
     parts = []
     for k, case in enumerate(cases):
         # Seeds by name, so that a case is the same in whatever selection it is in.
@@ -98,13 +112,15 @@ def make_recording(
         moved, exact = observe(known[case.motion], times(count) + 0.37 * case.seed)
         noise = case.noise * known[case.motion].size
         points[:, k] = exact + noise * (rng.normal(size=(count, 4, 2)) @ (1, 1j))
-        middle[:, k] = exact.mean(axis=-1)
+        mean = planar.to_complex(known[case.motion].markers).mean()
+        position[..., k] = (moved.position + mean * rotation_derivatives(moved.angle))[:4]
+        angle[..., k] = moved.angle[:4]
         parts.append(quantities(moved.position, moved.angle))
     truth = {name: np.stack([part[name] for part in parts], axis=1) for name in QUANTITIES}
     size = np.array([known[case.motion].size for case in cases])
     shape = np.stack([planar.to_complex(known[case.motion].markers) for case in cases])
     shape -= shape.mean(axis=1, keepdims=True)
-    return Recording(cases, points, truth, middle, shape, size)
+    return Recording(cases, points, truth, position, angle, shape, size)
 
 
 def times(count: int) -> np.ndarray:

@@ -36,7 +36,12 @@ _HALF_TURN, _SLOW, _RECENT = 0.75 * np.pi, 0.25 * np.pi, 3
 
 
 class Shapes:
-    """Shapes of B bodies of up to n markers, in each body's own frame."""
+    """
+    Shapes of B bodies of up to n markers, in each body's own frame.
+
+    `points` (B, n) are where the markers are, complex, m; `known` (B,) how many of them have been
+    seen so far, and `spread` (B,) the sum of their squares about their mean, m^2.
+    """
 
     def __init__(self, bodies: int, markers: int) -> None:
         self.points = np.zeros((bodies, markers), complex)
@@ -55,6 +60,7 @@ class Shapes:
         self._calm = np.zeros(bodies, int)
         self._turned = np.zeros(bodies, int)
         self.mended: Counter[str] = Counter()
+        self._measure()
 
     def fit(self, points: Complex) -> tuple[Fit, Complex]:
         """
@@ -77,6 +83,7 @@ class Shapes:
             first = new[:, None] & seen
             self.points[first] = arms[first]
             self._frames[first] = 1.0
+            self._measure()
         # A marker known from N frames has 1 + 1/N times the variance of a well-known one.
         weights = np.where(seen, self._frames / (self._frames + 1.0), 0.0)
         fit = fit_pose(points, self.points, weights)
@@ -101,10 +108,12 @@ class Shapes:
         step = 2.0 / (1.0 + self._frames) * np.where(learned, off, 0.0)
         self._drift += step - np.where(learned, 2.0 / (1.0 + self._frames) * self._drift, 0.0)
         held = settled & (np.abs(self._drift) < _REFUTED * np.sqrt(self._least_rule())[:, None])
-        self.points += np.where(held, 0.0, step)
+        if not held.all():
+            self.points += np.where(held, 0.0, step)
+            self._measure()
 
     def _least_rule(self) -> Real:
-        return np.maximum(self._rule, _TINY**2 * self.spread())
+        return np.maximum(self._rule, _TINY**2 * self.spread)
 
     def _follow(self, angle: Real) -> None:
         """Take the angles (B,) of a frame, NaN for a body not seen, to know the next from."""
@@ -129,7 +138,7 @@ class Shapes:
         jumped &= (np.abs(ahead) < _SLOW) & (self._ago <= _RECENT) & (self._calm >= _MATURE)
         limit = _SUSPECT * np.sqrt(self._least_rule())
         # A body lost in its noise may seem to be turned anyhow.
-        jumped &= limit**2 < self.spread()
+        jumped &= limit**2 < self.spread
         if not jumped.any():
             self._turned[np.isfinite(fit.angle)] = 0
             return points, weights, fit
@@ -199,13 +208,13 @@ class Shapes:
         self._before = np.pad(self._before, more, constant_values=complex(np.nan, np.nan))
         self._drift = np.pad(self._drift, more)
 
-    def spread(self) -> Real:
-        """Sum of squares (B,) of the known markers about their mean, in m^2."""
+    def _measure(self) -> None:
+        """Keep how large the bodies are, which is asked for several times a frame."""
         known = self._frames > 0
-        count = np.maximum(known.sum(axis=-1), 1)
-        mean = self.points.sum(axis=-1, where=known) / count
+        self.known = known.sum(axis=-1)
+        mean = np.where(known, self.points, 0).sum(axis=-1) / np.maximum(self.known, 1)
         offsets = np.where(known, self.points - mean[:, None], 0)
-        return np.asarray((np.abs(offsets) ** 2).sum(axis=-1))
+        self.spread = (offsets.real**2 + offsets.imag**2).sum(axis=-1)
 
     def misfit(self) -> Real:
         """
@@ -214,10 +223,6 @@ class Shapes:
         As rigid fits leave it: noise, and whatever makes a body look not quite rigid.
         """
         return np.where(self._fits >= _MATURE, self._rule, np.nan)
-
-    def known(self) -> np.ndarray:
-        """How many markers (B,) of each body have been seen so far."""
-        return np.asarray((self._frames > 0).sum(axis=-1))
 
 
 def _wrapped(angle: Real) -> Real:

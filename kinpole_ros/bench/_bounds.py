@@ -1,0 +1,102 @@
+"""
+What could be reached at all: how far the best setting in hindsight itself varies, and a bound.
+
+The bound is that of Cramér and Rao for a local polynomial of the window and degree that proved
+best: no unbiased estimate from these samples with that model has a smaller variance.
+"""
+
+import numpy as np
+
+from kinpole_ros import planar
+from kinpole_ros.bench._hindsight import Best, Key, by_condition, fixed_weights
+from kinpole_ros.bench._record import POLES, QUANTITIES, RATES, Recording, rms
+
+
+def bound_variance(
+    quantity: str,
+    position: np.ndarray,
+    angle: np.ndarray,
+    position_variance: np.ndarray,
+    angle_variance: np.ndarray,
+    weights: np.ndarray,
+) -> np.ndarray:
+    """
+    Least variance (M, S) of a quantity, of poles that of x and y together, in its unit squared.
+
+    At the true state `position` (4, M, S) and `angle` (4, M, S), from samples whose variances (S,)
+    are those of one axis of the position and of the angle, by the rows `weights` (4, n) that make
+    derivatives of them: of white noise the fit by least squares is the efficient one.
+    """
+    gram = (weights @ weights.T)[..., None]
+    by_position, by_angle = gram * position_variance, gram * angle_variance
+    if quantity in RATES:
+        order = RATES.index(quantity) + 1
+        return np.broadcast_to(by_angle[order, order], angle.shape[1:])
+    if quantity in POLES:
+        linear = planar.pole(POLES.index(quantity) + 1, position, angle)
+        spread = planar.covariance(linear, by_position, by_angle)
+        return np.asarray(spread[..., 0, 0] + spread[..., 1, 1])
+    curvature = planar.centrode_curvature(position, angle)
+    return np.asarray(planar.variance(curvature, by_position, by_angle))
+
+
+def bounds(
+    recording: Recording,
+    frames: np.ndarray,
+    errors: dict[str, np.ndarray],
+    where: dict[str, np.ndarray],
+    best: dict[Key, Best],
+) -> list[dict[str, object]]:
+    """
+    Rows by motion, noise and quantity, of `errors` (M, C) counted in `where` (M, C).
+
+    `seeds_10` and `seeds_90` are percentiles of the best setting's RMS on each single seed over its
+    pooled RMS. `bound` is the bound's pooled RMS; `ours_over_bound` and `best_over_bound` are
+    medians over the seeds of the RMS on that seed over the bound's there.
+    """
+    count = recording.shape.shape[1]
+    position, angle = (
+        by_condition(recording, part[:, frames]) for part in (recording.position, recording.angle)
+    )
+    position_variance = by_condition(recording, recording.noise**2 / count)
+    spread = (np.abs(recording.shape) ** 2).sum(axis=1)
+    angle_variance = by_condition(recording, recording.noise**2 / spread)
+    rows: list[dict[str, object]] = []
+    for name in QUANTITIES:
+        mine, masks = (by_condition(recording, part[name]) for part in (errors, where))
+        for (motion, noise), error in mine.items():
+            chosen = best.get((motion, noise, name))
+            if chosen is None:
+                continue
+            key = motion, noise
+            weights, _ = fixed_weights(chosen.samples, chosen.degree)
+            with np.errstate(all='ignore'):
+                variance = bound_variance(
+                    name,
+                    position[key],
+                    angle[key],
+                    position_variance[key],
+                    angle_variance[key],
+                    weights,
+                )
+                counts = masks[key] & np.isfinite(variance)
+                least = rms(np.sqrt(variance), counts)
+                ours = rms(error, counts)
+                seeds = chosen.seeds[np.isfinite(chosen.seeds)] / chosen.error
+                rows.append(
+                    {
+                        'motion': motion,
+                        'noise': noise,
+                        'quantity': name,
+                        'samples': chosen.samples,
+                        'degree': chosen.degree,
+                        'seeds_10': float(np.percentile(seeds, 10)),
+                        'seeds_90': float(np.percentile(seeds, 90)),
+                        'bound': float(
+                            rms(np.sqrt(variance).reshape(-1, 1), counts.reshape(-1, 1))[0]
+                        ),
+                        'ours_over_bound': float(np.nanmedian(ours / least)),
+                        'best_over_bound': float(np.nanmedian(chosen.seeds / least)),
+                    }
+                )
+    return rows
