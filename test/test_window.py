@@ -458,6 +458,55 @@ def test_the_choice_is_near_the_best_in_hindsight(name: str, rough: dict[str, np
     assert (rough[name] < np.array([1.5, 2.0, 2.5, 2.0, 4.0]) * best).all()
 
 
+def test_where_motion_sets_in_the_stated_errors_grow_with_the_true_ones() -> None:
+    """Long rest fills the memory; what the windows disagree about tells of the start."""
+    start, noise, count = 400, 1e-4, 60
+    rng = np.random.default_rng(8)
+    sample_times = np.arange(start + 60) / RATE
+    moving = np.maximum(sample_times - start / RATE, 0.0)
+    samples = 100 * moving[:, None] ** 3 + noise * rng.normal(size=(len(moving), count))
+    level, one = np.full(count, noise), np.full(count, 1)
+    spectrum = Spectrum()
+    quiet, begun = [], []
+    for now in range(WINDOW, start + 5):
+        inside = slice(now + LAG - WINDOW, now + LAG + 1)
+        times = (np.arange(inside.start, inside.stop) - now) * (10**9 // RATE)
+        found = differentiate(times, scalars(samples[inside]), None, level, one, 1, spectrum)
+        truth = 300 * moving[now] ** 2
+        square = (found.values[1, :, 0] - truth) ** 2 / found.covariance[1, 1]
+        if now >= start:
+            begun.append(square)
+        elif WINDOW + WARM <= now < start - LAG:
+            quiet.append(square)
+    assert np.mean(quiet) < 1
+    # Were only the energies of late asked, it would be 50: the start itself is known badly.
+    assert np.mean(begun) < 20
+
+
+def test_each_window_forgets_at_its_own_pace() -> None:
+    spectrum = Spectrum()
+    memory = np.array([[5.0], [50.0]])
+    known = np.ones((2, 1), bool)
+    for k in range(60):
+        square = float(k < 30)
+        energy, left = np.full((2, 1, 1), square), np.full((2, 1), square)
+        mean, mean_left, instants = spectrum.follow(energy, left, known, memory)
+    # Of 60 instants the first 30 held 1: means of the last 5 or so, or of all up to 50.
+    assert mean[:, 0, 0] == pytest.approx([0.8**30, 0.5], rel=0.2)
+    assert np.array_equal(mean[:, 0], mean_left)
+    assert instants.ravel().tolist() == [5, 50]
+
+
+def test_the_covariance_between_orders_is_one() -> None:
+    """No combination of derivatives has a negative variance, though windows are mixed by order."""
+    times = stamps('jittered', 5_000_000)
+    covariance = np.moveaxis(differentiate(times, noisy(), None, LEVEL, TWO, 4).covariance, -1, 0)
+    assert (covariance == np.swapaxes(covariance, 1, 2)).all()
+    deviation = np.sqrt(np.einsum('gkk->gk', covariance))
+    correlation = covariance / (deviation[:, :, None] * deviation[:, None])
+    assert (np.linalg.eigvalsh(correlation) > -1e-12).all()
+
+
 # --- the buffer ---------------------------------------------------------------------------------
 
 
@@ -617,10 +666,10 @@ def test_a_marker_seen_late_joins_the_shape() -> None:
     points[:400, 3] = np.nan
     points[np.random.default_rng(5).random(points.shape) < 0.3] = np.nan
     shapes, fits = learned(points)
-    assert shapes.known().tolist() == [5]
+    assert shapes.known.tolist() == [5]
     assert shape_error(shapes, 5) < 0.3
     spread = np.sum(np.abs(SHAPE[:5] - SHAPE[:5].mean()) ** 2)
-    assert shapes.spread() == pytest.approx(spread, rel=0.01)
+    assert shapes.spread == pytest.approx(spread, rel=0.01)
     enough = (~np.isnan(points)).sum(axis=1) >= 2
     assert np.array_equal([np.isfinite(fit.angle[0]) for fit in fits], enough)
 
@@ -648,7 +697,7 @@ def test_a_body_starts_at_its_mean_along_the_axes_of_the_ground() -> None:
     assert fits[0].angle[0] == pytest.approx(0, abs=1e-12)
     assert fits[0].position[0] == pytest.approx(seen.mean())
     assert np.delete(shapes.points[0], 2) == pytest.approx(seen - seen.mean())
-    assert shapes.known().tolist() == [3]
+    assert shapes.known.tolist() == [3]
 
 
 @pytest.mark.parametrize('place', [0j, 0.1 + 0.7j, 1e6 + 0.1j])
@@ -666,10 +715,10 @@ def test_room_for_more_markers_keeps_what_is_known() -> None:
     before = shapes.points.copy()
     shapes.widen(6)
     assert np.array_equal(shapes.points[:, :4], before)
-    assert shapes.known().tolist() == [4]
+    assert shapes.known.tolist() == [4]
     for row in points[100:]:
         shapes.fit(row[None])
-    assert shapes.known().tolist() == [6]
+    assert shapes.known.tolist() == [6]
     assert shape_error(shapes, 6) < 0.6
 
 

@@ -8,8 +8,9 @@ their samples, so that each coefficient c_j is signal plus noise of one known va
 the squares of a coefficient average to over the last instants, less s^2, is the energy E_j of the
 signal in it. From there on everything is Wiener's: the coefficient is weighted E / (E + s^2), its
 mean square error is E s^2 / (E + s^2), and that of a derivative follows from the rows that evaluate
-it. Each order of derivative takes the windows whose error is least, so what is found for one order
-never depends on which others are asked for.
+it. Each order of derivative is a mean over the windows, weighted by their inverse errors, so what
+is found for one order never depends on which others are asked for. What the windows disagree about
+is error too: energies are of late, but where a motion sets in only now the windows part at once.
 
 Averages look back, so what happens only now has its own say: a coefficient that stands out of the
 noise by itself counts, and a window whose richest fit leaves more than noise is charged for it.
@@ -27,8 +28,8 @@ HIGHEST_ORDER = 4
 FEWEST_SAMPLES = 7
 _HIGHEST_DEGREE = 12
 _LADDER = 1.33
-# Averages go back this many times the longest window.
-_MEMORY = 2.0
+# The averages of a window go back this many times its own length: a short one learns quickly.
+_MEMORY = 3.0
 # A mean energy counts from so many of its standard deviations, a single one from so many s^2.
 _LASTING = 3.0
 _SUDDEN = 11.0
@@ -40,8 +41,12 @@ _HIDDEN = 0.5
 _LEFT, _LEFT_LASTING, _LEFT_SUDDEN, _LEFT_WEIGHT = 2.0, 2.0, 4.0, 30.0
 # The series goes on beyond its last coefficients with this share of their energy.
 _BEYOND = 0.03
-# Windows are mixed by this power of their inverse errors.
-_SHARPNESS = 8
+# Windows are mixed by this power of their inverse errors, which are taken over the greatest and
+# less this much, so that a window of far larger error brings in nothing.
+_SHARPNESS, _OUT = 2, 0.15
+# The errors of a mean of windows add up by this power of their shares: 1/2 were they all the same,
+# 1 were they independent.
+_KINSHIP = 0.75
 # Degrees of freedom from which what a fit leaves is a measure of the noise.
 _ENOUGH_FREEDOM = 16
 
@@ -70,13 +75,13 @@ class Spectrum:
         self._count = np.zeros((0, 0))
 
     def follow(
-        self, energy: Real, left: Real, known: np.ndarray, memory: float
+        self, energy: Real, left: Real, known: np.ndarray, memory: Real
     ) -> tuple[Real, Real, Real]:
         """
         Take the squares of one instant, return their means and how many are in them.
 
         `energy` (L, D, G), `left` (L, G) per degree of freedom, `known` (L, G) where they mean
-        anything; `memory` is the number of instants that an average goes back.
+        anything; `memory` (L, G) or (L, 1) is the number of instants that an average goes back.
         """
         levels, degrees, groups = energy.shape
         if self._energy.shape[1:] != (degrees, groups):
@@ -152,7 +157,8 @@ def differentiate(
     left = squares.sum(axis=-1) / (dimensions * np.maximum(freedom, 1))
     known = (models.counts > 0) & ~missing
     memory = Spectrum() if spectrum is None else spectrum
-    mean, mean_left, instants = memory.follow(energy, left, known, _MEMORY * count)
+    reach = _MEMORY * np.maximum(models.counts, 1)
+    mean, mean_left, instants = memory.follow(energy, left, known, reach)
     # Neighboring windows share samples; the number of squares that are new to each other:
     apart = np.maximum(instants / np.maximum(models.counts, 1), 1.0) * dimensions
     variance = _variance(mean_left, freedom * apart, noise)
@@ -193,11 +199,13 @@ def differentiate(
     risk = np.where(usable, np.maximum(risk, np.finfo(float).tiny), np.inf)
     least = risk.min(axis=0)
     unknown = ~np.isfinite(least)
-    mix = (np.where(unknown, 1.0, least) / risk) ** _SHARPNESS
+    mix = np.maximum(np.where(unknown, 1.0, least) / risk - _OUT, 0.0) ** _SHARPNESS
     mix /= np.where(unknown, 1.0, mix.sum(axis=0))  # (L, K, G)
     result = (mix[..., None] * values).sum(axis=0)
-    root_mix = np.sqrt(mix)
-    covariance = (root_mix[:, :, None] * root_mix[:, None] * errors).sum(axis=0)
+    part = mix**_KINSHIP
+    covariance = (part[:, :, None] * part[:, None] * errors).sum(axis=0)
+    disagreement = np.sqrt(mix / dimensions)[..., None] * (values - result)
+    covariance += np.einsum('lkgc,lmgc->kmg', disagreement, disagreement)
     result[0] += base
     result[unknown] = np.nan
     covariance[unknown[:, None] | unknown[None]] = np.nan
