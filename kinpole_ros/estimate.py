@@ -13,7 +13,7 @@ import numpy as np
 from kinpole_ros import planar
 
 # A denominator counts as known when it exceeds its standard deviation this many times.
-SIGNIFICANT = 3.0
+SIGNIFICANT = 4.0
 # Beyond this many body sizes a pole is as good as at infinity.
 FARTHEST = 1e3
 # An ICR that moves by less than so many standard deviations, or body sizes per rad, stands still.

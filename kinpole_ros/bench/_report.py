@@ -102,7 +102,7 @@ def bench(
 
     spent = costs(1 if quick else 5)
     tell(0.05)
-    ratios, covered, bounded = hindsight_table(names, NOISES, *((1, 3.0) if quick else (12, 6.0)))
+    ratios, covered, bounded = hindsight_table(names, NOISES, *((1, 3.0) if quick else (9, 6.0)))
     write('hindsight', ratios, charts.hindsight)
     write('coverage', covered, None)
     write('bounds', bounded, None)
