@@ -190,7 +190,10 @@ def _peer_rows(tables: dict[str, Table]) -> Rows:
             'quantity': quantity,
             'unit': UNITS[quantity],
             'error': error,
-            'over_ours': error / tables[OURS][motion, noise, quantity],
+            # Ours is exactly right where what is always zero comes out zero.
+            'over_ours': error / ours
+            if (ours := tables[OURS][motion, noise, quantity])
+            else np.inf,
         }
         for method, table in tables.items()
         for (motion, noise, quantity), error in table.items()
