@@ -35,6 +35,7 @@ setup(
             'colcon-ros>=0.4',
             'hypothesis>=6.90',
             'mcap-ros2-support>=0.5',
+            'mpmath>=1.3',
             # Fixed, since later ones find fault with what these let pass.
             'mypy==2.4.*',
             'pytest>=7.4',

@@ -1,23 +1,48 @@
 """Mechanisms whose motion is known exactly: the truth that measured kinematics is held against."""
 
+from kinpole_ros.mechanism._assembly import Revolute
+from kinpole_ros.mechanism._centers import Centers, explain, instant_centers
+from kinpole_ros.mechanism._centrodes import Centrodes, centrodes, write_pitch_curves
+from kinpole_ros.mechanism._loops import LinkageError
+from kinpole_ros.mechanism._mechanism import Mechanism, Motion
 from kinpole_ros.mechanism._motions import BodyMotion, marker_positions, rotation_derivatives
-from kinpole_ros.mechanism._scene import (
-    Scene,
-    SceneError,
-    load_scene,
-    scene_names,
-    scenes_folder,
-)
+from kinpole_ros.mechanism._scene import Scene, load_scene, scene_names, scenes_folder
 from kinpole_ros.mechanism._share import share_folder
+from kinpole_ros.mechanism._statics import (
+    Force,
+    Load,
+    Torque,
+    efforts,
+    reactions,
+    undetermined,
+)
+from kinpole_ros.mechanism._units import SceneError, quantity
 
 __all__ = [
     'BodyMotion',
+    'Centers',
+    'Centrodes',
+    'Force',
+    'LinkageError',
+    'Load',
+    'Mechanism',
+    'Motion',
+    'Revolute',
     'Scene',
     'SceneError',
+    'Torque',
+    'centrodes',
+    'efforts',
+    'explain',
+    'instant_centers',
     'load_scene',
     'marker_positions',
+    'quantity',
+    'reactions',
     'rotation_derivatives',
     'scene_names',
     'scenes_folder',
     'share_folder',
+    'undetermined',
+    'write_pitch_curves',
 ]

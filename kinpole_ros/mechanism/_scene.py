@@ -1,12 +1,13 @@
-"""Scene files: a mechanism, how it is driven and where its markers sit, in a few lines of YAML.
+"""
+Scene files: a mechanism, how it is driven and where its markers sit, in a few lines of YAML.
 
 Whatever is wrong in one is refused in a line that names the file, the key and the mend.
 """
 
+import re
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import partial
-from math import isfinite
+from math import pi
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -14,12 +15,28 @@ import numpy as np
 import numpy.typing as npt
 import yaml
 
-from kinpole_ros.mechanism._motions import BodyMotion, cardan, four_bar, rolling_wheel
+from kinpole_ros.mechanism._assembly import GROUND, Assembly, Strut
+from kinpole_ros.mechanism._drive import Drive, constant_rate, sine, smooth_step, table
+from kinpole_ros.mechanism._joints import (
+    Points,
+    mapping,
+    named_point,
+    need,
+    read_bodies,
+    refuse_unknown,
+)
+from kinpole_ros.mechanism._loops import LinkageError
+from kinpole_ros.mechanism._mechanism import Driver, Mechanism
+from kinpole_ros.mechanism._motions import BodyMotion
 from kinpole_ros.mechanism._share import share_folder
+from kinpole_ros.mechanism._start import close_near, mobility, start_near
+from kinpole_ros.mechanism._statics import Force, Load, Torque
+from kinpole_ros.mechanism._units import SceneError, quantity, vector
+from kinpole_ros.mechanism._vectors import read_vectors
 
-
-class SceneError(ValueError):
-    """A scene file that cannot be used: one line with the file, the key and the mend."""
+_GRAVITY = 9.80665
+_EITHER = ('drivers', 'start', 'loads', 'markers')
+_RATE_EXAMPLE = '{drive: crank, rate: 1 rev/s, start: 0 deg}'
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,36 +46,26 @@ class Scene:
     `markers` maps a body's name to its markers in the body's own frame, (n, 2) in m, and
     `marker_names` to the n names, unique in the scene; a body without markers is in neither.
     `motion(t)` takes times of any shape (...), in s, and returns the BodyMotion of every body by
-    name, arrays (5, ...) in the ground's frame.
+    name, arrays (5, ...) in the ground's frame; it raises SceneError for a time at which the
+    mechanism cannot follow its drivers. `points` maps names ('coupler.P', or of the loop form 'P')
+    to the body and the place in its frame (complex, m); `loads` are those on it (N, N m).
     """
 
     name: str
     markers: dict[str, np.ndarray]
     marker_names: dict[str, tuple[str, ...]]
     motion: Callable[[npt.ArrayLike], dict[str, BodyMotion]]
+    mechanism: Mechanism
+    points: Points
+    loads: tuple[Load, ...]
 
 
-class _Mechanism(NamedTuple):
-    """What a scene of one mechanism must and may say; keys are the arguments of `motion`."""
+class _Driven(NamedTuple):
+    """A driver and when it does what it does for the first time: `begin` to `end`, s."""
 
-    motion: Callable[..., dict[str, BodyMotion]]
-    bodies: tuple[str, ...]
-    lengths: tuple[str, ...]
-    optional: tuple[str, ...]
-    choices: dict[str, tuple[str, ...]]
-
-
-_MECHANISMS = {
-    'rolling_wheel': _Mechanism(rolling_wheel, ('wheel',), ('radius',), ('start',), {}),
-    'cardan': _Mechanism(cardan, ('rod',), ('length',), (), {}),
-    'four_bar': _Mechanism(
-        four_bar,
-        ('crank', 'coupler', 'rocker'),
-        ('ground', 'crank', 'coupler', 'rocker'),
-        (),
-        {'branch': ('open', 'crossed')},
-    ),
-}
+    driver: Driver
+    begin: float
+    end: float
 
 
 def scenes_folder() -> Path:
@@ -85,42 +92,304 @@ def load_scene(path_or_name: str | Path) -> Scene:
     mechanism that cannot move as asked.
     """
     path = _scene_path(path_or_name)
-    data = _mapping(f'{path}: the file', _read(path), 'lines such as mechanism: four_bar')
-    kind = _choice(path, data, 'mechanism', tuple(_MECHANISMS))
-    mechanism = _MECHANISMS[kind]
-    optional = ('phase', *mechanism.optional)
-    required = ('turns_per_second', *mechanism.lengths, *mechanism.choices, 'markers')
-    _refuse_unknown(f'{path}', data, ('mechanism', *required, *optional))
-    for key in required:
-        if key not in data:
-            raise SceneError(f"{path}: the key '{key}' is missing: add it, a {kind} needs it")
-
-    arguments: dict[str, Any] = {
-        key: _number(f"{path}: '{key}'", data.get(key, 0.0))
-        for key in ('turns_per_second', *mechanism.lengths, *optional)
-    }
-    for key in mechanism.lengths:
-        if arguments[key] <= 0:
-            raise SceneError(f"{path}: '{key}' is {data[key]}: give a length greater than 0, in m")
-    for key, allowed in mechanism.choices.items():
-        arguments[key] = _choice(path, data, key, allowed)
-
-    markers = _markers(path, data['markers'], mechanism.bodies)
-    motion = partial(mechanism.motion, **arguments)
+    data = _read(path)
     try:
-        motion(0.0)
-    except ValueError as error:
+        # Absurd numbers overflow on their way to being refused.
+        with np.errstate(all='ignore'):
+            return _scene(path, data)
+    except (SceneError, LinkageError) as error:
         raise SceneError(f'{path}: {error}') from None
+
+
+def _scene(path: Path, data: Any) -> Scene:
+    mapping('the file', data, 'bodies, drivers, start and markers, as in config/scenes')
+    if 'vectors' in data:
+        refuse_unknown('a scene of vectors', data, ('vectors', 'loops', 'points', *_EITHER))
+        vectors = mapping("'vectors'", data['vectors'], 'r2: {length: 20 cm, angle: unknown}')
+        need('the file', data, ('loops', 'drivers'), 'config/scenes/loader_cylinder.yaml')
+        chains = mapping("'points'", data['points'], 'P: r2 + r3p') if 'points' in data else {}
+        assembly, points = read_vectors(vectors, data['loops'], chains)
+    else:
+        refuse_unknown('the file', data, ('bodies', 'joints', *_EITHER))
+        need('the file', data, ('bodies', 'drivers'), 'config/scenes/four_bar.yaml')
+        assembly, points = read_bodies(data['bodies'], data.get('joints'))
+    driven = _drivers(data['drivers'], assembly)
+    said = _start(data.get('start'), assembly)
+    drivers = tuple(one.driver for one in driven)
+    rows = np.array([driver.row for driver in drivers])
+    inputs = np.array([driver.motion(np.zeros(()))[0] for driver in drivers])
+    start = start_near(assembly, said, rows, inputs)
+    _check_mobility(assembly, start, len(drivers))
+    mechanism = Mechanism(assembly, drivers, start)
+    _check_range(mechanism, driven)
+    loads = _loads(data.get('loads'), points, assembly.bodies)
+    markers = _markers(data.get('markers'), assembly.bodies)
     return Scene(
         name=path.stem,
-        markers={body: np.array(list(points.values())) for body, points in markers.items()},
-        marker_names={body: tuple(points) for body, points in markers.items()},
-        motion=motion,
+        markers={
+            body: np.array([(z.real, z.imag) for z in named.values()])
+            for body, named in markers.items()
+        },
+        marker_names={body: tuple(named) for body, named in markers.items()},
+        motion=lambda t: _motion(path, mechanism, t),
+        mechanism=mechanism,
+        points=points,
+        loads=loads,
     )
 
 
+def _motion(path: Path, mechanism: Mechanism, t: npt.ArrayLike) -> dict[str, BodyMotion]:
+    try:
+        found = mechanism.motion(t)
+    except LinkageError as error:
+        raise SceneError(f'{path}: {error}') from None
+    if not found.regular.all():
+        when = np.asarray(t, dtype=float)[~found.regular].min()
+        raise SceneError(
+            f'{path}: at {when:.9g} s the mechanism is in a dead point, where its drivers do not '
+            'tell how it moves on: drive it otherwise, or take other times'
+        )
+    return {
+        body: BodyMotion(found.position[:, k], found.angle[:, k])
+        for k, body in enumerate(mechanism.bodies)
+    }
+
+
+# What drives it
+
+
+def _drivers(said: Any, assembly: Assembly) -> list[_Driven]:
+    if not isinstance(said, list) or not said:
+        raise SceneError(f"'drivers' is no list: write each as - {_RATE_EXAMPLE}")
+    driven = [_driver(f"'drivers: {k + 1}'", one, assembly) for k, one in enumerate(said)]
+    names = [one.driver.name for one in driven]
+    for name in names:
+        if names.count(name) > 1:
+            raise SceneError(f"'drivers': '{name}' is driven twice: leave one out")
+    return driven
+
+
+def _driver(where: str, said: Any, assembly: Assembly) -> _Driven:
+    mapping(where, said, _RATE_EXAMPLE)
+    need(where, said, ('drive',), _RATE_EXAMPLE)
+    kinds = _kinds(assembly)
+    name, of = said['drive'], said.get('of', GROUND)
+    for key, value in (('drive', name), ('of', of)):
+        if not isinstance(value, str) or (value not in kinds and (key, value) != ('of', GROUND)):
+            known = ', '.join(kinds)
+            raise SceneError(
+                f'{where}: {key} is {value!r}, which cannot be driven: give one of {known}'
+            )
+    if of != GROUND and (of == name or kinds[of] != kinds[name]):
+        raise SceneError(f"{where}: '{name}' of '{of}' is no difference: name two bodies")
+    row = np.array([(other == name) - float(other == of) for other in kinds])
+    where = f"{where[:-1]}, {name}'"
+    motion, begin, end = _drive(where, said, kinds[name])
+    # Not the ends alone: a table's spline may swing beyond its values.
+    values = motion(np.linspace(begin, end, 2001))[0]
+    low, high = float(values.min()), float(values.max())
+    strut = any(isinstance(joint, Strut) and joint.name == name for joint in assembly.joints)
+    if strut and low <= 0:
+        raise SceneError(f'{where}: its length goes down to {low:.6g} m: keep it greater than 0')
+    return _Driven(
+        Driver(name if of == GROUND else f'{name} of {of}', row, motion, low, high), begin, end
+    )
+
+
+def _kinds(assembly: Assembly) -> dict[str, str]:
+    """Whether each variable is an angle or a length."""
+    is_length = (assembly.loops.lengths != 0).any(axis=0)
+    return {
+        name: 'length' if length else 'angle'
+        for name, length in zip(assembly.loops.variables, is_length, strict=True)
+    }
+
+
+def _drive(where: str, said: dict[str, Any], kind: str) -> tuple[Drive, float, float]:
+    """The motion said, and when it begins and has been through all of its range."""
+    rate = {'angle': 'angular velocity', 'length': 'velocity'}[kind]
+    forms: dict[str, tuple[dict[str, str], dict[str, str]]] = {
+        'rate': ({'rate': rate}, {'start': kind}),
+        'amplitude': (
+            {'amplitude': kind, 'frequency': 'frequency'},
+            {'mean': kind, 'phase': 'angle'},
+        ),
+        'to': ({'from': kind, 'to': kind, 'duration': 'time'}, {'begin': 'time'}),
+        'times': ({'times': 'time', 'values': kind}, {}),
+    }
+    form = next((form for form in forms if form in said), None)
+    if form is None:
+        raise SceneError(
+            f'{where} says not how: give rate; or mean, amplitude, frequency; or from, to, '
+            'duration; or times, values'
+        )
+    required, optional = forms[form]
+    refuse_unknown(where, said, ('drive', 'of', *required, *optional))
+    need(where, said, tuple(required), '{drive: ..., ' + ': ..., '.join(required) + ': ...}')
+    if form == 'times':
+        times, values = (_numbers(f'{where}: {key}', said[key], required[key]) for key in required)
+        if len(times) != len(values) or len(times) < 2 or min(np.diff(times)) <= 0:
+            raise SceneError(
+                f'{where}: {len(times)} times and {len(values)} values: give two or more, as many '
+                'of each, the times rising'
+            )
+        return table(times, values), times[0], times[-1]
+    number = {
+        key: quantity(f'{where}: {key}', said.get(key, 0.0), kind)
+        for key, kind in {**required, **optional}.items()
+    }
+    for key in ('frequency', 'duration'):
+        if number.get(key, 1.0) <= 0:
+            raise SceneError(f'{where}: {key} is {said[key]!r}: give one greater than 0')
+    if form == 'rate':
+        # An angle goes through all of its range in a turn; a slide only as far as it is asked.
+        turns = kind == 'angle' and number['rate'] != 0
+        return (
+            constant_rate(number['rate'], number['start']),
+            0.0,
+            2 * pi / abs(number['rate']) if turns else 0.0,
+        )
+    if form == 'amplitude':
+        motion = sine(number['mean'], number['amplitude'], number['frequency'], number['phase'])
+        return motion, 0.0, 1 / number['frequency']
+    step = smooth_step(number['from'], number['to'], number['begin'], number['duration'])
+    return step, number['begin'], number['begin'] + number['duration']
+
+
+def _numbers(where: str, said: Any, kind: str) -> list[float]:
+    if not isinstance(said, list):
+        raise SceneError(f'{where} is {said!r}: give a list, as [0, 1, 2.5]')
+    return [quantity(where, one, kind) for one in said]
+
+
+def _start(said: Any, assembly: Assembly) -> dict[str, float]:
+    """About where angles and slides are at time 0."""
+    kinds = _kinds(assembly)
+    if said is None:
+        lengths = assembly.loops.length0[assembly.loops.length0 != 0]
+        # A vector of unknown length has to begin with some length.
+        usual = float(lengths.mean()) if len(lengths) and not assembly.joints else 0.0
+        return {name: usual for name, kind in kinds.items() if kind == 'length' and usual}
+    read = mapping("'start'", said, 'coupler: 45 deg')
+    refuse_unknown("'start'", read, tuple(kinds))
+    return {name: quantity(f"'start': {name}", value, kinds[name]) for name, value in read.items()}
+
+
+# Whether it moves as it is told to
+
+
+def _check_mobility(assembly: Assembly, start: np.ndarray, drivers: int) -> None:
+    """Raise SceneError unless there are as many drivers as degrees of freedom."""
+    near, _ = close_near(assembly.loops, start)
+    count, by_rank = mobility(assembly, near)
+    told = (
+        f"Gruebler's count gives {count} degrees of freedom, the rank of the loops at the start "
+        f'{by_rank}'
+    )
+    if max(count, by_rank) <= 0:
+        raise SceneError(f'the bodies cannot move: {told}: take a joint away')
+    if drivers not in (count, by_rank):
+        mend = f'drive {by_rank}' if by_rank > 0 else 'check the joints'
+        raise SceneError(f"'drivers' are {drivers}, but {told}: {mend}")
+
+
+def _check_range(mechanism: Mechanism, driven: list[_Driven]) -> None:
+    """Raise SceneError where the drivers ask for more than the linkage gives."""
+    if not mechanism.linkage.blocks:
+        return
+    if len(driven) == 1:
+        driver = driven[0].driver
+        low, high, unit = driver.low, driver.high, f'{driver.name} = '
+    else:
+        low = min(0.0, *(one.begin for one in driven))
+        high, unit = max(one.end for one in driven), 'time (s) '
+    path = mechanism.path(low, high)
+    reach = path.inputs[0], path.inputs[-1]
+    slack = 1e-9 * max(1.0, abs(low), abs(high))
+    if path.period or (reach[0] <= low + slack and reach[1] >= high - slack):
+        return
+    dead = next((dead for dead in path.dead_points if dead.turns_back), None)
+    why = '' if dead is None else f', a dead point where only {", ".join(dead.moving)} can move'
+    raise SceneError(
+        f"'drivers' ask for {unit}{low:.6g} to {high:.6g}, but the linkage goes from "
+        f'{reach[0]:.6g} to {reach[1]:.6g}{why}: drive it less far, or change lengths'
+    )
+
+
+# Loads and markers
+
+
+def _loads(said: Any, points: Points, bodies: tuple[str, ...]) -> tuple[Load, ...]:
+    if said is not None and not isinstance(said, list):
+        raise SceneError("'loads' is no list: write each as - {force: [0, -100], at: coupler.P}")
+    loads: list[Load] = []
+    for k, one in enumerate(said or []):
+        where = f"'loads: {k + 1}'"
+        kind = next(
+            (k for k in ('force', 'weight', 'torque') if k in mapping(where, one, '')), None
+        )
+        if kind is None:
+            raise SceneError(
+                f'{where} is {one!r}: give force: [0, -100] or weight: 10 kg and at: BODY.POINT, '
+                'or torque: 5 and on: BODY'
+            )
+        where_to = 'on' if kind == 'torque' else 'at'
+        refuse_unknown(where, one, (kind, where_to))
+        need(where, one, (where_to,), f'{{{kind}: ..., {where_to}: ...}}')
+        if kind == 'torque':
+            if one['on'] not in bodies:
+                raise SceneError(
+                    f'{where}: on is {one["on"]!r}: give a moving body, one of {", ".join(bodies)}'
+                )
+            loads.append(Torque(one['on'], quantity(f'{where}: torque', one['torque'], 'torque')))
+            continue
+        body, place = named_point(f'{where}: at', one['at'], points)
+        if body == GROUND:
+            raise SceneError(f'{where}: at is {one["at"]!r} on the ground: load a moving body')
+        if kind == 'weight':
+            force = -1j * _GRAVITY * quantity(f'{where}: weight', one['weight'], 'mass')
+        else:
+            force = vector(f'{where}: force', one['force'], 'force')
+        loads.append(Force(body, place, force))
+    return tuple(loads)
+
+
+def _markers(said: Any, bodies: tuple[str, ...]) -> dict[str, dict[str, complex]]:
+    """Return body -> marker's name -> place, checked."""
+    if said is None:
+        return {}
+    on_bodies = mapping("'markers'", said, f'{bodies[0]}: {{m1: [0.01, 0.02], m2: [0.05, 0.0]}}')
+    refuse_unknown("'markers'", on_bodies, bodies)
+    owner: dict[str, str] = {}
+    result = {}
+    for body, listed in on_bodies.items():
+        where = f"'markers: {body}'"
+        named = mapping(where, listed, '{m1: [0.01, 0.02], m2: [0.05, 0.0]}')
+        if len(named) < 2:
+            raise SceneError(f'{where} is one marker, which shows no turning: give two or more')
+        for name in named:
+            if name in owner:
+                raise SceneError(
+                    f"{where}: '{owner[name]}' has a marker '{name}' too: give each its own name"
+                )
+            owner[name] = body
+        result[body] = {name: vector(f"{where}: '{name}'", z) for name, z in named.items()}
+    return result
+
+
+# Files
+
+
 class _Loader(yaml.SafeLoader):
-    """YAML that refuses a key given twice, of which PyYAML would silently keep the last."""
+    """YAML in which `on` is a word, and a key given twice is refused.
+
+    PyYAML would make it true, as YAML 1.1 has it, and silently keep the last of two.
+    """
+
+    yaml_implicit_resolvers = {  # noqa: RUF012
+        first: [(tag, pattern) for tag, pattern in known if not tag.endswith(':bool')]
+        for first, known in yaml.SafeLoader.yaml_implicit_resolvers.items()
+    }
 
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
         """Return the mapping, or raise as the base class does for other faults."""
@@ -132,6 +401,10 @@ class _Loader(yaml.SafeLoader):
                 raise yaml.constructor.ConstructorError(None, None, problem, key.start_mark)
             seen.add(name)
         return super().construct_mapping(node, deep)
+
+
+# YAML 1.2's booleans.
+_Loader.add_implicit_resolver('tag:yaml.org,2002:bool', re.compile('true|false'), list('tf'))
 
 
 def _scene_path(path_or_name: str | Path) -> Path:
@@ -161,72 +434,3 @@ def _read(path: Path) -> Any:
         line = f'line {mark.line + 1}: ' if mark else ''
         problem = getattr(error, 'problem', None) or ' '.join(str(error).split())
         raise SceneError(f'{path}: {line}not a usable YAML file: {problem}') from None
-
-
-def _mapping(where: str, value: Any, example: str) -> dict[str, Any]:
-    """Return `value` if it is a mapping with text for keys, and not empty."""
-    if not isinstance(value, dict) or not value:
-        raise SceneError(f'{where} holds no keys and values: write {example}')
-    for key in value:
-        if not isinstance(key, str):
-            raise SceneError(
-                f"{where} has a name {key!r} that is not text: write it in quotes, '{key}'"
-            )
-    return value
-
-
-def _refuse_unknown(where: str, data: dict[str, Any], known: tuple[str, ...]) -> None:
-    """Raise SceneError for the first key that is not among `known`."""
-    for key in data:
-        if key not in known:
-            raise SceneError(f"{where}: unknown key '{key}': use {', '.join(known)}")
-
-
-def _choice(path: Path, data: dict[str, Any], key: str, allowed: tuple[str, ...]) -> str:
-    """Return the value of a key that names one of a few things."""
-    if data.get(key) not in allowed:
-        given = f'is {data[key]!r}, which is unknown' if key in data else 'is missing'
-        raise SceneError(f"{path}: the key '{key}' {given}: give one of {', '.join(allowed)}")
-    return data[key]
-
-
-def _number(where: str, value: Any) -> float:
-    """Return `value` as a finite number."""
-    # PyYAML reads 1e-3, which has no point, as text.
-    if isinstance(value, (int, float, str)) and not isinstance(value, bool):
-        try:
-            number = float(value)
-        except (ValueError, OverflowError):
-            number = float('nan')
-        if isfinite(number):
-            return number
-    raise SceneError(f'{where} is {value!r}: give a finite number')
-
-
-def _markers(
-    path: Path, value: Any, bodies: tuple[str, ...]
-) -> dict[str, dict[str, tuple[float, float]]]:
-    """Return body -> marker's name -> (x, y), checked."""
-    example = f'{bodies[0]}: {{m1: [0.01, 0.02], m2: [0.05, 0.0]}}'
-    on_bodies = _mapping(f"{path}: 'markers'", value, example)
-    _refuse_unknown(f"{path}: 'markers'", on_bodies, bodies)
-    owner: dict[str, str] = {}
-    result: dict[str, dict[str, tuple[float, float]]] = {}
-    for body, listed in on_bodies.items():
-        where = f"{path}: 'markers: {body}'"
-        points = _mapping(where, listed, '{m1: [0.01, 0.02], m2: [0.05, 0.0]}')
-        if len(points) < 2:
-            raise SceneError(f'{where} is one marker, which shows no turning: give two or more')
-        for name, point in points.items():
-            if name in owner:
-                raise SceneError(
-                    f"{where}: '{owner[name]}' has a marker '{name}' too: give each its own name"
-                )
-            owner[name] = body
-            if not isinstance(point, list) or len(point) != 2:
-                raise SceneError(f"{where}: '{name}' is {point!r}: give [x, y] in m")
-        result[body] = {
-            name: (_number(f"{where}: '{name}'", x), _number(f"{where}: '{name}'", y))
-            for name, (x, y) in points.items()
-        }
-    return result

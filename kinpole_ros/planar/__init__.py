@@ -6,6 +6,7 @@ a vector (x, y) is the complex number x + iy, so that the seeds' matrix R (a tur
 a product with i and each of their 2 x 2 matrices B, H and G is one complex number.
 """
 
+from kinpole_ros.planar._balance import Port, measured_balance
 from kinpole_ros.planar._centrode import (
     centrode_curvature,
     icr_acceleration,
@@ -36,13 +37,20 @@ from kinpole_ros.planar._poles import (
     rotation_partials,
 )
 from kinpole_ros.planar._procrustes import Fit, fit_pose
-from kinpole_ros.planar._relative import relative_center, relative_pole
+from kinpole_ros.planar._relative import (
+    center_offset,
+    kennedy_residual,
+    relative_center,
+    relative_pole,
+)
 
 __all__ = [
     'Fit',
     'LandmarkKinematics',
     'Linear',
+    'Port',
     'body_point_derivative',
+    'center_offset',
     'centrode_curvature',
     'centrode_velocities',
     'covariance',
@@ -50,7 +58,9 @@ __all__ = [
     'fixed_centrode_from_reference',
     'icr_acceleration',
     'icr_velocity',
+    'kennedy_residual',
     'landmark_kinematics',
+    'measured_balance',
     'moving_centrode',
     'moving_centrode_curvature',
     'moving_centrode_from_reference',

@@ -4,7 +4,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from kinpole_ros.planar._linear import Linear
-from kinpole_ros.planar._plane import Complex, Real, check_vectors
+from kinpole_ros.planar._plane import ROUNDING, Complex, Real, check_vectors
 
 
 def relative_center(
@@ -47,3 +47,63 @@ def relative_pole(
         linear_j = Linear(position_i[0] + arm, by_j, {1: (between - arm) * q})
         linear_i = Linear(position_i[0] + arm, by_i, {1: arm * q})
     return linear_j, linear_i
+
+
+def kennedy_residual(centers: Complex, covariance: Real) -> tuple[Real, Real]:
+    """
+    How far the last of three centers (3, ...) is from the line through the first two, signed.
+
+    `centers` are complex, m: of three bodies, those of ik, kj and ij, such as with the ground as k
+    the pins of i and of j and their relative center; `covariance` (3, ..., 2, 2), m^2. Returns the
+    distance (...), m, positive to the left of the way from the first to the second, and that over
+    its standard deviation, to first order. NaN where the first two are one within rounding.
+
+    By Kennedy's theorem it is zero, and of three centers computed from one set of velocities it is
+    zero by algebra, whatever these are: such a residual cannot fail and shows nothing. The centers
+    have to be found independently of each other, as the covariance takes them to be: pins from the
+    poses of late, or joints' places on the bodies, and the third from velocities. With two pins on
+    the ground it is the difference of the velocities that are measured of the two bodies at their
+    pins, in the direction of the line, over the relative rate: it shows a pin that gives or was
+    moved, a body that is not rigid, velocities that lag. Velocities across the line escape it, and
+    so does a joint between i and j that is elsewhere on the line, or not there at all: that is for
+    `center_offset`, or for a second line, through another body.
+    """
+    first, second, third = np.asarray(centers, complex)
+    way = second - first
+    length = np.abs(way)
+    rounding = ROUNDING * np.maximum(np.abs(first), np.abs(second))
+    with np.errstate(divide='ignore', invalid='ignore', over='ignore'):
+        along = np.where(length > rounding, way, np.nan) / length
+        # (share along the way) + i (distance to the left of it)
+        seen = (third - first) * along.conj()
+        share = seen.real / length
+        weights = np.stack((1 - share, share, np.ones(np.shape(share)))) ** 2
+        noise = (weights * _across(1j * along, np.asarray(covariance, float))).sum(axis=0)
+        return seen.imag, seen.imag / np.sqrt(noise)
+
+
+def center_offset(center: Complex, joint: Complex, covariance: Real) -> tuple[Real, Real]:
+    """
+    Distance (...), m, of a measured relative center from the joint it should be at.
+
+    `center` and `joint` (...) are complex, m, `joint` where a pin is foretold, by a linkage or by
+    its place on a body; `covariance` (..., 2, 2), m^2, is the sum of both. The second result is the
+    distance in standard deviations (Mahalanobis'): its square is on average 2 where all is well.
+    It sees what `kennedy_residual` does not: a joint elsewhere than described, or one with play.
+    """
+    off = np.asarray(center, complex) - joint
+    matrix = np.asarray(covariance, float)
+    xx, xy, yy = matrix[..., 0, 0], matrix[..., 0, 1], matrix[..., 1, 1]
+    with np.errstate(divide='ignore', invalid='ignore', over='ignore'):
+        square = yy * off.real**2 - 2 * xy * off.real * off.imag + xx * off.imag**2
+        return np.abs(off), np.sqrt(square / (xx * yy - xy**2))
+
+
+def _across(normal: Complex, covariance: Real) -> Real:
+    """Variances (...) along a unit vector (...), of covariances (..., 2, 2)."""
+    x, y = normal.real, normal.imag
+    return np.asarray(
+        x**2 * covariance[..., 0, 0]
+        + 2 * x * y * covariance[..., 0, 1]
+        + y**2 * covariance[..., 1, 1]
+    )

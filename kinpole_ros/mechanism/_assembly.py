@@ -1,0 +1,256 @@
+"""
+Bodies and joints as vector loops: what hangs on what, and which chains have to close.
+
+From the ground on, each body is reached through one joint, which gives its place as a sum of terms
+r e^{iθ}; every joint beyond that closes a loop.
+"""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from kinpole_ros.mechanism._loops import LinkageError, Loops
+from kinpole_ros.planar._plane import Real
+
+GROUND = 'ground'
+
+
+class Revolute(NamedTuple):
+    """A pin through the point `a` of the body `one` and the point `b` of `other` (complex, m)."""
+
+    name: str
+    one: str
+    a: complex
+    other: str
+    b: complex
+
+
+class Slot(NamedTuple):
+    """
+    The point `b` of `other` slides on a line of `one`, through `a` in the direction `along` (rad).
+
+    With `turned` (rad) it is a prismatic joint: the angle of `other` is that of `one` plus so much.
+    The slide, from `a` on, is a variable of the joint's name.
+    """
+
+    name: str
+    one: str
+    a: complex
+    along: float
+    other: str
+    b: complex
+    turned: float | None = None
+
+
+class Rolling(NamedTuple):
+    """
+    A wheel, the body `other` with its hub at `b` and `radius` (m), rolls on `one` without slip.
+
+    On a line through `a` in the direction `along`, lying to its left; or on a circle of radius
+    `circle` about `a`, outside of it, or inside if `circle` is negative. The variable of the
+    joint's name is the slide of the hub along the line, or the direction of the hub from `a`; with
+    all angles zero it is `start`.
+    """
+
+    name: str
+    one: str
+    a: complex
+    other: str
+    b: complex
+    radius: float
+    along: float = 0.0
+    circle: float = 0.0
+    start: float = 0.0
+
+
+class Strut(NamedTuple):
+    """
+    A cylinder or spring from the point `a` of `one` to `b` of `other`: it holds nothing by itself.
+
+    Its length is a variable of its name, which a driver may prescribe; its direction another,
+    NAME.angle.
+    """
+
+    name: str
+    one: str
+    a: complex
+    other: str
+    b: complex
+
+
+Joint = Revolute | Slot | Rolling | Strut
+
+
+class Assembly(NamedTuple):
+    """
+    The loops of bodies and joints, and where the bodies are.
+
+    `bodies` (B) without the ground; their origins are `places` (B, terms) times the terms, complex;
+    their angles `turns` (B, n) times the variables. `joints` are as given.
+    """
+
+    loops: Loops
+    bodies: tuple[str, ...]
+    places: Real
+    turns: Real
+    joints: tuple[Joint, ...]
+
+
+class _Terms:
+    """A growing list of terms r e^{iθ}, each kept once."""
+
+    def __init__(self, variables: Sequence[str]) -> None:
+        self._variables = list(variables)
+        self._rows: dict[tuple[object, ...], int] = {}
+        self.lengths: list[Real] = []
+        self.length0: list[float] = []
+        self.angles: list[Real] = []
+        self.angle0: list[float] = []
+
+    def add(self, r: float | str, body: str, offset: float) -> int:
+        """The term of length r (m, or a variable) at the angle of `body` plus `offset`."""
+        if not isinstance(r, str) and r < 0:
+            r, offset = -r, offset + np.pi
+        key = (r, body, offset)
+        if key not in self._rows:
+            self._rows[key] = len(self.length0)
+            self.lengths.append(self._row(r if isinstance(r, str) else None))
+            self.length0.append(0.0 if isinstance(r, str) else r)
+            self.angles.append(self._row(None if body == GROUND else body))
+            self.angle0.append(offset)
+        return self._rows[key]
+
+    def _row(self, variable: str | None) -> Real:
+        row = np.zeros(len(self._variables))
+        if variable is not None:
+            row[self._variables.index(variable)] = 1.0
+        return row
+
+
+Chain = dict[int, float]
+
+
+def assemble(bodies: Sequence[str], joints: Sequence[Joint]) -> Assembly:
+    """
+    Write `bodies` (without the ground) and `joints` as loops, without drivers.
+
+    Raises LinkageError for a body that no joint connects with the ground.
+    """
+    variables = list(bodies)
+    for joint in joints:
+        if isinstance(joint, Slot | Rolling | Strut):
+            variables.append(joint.name)
+        if isinstance(joint, Strut):
+            variables.append(f'{joint.name}.angle')
+    terms = _Terms(variables)
+    sides = [_sides(terms, joint) for joint in joints]
+    places: dict[str, Chain] = {GROUND: {}}
+    used: set[int] = set()
+    # Through joints that hold something first: a strut only places what nothing else does.
+    for through_struts in (False, True):
+        grown = True
+        while grown:
+            grown = False
+            for k, joint in enumerate(joints):
+                if k in used or (isinstance(joint, Strut) and not through_struts):
+                    continue
+                known = [body for body in (joint.one, joint.other) if body in places]
+                if len(known) != 1:
+                    continue
+                here, there = sides[k] if known[0] == joint.one else sides[k][::-1]
+                reached = joint.other if known[0] == joint.one else joint.one
+                places[reached] = _sum(places[known[0]], here, there)
+                used.add(k)
+                grown = True
+                if through_struts:
+                    break
+            if through_struts and grown:
+                continue
+    lost = [body for body in bodies if body not in places]
+    if lost:
+        raise LinkageError(
+            f'no joint connects {", ".join(lost)} with the ground: add one, or leave it out'
+        )
+    chains = []
+    for k, joint in enumerate(joints):
+        if k not in used:
+            one = _sum(places[joint.one], sides[k][0], {})
+            chains.append(_sum(one, {}, _sum(places[joint.other], sides[k][1], {})))
+    count = len(terms.length0)
+    ties, tie0 = _ties(joints, variables)
+    loops = Loops(
+        tuple(variables),
+        np.array(terms.lengths).reshape(count, len(variables)),
+        np.array(terms.length0),
+        np.array(terms.angles).reshape(count, len(variables)),
+        np.array(terms.angle0),
+        np.array([_dense(chain, count) for chain in chains]).reshape(len(chains), count),
+        ties,
+        tie0,
+        np.zeros((0, len(variables))),
+    )
+    return Assembly(
+        loops,
+        tuple(bodies),
+        np.array([_dense(places[body], count) for body in bodies]).reshape(len(bodies), count),
+        np.eye(len(bodies), len(variables)),
+        tuple(joints),
+    )
+
+
+def _sides(terms: _Terms, joint: Joint) -> tuple[Chain, Chain]:
+    """The joint's vector equation: terms from the origin of `one`, and from that of `other`."""
+    one: Chain = _point(terms, joint.one, joint.a)
+    other: Chain = _point(terms, joint.other, joint.b)
+    if isinstance(joint, Slot):
+        one[terms.add(joint.name, joint.one, joint.along)] = 1.0
+    elif isinstance(joint, Rolling) and joint.circle:
+        one[terms.add(joint.circle + joint.radius, joint.name, 0.0)] = 1.0
+    elif isinstance(joint, Rolling):
+        one[terms.add(joint.name, joint.one, joint.along)] = 1.0
+        one[terms.add(joint.radius, joint.one, joint.along + np.pi / 2)] = 1.0
+    elif isinstance(joint, Strut):
+        one[terms.add(joint.name, f'{joint.name}.angle', 0.0)] = 1.0
+    return one, other
+
+
+def _point(terms: _Terms, body: str, place: complex) -> Chain:
+    return {terms.add(abs(place), body, float(np.angle(place))): 1.0} if place else {}
+
+
+def _ties(joints: Sequence[Joint], variables: Sequence[str]) -> tuple[Real, Real]:
+    """Linear equations between the variables: guided angles and rolling without slip."""
+    rows, right = [], []
+    for joint in joints:
+        row = dict.fromkeys(variables, 0.0) | {GROUND: 0.0}
+        if isinstance(joint, Slot) and joint.turned is not None:
+            row[joint.other], row[joint.one] = 1.0, -1.0
+            value = joint.turned
+        elif isinstance(joint, Rolling) and joint.circle:
+            # The point of contact moves as a point of either: (R + r) φ' = R θ' + r θ_wheel'.
+            row[joint.name] = joint.circle + joint.radius
+            row[joint.one], row[joint.other] = -joint.circle, -joint.radius
+            value = (joint.circle + joint.radius) * joint.start
+        elif isinstance(joint, Rolling):
+            row[joint.name], row[joint.other], row[joint.one] = 1.0, joint.radius, -joint.radius
+            value = joint.start
+        else:
+            continue
+        rows.append([row[name] for name in variables])
+        right.append(value)
+    return np.array(rows).reshape(-1, len(variables)), np.array(right)
+
+
+def _sum(first: Chain, plus: Chain, minus: Chain) -> Chain:
+    total = dict(first)
+    for chain, sign in ((plus, 1.0), (minus, -1.0)):
+        for term, weight in chain.items():
+            total[term] = total.get(term, 0.0) + sign * weight
+    return {term: weight for term, weight in total.items() if weight}
+
+
+def _dense(chain: Chain, count: int) -> Real:
+    row = np.zeros(count)
+    row[list(chain)] = list(chain.values())
+    return row

@@ -1,0 +1,337 @@
+"""
+Centrodes of two bodies of a linkage: the loci of their instant center in the frame of either.
+
+One rolls on the other without slip, so a pair of them, cut out and laid together, moves as the
+linkage does: pitch curves of non-circular gears.
+"""
+
+import csv
+from html import escape
+from math import comb
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from kinpole_ros.mechanism._assembly import GROUND, Revolute
+from kinpole_ros.mechanism._centers import extent
+from kinpole_ros.mechanism._loops import LinkageError
+from kinpole_ros.mechanism._mechanism import Mechanism, Motion
+from kinpole_ros.mechanism._motions import rotation_derivatives
+from kinpole_ros.planar import (
+    centrode_curvature,
+    icr_velocity,
+    moving_centrode_curvature,
+    pole,
+)
+from kinpole_ros.planar._plane import Complex, Real
+
+# In sizes of the linkage: farther off a center is as good as at infinity; a picture ends here.
+_FARTHEST, _SHOWN = 1e3, 3.0
+# A center that moves by less than so many sizes of the linkage per rad stands still.
+_STILL = 1e-9
+# Ends of a range this near to a change point, in shares of the range, are at it.
+_ROUNDING = 1e-9
+# Samples keep so far from a change point, in steps: right there nothing is determined, and digits
+# are lost near by.
+_BESIDE = 0.5
+# Nodes of Gauss's rule between two samples, for arc lengths.
+_NODES = 6
+_NOWHERE = complex(np.nan, np.nan)
+# Of the drawing, mm: its margin, the arms of an axis and of a pin's cross, a line, a letter.
+_MARGIN, _AXIS, _PIN, _LINE, _LETTER = 10.0, 8.0, 2.0, 0.25, 4.0
+
+
+class Centrodes(NamedTuple):
+    """
+    Centrodes of the bodies `one` and `other` at the inputs `at` (T,).
+
+    `fixed` (T,) complex, m, is the center in the frame of `one`, `moving` (T,) in that of `other`,
+    NaN where it is at infinity or the linkage at a dead point. Curvatures (T,), 1/m, are positive
+    where a curve turns left as `at` rises, NaN where the center stands still. `piece` (T,) numbers
+    the pieces between breaks, where the center passes infinity, -1 at NaN; arc lengths (T,), m,
+    are from the start of each piece, each by its own curve's velocity. `pins` are those of `one`
+    and of `other`, complex, m, in their own frames; `size`, m, is that of the linkage.
+    """
+
+    one: str
+    other: str
+    at: Real
+    fixed: Complex
+    moving: Complex
+    fixed_curvature: Real
+    moving_curvature: Real
+    fixed_length: Real
+    moving_length: Real
+    piece: np.ndarray
+    pins: tuple[Complex, Complex]
+    size: float
+
+    @property
+    def slip(self) -> float:
+        """By how much the lengths rolled differ at most, over the longer of 1 size and the way."""
+        differ = np.abs(self.fixed_length - self.moving_length)
+        return float(np.nanmax(differ / np.fmax(self.size, self.fixed_length)))
+
+
+def centrodes(
+    mechanism: Mechanism, one: str, other: str, low: float, high: float, count: int = 721
+) -> Centrodes:
+    """
+    Centrodes of two bodies over the inputs from `low` to `high`, or as far as the linkage goes.
+
+    `count` samples at equal inputs; toward a limit, closer and closer, since there the input stands
+    still while all else moves. Raises LinkageError for several drivers, bodies that are not a pair
+    of the linkage's, fewer than two samples, and bodies that never turn against each other.
+    """
+    for name in (one, other):
+        if name != GROUND and name not in mechanism.bodies:
+            names = ', '.join((GROUND, *mechanism.bodies))
+            raise LinkageError(f'there is no body {name}: name one of {names}')
+    if one == other:
+        raise LinkageError(f'{one} has no centrode with itself: name two bodies')
+    if len(mechanism.drivers) != 1:
+        raise LinkageError(
+            f'{len(mechanism.drivers)} drivers leave the centrodes open: hold all but one'
+        )
+    if count < 2 or not low < high:
+        raise LinkageError(
+            f'{count} samples from {low:g} to {high:g} are no range: '
+            'give two or more, from a lower to a higher input'
+        )
+    low, high, ends, crossings = _range(mechanism, low, high)
+    samples = _samples(count, ends, (crossings - low) / (high - low))
+    nodes, weights = np.polynomial.legendre.leggauss(_NODES)
+    step = np.diff(samples)
+    between = samples[:-1, None] + step[:, None] * (nodes + 1) / 2
+    shares = np.concatenate((samples, between.ravel()))
+    along, rate = _warp(shares, ends)
+    motion = mechanism.sweep(low + (high - low) * along)
+    seen, back = _seen(mechanism, motion, one, other), _seen(mechanism, motion, other, one)
+    _, size = extent(mechanism, motion.values[0])
+
+    with np.errstate(all='ignore'):
+        turning = np.where(motion.regular, seen[1][1], np.nan)
+        fixed, moving = pole(1, *seen).value, pole(1, *back).value
+        far = _FARTHEST * size
+        # Measured from the bodies' origins, the one of which may be far off and the other not.
+        there = (np.abs(fixed) < far) | (np.abs(moving) < far)
+        there &= np.isfinite(fixed) & np.isfinite(moving) & (turning != 0)
+        if not there[:count].any():
+            raise LinkageError(
+                f'{other} does not turn as seen from {one}: their center is at infinity, and '
+                'there are no centrodes'
+            )
+        forward, backward = icr_velocity(*seen).value, icr_velocity(*back).value
+        speeds = np.abs(np.stack((forward, backward)))
+        curved = there & (speeds.min(axis=0) > _STILL * size * np.abs(turning))
+        bends = np.where(curved, centrode_curvature(*seen).value.real, np.nan)
+        mates = moving_centrode_curvature(bends, seen[1][1], speeds[0])
+        lengths = speeds[:, count:] * (high - low) * rate[count:]
+        lengths = lengths.reshape(2, count - 1, _NODES) @ weights * (step / 2)
+    sign = np.where(there, np.sign(turning), 0)
+    inside = sign[count:].reshape(count - 1, _NODES)
+    whole = (inside == sign[: count - 1, None]).all(axis=1) & (sign[: count - 1] == sign[1:count])
+    whole &= there[1:count]
+    piece, way = _pieces(there[:count], whole, lengths)
+    fixed, moving = (np.where(there, points, _NOWHERE)[:count] for points in (fixed, moving))
+    return Centrodes(
+        one,
+        other,
+        low + (high - low) * along[:count],
+        fixed,
+        moving,
+        bends[:count],
+        mates[:count],
+        way[0],
+        way[1],
+        piece,
+        (_pins(mechanism, one), _pins(mechanism, other)),
+        size,
+    )
+
+
+def write_pitch_curves(path: str | Path, curves: Centrodes) -> None:
+    """
+    Write both centrodes to a file, by its suffix a table or a drawing.
+
+    CSV, in SI units: input, fixed_x, fixed_y, moving_x, moving_y, arc_length, piece; a row per
+    sample that has a center. SVG, true to scale: the curve in the frame of `one` and to its right
+    that of `other`, with the axes x and y of the frames and the pins of the bodies; it ends where
+    the center is more than 3 sizes of the linkage away. Raises LinkageError for another suffix and
+    for a file that cannot be written.
+    """
+    path = Path(path)
+    writers = {'.csv': _table, '.svg': _drawing}
+    write = writers.get(path.suffix.lower())
+    if write is None:
+        raise LinkageError(f'{path} is no pitch curves; end its name in one of csv, svg')
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        write(path, curves)
+    except OSError as error:
+        raise LinkageError(
+            f'{path} cannot be written: {error.strerror}; '
+            'mend: check the path, its rights and the space on the disk'
+        ) from error
+
+
+def _range(
+    mechanism: Mechanism, low: float, high: float
+) -> tuple[float, float, tuple[bool, bool], Real]:
+    """The inputs from `low` to `high` that are reached, which are limits, and the change points."""
+    # Asked for a little more, so that no node of the path is at an end that is a change point.
+    more = (high - low) / 20
+    path = mechanism.path(low - more, high + more)
+    crossings = np.array([dead.at for dead in path.dead_points if not dead.turns_back])
+    if path.period:
+        first, last = (np.floor((end - path.inputs[0]) / path.period) for end in (low, high))
+        turns = path.period * np.arange(first - 1, last + 2)
+        return low, high, (False, False), np.add.outer(turns, crossings).ravel()
+    limits = [dead.at for dead in path.dead_points if dead.turns_back]
+    ends, found = [], []
+    for asked, last, beyond in (
+        (low, path.inputs[0], low < path.inputs[0]),
+        (high, path.inputs[-1], high > path.inputs[-1]),
+    ):
+        # The last node lies just inside of the limit.
+        limit = min(limits, key=lambda at: abs(at - last), default=last)
+        found.append(bool(beyond))
+        ends.append(float(limit) if beyond else asked)
+    return ends[0], ends[1], (found[0], found[1]), crossings
+
+
+def _samples(count: int, ends: tuple[bool, bool], crossings: Real) -> Real:
+    """Samples (count,) from 0 to 1, half a step inside of limits, and beside change points."""
+    first, last = (0.5 if limit else 0.0 for limit in ends)
+    steps = count - 1 + first + last
+    samples = (np.arange(count) + first) / steps
+    crossings = crossings[(crossings > -_ROUNDING) & (crossings < 1 + _ROUNDING)]
+    for at in np.interp(crossings, _warp(samples, ends)[0], samples):
+        # All to the same side, so that a whole turn stays one.
+        beside = _BESIDE / steps
+        samples = np.where(np.abs(samples - at) < beside, at + beside, samples)
+    return samples
+
+
+def _warp(share: Real, ends: tuple[bool, bool]) -> tuple[Real, Real]:
+    """
+    Share of the way (T,) in the input for that in the samples, and its derivative.
+
+    Toward a limit as the square, for there all else moves as the root of the input.
+    """
+    if ends == (True, True):
+        return np.sin(np.pi / 2 * share) ** 2, np.pi / 2 * np.sin(np.pi * share)
+    if ends == (True, False):
+        return share**2, 2 * share
+    if ends == (False, True):
+        return share * (2 - share), 2 * (1 - share)
+    return share, np.ones(share.shape)
+
+
+def _seen(mechanism: Mechanism, motion: Motion, one: str, other: str) -> tuple[Complex, Real]:
+    """Motion of `other` as seen from `one`: origin (5, T), complex, m, and angle (5, T), rad."""
+    still = np.zeros(motion.angle[:, 0].shape)
+    places, angles = [], []
+    for name in (one, other):
+        k = -1 if name == GROUND else mechanism.bodies.index(name)
+        places.append(still + 0j if k < 0 else motion.position[:, k])
+        angles.append(still if k < 0 else motion.angle[:, k])
+    between, turn = places[1] - places[0], rotation_derivatives(-angles[0])
+    seen = [
+        sum(comb(order, j) * between[j] * turn[order - j] for j in range(order + 1))
+        for order in range(len(between))
+    ]
+    return np.stack(seen), angles[1] - angles[0]
+
+
+def _pieces(there: np.ndarray, whole: np.ndarray, lengths: Real) -> tuple[np.ndarray, Real]:
+    """Number the pieces (T,), and sum up the lengths (2, T - 1) between samples on each (2, T)."""
+    starts = there & np.concatenate(([True], ~whole))
+    piece = np.where(there, np.cumsum(starts) - 1, -1)
+    total = np.zeros((2, len(there)))
+    total[:, 1:] = np.cumsum(np.where(whole, lengths, 0.0), axis=1)
+    before = total[:, np.flatnonzero(starts)][:, np.maximum(piece, 0)]
+    return piece, np.where(there, total - before, np.nan)
+
+
+def _pins(mechanism: Mechanism, body: str) -> Complex:
+    """The pins on a body, in its own frame, each once."""
+    joints = [joint for joint in mechanism.assembly.joints if isinstance(joint, Revolute)]
+    points = [joint.a for joint in joints if joint.one == body]
+    points += [joint.b for joint in joints if joint.other == body]
+    return np.array(list(dict.fromkeys(complex(point) for point in points)), complex)
+
+
+def _table(path: Path, curves: Centrodes) -> None:
+    with open(path, 'w', newline='', encoding='utf-8') as file:
+        rows = csv.writer(file)
+        names = 'input fixed_x fixed_y moving_x moving_y arc_length piece'
+        rows.writerow(names.split())
+        columns = (
+            curves.at,
+            curves.fixed.real,
+            curves.fixed.imag,
+            curves.moving.real,
+            curves.moving.imag,
+            curves.fixed_length,
+            curves.piece,
+        )
+        there = curves.piece >= 0
+        rows.writerows(zip(*(column[there].tolist() for column in columns), strict=True))
+
+
+def _drawing(path: Path, curves: Centrodes) -> None:
+    near = np.minimum(np.abs(curves.fixed), np.abs(curves.moving)) < _SHOWN * curves.size
+    number = np.where(near, curves.piece, -1)
+    # Where a drawn piece leaves the paper and comes back it is two lines.
+    breaks = np.flatnonzero(np.diff(number)) + 1
+    runs = [run for run in np.split(np.arange(len(number)), breaks) if number[run[0]] >= 0]
+    parts, left, top, bottom = [], _MARGIN, 0.0, 0.0
+    for name, points, pins in (
+        (curves.one, curves.fixed, curves.pins[0]),
+        (curves.other, curves.moving, curves.pins[1]),
+    ):
+        # In mm; y points downward in a picture.
+        points, pins = 1e3 * points.conj(), 1e3 * pins.conj()
+        drawn = np.concatenate([points[run] for run in runs] + [pins])
+        low = min(drawn.real.min(), -_AXIS)
+        shift = left - low
+        parts.append(f'<g id="{escape(name)}" transform="translate({shift:.4f} 0)">')
+        parts += [_line(points[run]) for run in runs]
+        parts += [_cross(pin) for pin in pins]
+        parts += [_line(np.array([0, _AXIS])), _line(np.array([0, -1j * _AXIS]))]
+        parts += [
+            f'<text x="{x}" y="{y}" font-size="{_LETTER}">{text}</text>'
+            for x, y, text in (
+                (_AXIS + 1, _LETTER / 2, 'x'),
+                (-_LETTER / 2, -_AXIS - 1, 'y'),
+                (0, _AXIS + _LETTER, escape(name)),
+            )
+        ]
+        parts.append('</g>')
+        left = shift + max(drawn.real.max(), 2 * _AXIS) + _MARGIN
+        top = min(top, drawn.imag.min(), -_AXIS - _LETTER)
+        bottom = max(bottom, drawn.imag.max(), _AXIS + _LETTER)
+    top, height = top - _MARGIN, bottom - top + 2 * _MARGIN
+    text = [
+        f'<svg xmlns="http://www.w3.org/2000/svg" width="{left:.4f}mm" height="{height:.4f}mm" '
+        f'viewBox="0 {top:.4f} {left:.4f} {height:.4f}">',
+        f'<title>Centrodes of {escape(curves.one)} and {escape(curves.other)}</title>',
+        *parts,
+        '</svg>',
+    ]
+    path.write_text('\n'.join(text) + '\n', encoding='utf-8')
+
+
+def _line(points: Complex) -> str:
+    places = ' L '.join(f'{p.real:.4f} {p.imag:.4f}' for p in points)
+    return f'<path d="M {places}" fill="none" stroke="black" stroke-width="{_LINE}"/>'
+
+
+def _cross(place: complex) -> str:
+    x, y, arm = place.real, place.imag, _PIN
+    return (
+        f'<path d="M {x - arm:.4f} {y:.4f} H {x + arm:.4f} M {x:.4f} {y - arm:.4f} '
+        f'V {y + arm:.4f}" fill="none" stroke="black" stroke-width="{_LINE}"/>'
+    )

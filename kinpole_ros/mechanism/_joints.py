@@ -1,0 +1,211 @@
+"""The usual form of a scene: bodies with named points, pins where they share one, other joints."""
+
+import re
+from itertools import combinations
+from typing import Any
+
+from kinpole_ros.mechanism._assembly import (
+    GROUND,
+    Assembly,
+    Joint,
+    Revolute,
+    Rolling,
+    Slot,
+    Strut,
+    assemble,
+)
+from kinpole_ros.mechanism._units import SceneError, quantity, vector
+
+Points = dict[str, tuple[str, complex]]
+_WORD = re.compile(r'\w[\w-]*')
+_KEYS = {
+    'slot': ('slot', 'on', 'along', 'name'),
+    'prismatic': ('prismatic', 'on', 'along', 'turned', 'name'),
+    'rolling': ('rolling', 'radius', 'on', 'along', 'circle', 'start', 'name'),
+    'strut': ('strut', 'name'),
+}
+_EXAMPLES = {
+    'slot': '{slot: rod.B, on: ground.O, along: 0 deg}',
+    'prismatic': '{prismatic: block.Q, on: ground.O, along: 90 deg, turned: 0 deg}',
+    'rolling': '{rolling: wheel.H, radius: 0.1, on: ground.O, along: 0 deg}',
+    'strut': '{strut: [ground.D, lift.E], name: cylinder}',
+}
+
+
+def mapping(where: str, value: Any, example: str) -> dict[str, Any]:
+    """`value` if it is a mapping with text for keys, and not empty; else SceneError."""
+    if not isinstance(value, dict) or not value:
+        raise SceneError(f'{where} holds no keys and values: write {example}')
+    for key in value:
+        if not isinstance(key, str):
+            raise SceneError(
+                f"{where} has a name {key!r} that is not text: write it in quotes, '{key}'"
+            )
+    return value
+
+
+def refuse_unknown(where: str, data: dict[str, Any], known: tuple[str, ...]) -> None:
+    """Raise SceneError for the first key that is not among `known`."""
+    for key in data:
+        if key not in known:
+            raise SceneError(f"{where}: unknown key '{key}': use {', '.join(known)}")
+
+
+def need(where: str, data: dict[str, Any], keys: tuple[str, ...], example: str) -> None:
+    """Raise SceneError for the first of `keys` that is not there."""
+    for key in keys:
+        if key not in data:
+            raise SceneError(f"{where}: the key '{key}' is missing: add it, as in {example}")
+
+
+def named_point(where: str, value: Any, points: Points) -> tuple[str, complex]:
+    """The body and place of a point written as BODY.POINT; raises SceneError."""
+    # A list cannot be looked up.
+    if not isinstance(value, str) or value not in points:
+        known = ', '.join(points)
+        raise SceneError(f'{where} is {value!r}, which is no point: give one of {known}')
+    return points[value]
+
+
+def read_bodies(bodies: Any, joints: Any) -> tuple[Assembly, Points]:
+    """
+    The assembly of what `bodies` and `joints` hold, and all points by their names BODY.POINT.
+
+    Raises SceneError for whatever is malformed, LinkageError for bodies that hang on nothing.
+    """
+    read = _bodies(bodies)
+    points = {
+        f'{body}.{name}': (body, z) for body, named in read.items() for name, z in named.items()
+    }
+    if joints is not None and not isinstance(joints, list):
+        raise SceneError(f"'joints' is no list: write each as - {_EXAMPLES['slot']}")
+    found: list[Joint] = [*_pins(read)]
+    found += [_joint(f"'joints: {k + 1}'", said, points) for k, said in enumerate(joints or [])]
+    taken = set(read)
+    for joint in found:
+        if joint.name in taken:
+            what = 'body' if joint.name in read else 'joint'
+            raise SceneError(
+                f"'joints': a {what} is named '{joint.name}' already: add name: to the joint, with "
+                'another'
+            )
+        taken.add(joint.name)
+    _refuse_flat(read, found)
+    moving = [body for body in read if body != GROUND]
+    return assemble(moving, found), points
+
+
+def _bodies(bodies: Any) -> dict[str, dict[str, complex]]:
+    example = 'crank: {O: [0, 0], A: [0.12, 0]}'
+    read = {}
+    for body, said in mapping("'bodies'", bodies, example).items():
+        where = f"'bodies: {body}'"
+        if not _WORD.fullmatch(body):
+            raise SceneError(f'{where}: name a body with letters, digits, _ and -')
+        named = {}
+        for name, place in mapping(where, said, '{O: [0, 0], A: [0.12, 0]}').items():
+            if not _WORD.fullmatch(name):
+                raise SceneError(f"{where}: name the point '{name}' with letters, digits, _ and -")
+            named[name] = vector(f"{where}: '{name}'", place)
+        read[body] = named
+    if GROUND not in read:
+        raise SceneError("'bodies' has no ground: add one, as ground: {O: [0, 0]}")
+    if len(read) == 1:
+        raise SceneError(f"'bodies' has nothing but the ground: add a body, as {example}")
+    return read
+
+
+def _pins(bodies: dict[str, dict[str, complex]]) -> list[Revolute]:
+    """A pin for each name of a point that several bodies have."""
+    pins = []
+    for name in dict.fromkeys(name for named in bodies.values() for name in named):
+        first, *others = [body for body, named in bodies.items() if name in named]
+        for other in others:
+            called = name if len(others) == 1 else f'{name}.{other}'
+            pins.append(Revolute(called, first, bodies[first][name], other, bodies[other][name]))
+    return pins
+
+
+def _joint(where: str, said: Any, points: Points) -> Joint:
+    kind = next((kind for kind in _KEYS if isinstance(said, dict) and kind in said), None)
+    if kind is None:
+        kinds = ', '.join(_KEYS)
+        raise SceneError(f'{where} is {said!r}: give one of {kinds}, as {_EXAMPLES["slot"]}')
+    refuse_unknown(where, said, _KEYS[kind])
+    where = f"{where[:-1]}, {kind}'"
+    name = said.get('name')
+    if name is not None and not (isinstance(name, str) and _WORD.fullmatch(name)):
+        raise SceneError(f'{where}: name is {name!r}: give letters, digits, _ and -')
+    if kind == 'strut':
+        need(where, said, ('strut', 'name'), _EXAMPLES[kind])
+        ends = said['strut']
+        if not isinstance(ends, list) or len(ends) != 2:
+            raise SceneError(f'{where} is {ends!r}: give its two ends, as {_EXAMPLES[kind]}')
+        (one, a), (other, b) = (named_point(where, end, points) for end in ends)
+        _refuse_same(where, one, other)
+        return Strut(str(name), one, a, other, b)
+    need(where, said, ('on',) + (('radius',) if kind == 'rolling' else ()), _EXAMPLES[kind])
+    other, b = named_point(where, said[kind], points)
+    one, a = named_point(f'{where}: on', said['on'], points)
+    _refuse_same(where, one, other)
+    name = name or str(said[kind]).rpartition('.')[2]
+    if kind == 'rolling':
+        return _rolling(where, said, name, (one, a), (other, b))
+    need(where, said, ('along',), _EXAMPLES[kind])
+    along = quantity(f'{where}: along', said['along'], 'angle')
+    if kind == 'slot':
+        return Slot(name, one, a, along, other, b)
+    turned = quantity(f'{where}: turned', said.get('turned', 0.0), 'angle')
+    return Slot(name, one, a, along, other, b, turned)
+
+
+def _rolling(
+    where: str, said: dict[str, Any], name: str, on: tuple[str, complex], hub: tuple[str, complex]
+) -> Rolling:
+    radius = quantity(f'{where}: radius', said['radius'], 'length')
+    if radius <= 0:
+        raise SceneError(f'{where}: radius is {said["radius"]!r}: give one greater than 0')
+    if ('along' in said) == ('circle' in said):
+        raise SceneError(
+            f'{where}: give along: 0 deg for a line, or circle: 0.2 for a circle of that radius'
+        )
+    if 'along' in said:
+        along = quantity(f'{where}: along', said['along'], 'angle')
+        start = quantity(f'{where}: start', said.get('start', 0.0), 'length')
+        return Rolling(name, *on, *hub, radius, along=along, start=start)
+    circle = quantity(f'{where}: circle', said['circle'], 'length')
+    if circle == 0 or (circle < 0 and -circle <= radius):
+        raise SceneError(
+            f'{where}: circle is {said["circle"]!r}: give the radius to roll on, or, to roll '
+            'inside of it, one less than minus that of the wheel'
+        )
+    start = quantity(f'{where}: start', said.get('start', 0.0), 'angle')
+    return Rolling(name, *on, *hub, radius, circle=circle, start=start)
+
+
+def _refuse_same(where: str, one: str, other: str) -> None:
+    if one == other:
+        raise SceneError(f"{where}: both its points are on '{one}': give points of two bodies")
+
+
+def _refuse_flat(bodies: dict[str, dict[str, complex]], joints: list[Joint]) -> None:
+    """Refuse links of no length: two joints at one place of a body that are not one point."""
+    places: dict[str, set[complex]] = {body: set() for body in bodies}
+    for joint in joints:
+        places[joint.one].add(joint.a)
+        places[joint.other].add(joint.b)
+    for body, used in places.items():
+        names = {z: name for name, z in bodies[body].items()}
+        twice = [name for name, z in bodies[body].items() if z in used and names[z] != name]
+        for name in twice:
+            other = names[bodies[body][name]]
+            raise SceneError(
+                f"'bodies: {body}': '{name}' and '{other}' are at the same place, a link of length "
+                '0: put them apart, or give them one name'
+            )
+        for near, far in combinations(used, 2):
+            if abs(near - far) <= 1e-9 * max(map(abs, used)):
+                raise SceneError(
+                    f"'bodies: {body}': '{names[near]}' and '{names[far]}' are at the same place "
+                    'but for rounding, a link of length 0: put them apart, or give them one name'
+                )

@@ -1,0 +1,212 @@
+"""
+A linkage that is driven: where all its bodies are and how they move, at any time or input.
+
+Puts together what bodies and joints say (`_assembly`), the algebra of their loops (`_loops`), the
+branch they are on (`_path`) and what drives them (`_drive`).
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from functools import cached_property
+from math import comb
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from kinpole_ros.mechanism._assembly import Assembly
+from kinpole_ros.mechanism._loops import Linkage, LinkageError, Solution, reduce, solve, sums, weigh
+from kinpole_ros.mechanism._path import Path, Table, foretell, tabulate, trace, unit_input
+from kinpole_ros.planar._plane import Complex, Real
+
+ORDERS = 5
+# Positions at a time: fewer cost more calls, more leave the cache (57 ms for 1e5 of a four-bar with
+# 2048, 38 with 8192, 150 all at once).
+_CHUNK = 8192
+
+
+class Driver(NamedTuple):
+    """
+    What prescribes a variable, or the difference of two: variables @ row = value.
+
+    `name` is for people; `row` (n,); `motion(t)` gives the value and its derivatives (5, ...) at
+    times (...) in s; `low` and `high` bound its range, infinite where only the linkage does.
+    """
+
+    name: str
+    row: Real
+    motion: Callable[[Real], Real]
+    low: float = -np.inf
+    high: float = np.inf
+
+
+class Motion(NamedTuple):
+    """
+    All bodies (B) of a linkage: `position` (5, B, ...) complex, m, of their origins, and `angle`
+    (5, B, ...), rad, with the derivatives by time, or by the input; `values` (5, n, ...) the
+    variables; `regular` (...) where the derivatives are determined.
+    """
+
+    position: Complex
+    angle: Real
+    values: Real
+    regular: np.ndarray
+
+
+@dataclass(eq=False)
+class Mechanism:
+    """
+    Bodies on joints, with drivers.
+
+    `start` (n,) is the position it is drawn in, roughly: the branch is the one next to it, at the
+    inputs it has at time 0.
+    """
+
+    assembly: Assembly
+    drivers: tuple[Driver, ...]
+    start: Real
+    _path: Path | None = field(default=None, init=False)
+    _table: Table | None = field(default=None, init=False)
+
+    @property
+    def bodies(self) -> tuple[str, ...]:
+        """Names (B,) of the moving bodies."""
+        return self.assembly.bodies
+
+    @cached_property
+    def linkage(self) -> Linkage:
+        """The loops with the drivers, reduced to their unknowns; raises LinkageError."""
+        rows = np.array([driver.row for driver in self.drivers])
+        return reduce(self.assembly.loops._replace(drives=rows.reshape(-1, len(self.start))))
+
+    def motion(self, t: npt.ArrayLike, orders: int = ORDERS) -> Motion:
+        """
+        How all bodies move at times of any shape (...), in s; `orders` are 3 up to accelerations.
+
+        Raises LinkageError where the linkage cannot follow its drivers so far, with the time.
+        """
+        times = np.asarray(t, dtype=float)
+        flat = times.ravel()
+        found = self.at_inputs(self._inputs(flat), flat, orders)
+        position, angle, values = (
+            part.reshape(*part.shape[:2], *times.shape)
+            for part in (found.position, found.angle, found.values)
+        )
+        return Motion(position, angle, values, found.regular.reshape(times.shape))
+
+    def sweep(self, at: Real, orders: int = ORDERS) -> Motion:
+        """How all bodies move at the inputs `at` (T,) of the one driver, by that input."""
+        return self.at_inputs(unit_input(np.asarray(at, dtype=float)), None, orders)
+
+    def unit_rates(self, values: Real) -> tuple[Complex, Real]:
+        """
+        Velocities of all bodies per unit rate of each driver at variables (n, T) as given.
+
+        Returns those of the origins (d, B, T), complex, and the angular ones (d, B, T).
+        """
+        rates = []
+        for k in range(len(self.drivers)):
+            inputs = np.zeros((2, len(self.drivers), values.shape[1]))
+            inputs[0] = np.stack([driver.row for driver in self.drivers]) @ values
+            inputs[1, k] = 1.0
+            rates.append(solve(self.linkage, inputs, values, 2, close=False).values)
+        moved = [body_motion(self.assembly, found) for found in rates]
+        return np.stack([z[1] for z, _ in moved]), np.stack([angle[1] for _, angle in moved])
+
+    def at_inputs(self, inputs: Real, times: Real | None, orders: int = ORDERS) -> Motion:
+        """
+        How all bodies move at `inputs` (orders or more, d, T), derivatives by whatever theirs are.
+
+        `times` (T,) are those of the inputs, which tell the way of several drivers.
+        """
+        count = inputs.shape[-1]
+        table = None
+        along = inputs[0, 0] if len(self.drivers) == 1 else times
+        if self.linkage.blocks and count:
+            if along is None:
+                raise LinkageError('a sweep is over one driver: hold the others')
+            self.path(float(along.min()), float(along.max()))
+            table = self._table
+        bodies, variables = len(self.bodies), len(self.start)
+        position = np.empty((orders, bodies, count), complex)
+        angle, values = np.empty((orders, bodies, count)), np.empty((orders, variables, count))
+        regular = np.empty(count, bool)
+        for first in range(0, count, _CHUNK):
+            part = slice(first, first + _CHUNK)
+            if table is None or along is None:
+                guess = np.zeros((variables, len(regular[part])))
+            else:
+                guess = foretell(table, along[part])
+            found = solve(self.linkage, inputs[:, :, part], guess, orders)
+            if not found.closed.all():
+                when = None if times is None else times[part]
+                raise LinkageError(self._out_of_reach(inputs[:, :, part], when, found.closed))
+            values[:, :, part], regular[part] = found.values, found.regular
+            angle[:, :, part] = weigh(self.assembly.turns, found.values)
+            position[:, :, part] = self._positions(found)
+        return Motion(position, angle, values, regular)
+
+    @cached_property
+    def _places(self) -> tuple[Complex, Complex]:
+        return sums(self.linkage, self.assembly.places)
+
+    def _positions(self, found: Solution) -> Complex:
+        """Origins of all bodies (orders, B, T), from the angles and lengths that `solve` has."""
+        constant, sliding = self._places
+        position: Complex = weigh(constant, found.turns)
+        for v, coefficients in enumerate(sliding):
+            if coefficients.any():
+                turned = weigh(coefficients, found.turns)
+                for k in range(len(position)):
+                    for j in range(k + 1):
+                        position[k] += comb(k, j) * found.slides[j, v] * turned[k - j]
+        return position
+
+    def path(self, low: float, high: float) -> Path:
+        """The branch over the inputs from `low` to `high`, or as far as it goes."""
+        known = self._path
+        if known is None or not known.covers(low, high):
+            one = len(self.drivers) == 1
+            start = float(self._inputs(np.zeros(1))[0, 0, 0]) if one else 0.0
+            low = min(low, start, low if known is None else known.asked[0])
+            high = max(high, start, high if known is None else known.asked[1])
+            inputs = unit_input if one else self._inputs
+            self._path = trace(self.linkage, start, self.start, low, high, inputs)
+            self._table = tabulate(self.linkage, self._path, inputs)
+        assert self._path is not None
+        return self._path
+
+    def _inputs(self, times: Real) -> Real:
+        """Values and derivatives (5, d, T) of the drivers."""
+        return np.stack([driver.motion(times) for driver in self.drivers], axis=1)
+
+    def _out_of_reach(self, inputs: Real, times: Real | None, closed: np.ndarray) -> str:
+        first = int(np.argmin(closed))
+        when = '' if times is None else f' at {times[first]:.6g} s'
+        at = ', '.join(
+            f'{driver.name} = {value:.6g}'
+            for driver, value in zip(self.drivers, inputs[0, :, first], strict=True)
+        )
+        path = self._path
+        limits = (
+            ''
+            if path is None or len(self.drivers) > 1
+            else (f', it reaches from {path.inputs[0]:.6g} to {path.inputs[-1]:.6g}')
+        )
+        return f'the linkage cannot follow its drivers{when}, to {at}{limits}: drive it less far'
+
+
+def body_motion(assembly: Assembly, values: Real) -> tuple[Complex, Real]:
+    """Origins (orders, B, T), complex, and angles (orders, B, T) from variables (orders, n, T)."""
+    loops = assembly.loops
+    length, angle = loops.lengths @ values, loops.angles @ values
+    length[0] += loops.length0[:, None]
+    angle[0] += loops.angle0[:, None]
+    turn = np.empty(length.shape, complex)
+    turn[0] = np.exp(1j * angle[0])
+    terms = np.empty_like(turn)
+    for k in range(len(values)):
+        if k:
+            turn[k] = 1j * sum(comb(k - 1, j) * angle[j + 1] * turn[k - 1 - j] for j in range(k))
+        terms[k] = sum(comb(k, j) * length[j] * turn[k - j] for j in range(k + 1))
+    return assembly.places @ terms, assembly.turns @ values

@@ -1,0 +1,136 @@
+"""
+Where a linkage stands before it is driven: a position near what is said, and its mobility there.
+
+Slides, struts and guided angles follow from the angles of the bodies, so that a scene has to say
+little.
+"""
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from kinpole_ros.mechanism._assembly import GROUND, Assembly, Slot, Strut
+from kinpole_ros.mechanism._loops import Loops
+from kinpole_ros.planar._plane import Complex, Real
+
+# A singular value below this share of the largest counts as lost rank.
+_LOST = 1e-9
+
+
+def start_near(assembly: Assembly, said: Mapping[str, float], drives: Real, inputs: Real) -> Real:
+    """
+    All variables (n,) near those `said` (by name; angles else zero) that meet ties and drivers.
+
+    `drives` (d, n) are the drivers' rows, `inputs` (d,) their values. The loops need not close yet:
+    `Mechanism` solves them from here on.
+    """
+    loops = assembly.loops
+    names = loops.variables
+    rows = np.concatenate((loops.ties, drives))
+    right = np.concatenate((loops.tie0, inputs))
+    given = np.array([name in said for name in names])
+    values = np.array([said.get(name, 0.0) for name in names])
+    values = _meet(rows, right, values, given)
+    place, turn = _poses(assembly, values)
+    known = dict(zip(names, values, strict=True))
+    for joint in assembly.joints:
+        if not isinstance(joint, Slot | Strut):
+            continue
+        one, other = (
+            place[body] + point * turn[body]
+            for body, point in ((joint.one, joint.a), (joint.other, joint.b))
+        )
+        if isinstance(joint, Slot):
+            along = turn[joint.one] * np.exp(1j * joint.along)
+            known[joint.name] = float(((other - one) * np.conj(along)).real)
+        else:
+            known[joint.name] = float(abs(other - one))
+            known[f'{joint.name}.angle'] = float(np.angle(other - one))
+    known |= said
+    return _meet(rows, right, np.array([known[name] for name in names]), given)
+
+
+def close_near(loops: Loops, values: Real) -> tuple[Real, bool]:
+    """
+    The variables (n,) near `values` that close all loops and meet the ties, and whether found.
+
+    Steps of least norm (Gauss-Newton), none of the variables driven.
+    """
+    values = values.copy()
+    gap, matrix = _gaps(loops, values)
+    size = _size(loops, values)
+    for _ in range(100):
+        if np.abs(gap).max(initial=0.0) <= 1e-12 * size:
+            return values, True
+        step = -np.linalg.pinv(matrix, rcond=_LOST) @ gap
+        step *= min(1.0, 0.3 * size / max(float(np.abs(step).max()), 1e-300))
+        if not np.isfinite(step).all():
+            break
+        values += step
+        gap, matrix = _gaps(loops, values)
+    return values, bool(np.abs(gap).max(initial=0.0) <= 1e-9 * size)
+
+
+def mobility(assembly: Assembly, values: Real) -> tuple[int, int]:
+    """
+    Degrees of freedom: by Gruebler's count, and by the rank of the loops' Jacobian at `values`.
+
+    The count, variables less ties less two for each loop, is 3 for each body, less 2 for a pin, a
+    prismatic or a rolling joint and 1 for a pin in a slot. It lies where lengths are special, as in
+    a parallelogram with a third crank; the rank does not, but at a dead point it is lower.
+    """
+    loops = assembly.loops
+    count = len(loops.variables)
+    _, matrix = _gaps(loops, values)
+    # Lengths as shares of the largest, so that the unit does not decide the rank.
+    size = _size(loops, values)
+    matrix = matrix * np.where((loops.lengths != 0).any(axis=0), size, 1.0)
+    ties = len(loops.ties)
+    matrix[:ties] /= np.abs(matrix[:ties]).max(axis=1, keepdims=True, initial=1e-300)
+    matrix[ties:] /= size
+    singular = np.linalg.svd(matrix, compute_uv=False) if len(matrix) else np.zeros(0)
+    rank = int((singular > _LOST * singular.max(initial=1.0)).sum())
+    return count - len(loops.ties) - 2 * len(loops.loops), count - rank
+
+
+def _gaps(loops: Loops, values: Real) -> tuple[Real, Real]:
+    """What ties and loops lack (k + 2m,), and its Jacobian (k + 2m, n)."""
+    length = loops.lengths @ values + loops.length0
+    turn = np.exp(1j * (loops.angles @ values + loops.angle0))
+    gap = loops.loops @ (length * turn)
+    by = turn[:, None] * (loops.lengths + 1j * length[:, None] * loops.angles)
+    matrix = loops.loops @ by
+    return (
+        np.concatenate((loops.ties @ values - loops.tie0, gap.real, gap.imag)),
+        np.concatenate((loops.ties, matrix.real, matrix.imag)),
+    )
+
+
+def _size(loops: Loops, values: Real) -> float:
+    return float(np.abs(loops.lengths @ values + loops.length0).max(initial=0.0)) or 1.0
+
+
+def _meet(rows: Real, right: Real, values: Real, given: np.ndarray) -> Real:
+    """`values` moved to meet rows @ values = right, those `given` as little as can be."""
+    if not len(rows):
+        return values
+    ease = np.where(given, 1e-6, 1.0)
+    pull = (rows * ease) @ rows.T
+    return np.asarray(values + ease * (rows.T @ np.linalg.pinv(pull) @ (right - rows @ values)))
+
+
+def _poses(assembly: Assembly, values: Real) -> tuple[dict[str, complex], dict[str, complex]]:
+    """Origins and directions e^{iθ} of all bodies, the ground too."""
+    loops = assembly.loops
+    terms: Complex = (loops.lengths @ values + loops.length0) * np.exp(
+        1j * (loops.angles @ values + loops.angle0)
+    )
+    places = assembly.places @ terms
+    turns = np.exp(1j * (assembly.turns @ values))
+    place = {GROUND: 0j} | {
+        body: complex(z) for body, z in zip(assembly.bodies, places, strict=True)
+    }
+    turn = {GROUND: 1 + 0j} | {
+        body: complex(z) for body, z in zip(assembly.bodies, turns, strict=True)
+    }
+    return place, turn

@@ -1,0 +1,88 @@
+"""
+Quantities as people write them: a number is SI (m, rad, s, N, kg), else its unit stands behind it.
+
+Whatever cannot be read raises SceneError with what was written and an example of what can be.
+"""
+
+import re
+from cmath import exp
+from contextlib import suppress
+from math import isfinite, pi
+from typing import Any
+
+
+class SceneError(ValueError):
+    """A scene file that cannot be used: one line with the file, the key and the mend."""
+
+
+_DEGREE, _TURN = pi / 180, 2 * pi
+UNITS: dict[str, dict[str, float]] = {
+    'length': {'m': 1.0, 'cm': 0.01, 'mm': 0.001, 'in': 0.0254, 'ft': 0.3048},
+    'angle': {'rad': 1.0, 'deg': _DEGREE, '°': _DEGREE, 'rev': _TURN},
+    'velocity': {'m/s': 1.0, 'cm/s': 0.01, 'mm/s': 0.001, 'in/s': 0.0254, 'ft/s': 0.3048},
+    'angular velocity': {'rad/s': 1.0, 'deg/s': _DEGREE, 'rev/s': _TURN, 'rpm': _TURN / 60},
+    'time': {'s': 1.0, 'ms': 0.001, 'min': 60.0},
+    'frequency': {'Hz': 1.0, '1/s': 1.0, 'rpm': 1 / 60},
+    'force': {'N': 1.0, 'kN': 1000.0, 'lbf': 4.4482216152605},
+    'torque': {'N m': 1.0, 'N cm': 0.01, 'N mm': 0.001, 'kN m': 1000.0},
+    'mass': {'kg': 1.0, 'g': 0.001, 't': 1000.0, 'lb': 0.45359237},
+}
+_EXAMPLES = {
+    'length': '0.12 or 12 cm',
+    'angle': '0.5 or 30 deg',
+    'velocity': '0.2 or 20 cm/s',
+    'angular velocity': '6.28 or 1 rev/s',
+    'time': '2 or 200 ms',
+    'frequency': '1.5 or 1.5 Hz',
+    'force': '500 or 0.5 kN',
+    'torque': '2 or 200 N cm',
+    'mass': '80 or 80 kg',
+}
+_WRITTEN = re.compile(r'\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*(.*?)\s*')
+
+
+def quantity(where: str, value: Any, kind: str) -> float:
+    """
+    The `value` of a key in SI units; `kind` is a key of UNITS, `where` begins the message.
+
+    Raises SceneError for what is no finite number, or has a unit of another kind.
+    """
+    number, unit = float('nan'), ''
+    if isinstance(value, str) and (written := _WRITTEN.fullmatch(value)):
+        number, unit = float(written[1]), ' '.join(re.split(r'[\s*·]+', written[2]))
+    elif isinstance(value, int | float) and not isinstance(value, bool):
+        # Whole numbers may be too large for a float.
+        with suppress(OverflowError):
+            number = float(value)
+    units = UNITS[kind]
+    if unit and unit not in units:
+        raise SceneError(
+            f'{where} is {value!r}, whose unit is none of {kind}: use one of {", ".join(units)}'
+        )
+    result = number * (units[unit] if unit else 1.0)
+    if not isfinite(result):
+        raise SceneError(f'{where} is {value!r}: give a finite number, as {_EXAMPLES[kind]}')
+    return result
+
+
+def vector(where: str, value: Any, kind: str = 'length') -> complex:
+    """
+    A vector of the plane, complex: [x, y], or polar, LENGTH @ ANGLE.
+
+    Raises SceneError as `quantity` does.
+    """
+    if isinstance(value, str) and value.count('@') == 1:
+        size, angle = (part.strip() for part in value.split('@'))
+        # Turned by exact quarters, so that 0.2 @ 90 deg lies on the axis.
+        return quantity(where, size, kind) * direction(quantity(where, angle, 'angle'))
+    if isinstance(value, list | tuple) and len(value) == 2:
+        return complex(*(quantity(where, part, kind) for part in value))
+    raise SceneError(f'{where} is {value!r}: give [x, y], or LENGTH @ ANGLE as 0.2 @ 135 deg')
+
+
+def direction(angle: float) -> complex:
+    """The unit vector at `angle` (rad), exact at quarter turns."""
+    quarters = angle / (pi / 2)
+    if abs(quarters - round(quarters)) < 1e-14 * max(1.0, abs(quarters)):
+        return 1j ** (round(quarters) % 4)
+    return exp(1j * angle)

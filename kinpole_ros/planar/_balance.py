@@ -1,0 +1,121 @@
+"""
+The effort that balances a load on a machine in motion, from its velocities as measured (seed 003).
+
+What goes in at one port comes out at another, whatever is between them: neither the joints nor
+bodies that carry no markers need be known. Friction and inertia are left out.
+"""
+
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from kinpole_ros.planar._linear import Linear, variance
+from kinpole_ros.planar._plane import Complex, Real
+
+
+class Port(NamedTuple):
+    """
+    Where power goes in or out of a body, the index `body`.
+
+    With a `point` (complex, m, of the body's frame) `effort` is a force there, N, complex in the
+    ground's axes; without, a torque, N m. Of an input only its direction counts, or its sign.
+    """
+
+    body: int
+    effort: complex
+    point: complex | None = None
+
+
+def port_power(effort: complex, point: complex | None, position: Complex, angle: Real) -> Linear:
+    """
+    Power (W) of a force at a point of a body, or of a torque where `point` is None, as in Port.
+
+    `position` (K, ...) complex and `angle` (K, ...) hold the body's frame with its derivatives,
+    K > 1. With an effort of 1 it is the velocity along it, m/s or rad/s.
+    """
+    if point is None:
+        turning = np.full(np.shape(angle[1]), effort.real + 0j)
+        return Linear(turning.real * angle[1], {}, {1: turning})
+    arm = point * np.exp(1j * angle[0])
+    along = np.conj(effort) + 0 * arm
+    value = (along * (position[1] + 1j * angle[1] * arm)).real
+    return Linear(value, {1: along}, {0: -along * angle[1] * arm, 1: 1j * along * arm})
+
+
+def balancing_effort(
+    through: tuple[int, Linear], loads: Sequence[tuple[int, Linear]]
+) -> dict[int, Linear]:
+    """
+    The effort E that balances loads: the sum of their powers and of E times the input's rate is 0.
+
+    `through` is the body and the rate of the input, `loads` those of each load with its power, as
+    `port_power` gives them. Returns E once for each body, as it depends on that body; bodies are
+    measured apart, so their variances add. Not finite where the input stands still.
+    """
+    _, rate = through
+    with np.errstate(divide='ignore', invalid='ignore', over='ignore'):
+        inverse = -1 / np.asarray(rate.value)
+        effort = sum(power.value for _, power in loads) * inverse
+        # dE = -(dP + E dv) / v; the loads' bodies have the first, the input's the second.
+        parts = [(body, power, inverse) for body, power in loads]
+        parts.append((through[0], rate, effort * inverse))
+        found: dict[int, Linear] = {}
+        for body, linear, factor in parts:
+            before = found.setdefault(body, Linear(effort, {}, {}))
+            found[body] = Linear(
+                effort,
+                _plus(before.by_position, linear.by_position, factor),
+                _plus(before.by_angle, linear.by_angle, factor),
+            )
+    return found
+
+
+def measured_balance(
+    through: Port,
+    loads: Sequence[Port],
+    position: Complex,
+    angle: Real,
+    position_covariance: Real,
+    angle_covariance: Real,
+    significant: float = 3.0,
+) -> tuple[Real, Real, np.ndarray]:
+    """
+    The effort at `through` that balances `loads`, its variance, and where it is determined (...).
+
+    `position` (K, B, ...) complex, m, and `angle` (K, B, ...), rad, hold all bodies' frames with
+    their derivatives, K > 1, the covariances (K, K, B, ...) are between orders, as in `covariance`.
+    The effort is a force, N, or a torque, N m, positive along that of `through`; the variance is to
+    first order. Determined where the input's velocity is more than `significant` standard
+    deviations from zero. Raises ValueError for an input without direction.
+    """
+    size = abs(through.effort) if through.point is not None else abs(through.effort.real)
+    if not 0 < size < np.inf:
+        raise ValueError('the input of a balance needs a direction: a force or torque not zero')
+
+    def spread(body: int, linear: Linear) -> Real:
+        return variance(linear, position_covariance[:, :, body], angle_covariance[:, :, body])
+
+    unit = through._replace(effort=through.effort / size)
+    rate, *powers = (
+        port_power(port.effort, port.point, position[:, port.body], angle[:, port.body])
+        for port in (unit, *loads)
+    )
+    by_body = balancing_effort(
+        (through.body, rate),
+        [(load.body, power) for load, power in zip(loads, powers, strict=True)],
+    )
+    value = by_body[through.body].value.real
+    with np.errstate(divide='ignore', invalid='ignore', over='ignore'):
+        noise = np.asarray(sum(spread(body, linear) for body, linear in by_body.items()))
+        moving = np.abs(rate.value) > significant * np.sqrt(spread(through.body, rate))
+    return value, noise, moving & np.isfinite(value) & np.isfinite(noise)
+
+
+def _plus(
+    before: Mapping[int, Complex], more: Mapping[int, Complex], factor: Real
+) -> dict[int, Complex]:
+    return {
+        k: before.get(k, np.zeros(())) + more.get(k, np.zeros(())) * factor
+        for k in before.keys() | more.keys()
+    }

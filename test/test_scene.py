@@ -1,0 +1,620 @@
+"""Scene files: what they say, the printed figures they give, and every way to get them wrong."""
+
+import copy
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from kinpole_ros.bags import simulate
+from kinpole_ros.mechanism import Scene, SceneError, load_scene, rotation_derivatives
+from kinpole_ros.mechanism._start import mobility
+from kinpole_ros.mechanism._statics import Force, Torque
+from kinpole_ros.mechanism._units import quantity, vector
+
+SCENES = Path(__file__).resolve().parents[1] / 'config' / 'scenes'
+NAMES = sorted(path.stem for path in SCENES.glob('*.yaml'))
+
+
+def scene(name: str) -> Scene:
+    return load_scene(SCENES / f'{name}.yaml')
+
+
+def written(name: str) -> dict:
+    """What a scene's file says, in which 'on' is a word."""
+    return yaml.load((SCENES / f'{name}.yaml').read_text(), yaml.BaseLoader)
+
+
+def save(folder: Path, data: Any) -> Path:
+    path = folder / 'edited.yaml'
+    path.write_text(yaml.safe_dump(data, sort_keys=False))
+    return path
+
+
+def edited(folder: Path, name: str, edit: Callable[[dict], object]) -> Path:
+    data = written(name)
+    edit(data)
+    return save(folder, data)
+
+
+def point(exact: Scene, name: str, t: float = 0.0) -> np.ndarray:
+    """A named point and its derivatives, (5,), complex."""
+    body, place = exact.points[name]
+    motion = exact.motion(t)[body]
+    return motion.position + place * rotation_derivatives(motion.angle)
+
+
+# Printed figures
+
+
+def test_web_cutter_reproduces_its_table() -> None:
+    exact = scene('web_cutter')
+    table = {
+        'coupler.B': [
+            3.7588 + 1.3681j,
+            -5.4874 + 15.0764j,
+            -60.4716 - 22.0098j,
+            88.2815 - 242.5514j,
+        ],
+        'coupler.C': [
+            3.9407 + 29.3675j,
+            22.5296 + 14.8943j,
+            -42.8075 - 50.1604j,
+            -673.2083 - 291.1768j,
+        ],
+    }
+    for name, printed in table.items():
+        found = 100 * point(exact, name)[:4]
+        # To the printed digits, of which the rate of 4.011 rad/s has one less.
+        np.testing.assert_allclose(found, printed, rtol=4e-5, atol=1e-4)
+    coupler = exact.motion(0.0)['coupler']
+    np.testing.assert_allclose(coupler.angle[1:4], [-1.0006, -0.6374, 26.1823], rtol=2e-4)
+
+
+# Example 1 of seed 003: rates at the angles given, where the printed lengths leave the loop open.
+def test_loader_loop_has_the_printed_rates_at_the_printed_angles() -> None:
+    exact = scene('loader_loop')
+    names = exact.mechanism.assembly.loops.variables
+    angles = {'r2.angle': 45, 'r3.angle': 0, 'r4.angle': -90}
+    values = np.array([[np.radians(angles[name])] for name in names])
+    velocity, turning = exact.mechanism.unit_rates(values)
+    velocity, turning = 0.5 * velocity[0, :, 0], 0.5 * turning[0, :, 0]
+    bodies = exact.mechanism.bodies
+    assert turning[bodies.index('r4')] == pytest.approx(0.4985, rel=1e-3)
+    assert turning[bodies.index('r3')] == pytest.approx(-0.4154, rel=1e-3)
+    body, place = exact.points['P']
+    k = bodies.index(body)
+    turned = place * np.exp(1j * values[names.index('r3.angle'), 0])
+    assert 100 * (velocity[k] + 1j * turning[k] * turned) == pytest.approx(8.896 + 108.6j, rel=1e-3)
+
+
+def test_loader_has_the_printed_rates_with_the_ground_that_closes() -> None:
+    exact = scene('loader')
+    bodies = exact.motion(0.0)
+    assert bodies['arm'].angle[:2] == pytest.approx([np.pi / 4, 0.5])
+    assert bodies['lift'].angle[0] == pytest.approx(0.0, abs=1e-6)
+    assert bodies['lift'].angle[1] == pytest.approx(-0.4154, rel=1e-3)
+    assert bodies['link'].angle[1] == pytest.approx(0.4985, rel=1e-3)
+    assert 100 * point(exact, 'lift.P')[1] == pytest.approx(8.896 + 108.6j, rel=1e-3)
+
+
+def test_trebuchet_has_the_printed_rates() -> None:
+    exact = scene('trebuchet')
+    names = exact.mechanism.assembly.loops.variables
+    values = exact.mechanism.motion(0.0).values
+    rates = dict(zip(names, values[1], strict=True))
+    assert 100 * values[0, names.index('shift')] == pytest.approx(173.2, rel=1e-3)
+    assert 100 * rates['drop'] == pytest.approx(250, rel=1e-6)
+    assert 100 * rates['shift'] == pytest.approx(-144.3, rel=1e-3)
+    assert rates['bar'] == pytest.approx(-1.443, rel=1e-3)
+    assert 100 * point(exact, 'bar.P')[1] == pytest.approx(360.75 + 374.84j, rel=1e-3)
+
+
+def test_bike_suspension_has_the_given_velocities() -> None:
+    exact = scene('bike_suspension')
+    values = exact.mechanism.motion(0.0).values
+    assert 100 * values[:2, 1] == pytest.approx([25, 75], rel=1e-6)
+    assert np.degrees(values[0, 2]) == pytest.approx(128.5, abs=0.1)
+    assert 100 * point(exact, 'swing.P')[1] == pytest.approx(5 + 125j, rel=1e-3)
+
+
+def test_exercise_machine_comes_as_near_to_its_rates_as_it_can() -> None:
+    bodies = scene('exercise_machine').motion(np.linspace(0, 3, 3001))
+    rpm = {body: motion.angle[1] * 30 / np.pi for body, motion in bodies.items()}
+    np.testing.assert_allclose(rpm['link_4'], 20)
+    assert rpm['link_2'][0] == pytest.approx(9.521, abs=1e-3)
+    assert rpm['link_2'].max() <= rpm['link_2'][0] + 1e-6
+
+
+def test_loader_with_its_cylinder_closes_both_loops() -> None:
+    exact = scene('loader_cylinder')
+    bodies = exact.motion(np.linspace(0, 4, 101))
+    turn = {name: np.exp(1j * bodies[name].angle[0]) for name in ('r2', 'r3', 'r4', 'r5')}
+    shared = 1.41 * turn['r2']
+    ground = 2.19702258 * np.exp(1j * np.radians(179.9223))
+    first = ground + shared + 1.2 * turn['r3'] + turn['r4']
+    assert np.abs(first).max() < 1e-13
+    names = exact.mechanism.assembly.loops.variables
+    length = exact.mechanism.motion(np.linspace(0, 4, 101)).values[0, names.index('r5.length')]
+    second = 0.42 * np.exp(-0.25j * np.pi) + shared + length * turn['r5']
+    second += 0.8 * turn['r3'] * np.exp(1j * np.radians(120))
+    assert np.abs(second).max() < 1e-13
+    # The rates of the loop without the cylinder at the same arm, driven at the same rate.
+    assert exact.points['E'][0] == 'r3b'
+
+
+# What a scene tells
+
+
+def test_mobility_counts_the_drivers() -> None:
+    for name in NAMES:
+        mechanism = scene(name).mechanism
+        count = len(mechanism.drivers)
+        values = mechanism.motion(0.1).values[0]
+        assert mobility(mechanism.assembly, values) == (count, count), name
+
+
+def test_loads_are_read_with_their_units() -> None:
+    assert scene('loader').loads == (
+        Force('lift', scene('loader').points['lift.P'][1], pytest.approx(-9806.65j)),
+    )
+    assert scene('exercise_machine').loads == (Torque('link_4', pytest.approx(-1.0)),)
+    (up,) = scene('bike_suspension').loads
+    assert isinstance(up, Force) and up.force == 500j
+
+
+@pytest.mark.parametrize(
+    ('said', 'kind', 'value'),
+    [
+        ('141 cm', 'length', 1.41),
+        ('1e-3', 'length', 0.001),
+        (' -2.5mm ', 'length', -0.0025),
+        (3, 'angle', 3.0),
+        ('45 deg', 'angle', np.pi / 4),
+        ('20 rpm', 'angular velocity', 2 * np.pi / 3),
+        ('1 rev/s', 'angular velocity', 2 * np.pi),
+        ('250 cm/s', 'velocity', 2.5),
+        ('1 t', 'mass', 1000.0),
+        ('-100 N cm', 'torque', -1.0),
+        ('2 N*m', 'torque', 2.0),
+        ('0.5 kN', 'force', 500.0),
+        ('200 ms', 'time', 0.2),
+        ('1.5 Hz', 'frequency', 1.5),
+    ],
+)
+def test_quantities_have_units(said: object, kind: str, value: float) -> None:
+    assert quantity('it', said, kind) == pytest.approx(value, rel=1e-15)
+
+
+def test_vectors_are_written_in_two_ways() -> None:
+    assert vector('it', ['10 cm', 0.2]) == 0.1 + 0.2j
+    assert vector('it', '0.2 @ 90 deg') == 0.2j
+    assert vector('it', '500 N @ 180 deg', 'force') == -500
+    assert vector('it', '2 @ 0.5') == pytest.approx(2 * np.exp(0.5j))
+
+
+BARE = {
+    'bodies': {
+        'ground': {'O': [0, 0], 'C': [0.4, 0]},
+        'crank': {'O': [0, 0], 'A': [0.12, 0]},
+        'coupler': {'A': [0, 0], 'B': [0.36, 0]},
+        'rocker': {'C': [0, 0], 'B': [0.28, 0]},
+    },
+    'start': {'coupler': '45 deg', 'rocker': '100 deg'},
+}
+
+
+@pytest.mark.parametrize(
+    ('how', 'at_1_s'),
+    [
+        ({'rate': '90 deg/s', 'start': 0.25}, 0.25 + np.pi / 2),
+        ({'mean': 1, 'amplitude': 0.5, 'frequency': 0.25, 'phase': 0}, 1.5),
+        ({'from': 0, 'to': '100 deg', 'begin': 0.5, 'duration': 1}, np.radians(50)),
+        ({'times': [0, 1, 2.5], 'values': [0, '1 rad', 0.5]}, 1.0),
+    ],
+    ids=['rate', 'sine', 'step', 'table'],
+)
+def test_every_kind_of_driver(tmp_path: Path, how: dict, at_1_s: float) -> None:
+    path = save(tmp_path, {**BARE, 'drivers': [{'drive': 'crank', **how}]})
+    assert load_scene(path).motion(1.0)['crank'].angle[0] == pytest.approx(at_1_s)
+
+
+def test_start_needs_no_slides_and_no_guided_angles(tmp_path: Path) -> None:
+    data = {
+        'bodies': {
+            'ground': {'O': [0, 0], 'D': [0.5, -0.3]},
+            'crank': {'O': [0, 0], 'A': [0.1, 0]},
+            'rod': {'A': [0, 0], 'B': [0.4, 0], 'E': [0.2, 0.1]},
+            'block': {'B': [0, 0]},
+        },
+        'joints': [
+            {'prismatic': 'block.B', 'on': 'ground.O', 'along': '180 deg', 'name': 'guide'},
+            {'strut': ['ground.D', 'rod.E'], 'name': 'spring'},
+        ],
+        'drivers': [{'drive': 'crank', 'rate': 1}],
+        'start': {'rod': '180 deg'},
+    }
+    exact = load_scene(save(tmp_path, data))
+    mechanism = exact.mechanism
+    values = mechanism.motion(0.0).values[0]
+    found = dict(zip(mechanism.assembly.loops.variables, values, strict=True))
+    assert found['guide'] == pytest.approx(0.3)
+    assert found['block'] == 0
+    end = point(exact, 'rod.E')[0] - (0.5 - 0.3j)
+    assert found['spring'] * np.exp(1j * found['spring.angle']) == pytest.approx(end)
+
+
+def test_wheels_roll_on_circles_outside_and_inside(tmp_path: Path) -> None:
+    for circle, turns in ((0.2, 3.0), (-0.3, -2.0)):
+        data = {
+            'bodies': {
+                'ground': {'O': [0, 0]},
+                'arm': {'O': [0, 0], 'P': [abs(circle + 0.1), 0]},
+                'planet': {'P': [0, 0]},
+            },
+            'joints': [
+                {
+                    'rolling': 'planet.P',
+                    'radius': 0.1,
+                    'on': 'ground.O',
+                    'circle': circle,
+                    'name': 'roll',
+                }
+            ],
+            'drivers': [{'drive': 'arm', 'rate': 1}],
+        }
+        if circle < 0:
+            # The arm points to the hub, the joint's direction away from it.
+            data['start'] = {'roll': '180 deg'}
+            data['joints'][0]['start'] = '180 deg'
+        bodies = load_scene(save(tmp_path, data)).motion(np.linspace(0, 2, 9))
+        np.testing.assert_allclose(bodies['planet'].angle[1], turns, atol=1e-12)
+
+
+@pytest.mark.parametrize('name', NAMES)
+def test_every_scene_simulates(name: str, tmp_path: Path) -> None:
+    exact = scene(name)
+    assert exact.markers
+    assert simulate(exact, tmp_path / 'out.mcap', rate=50, duration=0.2) == 10
+
+
+@pytest.mark.parametrize('name', NAMES)
+def test_every_scene_moves_as_long_as_asked(name: str) -> None:
+    for motion in scene(name).motion(np.linspace(-5, 50, 2000)).values():
+        assert np.isfinite(motion.position).all()
+        assert np.isfinite(motion.angle).all()
+
+
+# Bad scenes
+
+
+def pop(*keys: Any) -> Callable[[dict], object]:
+    """Drop what the keys lead to."""
+
+    def edit(data: dict) -> None:
+        for key in keys[:-1]:
+            data = data[key]
+        data.pop(keys[-1])
+
+    return edit
+
+
+def put(value: object, *keys: Any) -> Callable[[dict], object]:
+    """Put a value where the keys lead to."""
+
+    def edit(data: dict) -> None:
+        for key in keys[:-1]:
+            data = data[key]
+        data[keys[-1]] = value
+
+    return edit
+
+
+def add(key: str, value: object) -> Callable[[dict], object]:
+    return lambda data: data.setdefault(key, []).append(value)
+
+
+RATE = {'drive': 'crank', 'rate': 1}
+BAD = [
+    ('four_bar', put(1, 'lenght'), "unknown key 'lenght': use bodies, joints, drivers"),
+    ('four_bar', pop('bodies'), "the key 'bodies' is missing: add it, as in"),
+    ('four_bar', pop('drivers'), "the key 'drivers' is missing"),
+    ('four_bar', put({}, 'bodies'), "'bodies' holds no keys and values"),
+    ('four_bar', pop('bodies', 'ground'), "'bodies' has no ground: add one"),
+    ('four_bar', put({'ground': {'O': [0, 0]}}, 'bodies'), 'nothing but the ground'),
+    ('four_bar', put([1], 'bodies', 'crank'), "'bodies: crank' holds no keys and values"),
+    ('four_bar', put([1, 2, 3], 'bodies', 'crank', 'A'), "'A' is [1, 2, 3]: give [x, y]"),
+    ('four_bar', put(['a', 0], 'bodies', 'crank', 'A'), "'A' is 'a': give a finite number"),
+    ('four_bar', put([True, 0], 'bodies', 'crank', 'A'), "'A' is True: give a finite number"),
+    ('four_bar', put(['.nan', 0], 'bodies', 'crank', 'A'), "'A' is '.nan': give a finite number"),
+    ('four_bar', put([float('nan'), 0], 'bodies', 'crank', 'A'), "'A' is nan: give a finite"),
+    ('four_bar', put([10**400, 0], 'bodies', 'crank', 'A'), 'give a finite number'),
+    ('four_bar', put(['3 kg', 0], 'bodies', 'crank', 'A'), "is '3 kg', whose unit is none of len"),
+    ('four_bar', put('3 @ 4 @ 5', 'bodies', 'crank', 'A'), 'or LENGTH @ ANGLE'),
+    ('four_bar', put([0, 0], 'bodies', 'crank', 'A'), "'bodies: crank': 'O' and 'A' are at the"),
+    ('four_bar', put({'O': [0, 0]}, 'bodies', 'a.b'), 'name a body with letters'),
+    ('four_bar', put([0, 0], 'bodies', 'crank', 'A B'), "name the point 'A B' with letters"),
+    ('four_bar', put({'X': [0, 0]}, 'bodies', 'idler'), 'no joint connects idler with the ground'),
+    ('four_bar', pop('bodies', 'rocker', 'C'), "'drivers' are 1, but Gruebler's count gives 3"),
+    ('four_bar', pop('bodies', 'rocker'), "'start': unknown key 'rocker': use crank, coupler"),
+    (
+        'four_bar',
+        add('drivers', {'drive': 'rocker', 'rate': 1}),
+        "'drivers' are 2, but Gruebler's count gives 1 degrees of freedom, the rank of the loops "
+        'at the start 1: drive 1',
+    ),
+    ('four_bar', add('drivers', RATE), "'crank' is driven twice"),
+    (
+        'four_bar',
+        put({'O': [0, 0], 'A': [0.5, 0.1], 'C': [1, 0]}, 'bodies', 'ground'),
+        'the bodies cannot move',
+    ),
+    ('four_bar', put([0.9, 0], 'bodies', 'ground', 'C'), 'the loops do not close at 0'),
+    ('four_bar', put([0.8, 0], 'bodies', 'coupler', 'B'), 'the loops do not close at 0'),
+    ('four_bar', put([0.3, 0], 'bodies', 'crank', 'A'), "'drivers' ask for crank = 0 to 6.28319"),
+    ('four_bar', put([], 'drivers'), "'drivers' is no list: write each as"),
+    ('four_bar', put(['crank'], 'drivers'), "'drivers: 1' holds no keys and values"),
+    ('four_bar', pop('drivers', 0, 'drive'), "'drivers: 1': the key 'drive' is missing"),
+    ('four_bar', put('wheel', 'drivers', 0, 'drive'), "'wheel', which cannot be driven: give one"),
+    ('four_bar', put(['crank'], 'drivers', 0, 'drive'), 'which cannot be driven: give one of'),
+    ('four_bar', put('wheel', 'drivers', 0, 'of'), "of is 'wheel', which cannot be driven"),
+    ('four_bar', put('crank', 'drivers', 0, 'of'), "'crank' of 'crank' is no difference"),
+    ('four_bar', pop('drivers', 0, 'rate'), "'drivers: 1, crank' says not how: give rate"),
+    ('four_bar', put('1 m/s', 'drivers', 0, 'rate'), 'whose unit is none of angular velocity'),
+    ('four_bar', put(1, 'drivers', 0, 'speed'), "unknown key 'speed': use drive, of, rate, start"),
+    ('four_bar', put({'drive': 'crank', 'amplitude': 1}, 'drivers', 0), "'frequency' is missing"),
+    (
+        'four_bar',
+        put({'drive': 'crank', 'amplitude': 1, 'frequency': 0}, 'drivers', 0),
+        'frequency is 0: give one greater than 0',
+    ),
+    (
+        'four_bar',
+        put({'drive': 'crank', 'from': 0, 'to': 1, 'duration': -1}, 'drivers', 0),
+        'duration is -1: give one greater than 0',
+    ),
+    (
+        'four_bar',
+        put({'drive': 'crank', 'times': [0, 1, 1], 'values': [1, 2, 3]}, 'drivers', 0),
+        'the times rising',
+    ),
+    (
+        'four_bar',
+        put({'drive': 'crank', 'times': [0, 1], 'values': [1, 2, 3]}, 'drivers', 0),
+        '2 times and 3 values',
+    ),
+    (
+        'four_bar',
+        put({'drive': 'crank', 'times': 1, 'values': [1]}, 'drivers', 0),
+        'times is 1: give a list',
+    ),
+    ('four_bar', put({'lever': 0}, 'start'), "'start': unknown key 'lever': use crank"),
+    ('four_bar', put({'rocker': '3 m'}, 'start'), "'start': rocker is '3 m', whose unit"),
+    ('slider_crank', put([], 'joints'), "'drivers' are 1, but Gruebler's count gives 2"),
+    ('slider_crank', put('x', 'joints'), "'joints' is no list"),
+    ('slider_crank', put(['x'], 'joints'), "'joints: 1' is 'x': give one of slot, prismatic"),
+    ('slider_crank', put({'weld': 1}, 'joints', 0), "'joints: 1' is {'weld': 1}: give one of"),
+    ('slider_crank', put(1, 'joints', 0, 'x'), "'joints: 1': unknown key 'x': use slot, on, along"),
+    ('slider_crank', pop('joints', 0, 'on'), "slot': the key 'on' is missing: add it, as in {slot"),
+    ('slider_crank', pop('joints', 0, 'along'), "the key 'along' is missing"),
+    ('slider_crank', put('rod.Z', 'joints', 0, 'slot'), "'rod.Z', which is no point: give one of"),
+    ('slider_crank', put(['rod.B'], 'joints', 0, 'slot'), 'which is no point: give one of'),
+    ('slider_crank', put('rod.A', 'joints', 0, 'on'), "both its points are on 'rod'"),
+    ('slider_crank', put('rod', 'joints', 0, 'name'), "a body is named 'rod' already"),
+    ('slider_crank', put('A', 'joints', 0, 'name'), "a joint is named 'A' already: add name:"),
+    ('slider_crank', put('a b', 'joints', 0, 'name'), "name is 'a b': give letters"),
+    (
+        'slider_crank',
+        lambda data: data.update(
+            drivers=[{'drive': 'piston', 'mean': 0.3, 'amplitude': 0.2, 'frequency': 1}],
+            start={'crank': 1.2, 'rod': -0.3},
+        ),
+        "'drivers' ask for piston = 0.1 to 0.5, but the linkage goes from 0.2 to 0.4, a dead point",
+    ),
+    ('rolling_wheel', put(0, 'joints', 0, 'radius'), 'radius is 0: give one greater than 0'),
+    ('rolling_wheel', pop('joints', 0, 'radius'), "the key 'radius' is missing"),
+    ('rolling_wheel', pop('joints', 0, 'along'), 'give along: 0 deg for a line, or circle'),
+    ('rolling_wheel', put(0.2, 'joints', 0, 'circle'), 'give along: 0 deg for a line, or circle'),
+    (
+        'rolling_wheel',
+        put({'rolling': 'wheel.H', 'on': 'ground.O', 'radius': 1, 'circle': -1}, 'joints', 0),
+        'circle is -1: give the radius to roll on',
+    ),
+    ('bike_suspension', put('ground.S', 'joints', 0, 'strut'), 'give its two ends'),
+    ('bike_suspension', pop('joints', 0, 'name'), "strut': the key 'name' is missing"),
+    (
+        'bike_suspension',
+        put('30 cm', 'drivers', 0, 'amplitude'),
+        'its length goes down to -0.05 m: keep it greater than 0',
+    ),
+    ('loader', put({'weight': 1}, 'loads'), "'loads' is no list"),
+    ('loader', put({'at': 'lift.P'}, 'loads', 0), 'give force: [0, -100] or weight: 10 kg'),
+    ('loader', put({'weight': 1}, 'loads', 0), "the key 'at' is missing"),
+    ('loader', put('3 N', 'loads', 0, 'weight'), 'whose unit is none of mass'),
+    ('loader', put('ground.O', 'loads', 0, 'at'), 'on the ground: load a moving body'),
+    ('loader', put({'torque': 1, 'on': 'ground'}, 'loads', 0), "on is 'ground': give a moving"),
+    ('cardan', put({}, 'markers'), "'markers' holds no keys and values: write rod:"),
+    ('cardan', put({'bar': {}}, 'markers'), "'markers': unknown key 'bar': use rod"),
+    ('cardan', put([1, 2], 'markers', 'rod'), "'markers: rod' holds no keys"),
+    ('cardan', put({'a': [0, 0]}, 'markers', 'rod'), 'give two or more'),
+    ('cardan', put(0.5, 'markers', 'rod', 'a'), "'a' is 0.5: give [x, y]"),
+    ('cardan', put([0, 'b'], 'markers', 'rod', 'a'), "'a' is 'b': give a finite"),
+    ('cardan', put([0, 0], 'markers', 'rod', 1), "write it in quotes, '1'"),
+    (
+        'four_bar',
+        put([0, 0], 'markers', 'crank', 'rocker_1'),
+        "'markers: rocker': 'crank' has a marker 'rocker_1' too",
+    ),
+    ('loader_loop', put({}, 'bodies'), "a scene of vectors: unknown key 'bodies'"),
+    ('loader_loop', pop('loops'), "the key 'loops' is missing"),
+    ('loader_loop', put([], 'loops'), "'loops' is no list: give the sums that close"),
+    ('loader_loop', put(['r1 + r9'], 'loops'), "'loops: 1' holds 'r9', which is no vector"),
+    ('loader_loop', put(['r1 r2'], 'loops'), "'loops: 1' is 'r1 r2': give a sum of vectors"),
+    ('loader_loop', put(['r1 + r1'], 'loops'), "holds 'r1' twice"),
+    ('loader_loop', put([3], 'loops'), "'loops: 1' is 3: give a sum of vectors"),
+    ('loader_loop', put(3, 'vectors', 'r1'), "'vectors: r1' is 3: give {length: 20 cm"),
+    ('loader_loop', put(0, 'vectors', 'r1', 'length'), 'length is 0: give one greater than 0'),
+    ('loader_loop', put('long', 'vectors', 'r1', 'length'), "is 'long': give a finite number"),
+    ('loader_loop', put('r9 + 1', 'vectors', 'r1', 'angle'), "that of 'r9', which is no vector"),
+    ('loader_loop', put('r3p', 'vectors', 'r3', 'angle'), 'is told by itself'),
+    ('loader_loop', put('r1', 'points', 'Q'), "'points: Q' lies on no body"),
+    ('loader_loop', pop('points'), "'vectors: r3p' is in no loop and no point"),
+    ('loader_loop', put('10 m', 'vectors', 'r1', 'length'), 'the loops do not close'),
+    ('loader_loop', put('r3p.angle', 'drivers', 0, 'drive'), 'which cannot be driven: give one of'),
+]
+
+
+def refusal(path: Path) -> str:
+    """The one line with which a scene is refused."""
+    with pytest.raises(SceneError) as caught:
+        load_scene(path)
+    message = str(caught.value)
+    assert message.startswith(f'{path}: ')
+    assert '\n' not in message
+    return message
+
+
+@pytest.mark.parametrize(('name', 'edit', 'words'), BAD)
+def test_a_bad_scene_is_refused_in_one_line(
+    tmp_path: Path, name: str, edit: Callable[[dict], object], words: str
+) -> None:
+    assert words in refusal(edited(tmp_path, name, edit))
+
+
+@pytest.mark.parametrize(
+    ('text', 'words'),
+    [
+        (b'', 'holds no keys and values'),
+        (b'- 1\n', 'holds no keys and values'),
+        (b'a: [1\nb: 2\n', 'line 2: not a usable YAML file'),
+        (b'bodies: 1\nbodies: 2\n', "line 2: not a usable YAML file: the key 'bodies' is given tw"),
+        (b'? [a]\n: 1\n', 'line 1: not a usable YAML file'),
+        (b'when: 2024-13-45\n', 'not a usable YAML file: month must be in 1..12'),
+        (b'\xff\xfe\xfa', 'not a usable YAML file'),
+        (b'a: !!python/name:os.system\n', 'line 1: not a usable YAML file'),
+        (b'mechanism: four_bar\n', "unknown key 'mechanism': use bodies"),
+    ],
+)
+def test_a_file_that_is_no_scene_is_refused_in_one_line(
+    tmp_path: Path, text: bytes, words: str
+) -> None:
+    path = tmp_path / 'odd.yaml'
+    path.write_bytes(text)
+    assert words in refusal(path)
+
+
+def places(data: Any, at: tuple = ()) -> list[tuple]:
+    """Ways to everything in a scene."""
+    found = [at] if at else []
+    keys = data if isinstance(data, dict) else range(len(data)) if isinstance(data, list) else ()
+    for key in keys:
+        found += places(data[key], (*at, key))
+    return found
+
+
+ODD = [
+    None,
+    '',
+    'x',
+    0,
+    -1,
+    1e300,
+    -1e-300,
+    float('nan'),
+    float('inf'),
+    [],
+    {},
+    [[]],
+    '3 kg',
+    '1 @ 2',
+]
+
+
+@settings(
+    max_examples=120, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+)
+@given(st.data())
+def test_damaged_scenes_load_or_are_refused_in_one_line(
+    tmp_path: Path, data: st.DataObject
+) -> None:
+    good = written(data.draw(st.sampled_from(NAMES)))
+    for _ in range(data.draw(st.integers(1, 3))):
+        damaged = copy.deepcopy(good)
+        *way, last = data.draw(st.sampled_from(places(damaged)))
+        holder = damaged
+        for key in way:
+            holder = holder[key]
+        if data.draw(st.booleans()):
+            holder.pop(last)
+        else:
+            holder[last] = data.draw(st.sampled_from(ODD))
+        good = damaged
+        if not places(good):
+            break
+    path = save(tmp_path, good)
+    try:
+        exact = load_scene(path)
+    except SceneError as error:
+        assert str(error).startswith(f'{path}: ')
+        assert '\n' not in str(error)
+        return
+    # What is accepted moves, or says when it cannot.
+    try:
+        motion = exact.motion(np.array([0.0, 0.3]))
+    except SceneError as error:
+        assert '\n' not in str(error)
+    else:
+        for body in motion.values():
+            assert np.isfinite(body.position).all()
+
+
+@pytest.mark.parametrize('name', NAMES)
+def test_every_key_and_joint_of_a_scene_counts(tmp_path: Path, name: str) -> None:
+    # Without any one of them a scene is another, or none; it is never a traceback.
+    good = written(name)
+    for *way, last in places(good):
+        if way[:1] == ['markers'] or way[:1] == ['loads']:
+            continue
+        damaged = copy.deepcopy(good)
+        holder = damaged
+        for key in way:
+            holder = holder[key]
+        holder.pop(last)
+        try:
+            load_scene(save(tmp_path, damaged))
+        except SceneError as error:
+            assert '\n' not in str(error)
+
+
+def test_a_time_at_which_the_drivers_cannot_be_followed_is_told(tmp_path: Path) -> None:
+    drop = {'drive': 'drop', 'rate': '250 cm/s', 'start': '100 cm'}
+    path = edited(tmp_path, 'trebuchet', put(drop, 'drivers', 0))
+    exact = load_scene(path)
+    assert exact.motion(0.3)['bar'].angle.shape == (5,)
+    with pytest.raises(SceneError, match=r'cannot follow its drivers at 0\.5 s, to drop = 2\.25'):
+        exact.motion([0.1, 0.5])
+
+
+def test_a_change_point_is_no_silent_number(tmp_path: Path) -> None:
+    turning = {'drive': 'crank', 'rate': 1, 'start': '90 deg'}
+    path = edited(tmp_path, 'antiparallelogram', put(turning, 'drivers', 0))
+    exact = load_scene(path)
+    assert np.isfinite(exact.motion([0.2, 1.57, 1.58])['coupler'].angle).all()
+    with pytest.raises(SceneError, match=r'at 1\.57\d* s the mechanism is in a dead point'):
+        exact.motion([0.2, np.pi / 2])
+
+
+def test_a_body_may_have_its_pin_alone(tmp_path: Path) -> None:
+    bodies = {'ground': {'O': [0, 0]}, 'wheel': {'O': [0, 0]}}
+    exact = load_scene(
+        save(tmp_path, {'bodies': bodies, 'drivers': [{'drive': 'wheel', 'rate': 2}]})
+    )
+    wheel = exact.motion(np.array([0.0, 0.5]))['wheel']
+    np.testing.assert_array_equal(wheel.angle[:2], [[0, 1], [2, 2]])
+    assert not wheel.position.any()
+    assert exact.markers == {}
