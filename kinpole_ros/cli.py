@@ -22,6 +22,7 @@ _EPILOG = """examples:
   kinpole simulate four_bar --output four_bar.mcap --noise 0.0002
   kinpole replay four_bar.mcap --output result.mcap
   kinpole plot result.mcap --output result.png
+  kinpole solve four_bar --sweep --centers --plot four_bar.png
   kinpole import tracked.csv --rate 240 --scale 0.001 --y-down --output markers.mcap
   kinpole node --ros-args --params-file config/kinpole.yaml
 """
@@ -52,10 +53,10 @@ def main(args: Sequence[str] | None = None) -> int:
 def _is_for_the_user(error: Exception) -> bool:
     """Whether it is one of our own one-line errors, not a bug that deserves its traceback."""
     from kinpole_ros.bags import BagError
-    from kinpole_ros.mechanism import SceneError
+    from kinpole_ros.mechanism import LinkageError, SceneError
     from kinpole_ros.parameters import ParameterError
 
-    ours = (BagError, ParameterError, SceneError, OSError)
+    ours = (BagError, LinkageError, ParameterError, SceneError, OSError)
     return isinstance(error, ours) or 'matplotlib' in str(error)
 
 
@@ -132,6 +133,34 @@ def _parser() -> argparse.ArgumentParser:
         help='marker_array (the default), marker, pose_array or point_cloud2',
     )
     simulate.set_defaults(run=_simulate)
+
+    solve = commands.add_parser(
+        'solve',
+        help='the analysis of a mechanism: motion, dead points, centers, forces',
+        description='Solves a scene exactly: positions and rates at time 0, at a value of its '
+        'driver, or over its whole range, with limits and dead points.',
+        epilog='examples:\n'
+        '  kinpole solve four_bar --at "45 deg" --centers\n'
+        '  kinpole solve slider_crank --sweep --csv crank.csv --plot crank.png\n'
+        '  kinpole solve loader_cylinder --statics\n'
+        '  kinpole solve antiparallelogram --pitch crank rocker gears.svg\n',
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    solve.add_argument('scene', metavar='SCENE', help='name or path of a scene, see simulate')
+    where = solve.add_mutually_exclusive_group()
+    where.add_argument('--at', metavar='VALUE', help='value of the driver: 0.5, "45 deg", "12 cm"')
+    where.add_argument('--sweep', action='store_true', help='the whole range of the driver')
+    solve.add_argument('--centers', action='store_true', help='instant centers, as deduced by hand')
+    solve.add_argument('--statics', action='store_true', help='what drivers and joints bear')
+    solve.add_argument('--csv', metavar='FILE', help='all figures as a table, SI units')
+    solve.add_argument('--plot', metavar='FILE.png', help='the linkage, and rates over the range')
+    solve.add_argument(
+        '--pitch',
+        nargs=3,
+        metavar=('BODY', 'BODY', 'FILE'),
+        help='centrodes of two bodies as pitch curves: .csv, or .svg true to scale',
+    )
+    solve.set_defaults(run=_solve)
 
     plot = commands.add_parser(
         'plot',
@@ -319,6 +348,23 @@ def _record(options: argparse.Namespace) -> int:
 
     count = record(options.output, options.topic or ['/kinpole/', '/diagnostics'])
     print(f'{count} messages written to {options.output}')
+    return 0
+
+
+def _solve(options: argparse.Namespace) -> int:
+    from kinpole_ros.solve import solve_scene
+
+    lines = solve_scene(
+        options.scene,
+        options.at,
+        options.sweep,
+        options.centers,
+        options.statics,
+        options.csv,
+        options.plot,
+        options.pitch,
+    )
+    print('\n'.join(lines))
     return 0
 
 

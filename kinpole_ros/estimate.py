@@ -71,6 +71,7 @@ class Estimate:
         since: int = 0,
         pin: np.ndarray | None = None,
         pin_variance: np.ndarray | None = None,
+        shape: np.ndarray | None = None,
     ) -> None:
         self.stamp = stamp
         self.frame_id = frame_id
@@ -89,6 +90,7 @@ class Estimate:
         self.pin = nowhere + 0j if pin is None else pin
         self.pin_variance = nowhere if pin_variance is None else pin_variance
         self.pinned = np.isfinite(self.pin)
+        self.shape = np.full((len(bodies), 0), nowhere[:, None] + 0j) if shape is None else shape
         self.pole = cache(self._pole)
 
     @property
@@ -206,6 +208,24 @@ class Estimate:
             near = np.abs(by_j.value - middle) < FARTHEST * np.maximum(self.size[j], self.size[i])
         finite = np.isfinite(by_j.value) & np.isfinite(spread).all(axis=(-2, -1))
         return Vectors(by_j.value, np.asarray(spread), turning & near & finite)
+
+    @cached_property
+    def kennedy(self) -> tuple[np.ndarray, np.ndarray]:
+        """
+        How far the relative centers are from the line through their bodies' pins, for every pair.
+
+        The distance, m, and that over its standard deviation; NaN but for two bodies on pins, the
+        only centers found apart from the velocities (`planar.kennedy_residual`).
+        """
+        j, i = self.pairs
+        center = self.relative_icr
+        even = self.pin_variance[:, None, None] * np.eye(2)
+        distance, deviations = planar.kennedy_residual(
+            np.stack((self.pin[i], self.pin[j], center.value)),
+            np.stack((even[i], even[j], center.covariance)),
+        )
+        known = self.pinned[i] & self.pinned[j] & center.determined
+        return np.where(known, distance, np.nan), np.where(known, deviations, np.nan)
 
     def reasons(self, body: int) -> dict[str, str]:
         """Why each quantity of a body that can be told at this order is undetermined, if it is."""

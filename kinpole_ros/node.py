@@ -35,6 +35,7 @@ from kinpole_ros.messages import (
     result_outputs,
 )
 from kinpole_ros.parameters import AUTOSTART, MARKERS, PARAMETERS, ParameterError, settings_from
+from kinpole_ros.theory import load_theory
 from kinpole_ros.tracker import Tracker
 
 _DIAGNOSTICS_EVERY = 1.0
@@ -57,8 +58,9 @@ class KinpoleNode(LifecycleNode):
         self._steady = Clock(clock_type=ClockType.STEADY_TIME)
         self._declare()
         self.settings = settings_from(self._values())
+        self._theory = load_theory(self.settings)
         self._tracker = Tracker(self.settings)
-        self._diagnostics = DiagnosticsMaker(self.get_name())
+        self._diagnostics = DiagnosticsMaker(self.get_name(), self._theory)
         self._outputs: list[tuple[Output, Any]] = []
         self._subscription: Any = None
         self._kind = ''
@@ -110,7 +112,7 @@ class KinpoleNode(LifecycleNode):
 
     def _check_parameters(self, changes: Sequence[RosParameter]) -> SetParametersResult:
         try:
-            settings_from({**self._values(), **{p.name: p.value for p in changes}})
+            load_theory(settings_from({**self._values(), **{p.name: p.value for p in changes}}))
         except ParameterError as error:
             return SetParametersResult(successful=False, reason=str(error))
         return SetParametersResult(successful=True)
@@ -120,8 +122,9 @@ class KinpoleNode(LifecycleNode):
         if not any(self._is_ours(p.name) for p in changes):
             return
         self.settings = settings_from(self._values())
+        self._theory = load_theory(self.settings)
         self._tracker = Tracker(self.settings)
-        self._diagnostics = DiagnosticsMaker(self.get_name())
+        self._diagnostics = DiagnosticsMaker(self.get_name(), self._theory)
         self._latest = None
         if self._outputs:
             self._drop_outputs()
@@ -140,7 +143,7 @@ class KinpoleNode(LifecycleNode):
         """Start listening, with an empty window."""
         result = super().on_activate(state)
         self._tracker = Tracker(self.settings)
-        self._diagnostics = DiagnosticsMaker(self.get_name())
+        self._diagnostics = DiagnosticsMaker(self.get_name(), self._theory)
         self._latest = None
         self._told = self._steady.now()
         # A steady clock: these beat even where simulated time stands still.
@@ -174,7 +177,9 @@ class KinpoleNode(LifecycleNode):
 
     def _make_outputs(self) -> None:
         highest = self.settings.derivative_order or 4
-        for output in result_outputs(tuple(self.settings.bodies), self.settings.plane):
+        for output in result_outputs(
+            tuple(self.settings.bodies), self.settings.plane, self._theory
+        ):
             if output.order <= highest:
                 publisher = self.create_lifecycle_publisher(
                     output.message_type, f'~/{output.topic}', 10

@@ -33,6 +33,7 @@ class Settings:
     derivative_order: int | None = None
     noise: float = 0.0
     method: str = 'pose'
+    scene: str = ''
 
 
 @dataclass(frozen=True)
@@ -54,6 +55,12 @@ _TOPIC = re.compile(r'(~/|/)?[A-Za-z_]\w*(/[A-Za-z_]\w*)*', re.ASCII)
 
 def _topic(value: Any) -> str:
     if not isinstance(value, str) or not _TOPIC.fullmatch(value):
+        raise ValueError
+    return value
+
+
+def _text(value: Any) -> str:
+    if not isinstance(value, str):
         raise ValueError
     return value
 
@@ -183,6 +190,13 @@ PARAMETERS: Mapping[str, Parameter] = {
         'What is differentiated: the pose fitted to each frame, or each landmark by itself.',
         'pose',
         'landmarks',
+    ),
+    'scene': Parameter(
+        '',
+        'Scene of the mechanism, by name or path: diagnostics then tell how far the bodies are '
+        'from its theory, and ~/balance what effort its loads ask for. Empty: none.',
+        _text,
+        'the name of a scene, such as four_bar, or the path of one',
     ),
 }
 MARKERS = Parameter(

@@ -274,6 +274,7 @@ class Tracker:
             missing,
             self._since,
             *self._pinned(),
+            self._shapes.markers(),
         )
 
     def _pinned(self) -> tuple[np.ndarray, np.ndarray]:

@@ -15,7 +15,7 @@ import pytest
 
 import kinpole_ros
 from kinpole_ros.bags import read_messages
-from kinpole_ros.mechanism import load_scene, scene_names
+from kinpole_ros.mechanism import load_scene
 from kinpole_ros.parameters import load_settings
 
 ROOT = Path(__file__).parents[1]
@@ -101,7 +101,7 @@ def test_no_tracked_file_is_over_a_megabyte():
     assert [p for p in paths if p.is_file() and p.stat().st_size > 1_000_000] == []
 
 
-@pytest.mark.parametrize('scene', scene_names())
+@pytest.mark.parametrize('scene', ['cardan', 'four_bar', 'rolling_wheel'])
 def test_bags_hold_markers_and_the_exact_answer(scene):
     topics = [message.topic for message in read_messages(ROOT / 'bags' / f'{scene}.mcap')]
     assert topics.count('/markers') == 400

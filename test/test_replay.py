@@ -282,7 +282,10 @@ def test_a_rod_on_two_guides_has_cardans_circles_for_centrodes(
     length = 0.3
     scene = tmp_path / 'rod.yaml'
     scene.write_text(
-        f'mechanism: cardan\nlength: {length}\nturns_per_second: {turns}\n'
+        f'bodies: {{ground: {{O: [0, 0]}}, rod: {{A: [{-length / 2}, 0], B: [{length / 2}, 0]}}}}\n'
+        'joints: [{slot: rod.A, on: ground.O, along: 90 deg},'
+        ' {slot: rod.B, on: ground.O, along: 0 deg}]\n'
+        f'drivers: [{{drive: rod, rate: {turns} rev/s}}]\n'
         'markers: {rod: {a: [-0.14, 0.0], b: [-0.03, 0.02], c: [0.13, 0.01]}}\n'
     )
     bag = simulated(scene, duration=1.5)

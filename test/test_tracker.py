@@ -25,7 +25,7 @@ PINNED = ('crank', 'rocker')
 
 
 class Record(NamedTuple):
-    """A scene seen at 200 Hz: the frames, what moves how at any stamp, and the settings."""
+    """A scene as seen: the frames, what moves how at any stamp, and the settings."""
 
     frames: list[MarkerFrame]
     truth: Any  # stamps -> {body: BodyMotion}
@@ -41,6 +41,7 @@ def record(
     drop: float = 0.0,
     shuffle: bool = False,
     plane: str = 'xy',
+    step: int = STEP,
 ) -> Record:
     """A scene turned and scaled by `turn`, moved by `shift`, and seen with the faults named."""
     scene = load_scene(scene_name)
@@ -56,7 +57,7 @@ def record(
             moved[body] = BodyMotion(placed, turned)
         return moved
 
-    stamps = [START + STEP * k for k in range(count)]
+    stamps = [START + step * k for k in range(count)]
     motion = truth(stamps)
     points = np.concatenate(
         [marker_positions(motion[body], abs(turn) * scene.markers[body]) for body in scene.markers],

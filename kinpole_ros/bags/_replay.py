@@ -22,6 +22,7 @@ from kinpole_ros.messages import (
     result_outputs,
 )
 from kinpole_ros.parameters import Settings
+from kinpole_ros.theory import load_theory
 from kinpole_ros.tracker import Tracker
 
 NODE_NAME = 'kinpole'
@@ -72,14 +73,15 @@ def replay(
         if path in taken:
             raise BagError(f'{target} is {taken[path]}; name another file for the results')
         taken[path] = 'the bag of results'
+    theory = load_theory(settings)
     tracker = Tracker(settings)
     rows = [
         row
-        for row in result_outputs(tuple(settings.bodies), settings.plane)
+        for row in result_outputs(tuple(settings.bodies), settings.plane, theory)
         if row.order <= (settings.derivative_order or 4)
     ]
     order = settings.derivative_order or 4
-    diagnostics = DiagnosticsMaker(NODE_NAME)
+    diagnostics = DiagnosticsMaker(NODE_NAME, theory)
     found = {body: dict.fromkeys(POLE_NAMES[:order], 0) for body in tracker.bodies}
     estimates = 0
     problem = ''

@@ -45,6 +45,11 @@ def simulate(
     BagError for a value out of range or an output that cannot be written.
     """
     _check(rate, duration, noise, seed, dropout, jitter, message)
+    if not scene.markers:
+        raise BagError(
+            f'scene {scene.name} has no markers to be seen; add them, as markers: '
+            '{BODY: {m1: [0, 0], m2: [0.1, 0]}}'
+        )
     generator = np.random.default_rng(seed)
     count = max(1, round(duration * rate))
     times = np.arange(count) / rate

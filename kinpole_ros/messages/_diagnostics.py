@@ -8,6 +8,7 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 
 from kinpole_ros.estimate import Estimate
 from kinpole_ros.messages._markers import ns_to_stamp
+from kinpole_ros.theory import Theory, joint_offsets, rate_differences
 from kinpole_ros.tracker import Tracker
 from kinpole_ros.window import FEWEST_SAMPLES
 
@@ -26,10 +27,15 @@ _WORDS = {
 
 
 class DiagnosticsMaker:
-    """Makes the diagnostics of a tracker; remembers the last ones to tell rates by."""
+    """
+    Makes the diagnostics of a tracker; remembers the last ones to tell rates by.
 
-    def __init__(self, name: str) -> None:
+    With a `theory` they also tell how far the bodies are from it.
+    """
+
+    def __init__(self, name: str, theory: Theory | None = None) -> None:
         self._name = name
+        self._theory = theory
         self._before: Counter[str] = Counter()
 
     def make(
@@ -54,7 +60,32 @@ class DiagnosticsMaker:
         noise = tracker.noise()
         for b, body in enumerate(tracker.bodies):
             array.status.append(self._body(b, body, latest, noise, bool(since.get('frames'))))
+        if latest is not None and (len(tracker.bodies) > 1 or self._theory is not None):
+            array.status.append(self._linkage(latest))
         return array
+
+    def _linkage(self, latest: Estimate) -> DiagnosticStatus:
+        """What the bodies say of each other: Kennedy's theorem, and the scene if one is given."""
+        values: dict[str, object] = {}
+        for k, (j, i) in enumerate(zip(*latest.pairs, strict=True)):
+            distance, deviations = (part[k] for part in latest.kennedy)
+            if np.isfinite(distance):
+                pair = f'{latest.bodies[j]} wrt {latest.bodies[i]}'
+                values[f'{pair}: center off the line of the pins (m)'] = float(distance)
+                values[f'{pair}: the same in deviations'] = float(deviations)
+        if self._theory is None:
+            return _status(f'{self._name}: linkage', DiagnosticStatus.OK, 'no scene given', values)
+        message = f'beside the scene {self._theory.scene.name}'
+        found = rate_differences(self._theory, latest)
+        for body, off in found.items():
+            values[f'{body}: angular velocity less theory (rad/s)'] = off.value
+            values[f'{body}: deviation of that (rad/s)'] = off.deviation
+        for joint, off in joint_offsets(self._theory, latest).items():
+            values[f'{joint}: relative center off the pin (m)'] = off.value
+            values[f'{joint}: deviation of that (m)'] = off.deviation
+        if not found:
+            message = 'the scene cannot be put where the bodies are seen, or too little is known'
+        return _status(f'{self._name}: linkage', DiagnosticStatus.OK, message, values)
 
     def _input(
         self, tracker: Tracker, since: Mapping[str, int], seconds: float, trouble: Mapping[str, str]

@@ -21,6 +21,7 @@ from geometry_msgs.msg import (
     Quaternion,
     Vector3,
     Vector3Stamped,
+    WrenchStamped,
 )
 from nav_msgs.msg import Odometry, Path
 from std_msgs.msg import ColorRGBA, Header
@@ -28,6 +29,7 @@ from visualization_msgs.msg import Marker, MarkerArray
 
 from kinpole_ros.estimate import POLE_NAMES, RATE_NAMES, Estimate, Numbers, Vectors
 from kinpole_ros.messages._markers import ns_to_stamp
+from kinpole_ros.theory import Theory, balance
 from kinpole_ros.tracker import AXES
 
 # Loci are drawn, not computed with: this much of them, this finely, this often (s of stamps).
@@ -52,8 +54,12 @@ class Output(NamedTuple):
     build: Callable[[Estimate], Any]
 
 
-def result_outputs(bodies: Sequence[str], plane: str) -> list[Output]:
-    """All topics for these bodies, as DESIGN's table has them; `plane` is xy, yz or zx."""
+def result_outputs(bodies: Sequence[str], plane: str, theory: Theory | None = None) -> list[Output]:
+    """
+    All topics for these bodies, as DESIGN's table has them; `plane` is xy, yz or zx.
+
+    With the loads of a `theory` also what balances them: `balance`, and its standard deviation.
+    """
     axes = AXES[plane]
     outputs: list[Output] = []
     trails = [_Trail() for _ in bodies]
@@ -83,7 +89,28 @@ def result_outputs(bodies: Sequence[str], plane: str) -> list[Output]:
         outputs.append(Output(f'{name}/angular_velocity', Vector3Stamped, 1, rate))
     scene = _scene(tuple(bodies), axes, trails)
     outputs.append(Output('visualization', MarkerArray, 2, scene))
+    if theory is not None and theory.balances:
+        outputs.append(Output('balance', WrenchStamped, 1, _balance(theory, axes, False)))
+        outputs.append(Output('balance/deviation', WrenchStamped, 1, _balance(theory, axes, True)))
     return outputs
+
+
+def _balance(
+    theory: Theory, axes: tuple[int, int, int], deviation: bool
+) -> Callable[[Estimate], WrenchStamped | None]:
+    """The torque on the driven body that balances the loads, or its standard deviation."""
+
+    def build(estimate: Estimate) -> WrenchStamped | None:
+        found = balance(theory, estimate)
+        if not found.determined:
+            return None
+        torque = math.sqrt(found.variance) if deviation else float(found.value)
+        message = WrenchStamped(header=_header(estimate))
+        x, y, z = _place(0j, torque, axes)
+        message.wrench.torque = Vector3(x=x, y=y, z=z)
+        return message
+
+    return build
 
 
 def _rate(order: int) -> Callable[[Estimate], Numbers]:

@@ -216,6 +216,10 @@ class Shapes:
         offsets = np.where(known, self.points - mean[:, None], 0)
         self.spread = (offsets.real**2 + offsets.imag**2).sum(axis=-1)
 
+    def markers(self) -> Complex:
+        """Where the markers (B, n) are in their bodies' frames, NaN for those not seen yet."""
+        return np.where(self._frames > 0, self.points, complex(np.nan, np.nan))
+
     def misfit(self) -> Real:
         """
         Variance (B,) of one coordinate of a marker about its place, m^2; NaN while not known.

@@ -1,0 +1,418 @@
+"""
+`kinpole solve`: the classical analysis of a scene, as tables, a spreadsheet or a picture.
+
+Everything is computed by `mechanism`; here it is only asked for and laid out.
+"""
+
+import csv
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from kinpole_ros.mechanism import (
+    Centers,
+    Motion,
+    Scene,
+    SceneError,
+    centrodes,
+    efforts,
+    explain,
+    instant_centers,
+    load_scene,
+    quantity,
+    reactions,
+    undetermined,
+    write_pitch_curves,
+)
+
+# Positions over a range: of the table, and of the spreadsheet and the picture.
+_ROWS, _SAMPLES = 13, 361
+# From a limit, where no rate is finite, the first position keeps this share of the range.
+_ASIDE = 1e-3
+_TURN = 2 * np.pi
+
+
+class Solved(NamedTuple):
+    """
+    A scene at T positions: `inputs` (d, T) of its drivers, `motion` by time, at the rates `rates`.
+
+    `limits` are the lowest and highest input if a limit ends the range there, else None.
+    """
+
+    scene: Scene
+    inputs: np.ndarray
+    rates: np.ndarray
+    motion: Motion
+    limits: tuple[float | None, float | None]
+
+    @property
+    def values(self) -> np.ndarray:
+        """Variables (n, T)."""
+        return np.asarray(self.motion.values[0])
+
+
+def solve_scene(
+    scene: str | Path,
+    at: str | None = None,
+    sweep: bool = False,
+    centers: bool = False,
+    statics: bool = False,
+    table: str | Path | None = None,
+    picture: str | Path | None = None,
+    pitch: Sequence[str] | None = None,
+) -> list[str]:
+    """
+    The analysis as lines to print; also writes the CSV `table`, the `picture`, the `pitch` curves.
+
+    `at` is a value of the one driver, with a unit or in SI; `sweep` takes its whole range; neither,
+    the position at time 0. `pitch` is two bodies and a file (.csv or .svg). Raises SceneError and
+    LinkageError for what the scene cannot do, SceneError for files too.
+    """
+    loaded = load_scene(scene)
+    here = _solve(loaded, at, None)
+    whole = here
+    if sweep or picture or pitch:
+        whole = _solve(loaded, None, _SAMPLES)
+    lines = _head(loaded)
+    if sweep:
+        lines += _range_lines(whole) + _sweep_lines(whole)
+    else:
+        lines += _motion_lines(here)
+    if centers:
+        lines += _center_lines(whole if sweep else here)
+    if statics:
+        lines += _static_lines(whole if sweep else here)
+    if table:
+        with _writing(table):
+            _write_table(Path(table), whole if sweep else here, centers, statics)
+        lines.append(f'written to {table}')
+    if pitch:
+        one, other, file = pitch
+        low, high = float(whole.inputs[0, 0]), float(whole.inputs[0, -1])
+        curves = centrodes(loaded.mechanism, one, other, low, high)
+        write_pitch_curves(file, curves)
+        lines.append(
+            f'the curves of {one} and {other} roll on each other, arc lengths alike to '
+            f'{curves.slip:.1e}; written to {file}'
+        )
+    if picture:
+        from kinpole_ros.solve_plot import draw
+
+        with _writing(picture):
+            draw(Path(picture), whole, _nearest(whole, here), centers)
+        lines.append(f'written to {picture}')
+    return lines
+
+
+def _solve(scene: Scene, at: str | None, count: int | None) -> Solved:
+    """The scene at one position, or at `count` over the range of its one driver."""
+    mechanism = scene.mechanism
+    now = np.stack([driver.motion(np.zeros(1)) for driver in scene.mechanism.drivers], axis=1)
+    if at is None and count is None:
+        return Solved(scene, now[0], now[1, :, 0], mechanism.motion(np.zeros(1)), (None, None))
+    if len(mechanism.drivers) != 1:
+        raise SceneError(
+            f'{scene.name} has {len(mechanism.drivers)} drivers: --at, --sweep, --plot and --pitch '
+            'are for one; leave them out, or hold the others'
+        )
+    # As fast as it is driven at time 0, or one unit per second if that is at rest.
+    rate = float(now[1, 0, 0]) or 1.0
+    limits: tuple[float | None, float | None] = (None, None)
+    if count is None:
+        values = np.array([quantity('--at', at, _kind(scene, 0))])
+    else:
+        low, high, limits = _range(scene, float(now[0, 0, 0]))
+        values = np.linspace(low, high, count)
+    inputs = np.zeros((5, 1, len(values)))
+    inputs[0, 0], inputs[1] = values, rate
+    return Solved(scene, inputs[0], np.array([rate]), mechanism.at_inputs(inputs, None), limits)
+
+
+def _range(scene: Scene, start: float) -> tuple[float, float, tuple[float | None, float | None]]:
+    """The range of the one driver: a full turn, what the scene drives, or up to the limits."""
+    driver = scene.mechanism.drivers[0]
+    angle = _kind(scene, 0) == 'angle'
+    if angle:
+        low, high = start - _TURN, start + _TURN
+    else:
+        low, high = driver.low, driver.high
+    if not scene.mechanism.linkage.blocks:
+        return (start, start + _TURN, (None, None)) if angle else (low, high, (None, None))
+    path = scene.mechanism.path(low, high)
+    if path.period:
+        return start, start + path.period, (None, None)
+    found = float(path.inputs[0]), float(path.inputs[-1])
+    ends = [dead.at for dead in path.dead_points if dead.turns_back]
+    limits: list[float | None] = [None, None]
+    near = 1e-3 * (found[1] - found[0])
+    aside = _ASIDE * (found[1] - found[0])
+    low, high = found
+    for end in ends:
+        if abs(end - found[0]) < near:
+            limits[0], low = end, end + aside
+        elif abs(end - found[1]) < near:
+            limits[1], high = end, end - aside
+    if limits == [None, None] and angle:
+        low, high = start, start + _TURN
+    return low, high, (limits[0], limits[1])
+
+
+def _head(scene: Scene) -> list[str]:
+    mechanism = scene.mechanism
+    joints, loops = len(mechanism.assembly.joints), len(mechanism.linkage.loops.loops)
+    parts = [f'{len(mechanism.bodies)} moving bodies', f'{joints} joints', f'{loops} loops']
+    driven = ', '.join(driver.name for driver in scene.mechanism.drivers)
+    return [f'{scene.name}: {", ".join(p for p in parts if p[0] != "0")}, driven: {driven}']
+
+
+def _motion_lines(solved: Solved) -> list[str]:
+    """Bodies and points at one position."""
+    scene, motion = solved.scene, solved.motion
+    at = ', '.join(
+        f'{driver.name} = {_shown(scene, k, value)} at {_shown(scene, k, rate)}/s'
+        for (k, driver), value, rate in zip(
+            enumerate(scene.mechanism.drivers), solved.inputs[:, 0], solved.rates, strict=True
+        )
+    )
+    lines = [f'at {at}']
+    if not motion.regular[0]:
+        lines.append('a dead point: the drivers do not tell how it moves on')
+    rows = [
+        [body, np.rad2deg(motion.angle[0, b, 0]), *motion.angle[1:, b, 0]]
+        for b, body in enumerate(scene.mechanism.bodies)
+    ]
+    lines += _table(
+        ['body', 'angle deg', 'ω rad/s', 'α rad/s²', 'jerk rad/s³', 'snap rad/s⁴'], rows
+    )
+    places = point_motions(solved)
+    rows = []
+    for name, place in places.items():
+        z, v, a = place[:3, 0]
+        rows.append([name, z.real, z.imag, v.real, v.imag, a.real, a.imag])
+    if rows:
+        head = ['point', 'x m', 'y m', 'vx m/s', 'vy m/s', 'ax m/s²', 'ay m/s²']
+        lines += ['', *_table(head, rows)]
+    return lines
+
+
+def _range_lines(solved: Solved) -> list[str]:
+    """How far it goes, and the dead points on the way."""
+    scene = solved.scene
+    name = scene.mechanism.drivers[0].name
+    low, high = solved.inputs[0, [0, -1]]
+    ends = []
+    for value, limit in zip((low, high), solved.limits, strict=True):
+        end = value if limit is None else limit
+        ends.append(_shown(scene, 0, end) + ('' if limit is None else ' (limit)'))
+    lines = [f'{name} from {ends[0]} to {ends[1]}']
+    if scene.mechanism.linkage.blocks:
+        for dead in scene.mechanism.path(float(low), float(high)).dead_points:
+            what = 'limit: it turns back' if dead.turns_back else 'change point: two ways on'
+            moving = ', '.join(dead.moving)
+            lines.append(f'dead point at {name} = {dead.at:.12g} ({what}; {moving} can move)')
+    return lines
+
+
+def _sweep_lines(solved: Solved) -> list[str]:
+    scene, motion = solved.scene, solved.motion
+    kept = np.linspace(0, solved.inputs.shape[1] - 1, _ROWS).astype(int)
+    unit, size = driver_unit(scene, 0)
+    head = [f'{scene.mechanism.drivers[0].name} ({unit})']
+    head += [f'{b} {q}' for b in scene.mechanism.bodies for q in ('deg', 'rad/s')]
+    rows = []
+    for k in kept:
+        row = [float(solved.inputs[0, k]) / size]
+        for b in range(len(scene.mechanism.bodies)):
+            row += [np.rad2deg(motion.angle[0, b, k]), motion.angle[1, b, k]]
+        rows.append(row)
+    return _table(head, rows)
+
+
+def _center_lines(solved: Solved) -> list[str]:
+    """Instant centers at the first position, and how they are deduced."""
+    mechanism = solved.scene.mechanism
+    found = _centers(solved)
+    several = solved.inputs.shape[1] > 1
+    lines = ['', 'instant centers' + (' at the start of the range' if several else '')]
+    rows = []
+    for c, (i, j) in enumerate(found.pairs):
+        point, direction = found.points[c, 0], found.directions[c, 0]
+        if np.isfinite(direction):
+            where = ['at infinity', f'{np.rad2deg(direction):.6g} deg']
+        elif np.isfinite(point):
+            where = [_number(point.real), _number(point.imag)]
+        else:
+            where = ['none', '']
+        rows.append([f'I{i + 1}{j + 1}', f'{found.bodies[i]}, {found.bodies[j]}', *where])
+    lines += _table(['center', 'of', 'x m', 'y m'], rows)
+    return [*lines, '', *explain(mechanism, found.steps)]
+
+
+def _centers(solved: Solved) -> Centers:
+    rates = solved.rates if len(solved.rates) > 1 else None
+    return instant_centers(solved.scene.mechanism, solved.values, rates)
+
+
+def _static_lines(solved: Solved) -> list[str]:
+    """What the drivers and the joints bear, at the first position."""
+    scene = solved.scene
+    if not scene.loads:
+        raise SceneError(
+            f'{scene.name} has no loads: add them, as loads: [{{weight: 10 kg, at: BODY.POINT}}]'
+        )
+    first = solved.values[:, :1]
+    lines = ['']
+    borne = efforts(scene.mechanism, first, scene.loads)
+    for k, driver in enumerate(scene.mechanism.drivers):
+        unit = 'N m' if _kind(scene, k) == 'angle' else 'N'
+        if not borne.determined[k, 0]:
+            lines.append(f'{driver.name}: a dead point, where no finite effort balances the loads')
+            continue
+        lines.append(f'{driver.name} balances the loads with {borne.effort[k, 0]:.9g} {unit}')
+        if len(scene.loads) > 1:
+            parts = ', '.join(f'{share:.6g}' for share in borne.share[:, k, 0])
+            lines.append(f'  of this, load by load: {parts} {unit}')
+    found = reactions(scene.mechanism, first, scene.loads)
+    rows = [
+        [
+            name,
+            found.force[j, 0].real,
+            found.force[j, 0].imag,
+            abs(found.force[j, 0]),
+            found.moment[j, 0],
+        ]
+        for j, name in enumerate(found.joints)
+    ]
+    if rows:
+        lines += ['', *_table(['joint', 'Fx N', 'Fy N', 'F N', 'moment N m'], rows)]
+    return [*lines, *undetermined(scene.mechanism, first[:, 0])]
+
+
+def point_motions(solved: Solved) -> dict[str, np.ndarray]:
+    """The named points of the moving bodies, each (3, T) complex: place, velocity, acceleration."""
+    motion = solved.motion
+    bodies = list(solved.scene.mechanism.bodies)
+    turn = np.exp(1j * motion.angle[0])
+    rate, bend = motion.angle[1], motion.angle[2]
+    found = {}
+    for name, (body, point) in solved.scene.points.items():
+        if body in bodies:
+            b = bodies.index(body)
+            arm = point * turn[b]
+            found[name] = np.stack(
+                (
+                    motion.position[0, b] + arm,
+                    motion.position[1, b] + 1j * rate[b] * arm,
+                    motion.position[2, b] + (1j * bend[b] - rate[b] ** 2) * arm,
+                )
+            )
+    return found
+
+
+def _write_table(path: Path, solved: Solved, centers: bool, statics: bool) -> None:
+    """One row per position, SI units; empty cells for what is not determined."""
+    columns: dict[str, np.ndarray] = {}
+    for k, driver in enumerate(solved.scene.mechanism.drivers):
+        columns[driver.name] = solved.inputs[k]
+    for b, body in enumerate(solved.scene.mechanism.bodies):
+        for k, name in enumerate(('', '_velocity', '_acceleration', '_jerk', '_snap')):
+            columns[f'{body}_x{name}'] = solved.motion.position[k, b].real
+            columns[f'{body}_y{name}'] = solved.motion.position[k, b].imag
+            columns[f'{body}_angle{name}'] = solved.motion.angle[k, b]
+    for point, places in point_motions(solved).items():
+        name = point.replace('.', '_')
+        for k, what in enumerate(('', '_velocity', '_acceleration')):
+            columns[f'{name}_x{what}'] = places[k].real
+            columns[f'{name}_y{what}'] = places[k].imag
+    if centers:
+        found = _centers(solved)
+        for c, (i, j) in enumerate(found.pairs):
+            name = f'center_{found.bodies[i]}_{found.bodies[j]}'
+            columns[f'{name}_x'] = found.points[c].real
+            columns[f'{name}_y'] = found.points[c].imag
+    if statics:
+        borne = efforts(solved.scene.mechanism, solved.values, solved.scene.loads)
+        forces = reactions(solved.scene.mechanism, solved.values, solved.scene.loads)
+        for k, driver in enumerate(solved.scene.mechanism.drivers):
+            columns[f'{driver.name}_effort'] = borne.effort[k]
+        for j, joint in enumerate(forces.joints):
+            columns[f'{joint}_force_x'] = forces.force[j].real
+            columns[f'{joint}_force_y'] = forces.force[j].imag
+            columns[f'{joint}_moment'] = forces.moment[j]
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with path.open('w', newline='', encoding='utf-8') as file:
+        rows = csv.writer(file)
+        rows.writerow(columns)
+        for row in zip(*columns.values(), strict=True):
+            rows.writerow([repr(float(cell)) if np.isfinite(cell) else '' for cell in row])
+
+
+@contextmanager
+def _writing(path: str | Path) -> Iterator[None]:
+    """Say which file it was that could not be written."""
+    try:
+        yield
+    except OSError as error:
+        raise SceneError(
+            f'{path} cannot be written: {error.strerror}; '
+            'mend: check the path, its rights and the space on the disk'
+        ) from None
+
+
+def _nearest(whole: Solved, here: Solved) -> int:
+    """Which position of a range is drawn: the one nearest to that asked for."""
+    return int(np.abs(whole.inputs[0] - here.inputs[0, 0]).argmin())
+
+
+def driver_unit(scene: Scene, k: int) -> tuple[str, float]:
+    """The unit the values of a driver are shown in, and how large that is in SI."""
+    return ('deg', np.pi / 180) if _kind(scene, k) == 'angle' else ('m', 1.0)
+
+
+def _kind(scene: Scene, k: int) -> str:
+    """Whether a driver is an angle or a length."""
+    loops, row = scene.mechanism.assembly.loops, scene.mechanism.drivers[k].row
+    return 'length' if (loops.lengths != 0).any(axis=0)[row != 0].any() else 'angle'
+
+
+def _shown(scene: Scene, k: int, value: float) -> str:
+    unit, size = driver_unit(scene, k)
+    return f'{value / size:.9g} {unit}'
+
+
+def _number(value: float) -> str:
+    return f'{value:.6g}' if np.isfinite(value) else '-'
+
+
+def _table(head: Sequence[str], rows: Sequence[Sequence[str | float]]) -> list[str]:
+    """Lines of a table, numbers to the right."""
+    columns = []
+    for column in zip(*rows, strict=True):
+        numbers = [abs(c) for c in column if not isinstance(c, str) and np.isfinite(c)]
+        # Rounding of what is zero by itself, or beside the others.
+        least = 1e-12 * max([1.0, *numbers])
+        columns.append(
+            [
+                c if isinstance(c, str) else _number(c if not abs(c) <= least else 0.0)
+                for c in column
+            ]
+        )
+    cells = [list(row) for row in zip(*columns, strict=True)]
+    widths = [max(len(row[k]) for row in [list(head), *cells]) for k in range(len(head))]
+    text = [k == 0 or any(not _is_number(row[k]) for row in cells) for k in range(len(head))]
+    lines = []
+    for row in [list(head), *cells]:
+        placed = zip(row, widths, text, strict=True)
+        lines.append('  '.join(c.ljust(w) if left else c.rjust(w) for c, w, left in placed))
+    return [line.rstrip() for line in lines]
+
+
+def _is_number(cell: str) -> bool:
+    try:
+        float(cell)
+    except ValueError:
+        return cell == '-'
+    return True

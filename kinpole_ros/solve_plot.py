@@ -1,0 +1,190 @@
+"""
+The picture of `kinpole solve`: the linkage, its velocities and centers, and rates over the range.
+
+Readable in black and white: lines differ by dashes and markers too.
+"""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from kinpole_ros.mechanism import instant_centers
+from kinpole_ros.planar import pole
+from kinpole_ros.solve import Solved, driver_unit, point_motions
+
+_SIZE, _DPI = (12.5, 6.2), 150  # inches
+_DASHES: tuple[Any, ...] = ('-', '--', '-.', ':', (0, (5, 1, 1, 1, 1, 1)))
+_GRAYS = ('#000000', '#0060a8', '#a83200', '#00785a', '#7a4fa0', '#777777')
+# The longest arrow of a velocity, and how far out a center is still drawn, of the linkage's size.
+_ARROW, _FAR = 0.35, 1.2
+
+
+def draw(path: Path, solved: Solved, k: int, centers: bool) -> None:
+    """
+    Draw the range of `solved` with the linkage at position `k` to a file.
+
+    Raises OSError where it cannot be written, ValueError for a kind of file that cannot be drawn.
+    """
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=_SIZE, layout='constrained')
+    grid = figure.add_gridspec(2, 2, width_ratios=(1.35, 1))
+    _draw_linkage(figure.add_subplot(grid[:, 0]), solved, k, centers)
+    unit, size = driver_unit(solved.scene, 0)
+    at = solved.inputs[0] / size
+    label = f'{solved.scene.mechanism.drivers[0].name} ({unit})'
+    for row, (order, name) in enumerate(
+        ((1, 'angular velocity (rad/s)'), (2, 'angular acceleration (rad/s²)'))
+    ):
+        axis = figure.add_subplot(grid[row, 1])
+        for b, body in enumerate(solved.scene.mechanism.bodies):
+            values = solved.motion.angle[order, b]
+            style = {'linestyle': _DASHES[b % len(_DASHES)], 'color': _GRAYS[b % len(_GRAYS)]}
+            axis.plot(at, values, label=body, linewidth=1.4, **style)
+        axis.axvline(at[k], color='#999999', linewidth=0.8)
+        _tame(axis, solved.motion.angle[order])
+        axis.set_ylabel(name)
+        axis.grid(alpha=0.3)
+        axis.set_xlabel(label if row else '')
+        if not row:
+            axis.legend(fontsize=8, ncols=2)
+    rate = f'{solved.rates[0] / size:.4g} {unit}/s'
+    figure.suptitle(f'{solved.scene.name} at {label} = {at[k]:.4g}, driven at {rate}')
+    path.parent.mkdir(parents=True, exist_ok=True)
+    figure.savefig(path, dpi=_DPI)
+
+
+def _tame(axis: Any, values: np.ndarray) -> None:
+    """Leave out the poles of rates at limits, where nothing else would be seen."""
+    finite = np.abs(values[np.isfinite(values)])
+    if len(finite) and finite.max() > 20 * np.percentile(finite, 90) > 0:
+        reach = 4 * np.percentile(finite, 90)
+        axis.set_ylim(-reach, reach)
+
+
+def _draw_linkage(axis: Any, solved: Solved, k: int, centers: bool) -> None:
+    scene, motion = solved.scene, solved.motion
+    points = point_motions(solved)
+    bodies = scene.mechanism.bodies
+    fixed = np.array([p for body, p in scene.points.values() if body not in bodies])
+    places: dict[str, list[np.ndarray]] = {body: [] for body in bodies}
+    for name, found in points.items():
+        places[scene.points[name][0]].append(found)
+    for b, body in enumerate(bodies):
+        if not places[body]:
+            places[body].append(np.stack([motion.position[n, b] for n in range(3)]))
+    everything = np.concatenate(
+        [found[0] for listed in places.values() for found in listed] + [fixed.ravel() + 0j]
+    )
+    everything = everything[np.isfinite(everything)]
+    low = complex(everything.real.min(), everything.imag.min())
+    high = complex(everything.real.max(), everything.imag.max())
+    reach = max(abs(high - low), 1e-9)
+    fastest = max(
+        (np.abs(found[1, k]) for listed in places.values() for found in listed), default=0.0
+    )
+    for listed in places.values():
+        for found in listed:
+            axis.plot(found[0].real, found[0].imag, color='#bbbbbb', linewidth=0.8, zorder=1)
+    for b, body in enumerate(bodies):
+        here = np.array([found[0, k] for found in places[body]])
+        color = _GRAYS[b % len(_GRAYS)]
+        closed = np.append(here, here[:1]) if len(here) > 2 else here
+        axis.plot(
+            closed.real,
+            closed.imag,
+            color=color,
+            linewidth=2.4,
+            marker='o',
+            markersize=4,
+            linestyle=_DASHES[b % len(_DASHES)],
+            zorder=3,
+        )
+        middle = here.mean()
+        axis.annotate(
+            body,
+            (middle.real, middle.imag),
+            fontsize=9,
+            color=color,
+            xytext=(4, 4),
+            textcoords='offset points',
+            zorder=5,
+        )
+        for found in places[body]:
+            z, v = found[0, k], found[1, k]
+            if fastest > 0 and np.abs(v) > 1e-3 * fastest:
+                tip = z + v / fastest * _ARROW * reach
+                axis.annotate(
+                    '',
+                    (tip.real, tip.imag),
+                    (z.real, z.imag),
+                    zorder=4,
+                    arrowprops={'arrowstyle': '->', 'color': '#444444', 'linewidth': 1.1},
+                )
+    axis.plot(fixed.real, fixed.imag, 'k^', markersize=8, zorder=4, label='ground')
+    if centers:
+        low, high = _draw_centers(axis, solved, k, low, high, reach)
+    centrode = _draw_centrodes(axis, solved, (low + high) / 2, (0.5 + _FAR) * abs(high - low))
+    margin = 0.08 * max(abs(high - low), reach)
+    axis.set_xlim(low.real - margin, high.real + margin)
+    axis.set_ylim(low.imag - margin, high.imag + margin)
+    axis.set_aspect('equal')
+    axis.set_xlabel('x (m)')
+    axis.set_ylabel('y (m)')
+    axis.set_title(
+        f'arrows: velocities, the longest {fastest:.3g} m/s'
+        + ('; wide: fixed centrodes' if centrode else '')
+        + ('; crosses: instant centers' if centers else ''),
+        fontsize=10,
+    )
+
+
+def _draw_centrodes(axis: Any, solved: Solved, middle: complex, far: float) -> bool:
+    """The way of each body's ICR over the range, where it is near; whether there was any."""
+    motion, drawn = solved.motion, False
+    for b in range(len(solved.scene.mechanism.bodies)):
+        icr = pole(1, motion.position[:, b], motion.angle[:, b]).value
+        icr = np.where(np.abs(icr - middle) < far, icr, complex(np.nan, np.nan))
+        if np.isfinite(icr).sum() > 2 and np.nanmax(np.abs(icr - np.nanmean(icr))) > 1e-6 * far:
+            axis.plot(icr.real, icr.imag, color='#bcd9f2', linewidth=4, zorder=0)
+            drawn = True
+    return drawn
+
+
+def _draw_centers(
+    axis: Any, solved: Solved, k: int, low: complex, high: complex, reach: float
+) -> tuple[complex, complex]:
+    """Crosses and numbers of the centers near the linkage, and the lines that lead to them."""
+    rates = solved.rates if len(solved.rates) > 1 else None
+    found = instant_centers(solved.scene.mechanism, solved.values[:, k : k + 1], rates)
+    middle = (low + high) / 2
+    shown: dict[complex, list[str]] = {}
+    at: dict[tuple[int, int], complex] = {}
+    for pair, point in zip(found.pairs, found.points[:, 0], strict=True):
+        if np.isfinite(point) and abs(point - middle) < (0.5 + _FAR) * reach:
+            key = next((z for z in shown if abs(z - point) < 1e-3 * reach), complex(point))
+            shown.setdefault(key, []).append(f'{pair[0] + 1}{pair[1] + 1}')
+            at[pair] = complex(point)
+    for step in found.steps:
+        if step.rule != 'lines' or step.pair not in at:
+            continue
+        for code in step.by:
+            through = [tuple(sorted((one, code))) for one in step.pair] if code >= 0 else []
+            known = [at[pair] for pair in through if pair in at]
+            if known:
+                ends = np.array([min(known, key=lambda z: -abs(z - at[step.pair])), at[step.pair]])
+                axis.plot(ends.real, ends.imag, color='#999999', linewidth=0.8, linestyle=':')
+    for z, names in shown.items():
+        axis.plot(z.real, z.imag, 'kx', markersize=7, zorder=6)
+        axis.annotate(
+            'I' + ', '.join(names),
+            (z.real, z.imag),
+            fontsize=8,
+            zorder=6,
+            xytext=(5, -10),
+            textcoords='offset points',
+        )
+        low = complex(min(low.real, z.real), min(low.imag, z.imag))
+        high = complex(max(high.real, z.real), max(high.imag, z.imag))
+    return low, high

@@ -1,0 +1,199 @@
+"""
+A scene beside the measurement: what the linkage's theory says of the bodies that are tracked.
+
+The scene's markers tell how its body frames lie in the measured bodies; its driver is a body that
+is tracked, so the scene can be put where the rig is, at its rates, and held against all else.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from kinpole_ros.estimate import SIGNIFICANT, Estimate, Numbers
+from kinpole_ros.mechanism import (
+    Force,
+    LinkageError,
+    Load,
+    Revolute,
+    Scene,
+    SceneError,
+    load_scene,
+)
+from kinpole_ros.parameters import ParameterError, Settings
+from kinpole_ros.planar import (
+    Port,
+    center_offset,
+    fit_pose,
+    measured_balance,
+    to_complex,
+)
+
+
+class Difference(NamedTuple):
+    """A measured figure less the theory's, or the distance of the two, and its deviation."""
+
+    value: float
+    deviation: float
+
+
+class Theory(NamedTuple):
+    """
+    A scene and how it goes with the tracked bodies.
+
+    `places` gives each body of both its number among the tracked, its number in the scene, which
+    of its tracked markers are the scene's (k,), and where those are in the scene's frame, complex,
+    m. `driver` is the body that the scene's one driver turns.
+    """
+
+    scene: Scene
+    places: dict[str, tuple[int, int, np.ndarray, np.ndarray]]
+    driver: str
+
+    @property
+    def balances(self) -> bool:
+        """Whether the scene has loads for the driver to balance."""
+        return bool(self.scene.loads)
+
+
+def load_theory(settings: Settings) -> Theory | None:
+    """
+    The theory that the parameter `scene` names, None for none.
+
+    Raises ParameterError where the scene cannot be used, or does not go with the bodies.
+    """
+    if not settings.scene:
+        return None
+    try:
+        scene = load_scene(settings.scene)
+    except SceneError as error:
+        raise ParameterError(f'parameter scene: {error}') from None
+
+    def refuse(why: str) -> ParameterError:
+        return ParameterError(f'parameter scene is {settings.scene}: {why}')
+
+    places = {}
+    for b, (body, markers) in enumerate(settings.bodies.items()):
+        if body not in scene.marker_names:
+            continue
+        names = scene.marker_names[body]
+        here = [k for k, marker in enumerate(markers) if marker in names]
+        if len(here) < 2:
+            raise refuse(
+                f'its {body} has the markers {", ".join(names)}; parameter {body}.markers must '
+                'name two of them at least'
+            )
+        known = to_complex(scene.markers[body])[[names.index(markers[k]) for k in here]]
+        number = scene.mechanism.bodies.index(body)
+        places[body] = (b, number, np.array(here), known)
+    if len(scene.mechanism.drivers) != 1:
+        raise refuse(f'it has {len(scene.mechanism.drivers)} drivers; it must have one')
+    turns, row = scene.mechanism.assembly.turns, scene.mechanism.drivers[0].row
+    driven = [body for body, place in places.items() if np.array_equal(turns[place[1]], row)]
+    if not driven:
+        raise refuse('its driver must be the angle of a body that is tracked, with its markers')
+    for load in scene.loads:
+        if load.body not in places:
+            raise refuse(f'it has a load on {load.body}, which is not tracked')
+    return Theory(scene, places, driven[0])
+
+
+def rate_differences(theory: Theory, estimate: Estimate) -> dict[str, Difference]:
+    """
+    By body, its angular velocity less what the scene says it is (rad/s), the driver being as seen.
+
+    Only for bodies of which enough is known; empty where the scene cannot be put where the rig is.
+    """
+    b, _, _, _ = theory.places[theory.driver]
+    frames = _frames(theory, estimate)
+    if theory.driver not in frames or estimate.missing[b]:
+        return {}
+    mechanism = theory.scene.mechanism
+    start = float(mechanism.drivers[0].motion(np.zeros(1))[0, 0])
+    turned = estimate.angle[0, b] + frames[theory.driver][1] - start
+    at = start + (turned + np.pi) % (2 * np.pi) - np.pi
+    try:
+        swept = mechanism.sweep(np.array([at]))
+    except LinkageError:
+        return {}
+    # Per rad of the driver: the ratio of the rates, and how it changes.
+    ratio, bend = swept.angle[1, :, 0], swept.angle[2, :, 0]
+    rate, noise = estimate.angle[1, b], estimate.angle_covariance[:2, :2, b]
+    found = {}
+    for body, (own, number, _, _) in theory.places.items():
+        if body == theory.driver or estimate.missing[own] or not np.isfinite(ratio[number]):
+            continue
+        by = np.array([bend[number] * rate, ratio[number]])
+        variance = estimate.angle_covariance[1, 1, own] + by @ noise @ by
+        value = estimate.angle[1, own] - ratio[number] * rate
+        found[body] = Difference(float(value), float(np.sqrt(variance)))
+    return found
+
+
+def joint_offsets(theory: Theory, estimate: Estimate) -> dict[str, Difference]:
+    """
+    By pin between two tracked bodies, how far off it their relative instant center is (m).
+
+    The pin is where the scene has it on the bodies, as they are seen; `deviation` is the distance
+    that is one of Mahalanobis'. Only where the center is determined.
+    """
+    frames = _frames(theory, estimate)
+    pairs = {(int(j), int(i)): k for k, (j, i) in enumerate(zip(*estimate.pairs, strict=True))}
+    found = {}
+    for joint in theory.scene.mechanism.assembly.joints:
+        if not isinstance(joint, Revolute) or not {joint.one, joint.other} <= set(frames):
+            continue
+        one, other = theory.places[joint.one][0], theory.places[joint.other][0]
+        k = pairs[max(one, other), min(one, other)]
+        center = estimate.relative_icr
+        if not center.determined[k]:
+            continue
+        place, turn = frames[joint.one]
+        point = place + joint.a * np.exp(1j * turn)
+        at = estimate.position[0, one] + point * np.exp(1j * estimate.angle[0, one])
+        distance, deviations = center_offset(center.value[k], at, center.covariance[k])
+        if deviations > 0:
+            found[joint.name] = Difference(float(distance), float(distance / deviations))
+    return found
+
+
+def balance(theory: Theory, estimate: Estimate) -> Numbers:
+    """
+    Torque on the driven body that balances the scene's loads at the velocities seen, N m, ().
+
+    Determined where all the bodies are known and the driver turns by more than its noise.
+    """
+    frames = _frames(theory, estimate)
+    needed = {theory.driver, *(load.body for load in theory.scene.loads)}
+    nothing = Numbers(np.array(np.nan), np.array(np.nan), np.array(False))
+    if not needed <= set(frames):
+        return nothing
+    ports = [_port(theory, load, frames) for load in theory.scene.loads]
+    value, variance, determined = measured_balance(
+        Port(theory.places[theory.driver][0], 1.0),
+        ports,
+        estimate.position,
+        estimate.angle,
+        estimate.position_covariance,
+        estimate.angle_covariance,
+        SIGNIFICANT,
+    )
+    return Numbers(np.asarray(value), np.asarray(variance), np.asarray(determined))
+
+
+def _port(theory: Theory, load: Load, frames: dict[str, tuple[complex, float]]) -> Port:
+    b = theory.places[load.body][0]
+    if isinstance(load, Force):
+        place, turn = frames[load.body]
+        return Port(b, complex(load.force), complex(place + load.point * np.exp(1j * turn)))  # type: ignore[arg-type]
+    return Port(b, complex(load.torque))  # type: ignore[arg-type]
+
+
+def _frames(theory: Theory, estimate: Estimate) -> dict[str, tuple[complex, float]]:
+    """Origin (complex, m) and angle of the scene's body frames in those of the tracked bodies."""
+    found = {}
+    for body, (b, _, markers, known) in theory.places.items():
+        shape = estimate.shape[b, markers]
+        fit = fit_pose(shape, known, np.isfinite(shape).astype(float))
+        if np.isfinite(fit.angle) and not estimate.missing[b]:
+            found[body] = (complex(fit.position), float(fit.angle))
+    return found

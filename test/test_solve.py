@@ -1,0 +1,132 @@
+"""`kinpole solve`: what it prints, writes and refuses."""
+
+import csv
+import re
+import xml.etree.ElementTree as ET
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from kinpole_ros import cli
+from kinpole_ros.mechanism import scene_names
+
+
+def told(capsys: pytest.CaptureFixture[str], *words: str) -> list[str]:
+    assert cli.main(['solve', *words]) == 0
+    return capsys.readouterr().out.splitlines()
+
+
+def row(lines: list[str], name: str) -> list[float]:
+    """The numbers of the row of a table that begins with `name`."""
+    (found,) = [line for line in lines if re.match(rf'{re.escape(name)}\s', line)]
+    return [float(cell) for cell in found.split()[1:]]
+
+
+def columns(path: Path) -> dict[str, np.ndarray]:
+    with path.open(newline='') as file:
+        head, *rows = list(csv.reader(file))
+    cells = np.array([[float(cell or 'nan') for cell in line] for line in rows])
+    return dict(zip(head, cells.T, strict=True))
+
+
+def test_the_loader_of_the_seed_moves_as_printed(capsys: pytest.CaptureFixture[str]) -> None:
+    lines = told(capsys, 'loader', '--at', '45 deg', '--statics')
+    assert row(lines, 'lift')[1] == pytest.approx(-0.4154, rel=1e-3)
+    assert row(lines, 'link')[1] == pytest.approx(0.4985, rel=1e-3)
+    assert row(lines, 'lift.P')[2:4] == pytest.approx([0.08896, 1.086], rel=1e-3)
+    (effort,) = [line for line in lines if 'balances' in line]
+    # 1000 kg at P, by the power of its weight: g V_Py over the input's rate.
+    assert float(effort.split()[-3]) == pytest.approx(1000 * 9.80665 * 1.08601 / 0.5, rel=1e-5)
+
+
+def test_the_trebuchet_of_the_seed_moves_as_printed(capsys: pytest.CaptureFixture[str]) -> None:
+    lines = told(capsys, 'trebuchet')
+    assert row(lines, 'bar')[1] == pytest.approx(-1.443, rel=1e-3)
+    assert row(lines, 'bar.P')[2:4] == pytest.approx([3.6075, 3.7484], rel=1e-3)
+
+
+def test_centers_come_with_their_deduction(capsys: pytest.CaptureFixture[str]) -> None:
+    lines = told(capsys, 'four_bar', '--at', '45 deg', '--centers')
+    assert 'I13: line I12-I23 meets line I14-I34' in lines
+    assert 'I24: line I12-I14 meets line I23-I34' in lines
+    # The coupler's center is on the crank, 45 degrees up.
+    (found,) = [line for line in lines if line.startswith('I13 ')]
+    x, y = (float(cell) for cell in found.split()[-2:])
+    assert x == pytest.approx(y, rel=1e-5)
+
+
+def test_a_sweep_tells_limits_and_dead_points(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    lines = told(capsys, 'antiparallelogram', '--sweep', '--csv', str(tmp_path / 'a.csv'))
+    dead = [line for line in lines if line.startswith('dead point')]
+    assert len(dead) == 2
+    assert all('change point' in line and 'follower' in line for line in dead)
+    at = [float(re.search(r'= ([\d.]+)', line)[1]) for line in dead]  # type: ignore[index]
+    assert at == pytest.approx([np.pi, 2 * np.pi], abs=1e-9)
+    table = columns(tmp_path / 'a.csv')
+    assert len(table['crank']) > 300
+    # At a change point there are no rates, and beside it there are.
+    rates = table['follower_angle_velocity']
+    assert 0 < np.isnan(rates).sum() <= 3
+
+
+@pytest.mark.parametrize('scene', scene_names())
+def test_every_scene_is_solved_at_its_start(
+    scene: str, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    lines = told(capsys, scene, '--centers', '--csv', str(tmp_path / 'one.csv'))
+    assert lines[0].startswith(f'{scene}: ')
+    table = columns(tmp_path / 'one.csv')
+    assert all(len(values) == 1 for values in table.values())
+
+
+def test_the_table_holds_forces_over_the_whole_range(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    told(capsys, 'bike_suspension', '--sweep', '--statics', '--csv', str(tmp_path / 'b.csv'))
+    table = columns(tmp_path / 'b.csv')
+    force = np.hypot(table['spring_force_x'], table['spring_force_y'])
+    known = np.isfinite(force)
+    assert known.sum() > 300
+    np.testing.assert_allclose(force[known], np.abs(table['spring_effort'][known]), rtol=1e-9)
+
+
+def test_the_picture_is_one(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    told(capsys, 'four_bar', '--centers', '--plot', str(tmp_path / 'four_bar.png'))
+    image = pytest.importorskip('matplotlib.image').imread(tmp_path / 'four_bar.png')
+    assert image.shape[0] > 800
+    assert image.shape[1] > 1500
+    assert (image[..., :3] < 0.5).any()
+
+
+def test_pitch_curves_are_drawn(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    lines = told(
+        capsys, 'antiparallelogram', '--pitch', 'crank', 'follower', str(tmp_path / 'gears.svg')
+    )
+    assert 'roll on each other' in lines[-1]
+    drawing = ET.parse(tmp_path / 'gears.svg').getroot()
+    assert drawing.tag.endswith('svg')
+
+
+@pytest.mark.parametrize(
+    ('words', 'says'),
+    [
+        (('nowhere',), 'no such scene'),
+        (('four_bar', '--at', '3 furlongs'), 'unit'),
+        (('four_bar', '--at', 'nan'), 'finite'),
+        (('double_pendulum', '--sweep'), '2 drivers'),
+        (('six_bar', '--statics'), 'no loads'),
+        (('loader_cylinder', '--at', '5 m'), 'reach'),
+        (('four_bar', '--pitch', 'crank', 'wheel', 'x.svg'), 'no body wheel'),
+        (('four_bar', '--plot', '/dev/null/x.png'), 'x.png'),
+    ],
+)
+def test_what_cannot_be_solved_is_said_in_one_line(
+    words: tuple[str, ...], says: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert cli.main(['solve', *words]) == 2
+    err = capsys.readouterr().err
+    assert says in err
+    assert len(err.splitlines()) == 1

@@ -1,0 +1,164 @@
+"""A scene beside the measurement: what is off is told, and what balances its loads is published."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from conftest import decoded, figures
+from test_tracker import follow, record
+
+from kinpole_ros import cli, planar
+from kinpole_ros.demo import live_run
+from kinpole_ros.mechanism import efforts, load_scene, scene_names, scenes_folder
+from kinpole_ros.messages import stamp_to_ns
+from kinpole_ros.parameters import ParameterError, load_settings
+from kinpole_ros.theory import load_theory
+
+LOADS = """
+loads:
+  - {force: [0, -50], at: coupler.P}
+  - {torque: 2, on: rocker}
+"""
+CONFIG = scenes_folder().parent / 'four_bar.yaml'
+
+
+def scene(folder: Path, name: str = 'loaded', loads: str = LOADS, **changes: str) -> Path:
+    """The four-bar with loads, and with some of its text changed."""
+    text = (scenes_folder() / 'four_bar.yaml').read_text(encoding='utf-8') + loads
+    for old, new in changes.values():
+        assert old in text
+        text = text.replace(old, new)
+    path = folder / f'{name}.yaml'
+    path.write_text(text, encoding='utf-8')
+    return path
+
+
+def config(folder: Path, scene_path: Path | str) -> Path:
+    path = folder / 'rig.yaml'
+    path.write_text(f'{CONFIG.read_text(encoding="utf-8")}\n    scene: {scene_path}\n', 'utf-8')
+    return path
+
+
+@pytest.fixture(scope='module')
+def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The loaded four-bar, 3 s at 100 Hz, noise of 0.1 mm."""
+    folder = tmp_path_factory.mktemp('theory')
+    words = ['--noise', '1e-4', '--duration', '3', '--rate', '100']
+    assert (
+        cli.main(['simulate', str(scene(folder)), '--output', str(folder / 'in.mcap'), *words]) == 0
+    )
+    return folder / 'in.mcap'
+
+
+def replayed(bag: Path, folder: Path, scene_path: Path) -> dict[str, list[Any]]:
+    words = ['--config', str(config(folder, scene_path)), '--output', str(folder / 'out.mcap')]
+    assert cli.main(['replay', str(bag), *words]) == 0
+    return decoded(folder / 'out.mcap')
+
+
+def linkage(messages: dict[str, list[Any]]) -> list[dict[str, float]]:
+    """What diagnostics say of the linkage, but of the first second."""
+    return [
+        {pair.key: float(pair.value) for pair in status.values}
+        for array in messages['/diagnostics'][1:]
+        for status in array.status
+        if status.name.endswith('linkage')
+    ]
+
+
+def test_the_effort_that_balances_the_loads_is_that_of_virtual_work(
+    bag: Path, tmp_path: Path
+) -> None:
+    path = scene(tmp_path)
+    messages = replayed(bag, tmp_path, path)
+    found = messages['/kinpole/balance']
+    assert len(found) > 280
+    stamps = np.array([stamp_to_ns(message.header.stamp) for message in found])
+    begin = stamp_to_ns(decoded(bag)['/markers'][0].markers[0].header.stamp)
+    loaded = load_scene(path)
+    values = loaded.mechanism.motion((stamps - begin) * 1e-9).values[0]
+    true = efforts(loaded.mechanism, values, loaded.loads).effort[0]
+    said = np.array([message.wrench.torque.z for message in found])
+    sigma = np.array(
+        [message.wrench.torque.z for message in messages['/kinpole/balance/deviation']]
+    )
+    assert np.median(np.abs(said - true)) < 0.005 * np.abs(true).max()
+    assert np.mean(np.abs(said - true) < 1.96 * sigma) > 0.9
+
+
+def test_the_live_node_publishes_the_same_balance(bag: Path, tmp_path: Path) -> None:
+    offline = figures(replayed(bag, tmp_path, scene(tmp_path)))['/kinpole/balance']
+    live_run(bag, tmp_path / 'rig.yaml', tmp_path / 'live.mcap')
+    live = figures(decoded(tmp_path / 'live.mcap'))['/kinpole/balance']
+    assert set(live) == set(offline)
+    for stamp, value in live.items():
+        np.testing.assert_allclose(value, offline[stamp], rtol=1e-9)
+
+
+def test_bodies_that_are_as_the_scene_says_differ_by_their_noise(bag: Path, tmp_path: Path) -> None:
+    told = linkage(replayed(bag, tmp_path, scene(tmp_path)))
+    assert told
+    for values in told:
+        for body in ('coupler', 'rocker'):
+            off = values[f'{body}: angular velocity less theory (rad/s)']
+            assert abs(off) < 5 * values[f'{body}: deviation of that (rad/s)']
+        for joint in 'AB':
+            off = values[f'{joint}: relative center off the pin (m)']
+            assert off < 5 * values[f'{joint}: deviation of that (m)']
+        assert abs(values.get('rocker wrt crank: the same in deviations', 0)) < 5
+
+
+def test_a_rocker_of_another_length_is_told_of(bag: Path, tmp_path: Path) -> None:
+    path = scene(tmp_path, 'longer', rocker=('B: [0.28, 0]', 'B: [0.3, 0]'))
+    told = linkage(replayed(bag, tmp_path, path))
+    off = [
+        abs(values['rocker: angular velocity less theory (rad/s)'])
+        / values['rocker: deviation of that (rad/s)']
+        for values in told
+    ]
+    assert max(off) > 10
+
+
+def test_without_loads_there_is_no_balance(bag: Path, tmp_path: Path) -> None:
+    messages = replayed(bag, tmp_path, scene(tmp_path, 'plain', loads=''))
+    assert '/kinpole/balance' not in messages
+    assert linkage(messages)
+
+
+@pytest.mark.parametrize(
+    ('name', 'says'),
+    [
+        ('nowhere', 'there is no such scene'),
+        ('double_pendulum', 'drivers'),
+        ('rolling_wheel', 'its driver must be'),
+    ],
+)
+def test_a_scene_that_does_not_go_with_the_bodies_is_refused(
+    tmp_path: Path, name: str, says: str, capsys: pytest.CaptureFixture[str], bag: Path
+) -> None:
+    path = config(tmp_path, name)
+    with pytest.raises(ParameterError, match=says):
+        load_theory(load_settings(path))
+    assert cli.main(['replay', str(bag), '--config', str(path)]) == 2
+    err = capsys.readouterr().err.strip()
+    assert 'scene' in err
+    assert '\n' not in err
+
+
+@pytest.mark.parametrize('name', scene_names())
+def test_what_is_measured_of_exact_markers_is_what_is_solved(name: str) -> None:
+    seen = record(name, count=700, step=2_000_000)
+    _, found = follow(seen.frames, seen.values, order=4, every=40)
+    found = [estimate for estimate in found if not any(estimate.missing)][3:]
+    assert len(found) > 8
+    truth = seen.truth([estimate.stamp for estimate in found])
+    for b, body in enumerate(found[0].bodies):
+        position, angle = truth[body]
+        for order, close in ((1, 1e-6), (2, 1e-6), (3, 1e-6), (4, 1e-5)):
+            poles = [estimate.pole(order) for estimate in found]
+            true = planar.pole(order, position, angle).value
+            off = np.abs(np.array([pole.value[b] for pole in poles]) - true) / found[0].size[b]
+            near = np.abs(true - position[0]) < 20 * found[0].size[b]
+            assert all(pole.determined[b] for pole, here in zip(poles, near, strict=True) if here)
+            assert off[near].max(initial=0.0) < close, (body, order)
