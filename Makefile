@@ -40,7 +40,8 @@ demo: $(STAMP)  ## track a four-bar live over DDS; a table, and a picture under 
 	@$(RUN) -m kinpole_ros.cli demo --output out
 
 test: lint  ## lint, types and all tests; PYTEST_ARGS='-k wheel' for some of them
-	@PYTEST_DISABLE_PLUGIN_AUTOLOAD=1 $(RUN) -m pytest $(PYTEST_ARGS)
+	@PYTEST_DISABLE_PLUGIN_AUTOLOAD=1 OPENBLAS_NUM_THREADS=1 \
+	  $(RUN) -m pytest -p xdist -n auto --dist loadfile $(PYTEST_ARGS)
 
 lint: $(STAMP)  ## style and types
 	@$(RUN) -m ruff check

@@ -39,6 +39,7 @@ setup(
             # Fixed, since later ones find fault with what these let pass.
             'mypy==2.4.*',
             'pytest>=7.4',
+            'pytest-xdist>=3.3',
             'rosbags>=0.10',
             'ruff==0.17.*',
         ],
