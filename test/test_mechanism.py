@@ -8,6 +8,7 @@ from types import ModuleType, SimpleNamespace
 import numpy as np
 import pytest
 import yaml
+from closed_forms import cardan, rolling_wheel
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -23,7 +24,7 @@ from kinpole_ros.mechanism import (
     scenes_folder,
     share_folder,
 )
-from kinpole_ros.mechanism._motions import cardan, four_bar, rolling_wheel
+from kinpole_ros.mechanism._motions import four_bar
 
 SCENES = Path(__file__).resolve().parents[1] / 'config' / 'scenes'
 BODIES = [

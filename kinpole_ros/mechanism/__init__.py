@@ -8,11 +8,14 @@ from kinpole_ros.mechanism._mechanism import Mechanism, Motion
 from kinpole_ros.mechanism._motions import BodyMotion, marker_positions, rotation_derivatives
 from kinpole_ros.mechanism._scene import Scene, load_scene, scene_names, scenes_folder
 from kinpole_ros.mechanism._share import share_folder
+from kinpole_ros.mechanism._start import mobility
 from kinpole_ros.mechanism._statics import (
     Force,
     Load,
     Torque,
+    advantage,
     efforts,
+    freed_reactions,
     reactions,
     undetermined,
 )
@@ -31,12 +34,15 @@ __all__ = [
     'Scene',
     'SceneError',
     'Torque',
+    'advantage',
     'centrodes',
     'efforts',
     'explain',
+    'freed_reactions',
     'instant_centers',
     'load_scene',
     'marker_positions',
+    'mobility',
     'quantity',
     'reactions',
     'rotation_derivatives',
