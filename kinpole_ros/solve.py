@@ -27,6 +27,7 @@ from kinpole_ros.mechanism import (
     undetermined,
     write_pitch_curves,
 )
+from kinpole_ros.planar import body_point_derivative
 
 # Positions over a range: of the table, and of the spreadsheet and the picture.
 _ROWS, _SAMPLES = 13, 361
@@ -101,6 +102,7 @@ def solve_scene(
     if picture:
         from kinpole_ros.solve_plot import draw
 
+        _check_picture(Path(picture))
         with _writing(picture):
             draw(Path(picture), whole, _nearest(whole, here), centers)
         lines.append(f'written to {picture}')
@@ -275,6 +277,8 @@ def _static_lines(solved: Solved) -> list[str]:
         if len(scene.loads) > 1:
             parts = ', '.join(f'{share:.6g}' for share in borne.share[:, k, 0])
             lines.append(f'  of this, load by load: {parts} {unit}')
+    if not scene.mechanism.assembly.joints:
+        return [*lines, 'vectors have no joints: for what these bear write bodies and joints']
     found = reactions(scene.mechanism, first, scene.loads)
     rows = [
         [
@@ -295,20 +299,15 @@ def point_motions(solved: Solved) -> dict[str, np.ndarray]:
     """The named points of the moving bodies, each (3, T) complex: place, velocity, acceleration."""
     motion = solved.motion
     bodies = list(solved.scene.mechanism.bodies)
-    turn = np.exp(1j * motion.angle[0])
-    rate, bend = motion.angle[1], motion.angle[2]
     found = {}
     for name, (body, point) in solved.scene.points.items():
         if body in bodies:
-            b = bodies.index(body)
-            arm = point * turn[b]
-            found[name] = np.stack(
-                (
-                    motion.position[0, b] + arm,
-                    motion.position[1, b] + 1j * rate[b] * arm,
-                    motion.position[2, b] + (1j * bend[b] - rate[b] ** 2) * arm,
-                )
+            position, angle = (
+                part[:, bodies.index(body)] for part in (motion.position, motion.angle)
             )
+            place = position[0] + point * np.exp(1j * angle[0])
+            rates = [body_point_derivative(k, place, position, angle) for k in (1, 2)]
+            found[name] = np.stack([place, *rates])
     return found
 
 
@@ -335,13 +334,14 @@ def _write_table(path: Path, solved: Solved, centers: bool, statics: bool) -> No
             columns[f'{name}_y'] = found.points[c].imag
     if statics:
         borne = efforts(solved.scene.mechanism, solved.values, solved.scene.loads)
-        forces = reactions(solved.scene.mechanism, solved.values, solved.scene.loads)
         for k, driver in enumerate(solved.scene.mechanism.drivers):
             columns[f'{driver.name}_effort'] = borne.effort[k]
-        for j, joint in enumerate(forces.joints):
-            columns[f'{joint}_force_x'] = forces.force[j].real
-            columns[f'{joint}_force_y'] = forces.force[j].imag
-            columns[f'{joint}_moment'] = forces.moment[j]
+        if solved.scene.mechanism.assembly.joints:
+            forces = reactions(solved.scene.mechanism, solved.values, solved.scene.loads)
+            for j, joint in enumerate(forces.joints):
+                columns[f'{joint}_force_x'] = forces.force[j].real
+                columns[f'{joint}_force_y'] = forces.force[j].imag
+                columns[f'{joint}_moment'] = forces.moment[j]
     path.parent.mkdir(parents=True, exist_ok=True)
     with path.open('w', newline='', encoding='utf-8') as file:
         rows = csv.writer(file)
@@ -362,6 +362,15 @@ def _writing(path: str | Path) -> Iterator[None]:
         ) from None
 
 
+def _check_picture(path: Path) -> None:
+    """Raise SceneError for a kind of picture that matplotlib does not draw."""
+    from matplotlib.backend_bases import FigureCanvasBase
+
+    known = sorted(FigureCanvasBase.get_supported_filetypes())
+    if path.suffix.lower().lstrip('.') not in known:
+        raise SceneError(f'{path} is no picture; end its name in one of {", ".join(known)}')
+
+
 def _nearest(whole: Solved, here: Solved) -> int:
     """Which position of a range is drawn: the one nearest to that asked for."""
     return int(np.abs(whole.inputs[0] - here.inputs[0, 0]).argmin())
@@ -374,8 +383,8 @@ def driver_unit(scene: Scene, k: int) -> tuple[str, float]:
 
 def _kind(scene: Scene, k: int) -> str:
     """Whether a driver is an angle or a length."""
-    loops, row = scene.mechanism.assembly.loops, scene.mechanism.drivers[k].row
-    return 'length' if (loops.lengths != 0).any(axis=0)[row != 0].any() else 'angle'
+    kinds = list(scene.mechanism.assembly.kinds.values())
+    return kinds[int(np.flatnonzero(scene.mechanism.drivers[k].row)[0])]
 
 
 def _shown(scene: Scene, k: int, value: float) -> str:

@@ -85,11 +85,16 @@ def numbers(value: Any) -> Iterator[float]:
 
 
 def figures(messages: Mapping[str, list[Any]]) -> dict[str, dict[int, np.ndarray]]:
-    """Numbers of the results under /kinpole/ by topic and stamp, less the exact ones."""
+    """
+    Numbers of the results under /kinpole/ by topic and stamp, less the exact ones.
+
+    A recorder that is early also hears the node's transitions, which are no results.
+    """
+    others = ('/truth/', '/transition_event')
     return {
         topic: {stamp_of(message): np.array(list(numbers(message))) for message in listed}
         for topic, listed in messages.items()
-        if topic.startswith('/kinpole/') and '/truth/' not in topic
+        if topic.startswith('/kinpole/') and not any(other in topic for other in others)
     }
 
 

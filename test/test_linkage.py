@@ -317,14 +317,19 @@ def test_limits_of_a_slide_are_dead_points(
 # Many positions, many turns
 
 
-def test_chunks_do_not_show(monkeypatch: pytest.MonkeyPatch) -> None:
-    motion = mechanism(
+def turning_four_bar() -> Mechanism:
+    """A crank-rocker at 1 rev/s."""
+    return mechanism(
         four_bar(0.4, 0.12, 0.36, 0.28),
         constant_rate(2 * np.pi, 0.0),
         'crank',
         coupler=0.8,
         rocker=1.7,
     )
+
+
+def test_chunks_do_not_show(monkeypatch: pytest.MonkeyPatch) -> None:
+    motion = turning_four_bar()
     t = np.random.default_rng(0).uniform(-3, 3, (7, 30))
     whole = motion.motion(t)
     monkeypatch.setattr(_mechanism, '_CHUNK', 16)
@@ -343,13 +348,7 @@ def test_fewer_orders_are_the_same_numbers() -> None:
 
 
 def test_a_thousand_turns_keep_to_the_branch() -> None:
-    motion = mechanism(
-        four_bar(0.4, 0.12, 0.36, 0.28),
-        constant_rate(2 * np.pi, 0.0),
-        'crank',
-        coupler=0.8,
-        rocker=1.7,
-    )
+    motion = turning_four_bar()
     one, many = motion.motion(0.3), motion.motion(1000.3)
     np.testing.assert_allclose(many.angle[0, 1:], one.angle[0, 1:], atol=1e-11)
     np.testing.assert_allclose(many.angle[0, 0] - one.angle[0, 0], 2000 * np.pi, rtol=1e-15)

@@ -93,6 +93,15 @@ def test_the_table_holds_forces_over_the_whole_range(
     np.testing.assert_allclose(force[known], np.abs(table['spring_effort'][known]), rtol=1e-9)
 
 
+def test_vectors_have_efforts_and_no_reactions(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    lines = told(capsys, 'loader_loop', '--statics', '--csv', str(tmp_path / 'l.csv'))
+    assert any('balances the loads' in line for line in lines)
+    assert any('no joints' in line for line in lines)
+    assert np.isfinite(columns(tmp_path / 'l.csv')['r2.angle_effort']).all()
+
+
 def test_the_picture_is_one(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     told(capsys, 'four_bar', '--centers', '--plot', str(tmp_path / 'four_bar.png'))
     image = pytest.importorskip('matplotlib.image').imread(tmp_path / 'four_bar.png')
@@ -121,6 +130,8 @@ def test_pitch_curves_are_drawn(capsys: pytest.CaptureFixture[str], tmp_path: Pa
         (('loader_cylinder', '--at', '5 m'), 'reach'),
         (('four_bar', '--pitch', 'crank', 'wheel', 'x.svg'), 'no body wheel'),
         (('four_bar', '--plot', '/dev/null/x.png'), 'x.png'),
+        (('four_bar', '--plot', 'x.foo'), 'no picture'),
+        (('four_bar', '--plot', 'x'), 'no picture'),
     ],
 )
 def test_what_cannot_be_solved_is_said_in_one_line(

@@ -96,6 +96,15 @@ class Assembly(NamedTuple):
     turns: Real
     joints: tuple[Joint, ...]
 
+    @property
+    def kinds(self) -> dict[str, str]:
+        """Whether each variable, by name, is an 'angle' (rad) or a 'length' (m)."""
+        is_length = (self.loops.lengths != 0).any(axis=0)
+        return {
+            name: 'length' if length else 'angle'
+            for name, length in zip(self.loops.variables, is_length, strict=True)
+        }
+
 
 class _Terms:
     """A growing list of terms r e^{iθ}, each kept once."""

@@ -16,6 +16,7 @@ import numpy.typing as npt
 
 from kinpole_ros.mechanism._assembly import Assembly
 from kinpole_ros.mechanism._loops import Linkage, LinkageError, Solution, reduce, solve, sums, weigh
+from kinpole_ros.mechanism._motions import rotation_derivatives
 from kinpole_ros.mechanism._path import Path, Table, foretell, tabulate, trace, unit_input
 from kinpole_ros.planar._plane import Complex, Real
 
@@ -202,11 +203,9 @@ def body_motion(assembly: Assembly, values: Real) -> tuple[Complex, Real]:
     length, angle = loops.lengths @ values, loops.angles @ values
     length[0] += loops.length0[:, None]
     angle[0] += loops.angle0[:, None]
-    turn = np.empty(length.shape, complex)
-    turn[0] = np.exp(1j * angle[0])
-    terms = np.empty_like(turn)
-    for k in range(len(values)):
-        if k:
-            turn[k] = 1j * sum(comb(k - 1, j) * angle[j + 1] * turn[k - 1 - j] for j in range(k))
-        terms[k] = sum(comb(k, j) * length[j] * turn[k - j] for j in range(k + 1))
+    turn = rotation_derivatives(angle)
+    orders = range(len(values))
+    terms = np.stack(
+        [sum(comb(k, j) * length[j] * turn[k - j] for j in range(k + 1)) for k in orders]
+    )
     return assembly.places @ terms, assembly.turns @ values

@@ -172,7 +172,7 @@ def _drivers(said: Any, assembly: Assembly) -> list[_Driven]:
 def _driver(where: str, said: Any, assembly: Assembly) -> _Driven:
     mapping(where, said, _RATE_EXAMPLE)
     need(where, said, ('drive',), _RATE_EXAMPLE)
-    kinds = _kinds(assembly)
+    kinds = assembly.kinds
     name, of = said['drive'], said.get('of', GROUND)
     for key, value in (('drive', name), ('of', of)):
         if not isinstance(value, str) or (value not in kinds and (key, value) != ('of', GROUND)):
@@ -194,15 +194,6 @@ def _driver(where: str, said: Any, assembly: Assembly) -> _Driven:
     return _Driven(
         Driver(name if of == GROUND else f'{name} of {of}', row, motion, low, high), begin, end
     )
-
-
-def _kinds(assembly: Assembly) -> dict[str, str]:
-    """Whether each variable is an angle or a length."""
-    is_length = (assembly.loops.lengths != 0).any(axis=0)
-    return {
-        name: 'length' if length else 'angle'
-        for name, length in zip(assembly.loops.variables, is_length, strict=True)
-    }
 
 
 def _drive(where: str, said: dict[str, Any], kind: str) -> tuple[Drive, float, float]:
@@ -264,7 +255,7 @@ def _numbers(where: str, said: Any, kind: str) -> list[float]:
 
 def _start(said: Any, assembly: Assembly) -> dict[str, float]:
     """About where angles and slides are at time 0."""
-    kinds = _kinds(assembly)
+    kinds = assembly.kinds
     if said is None:
         lengths = assembly.loops.length0[assembly.loops.length0 != 0]
         # A vector of unknown length has to begin with some length.
