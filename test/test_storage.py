@@ -10,18 +10,24 @@ import numpy as np
 import pytest
 import yaml
 import zstandard
+from geometry_msgs.msg import Point, Quaternion
 from mcap.data_stream import RecordBuilder
-from mcap.records import Channel, Chunk, Message, Schema
+from mcap.reader import make_reader
+from mcap.records import Channel, Chunk, Footer, Message, Schema
+from mcap.stream_reader import StreamReader
 from mcap.writer import MCAP0_MAGIC, CompressionType, IndexType, Writer
 
 from kinpole_ros.bags import (
     BagError,
     BagMessage,
+    BagWriter,
     Truncated,
     bag_files,
+    definition,
     read_blocks,
     read_messages,
     topics,
+    type_name,
 )
 
 POINT = 'geometry_msgs/msg/Point'
@@ -285,3 +291,92 @@ def test_metadata_that_cannot_be_is_named_in_one_line(tmp_path, text):
     with pytest.raises(BagError, match=r'metadata\.yaml|is not there') as error:
         bag_files(tmp_path)
     assert '\n' not in str(error.value)
+
+
+# Written in bulk
+
+
+def columns(count: int) -> list[tuple[str, type, list[int], list[bytes]]]:
+    """Three topics, the third with gaps, all with messages at the same instants."""
+    generator = np.random.default_rng(2)
+    times = list(range(0, 10 * count, 10))
+    listed = [(f'/{name}', Point, times, [generator.bytes(200) for _ in times]) for name in 'ab']
+    return [*listed, ('/c', Point, times[::3], [generator.bytes(90) for _ in times[::3]])]
+
+
+def test_many_are_written_as_if_they_came_singly_in_order(tmp_path):
+    given = columns(2700)
+    with BagWriter(tmp_path / 'many.mcap') as bag:
+        bag.write_many([])
+        for third in range(3):
+            part = [
+                (topic, kind, times[a : a + n], data[a : a + n])
+                for topic, kind, times, data in given
+                for n in [len(times) // 3]
+                for a in [third * n]
+            ]
+            bag.write_many([*part, ('/none', Point, [], [])])
+    singly = sorted(
+        (time, place, topic, content)
+        for place, (topic, _, times, data) in enumerate(given)
+        for time, content in zip(times, data, strict=True)
+    )
+    expected = [BagMessage(topic, POINT, content, time) for time, _, topic, content in singly]
+    assert read(tmp_path / 'many.mcap') == (expected, '')
+    with (tmp_path / 'many.mcap').open('rb') as file:
+        found = [m for _, _, m in make_reader(file).iter_messages(log_time_order=False)]
+    assert [message.data for message in found] == [message.data for message in expected]
+    assert found[-1].sequence == 2699
+
+
+def test_what_we_write_is_what_mcap_writes(tmp_path):
+    given = columns(2000)
+    with BagWriter(tmp_path / 'ours.mcap') as bag:
+        bag.write_many(given)
+        bag.add_topic('/empty', Quaternion)
+        bag.flush()
+        bag.write_raw('/c', Point, b'more', 5)
+    messages = list(read_messages(tmp_path / 'ours.mcap'))
+    writer = Writer(str(tmp_path / 'theirs.mcap'), chunk_size=256 * 1024)
+    writer.start('ros2', 'kinpole_ros')
+    qos = {'offered_qos_profiles': ''}
+    schema = writer.register_schema(POINT, 'ros2msg', definition(Point).encode())
+    ids = {t: writer.register_channel(t, 'cdr', schema, qos) for t in ('/a', '/b', '/c')}
+    counts = dict.fromkeys(ids, 0)
+    for topic, _, data, time in sorted(messages, key=lambda m: (m.data == b'more', m.log_time)):
+        if data == b'more':
+            other = writer.register_schema(
+                type_name(Quaternion), 'ros2msg', definition(Quaternion).encode()
+            )
+            writer.register_channel('/empty', 'cdr', other, qos)
+            writer.flush()
+        writer.add_message(ids[topic], time, data, time, counts[topic])
+        counts[topic] += 1
+    writer.finish()
+    assert len(messages) == 4668
+    listed = [
+        # mcap also says where the indexes of nothing would be, which the checksum covers.
+        [
+            record
+            for record in StreamReader(str(tmp_path / name), emit_chunks=chunked).records
+            if not isinstance(record, Footer) and getattr(record, 'group_length', True)
+        ]
+        for name in ('ours.mcap', 'theirs.mcap')
+        for chunked in (True, False)
+    ]
+    assert sum(isinstance(record, Chunk) for record in listed[0]) > 3
+    # The same records: messages and what describes them, and the whole index with its places.
+    assert listed[0] == listed[2]
+    assert listed[1] == listed[3]
+
+
+def test_columns_that_do_not_fit_are_refused(tmp_path):
+    with BagWriter(tmp_path / 'out.mcap') as bag:
+        with pytest.raises(BagError, match='log time -1 ns'):
+            bag.write_many([('/p', Point, [4, -1], [b'', b''])])
+        with pytest.raises(ValueError, match='zip'):
+            bag.write_many([('/p', Point, [4, 5], [b''])])
+        bag.write_many([('/p', Point, [6], [b'x'])])
+        with pytest.raises(BagError, match=r"'/p' holds geometry_msgs/msg/Point"):
+            bag.write_many([('/p', Quaternion, [7], [b''])])
+    assert [m.log_time for m in read_messages(tmp_path / 'out.mcap')] == [6]
