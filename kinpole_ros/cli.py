@@ -97,6 +97,11 @@ def _parser() -> argparse.ArgumentParser:
     )
     replay.add_argument('--output', metavar='OUT.mcap', help='bag of results, under /kinpole/...')
     replay.add_argument('--csv', metavar='OUT.csv', help='the same as a table, with sigmas')
+    replay.add_argument(
+        '--parquet',
+        metavar='OUT.parquet',
+        help="the same table for pandas and the like (pip install 'kinpole_ros[parquet]')",
+    )
     replay.add_argument('--topic', metavar='T', help="topic of the markers (config's, /markers)")
     replay.set_defaults(run=_replay)
 
@@ -254,10 +259,19 @@ def _replay(options: argparse.Namespace) -> int:
     from kinpole_ros.bags import replay
     from kinpole_ros.parameters import Settings, load_settings
 
-    _keep(options.config, options.output, options.csv)
+    outputs = (options.output, options.csv, options.parquet)
+    _keep(options.config, *outputs)
     settings = load_settings(options.config) if options.config else Settings()
     with _progress('replay') as progress:
-        result = replay(options.bag, settings, options.output, options.csv, options.topic, progress)
+        result = replay(
+            options.bag,
+            settings,
+            options.output,
+            options.csv,
+            options.topic,
+            progress,
+            options.parquet,
+        )
     print(f'{result.frames} frames in, {result.estimates} instants out')
     for what, count in (('stamps repeated', result.repeated), ('jumps', result.resets)):
         if count:
@@ -265,7 +279,7 @@ def _replay(options: argparse.Namespace) -> int:
     for body, shares in result.determined.items():
         told = ', '.join(f'{pole} {share:.1%}' for pole, share in shares.items())
         print(f'{body}: determined at {told} of them')
-    for target in (options.output, options.csv):
+    for target in outputs:
         if target:
             print(f'written to {target}')
     if result.unreadable:

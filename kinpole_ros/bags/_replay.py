@@ -10,7 +10,7 @@ from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.serialization import deserialize_message
 
 from kinpole_ros.bags._reader import BagError, Truncated, bag_files, read_messages, topics
-from kinpole_ros.bags._table import Table
+from kinpole_ros.bags._table import CsvTable, ParquetTable
 from kinpole_ros.bags._writer import BagWriter
 from kinpole_ros.estimate import POLE_NAMES, Estimate
 from kinpole_ros.messages import (
@@ -35,7 +35,8 @@ class Replayed(NamedTuple):
 
     `unreadable` counts messages that could not be read, `problem` is the first one's;
     `truncated` says where a damaged bag ended, None for a sound one. `repeated` and `resets` count
-    stamps that came twice, and jumps.
+    stamps that came twice, and jumps. `noise` is that of a marker of each body at the end, per
+    axis, m, NaN where it is not known; `first` and `last` are the stamps of these frames, ns.
     """
 
     frames: int
@@ -46,6 +47,9 @@ class Replayed(NamedTuple):
     repeated: int
     resets: int
     truncated: Truncated | None
+    noise: dict[str, float]
+    first: int
+    last: int
 
 
 def replay(
@@ -55,24 +59,26 @@ def replay(
     csv: str | Path | None = None,
     topic: str | None = None,
     progress: Callable[[float], None] | None = None,
+    parquet: str | Path | None = None,
 ) -> Replayed:
     """
     Run the markers of a bag through the tracker, as fast as the machine goes.
 
     `bag` is an .mcap file or a rosbag2 folder; `topic` overrides the settings' marker topic.
-    Results go to `output`, an .mcap under /kinpole/..., and to `csv`. Deterministic: the bag's
-    stamps drive everything. A bag that is cut off gives the results of all that is before the cut.
+    Results go to `output`, an .mcap under /kinpole/..., and to the tables `csv` and `parquet`.
+    Deterministic: the bag's stamps drive everything. A bag that is cut off gives the results of
+    all that is before the cut.
     Raises BagError when the bag, its topic or an output cannot be used.
     """
     name, kind = _marker_topic(bag, settings, topic)
     taken = {file.resolve(): 'the bag to be replayed' for file in bag_files(bag)}
-    for target in (output, csv):
+    for target in (output, csv, parquet):
         if target is None:
             continue
         path = Path(target).resolve()
         if path in taken:
             raise BagError(f'{target} is {taken[path]}; name another file for the results')
-        taken[path] = 'the bag of results'
+        taken[path] = 'the bag of results' if target is output else 'the CSV table'
     theory = load_theory(settings)
     tracker = Tracker(settings)
     rows = [
@@ -86,12 +92,16 @@ def replay(
     estimates = 0
     problem = ''
     trouble: dict[str, str] = {}
-    told = 0
+    told = first = last = 0
     latest: Estimate | None = None
     truncated: Truncated | None = None
     with ExitStack() as stack:
         writer = stack.enter_context(BagWriter(output)) if output is not None else None
-        table = stack.enter_context(Table(csv, settings)) if csv is not None else None
+        tables = [
+            stack.enter_context(kind(target, settings))
+            for kind, target in ((CsvTable, csv), (ParquetTable, parquet))
+            if target is not None
+        ]
         messages = read_messages(bag, [name], progress)
         while True:
             try:
@@ -108,6 +118,7 @@ def replay(
                 problem = problem or str(error)
                 trouble['message'] = str(error)
                 continue
+            first, last = first or frame.stamp, frame.stamp
             for estimate in tracker.add(frame, order):
                 latest = estimate
                 estimates += 1
@@ -118,7 +129,7 @@ def replay(
                         if result is not None:
                             topic_name = f'/{NODE_NAME}/{row.topic}'
                             writer.write(topic_name, result, message.log_time)
-                if table is not None:
+                for table in tables:
                     table.add(estimate)
             since = frame.stamp - told
             if writer is not None and (told == 0 or not 0 <= since < _SECOND):
@@ -148,6 +159,9 @@ def replay(
         counts['repeated'],
         counts['resets'],
         truncated,
+        dict(zip(tracker.bodies, tracker.noise().tolist(), strict=True)),
+        first,
+        last,
     )
 
 
