@@ -53,7 +53,8 @@ class Estimate:
     stamp of the frame that the tracker last began with: poses from before it are in other body
     frames. `pin` (T, B) is the fixed point a body was found to turn about, complex, m, with
     `pin_variance` (T, B), m^2, of one coordinate; NaN for a body on no pin. `shape` (B, n) are the
-    markers in the bodies' frames, complex, m.
+    markers in the bodies' frames, complex, m. `due` (T,) is which frame, of those the tracker was
+    given together, each instant fell due with.
 
     What follows is of shape (T, B) too, (T, pairs) for pairs of bodies. An index gives one instant
     as an estimate of its own, in which all arrays lack the axis of T.
@@ -77,6 +78,7 @@ class Estimate:
         pin: np.ndarray | None = None,
         pin_variance: np.ndarray | None = None,
         shape: np.ndarray | None = None,
+        due: np.ndarray | None = None,
     ) -> None:
         self.stamp = stamp
         self.frame_id = frame_id
@@ -96,6 +98,7 @@ class Estimate:
         self.pin_variance = nowhere if pin_variance is None else pin_variance
         self.pinned = np.isfinite(self.pin)
         self.shape = np.full((len(bodies), 0), complex(np.nan, np.nan)) if shape is None else shape
+        self.due = np.arange(np.size(stamp)).reshape(np.shape(stamp)) if due is None else due
         self.pole = cache(self._pole)
 
     def __len__(self) -> int:
@@ -122,6 +125,7 @@ class Estimate:
             self.pin[instant],
             self.pin_variance[instant],
             self.shape,
+            self.due[instant],
         )
 
     @property

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from kinpole_ros.estimate import Estimate
-from kinpole_ros.frame import MarkerFrames
+from kinpole_ros.frame import MarkerFrames, part_of
 from kinpole_ros.parameters import Settings
 from kinpole_ros.planar import landmark_kinematics, to_plane
 from kinpole_ros.window import (
@@ -133,26 +133,27 @@ class Tracker:
         steps = np.diff(
             stamps, prepend=self._stamps.view()[-1:] if self.samples else stamps[:1] - 1
         )
-        if not steps.all():
-            self.counts['repeated'] += int((steps == 0).sum())
-            stamps, points, steps = stamps[steps != 0], frames.points[steps != 0], steps[steps != 0]
-            frames = frames._replace(stamps=stamps, points=points)
+        new = np.flatnonzero(steps)
+        if len(new) < len(stamps):
+            self.counts['repeated'] += len(stamps) - len(new)
+            frames = frames._replace(stamps=stamps[new], points=frames.points[new])
+            stamps, steps = stamps[new], steps[new]
         jumps = np.flatnonzero((steps < 0) | (steps > self._window))
         found: list[Estimate] = []
         first = 0
         for end in (*jumps, len(stamps)):
             if end > first:
-                found += self._run(frames, slice(first, end), order)
+                found += self._run(part_of(frames, slice(first, end)), order, new[first:end])
             if end < len(stamps):
                 self.counts['resets'] += 1
                 self.reset()
             first = end
         return found
 
-    def _run(self, frames: MarkerFrames, part: slice, order: int | None) -> list[Estimate]:
-        """Take frames whose stamps go on from those before."""
-        points, heights = self._sorted(frames, part)
-        stamps = frames.stamps[part]
+    def _run(self, frames: MarkerFrames, order: int | None, numbers: np.ndarray) -> list[Estimate]:
+        """Take frames whose stamps go on from those before; `numbers` (T,) is what they are due as."""
+        points, heights = self._sorted(frames)
+        stamps = frames.stamps
         if not self.samples:
             self._since = int(stamps[0])
         gaps = self._gaps(stamps)
@@ -170,16 +171,16 @@ class Tracker:
             if len(later):
                 end = first + 1 + int(later[0])
             self._take(stamps[first:end], points[first:end], heights[first:end], gaps[first])
-            found += self._estimates(frames.frame_id, order, end - first)
+            found += self._estimates(frames.frame_id, order, numbers[first:end])
             if self._new >= self._shapes.beat:
                 self._learn()
             first = end
         return found
 
-    def _sorted(self, frames: MarkerFrames, part: slice) -> tuple[np.ndarray, np.ndarray]:
+    def _sorted(self, frames: MarkerFrames) -> tuple[np.ndarray, np.ndarray]:
         """The markers (T, B, n) of each body, complex, NaN for none, and their heights."""
         place = self._place(frames.identities)
-        rows = frames.points[part]
+        rows = frames.points
         # One more row of NaN stands for every marker that is not in the message.
         padded = np.full((len(rows), rows.shape[1] + 1, 3), np.nan)
         padded[:, :-1] = rows
@@ -312,14 +313,14 @@ class Tracker:
                 self._points = Samples((1, len(markers)), complex)
                 self._points.extend(wide)
 
-    def _estimates(self, frame_id: str, order: int | None, new: int) -> list[Estimate]:
+    def _estimates(self, frame_id: str, order: int | None, numbers: np.ndarray) -> list[Estimate]:
         """
-        What falls due with the `new` latest frames: to wait for one more would trail beyond lag.
+        What falls due with the latest frames: to wait for one more would trail beyond lag.
 
         Each instant is seen as of the frame it falls due with, whatever has come since.
         """
         stamps = self._stamps.view()
-        frames = np.arange(len(stamps) - new, len(stamps))
+        frames = np.arange(len(stamps) - len(numbers), len(stamps))
         oldest = np.searchsorted(stamps, stamps[frames] - self._window)
         held = frames - oldest + 1
         slack = 0.75 * (stamps[frames] - stamps[oldest]) / np.maximum(held - 1, 1)
@@ -333,13 +334,20 @@ class Tracker:
             frame = np.searchsorted(end, due, side='right')
             seen = (held[frame] >= FEWEST_SAMPLES) & (due >= oldest[frame])
             if seen.any():
-                windows = due[seen], oldest[frame][seen], frames[frame][seen]
-                found.append(self._estimate(*windows, frame_id, order))
+                frame = frame[seen]
+                windows = due[seen], oldest[frame], frames[frame]
+                found.append(self._estimate(*windows, frame_id, order, numbers[frame]))
         self._trim(int(oldest[-1]))
         return found
 
     def _estimate(
-        self, now: np.ndarray, oldest: np.ndarray, newest: np.ndarray, frame_id: str, order: int
+        self,
+        now: np.ndarray,
+        oldest: np.ndarray,
+        newest: np.ndarray,
+        frame_id: str,
+        order: int,
+        due: np.ndarray,
     ) -> Estimate:
         """The frames `now` (T,), as the frames from `oldest` to `newest` (T,) tell of them."""
         count = len(self.bodies)
@@ -382,6 +390,7 @@ class Tracker:
             self._since,
             *self._pinned(oldest, newest),
             self._shapes.markers(),
+            due,
         )
 
     def _pinned(self, oldest: np.ndarray, newest: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
