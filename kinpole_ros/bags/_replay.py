@@ -1,6 +1,6 @@
 """A bag of markers through the same tracker as the live node, to a bag or a table of results."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack
 from pathlib import Path
 from typing import NamedTuple
@@ -120,7 +120,10 @@ def replay(
                     estimates += len(estimate)
                     _count(found, estimate)
                     if writer is not None:
-                        _write(writer, outputs, estimate, log_times[part])
+                        # Known as soon as the frames came that they fell due with.
+                        times = log_times[part][estimate.due]
+                        made = result_columns(outputs, estimate, f'/{NODE_NAME}', times)
+                        writer.write_many(made)
                     for table in tables:
                         table.add(estimate)
                 stamp = int(frames.stamps[part][-1])
@@ -199,20 +202,20 @@ def _seconds(stamps: np.ndarray, told: int | None) -> Iterator[slice]:
         first = end
 
 
-def _write(
-    writer: BagWriter, outputs: list[Output], estimate: Estimate, log_times: np.ndarray
-) -> None:
-    """What there is to say of some instants, logged as the frames were that they fell due with."""
-    times = log_times[estimate.due].tolist()
-    columns = []
+def result_columns(
+    outputs: list[Output], estimate: Estimate, prefix: str, log_times: np.ndarray
+) -> Iterator[tuple[str, type, list[int], Sequence[bytes]]]:
+    """
+    All there is to say of T instants, as `BagWriter.write_many` takes it.
+
+    On topics under `prefix`, logged at `log_times` (T,), ns.
+    """
+    times = log_times.tolist()
     for row in outputs:
         made = row.build(estimate)
         if made:
             at, data = zip(*made, strict=True)
-            columns.append(
-                (f'/{NODE_NAME}/{row.topic}', row.message_type, [times[t] for t in at], data)
-            )
-    writer.write_many(columns)
+            yield f'{prefix}/{row.topic}', row.message_type, [times[t] for t in at], data
 
 
 def _count(found: dict[str, dict[str, int]], estimate: Estimate) -> None:
