@@ -1,18 +1,20 @@
-"""The one thing every input becomes: the markers of one instant, as arrays without ROS."""
+"""The one thing every input becomes: the markers of consecutive instants, as arrays without ROS."""
 
 from typing import NamedTuple
 
 import numpy as np
 
 
-class MarkerFrame(NamedTuple):
-    """Markers seen at one instant.
+class MarkerFrames(NamedTuple):
+    """
+    Consecutive frames of one layout of markers.
 
-    `points` is float64 of shape (n, 3), in m in the frame `frame_id`; a row with a number that is
-    not finite is a marker that was not seen. `identities` names the n rows. `stamp` is in ns.
+    `stamps` is int64 of shape (T,), in ns; `points` is float64 of shape (T, n, 3), in m in the
+    frame `frame_id`; a row with a number that is not finite is a marker that was not seen, and NaN
+    as a whole. `identities` names the n markers.
     """
 
-    stamp: int
+    stamps: np.ndarray
     frame_id: str
     identities: tuple[str, ...]
     points: np.ndarray
