@@ -18,3 +18,12 @@ class MarkerFrames(NamedTuple):
     frame_id: str
     identities: tuple[str, ...]
     points: np.ndarray
+
+
+class MarkerFrame(NamedTuple):
+    """One frame of MarkerFrames, for a tracker that takes them one by one."""
+
+    stamp: int
+    frame_id: str
+    identities: tuple[str, ...]
+    points: np.ndarray

@@ -7,7 +7,7 @@ and publishes the rows of the results table that have subscribers.
 
 import re
 import sys
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from functools import partial
 from typing import Any
 
@@ -25,17 +25,17 @@ from rclpy.logging import LoggingSeverity, set_logger_level
 from rclpy.parameter import Parameter as RosParameter
 from rclpy.qos import QoSProfile, ReliabilityPolicy, qos_policy_name_from_kind
 from rclpy.qos_overriding_options import QoSOverridingOptions
-from rclpy.serialization import deserialize_message
 from rclpy.utilities import remove_ros_args
 
 from kinpole_ros.estimate import Estimate
+from kinpole_ros.frame import MarkerFrame, MarkerFrames
 from kinpole_ros.messages import (
     MARKER_TYPES,
     ROS_TYPE_NAMES,
     DiagnosticsMaker,
+    MarkerReader,
     MessageError,
     Output,
-    read_markers,
     result_outputs,
 )
 from kinpole_ros.parameters import AUTOSTART, MARKERS, PARAMETERS, ParameterError, settings_from
@@ -149,6 +149,8 @@ class KinpoleNode(LifecycleNode):
         """Forget all frames, and the counts."""
         self._tracker = Tracker(self.settings)
         self._diagnostics = DiagnosticsMaker(self.get_name(), self._theory)
+        if self._kind:
+            self._reader = MarkerReader(self._kind, self.settings.marker_identity)
         self._latest = None
         self._number = None
         self._stamps = []
@@ -224,7 +226,7 @@ class KinpoleNode(LifecycleNode):
                 publisher = self.create_lifecycle_publisher(
                     output.message_type,
                     f'~/{output.topic}',
-                    10,
+                    _DEPTH,
                     event_callbacks=PublisherEventCallbacks(use_default_callbacks=False),
                 )
                 if self._timers_made:
@@ -244,9 +246,7 @@ class KinpoleNode(LifecycleNode):
         resolved = self.resolve_topic_name(topic)
         sources = self.get_publishers_info_by_topic(resolved)
         published = {source.topic_type for source in sources}
-        seen = {bytes(source.endpoint_gid) for source in sources}
-        if seen != self._sources:
-            self._sources, self._number = seen, None
+        self._note_sources({bytes(source.endpoint_gid) for source in sources})
         wanted = self.settings.marker_type
         readable = [wanted] if wanted != 'auto' else list(MARKER_TYPES)
         found = [kind for kind in readable if ROS_TYPE_NAMES[kind] in published]
@@ -280,6 +280,16 @@ class KinpoleNode(LifecycleNode):
                 f'({str(error) or type(error).__name__}); correct them or leave them out'
             ) from None
         self._kind = kinds[0]
+        self._reader = MarkerReader(kinds[0], self.settings.marker_identity)
+
+    def _note_sources(self, seen: set[bytes]) -> None:
+        """Where another publisher has taken over, its markers may be other ones: start anew."""
+        if not seen or seen == self._sources:
+            return
+        if self._sources and not seen & self._sources:
+            self._tracker.reset()
+            self._tracker.counts['restarts'] += 1
+        self._sources, self._number = seen, None
 
     def _unsubscribe(self) -> None:
         if self._subscription is not None:
@@ -312,15 +322,13 @@ class KinpoleNode(LifecycleNode):
         order = max((output.order for output, _ in wanted), default=None)
         if order is None:
             self._latest = None
-        for data, _ in waiting:
-            try:
-                frame = read_markers(deserialize_message(data, kind), self.settings.marker_identity)
-            except MessageError as error:
+        for frames in self._reader.read(data for data, _ in waiting):
+            if isinstance(frames, MessageError):
                 self._tracker.counts['unreadable'] += 1
-                self._warn('message', str(error))
+                self._warn('message', str(frames))
                 continue
-            self._stamps.append(frame.stamp)
-            for estimate in self._tracker.add(frame, order):
+            self._stamps.extend(frames.stamps.tolist())
+            for estimate in _added(self._tracker, frames, order):
                 self._latest = estimate
                 for output, publisher in wanted:
                     result = output.build(estimate)
@@ -335,8 +343,8 @@ class KinpoleNode(LifecycleNode):
             self._number = number
 
     def _warn(self, topic: str, text: str) -> None:
-        """Say once what is wrong, and keep it for the diagnostics."""
-        if self._trouble.get(topic) != text:
+        """Keep what is wrong for the diagnostics, and say it when it begins."""
+        if topic not in self._trouble:
             self.get_logger().warning(text)
         self._trouble[topic] = text
 
@@ -361,6 +369,13 @@ class KinpoleNode(LifecycleNode):
         self._tracker.counts['failures'] += 1
         text = ' '.join(str(error).split())
         self._warn('failure', f'the node failed ({type(error).__name__}: {text}) and starts anew')
+
+
+def _added(tracker: Tracker, frames: MarkerFrames, order: int | None) -> Iterator[Estimate]:
+    """One by one, as the tracker takes them."""
+    for stamp, points in zip(frames.stamps.tolist(), frames.points, strict=True):
+        frame = MarkerFrame(stamp, frames.frame_id, frames.identities, points)
+        yield from tracker.add(frame, order)
 
 
 def _change_if_possible(change: Callable[..., Any], request: Any, response: Any) -> Any:

@@ -17,6 +17,7 @@ _WORDS = {
     'frames': 'frames received',
     'repeated': 'frames with the stamp of the one before, left out',
     'resets': 'starts anew after a jump of the stamps',
+    'restarts': 'starts anew with another publisher of the markers',
     'markers_not_seen': 'markers not seen, summed over frames',
     'markers_unknown': 'markers in the last new layout that no body names',
     'markers_exchanged': 'markers exchanged with one another, put back',
@@ -166,6 +167,9 @@ def _faults(
             f'{dropped} messages dropped: the node or the network cannot keep up; send fewer '
             'frames, or read fewer results'
         )
+        faults.append((DiagnosticStatus.WARN, text))
+    if since.get('restarts'):
+        text = 'another publisher sends the markers: the window starts anew'
         faults.append((DiagnosticStatus.WARN, text))
     if since.get('resets'):
         faults.append((DiagnosticStatus.WARN, 'stamps jumped: the window starts anew'))
