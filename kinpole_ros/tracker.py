@@ -151,7 +151,7 @@ class Tracker:
         return found
 
     def _run(self, frames: MarkerFrames, order: int | None, numbers: np.ndarray) -> list[Estimate]:
-        """Take frames whose stamps go on from those before; `numbers` (T,) is what they are due as."""
+        """Take frames whose stamps go on from those before; `numbers` (T,) are theirs."""
         points, heights = self._sorted(frames)
         stamps = frames.stamps
         if not self.samples:

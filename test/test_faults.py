@@ -1,0 +1,366 @@
+"""
+What knocks nodes over on real rigs, done to the real node in its own process over real DDS.
+
+After each fault: the node still runs, no number it sent is anything but finite, it is right again
+within one window, and its diagnostics named the fault.
+"""
+
+import itertools
+import time
+from array import array
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import Any
+
+import numpy as np
+import pytest
+from conftest import numbers, stamp_of, write_config
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from nav_msgs.msg import Path
+from rclpy.qos import QoSProfile
+from rclpy.serialization import deserialize_message, serialize_message
+from test_node import RELIABLE, Peer, node_words, process
+from visualization_msgs.msg import MarkerArray
+
+from kinpole_ros.messages import MARKER_TYPES, result_outputs, to_message
+from kinpole_ros.parameters import Settings
+
+OK, WARN = DiagnosticStatus.OK, DiagnosticStatus.WARN
+ERROR, STALE = DiagnosticStatus.ERROR, DiagnosticStatus.STALE
+SETTINGS = Settings(bodies={'rod': ('0', '1', '2', '3')}, marker_identity='index')
+WINDOW, LAG = round(SETTINGS.window * 1e9), round(SETTINGS.lag * 1e9)
+STEP = 5_000_000
+PACE = 0.004
+TURN = 2 * np.pi
+PIVOT = 0.3 - 0.2j
+ARMS = np.array([0.10 + 0.02j, 0.25 - 0.03j, 0.18 + 0.08j, 0.05 - 0.06j])
+_noise = np.random.default_rng(3)
+
+
+def rod(k: float, arms: np.ndarray = ARMS) -> np.ndarray:
+    """Markers (4, 3) of a rod that turns evenly about PIVOT, in its frame k."""
+    flat = PIVOT + arms * np.exp(1j * TURN * k * STEP * 1e-9)
+    points = np.stack((flat.real, flat.imag, 0 * flat.real), axis=-1)
+    points[:, :2] += 1e-4 * _noise.normal(size=(4, 2))
+    return points
+
+
+def message(stamp: int, points: np.ndarray, kind: str = 'marker_array') -> Any:
+    return to_message(kind, stamp, 'world', 'abcd', points)
+
+
+CHECKED: dict[str, tuple[Callable[[Any], complex], complex, float]] = {
+    'angular_velocity': (lambda m: m.vector.z, TURN, 0.02 * TURN),
+    'icr': (lambda m: m.point.x + 1j * m.point.y, PIVOT, 0.003),
+}
+
+
+class Rig(Peer):
+    """A tracker that can do wrong, and ears for all the node says."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.heard: dict[str, list[Any]] = {}
+        self._types: dict[str, type] = {}
+        self._next = 0.0
+        self.frame = 0.0
+        self.stamp = 1_000_000_000_000
+
+    def listen(self) -> None:
+        """Hear all results, kept as they come: to decode them all at once costs less."""
+        self._types = {
+            f'/kinpole/{o.topic}': o.message_type for o in result_outputs(('rod',), 'xy')
+        }
+        for topic, message_type in self._types.items():
+            self.heard[topic] = []
+            self.node.create_subscription(
+                message_type, topic, self.heard[topic].append, QoSProfile(depth=1000), raw=True
+            )
+        self.heard['/diagnostics'] = self.hear('/diagnostics', DiagnosticArray)
+        heard = lambda: all(self.node.count_publishers(topic) for topic in self._types)  # noqa: E731
+        self.until(heard, 'all publishers')
+
+    def decoded(self, topic: str, most: int = 0) -> list[Any]:
+        return [deserialize_message(m, self._types[topic]) for m in self.heard[topic][-most:]]
+
+    def forget_heard(self) -> None:
+        for listed in self.heard.values():
+            listed.clear()
+
+    @contextmanager
+    def publisher(self, message_type: type, topic: str = '/markers') -> Iterator[Any]:
+        """A publisher that the node has found, gone whatever happens meanwhile."""
+        made = self.node.create_publisher(message_type, topic, QoSProfile(depth=1000))
+        try:
+            self.until(made.get_subscription_count, f'the node on {topic}')
+            yield made
+        finally:
+            self.node.destroy_publisher(made)
+
+    def send(self, publisher: Any, sent: Any) -> None:
+        """Publish at the pace of a tracker."""
+        publisher.publish(sent)
+        self._next = max(self._next + PACE, time.monotonic())
+        while (left := self._next - time.monotonic()) > 0:
+            self._executor.spin_once(timeout_sec=left)
+
+    def good(
+        self, publisher: Any, count: int, kind: str = 'marker_array', step: int = STEP
+    ) -> None:
+        """Frames as they should be, until their results are there."""
+        for _ in range(count):
+            self.frame += step / STEP
+            self.stamp += step
+            self.send(publisher, message(self.stamp, rod(self.frame), kind))
+        self.until(lambda: self.newest() >= self.stamp - LAG - step, 'the results')
+
+    def newest(self) -> int:
+        """The last instant that all the results are there of that are checked."""
+        last = [self.decoded(f'/kinpole/rod/{topic}', 1) for topic in CHECKED]
+        return min(stamp_of(found[-1]) for found in last) if all(last) else 0
+
+    def check_right(self, since: int) -> None:
+        """All that holds for instants from `since` on is right, and there is enough of it."""
+        for topic, (read, expected, tolerance) in CHECKED.items():
+            found = [m for m in self.decoded(f'/kinpole/rod/{topic}') if stamp_of(m) >= since]
+            assert len(found) >= 5, topic
+            off = max(abs(read(m) - expected) for m in found)
+            assert off < tolerance, f'{topic} {off} off'
+
+    def check_finite(self) -> None:
+        for topic, message_type in self._types.items():
+            # A path holds again what the one before did.
+            for heard in self.decoded(topic, 2 if message_type in (Path, MarkerArray) else 0):
+                assert np.isfinite(list(numbers(heard))).all(), topic
+        for told in self.heard['/diagnostics']:
+            for pair in itertools.chain.from_iterable(s.values for s in told.status):
+                assert pair.value.strip('-') not in ('nan', 'inf'), pair.key
+
+    def named(self, level: bytes | None, words: str, counted: str | None, status: int = 0) -> bool:
+        """Whether diagnostics were heard of this level, with these words and a count."""
+        for told in (heard.status[status] for heard in self.heard['/diagnostics']):
+            if words in told.message and level in (None, told.level):
+                values = {pair.key: pair.value for pair in told.values}
+                return counted is None or int(values[counted]) > 0
+        return False
+
+    def fault(
+        self,
+        publisher: Any,
+        faulty: Callable[[int], Any],
+        level: bytes | None,
+        words: str,
+        counted: str | None,
+        kind: str = 'marker_array',
+        status: int = 0,
+    ) -> None:
+        """Good frames, then faulty ones until diagnostics name the fault, then good ones again."""
+        self.good(publisher, 40, kind)
+        frames = itertools.count(1)
+        act = lambda: self.send(publisher, faulty(next(frames)))  # noqa: E731
+        self.diagnosed(act, level, words, counted, status)
+        self.forget_heard()
+        self.stamp += 1_000_000_000_000
+        self.good(publisher, 100, kind)
+        # The first good frame begins a new window.
+        self.check_right(self.stamp - 100 * STEP + WINDOW - LAG)
+        self.check_finite()
+
+    def diagnosed(
+        self,
+        act: Callable[[], None],
+        level: bytes | None,
+        words: str,
+        counted: str | None,
+        status: int = 0,
+    ) -> None:
+        """Do something until diagnostics tell of it."""
+        self.heard['/diagnostics'].clear()
+
+        def act_and_look() -> bool:
+            if self.named(level, words, counted, status):
+                return True
+            act()
+            return False
+
+        self.until(act_and_look, f'diagnostics of level {level!r} that say: {words}')
+        self.check_finite()
+
+
+@pytest.fixture(scope='module')
+def running(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Rig]:
+    folder = tmp_path_factory.mktemp('faults')
+    config = write_config(folder / 'rod.yaml', SETTINGS, marker_identity='index', **RELIABLE)
+    made = Rig()
+    with process(*node_words(config), log=folder / 'stderr', limit=180) as node:
+        made.listen()
+        yield made
+        assert node.poll() is None
+    assert 'Traceback' not in (folder / 'stderr').read_text()
+    made.close()
+
+
+@pytest.fixture
+def rig(running: Rig) -> Rig:
+    running.forget_heard()
+    return running
+
+
+RESETS = 'starts anew after a jump of the stamps'
+REPEATED = 'frames with the stamp of the one before, left out'
+HOUR = 3600 * 10**9
+# Stamps of faulty frames after the last good one, by how many frames ago that was.
+WRONG_STAMPS: dict[str, tuple[Callable[[int], int], bytes, str, str | None]] = {
+    'clock jumps back': (lambda k: k * STEP - k // 40 * HOUR, WARN, 'stamps jumped', RESETS),
+    'clock jumps ahead': (lambda k: k * STEP + k // 40 * HOUR, WARN, 'stamps jumped', RESETS),
+    'a bag loops': (lambda k: k % 100 * STEP, WARN, 'stamps jumped', RESETS),
+    'a bag shorter than the window loops': (lambda k: k % 20 * STEP, WARN, 'stamps jumped', RESETS),
+    'all stamps run backwards': (lambda k: -k * STEP, WARN, 'stamps jumped', RESETS),
+    'frames overtake one another': (lambda k: (k ^ 1) * STEP, WARN, 'stamps jumped', RESETS),
+    'every stamp comes twice': (lambda k: k // 2 * STEP, WARN, 'stamps repeat', REPEATED),
+    'all stamps are the same': (lambda k: 0, ERROR, 'the stamps stand still at', REPEATED),
+    'time of receipt, in bunches': (
+        lambda k: k // 10 * 10 * STEP + k % 10 * 100_000,
+        WARN,
+        'the stamps come in bunches',
+        None,
+    ),
+    'ns taken for s': (lambda k: k * STEP * 10**9, ERROR, 'times as fast as the messages', None),
+    'ms taken for s': (lambda k: k * STEP * 1000, ERROR, 'times as fast as the messages', None),
+    'ms taken for ns': (lambda k: 5 * k, ERROR, 'times as fast as the messages', None),
+}
+
+
+@pytest.mark.parametrize('fault', WRONG_STAMPS)
+def test_wrong_stamps(rig: Rig, fault: str) -> None:
+    offset, *expected = WRONG_STAMPS[fault]
+
+    def faulty(k: int) -> Any:
+        # As far as the 32 bits of s go round.
+        return message((rig.stamp + offset(k)) % (2**31 * 10**9), rod(rig.frame + k))
+
+    with rig.publisher(MARKER_TYPES['marker_array']) as publisher:
+        rig.fault(publisher, faulty, *expected)
+
+
+def with_nothing_finite(k: int, points: np.ndarray) -> None:
+    points[:] = (np.nan, np.inf, -np.inf)[k % 3]
+
+
+def with_one_marker_gone(k: int, points: np.ndarray) -> None:
+    points[k % 4] = np.nan
+
+
+def with_absurd_numbers(k: int, points: np.ndarray) -> None:
+    points[k % 4] = (1e300, -1e300, 1.7e308)
+
+
+def with_a_marker_that_jumps(k: int, points: np.ndarray) -> None:
+    points[2, :2] += k // 3 % 2 * 0.7
+
+
+LEFT_OUT = 'markers left out, since they did not fit their body'
+
+
+@pytest.mark.parametrize(
+    'spoil, status, level, words, counted',
+    [
+        (with_nothing_finite, 1, WARN, 'too few markers seen', None),
+        (with_one_marker_gone, 0, OK, 'receiving markers', 'markers not seen, summed over frames'),
+        (with_absurd_numbers, 0, OK, 'receiving markers', 'markers not seen, summed over frames'),
+        (with_a_marker_that_jumps, 0, OK, 'receiving markers', LEFT_OUT),
+    ],
+)
+def test_wrong_coordinates(
+    rig: Rig,
+    spoil: Callable[[int, np.ndarray], None],
+    status: int,
+    level: bytes,
+    words: str,
+    counted: str | None,
+) -> None:
+    def faulty(k: int) -> Any:
+        points = rod(rig.frame + k)
+        spoil(k, points)
+        cloud = message(rig.stamp + k * STEP, np.zeros((4, 3)), 'point_cloud2')
+        cloud.data[:] = array('B', points.tobytes())
+        return cloud
+
+    with rig.publisher(MARKER_TYPES['point_cloud2']) as publisher:
+        rig.fault(publisher, faulty, level, words, counted, 'point_cloud2', status)
+
+
+def test_changes_of_rate(rig: Rig) -> None:
+    with rig.publisher(MARKER_TYPES['marker_array']) as publisher:
+        for rate in (200, 50, 500, 200):
+            rig.forget_heard()
+            start = rig.stamp
+            rig.good(publisher, round(0.8 * rate), step=10**9 // rate)
+            rig.check_right(start + WINDOW)
+    rig.check_finite()
+
+
+@pytest.mark.parametrize('kind', ['marker', 'pose_array', 'point_cloud2', 'marker_array'])
+def test_a_publisher_that_comes_back_with_other_markers_in_other_messages(
+    rig: Rig, kind: str
+) -> None:
+    """The rod's markers sit elsewhere on it, and one more is in the message."""
+    moved = 1.3 * ARMS * np.exp(0.4j)
+    extra = np.array([[3.0, 3.0, 0.0]])
+    with rig.publisher(MARKER_TYPES['marker_array']) as publisher:
+        rig.good(publisher, 60)
+    rig.forget_heard()
+    start = rig.stamp
+    with rig.publisher(MARKER_TYPES[kind]) as publisher:
+        for _ in range(100):
+            rig.frame += 1
+            rig.stamp += STEP
+            points = np.concatenate((rod(rig.frame, moved), extra))
+            rig.send(publisher, to_message(kind, rig.stamp, 'world', 'abcde', points))
+        rig.until(lambda: rig.newest() >= rig.stamp - LAG - STEP, 'the results')
+        rig.check_right(start + WINDOW)
+        rig.diagnosed(
+            lambda: None,
+            STALE,
+            'no markers received',
+            'markers in the last new layout that no body names',
+        )
+    rig.check_finite()
+
+
+def mutilated(good: bytes) -> Iterator[bytes]:
+    """What bad memory, bad drivers and bad will make of a message."""
+    generator = np.random.default_rng(11)
+    yield from (b'\x00', good[:4], good[:-1], good + good, bytes(len(good)))
+    while True:
+        data = bytearray(good)
+        place = int(generator.integers(4, len(data) - 4))
+        match generator.integers(5):
+            case 0:
+                yield generator.bytes(int(generator.integers(1, 400)))
+            case 1:
+                yield bytes(data[:place])
+            case 2:
+                data[place : place + 4] = b'\xff\xff\xff\x7f'
+                yield bytes(data)
+            case 3:
+                data[place] ^= 1 << int(generator.integers(8))
+                yield bytes(data)
+            case _:
+                # No text in UTF-8, and no end to it.
+                yield bytes(data).replace(b'world\0', b'\xff\xfe\xc0\x80\x01\x02')
+
+
+@pytest.mark.parametrize('kind', MARKER_TYPES)
+def test_mutilated_messages(rig: Rig, kind: str) -> None:
+    good = serialize_message(message(rig.stamp, rod(1), kind))
+    faulty = mutilated(good)
+    with rig.publisher(MARKER_TYPES[kind]) as publisher:
+        rig.fault(
+            publisher,
+            lambda _: next(faulty),
+            None,
+            'nothing is damaged',
+            'messages that could not be read',
+            kind,
+        )
