@@ -41,6 +41,8 @@ _FARTHEST = 1e15
 _UNSTEADY = 0.15
 # Weights this near to 1 are not worth fits of their own.
 _ALIKE = 0.97
+# Instants times signals that are differentiated at once: what a cache holds.
+_MOST_AT_ONCE = 512
 # Frames later than this many intervals of late come after a gap.
 _LATE = 2.5
 
@@ -88,6 +90,10 @@ class Tracker:
         self._stamps = Samples((), np.int64)
         self._positions = Samples((count,), complex)
         self._angles = Samples((count,), float)
+        # Whole turns, as what comes between -pi and pi goes on.
+        self._turns = Samples((count,), float)
+        self._last_angle = np.zeros(count)
+        self._last_turn = np.zeros(count)
         self._information = Samples((2 * count,), float)
         self._heights = Samples((count,), float)
         self._strayed = Samples((count,), bool)
@@ -227,6 +233,7 @@ class Tracker:
         self._stamps.extend(stamps)
         self._positions.extend(fit.position)
         self._angles.extend(fit.angle)
+        self._turns.extend(self._turned(fit.angle, known))
         self._information.extend(np.where(np.tile(known, 2), information, 0.0))
         self._heights.extend(height)
         self._strayed.extend(self._pins.strayed(fit.position, fit.angle, variance))
@@ -240,6 +247,18 @@ class Tracker:
             )
         )
         self._new += len(stamps)
+
+    def _turned(self, angle: np.ndarray, known: np.ndarray) -> np.ndarray:
+        """How often (T, B) the bodies have turned round when they are at `angle`, where `known`."""
+        if not known.all():
+            # Where nothing is known it is as it was.
+            rows = np.where(known, np.arange(1, len(angle) + 1)[:, None], 0)
+            before = np.concatenate((self._last_angle[None], np.where(known, angle, 0.0)))
+            angle = np.take_along_axis(before, np.maximum.accumulate(rows, axis=0), axis=0)
+        steps = np.diff(angle, axis=0, prepend=self._last_angle[None])
+        turns = self._last_turn - np.cumsum(np.rint(steps / (2 * np.pi)), axis=0)
+        self._last_angle, self._last_turn = angle[-1], turns[-1]
+        return np.asarray(turns)
 
     def _learn(self) -> None:
         """A beat: learn the bodies' shapes, noise and pins from the frames since the last one."""
@@ -268,6 +287,7 @@ class Tracker:
             self._stamps,
             self._positions,
             self._angles,
+            self._turns,
             self._information,
             self._heights,
             self._strayed,
@@ -417,7 +437,8 @@ class Tracker:
         count = len(self.bodies)
         angles = self._angles.view()
         signals = np.zeros((len(angles), 2 * count, 2))
-        signals[:, :count, 0] = _unwrapped(angles)
+        turns = self._turns.view()
+        signals[:, :count, 0] = angles + 2 * np.pi * (turns - turns[0])
         signals[:, count:] = to_plane(self._positions.view())
         found = self._differentiate(
             (now, oldest, newest),
@@ -516,6 +537,7 @@ class Tracker:
                     oldest[end:] - now[end:] == rows[0] - now[first]
                 )
                 end += int(same.argmin()) if not same.all() else len(same)
+                end = min(end, first + max(1, _MOST_AT_ONCE // len(noise)))
                 rows = rows[:, None] + (oldest[first:end] - oldest[first])
                 others = stamps[rows] - stamps[now[first:end]]
                 same = (others == times[:, None]).all(axis=0)
@@ -576,13 +598,3 @@ def _squared_arms(points: np.ndarray, here: np.ndarray) -> np.ndarray:
     number = np.maximum(here.sum(axis=-1), 1)
     mean = (points * here[..., None]).sum(axis=-2) / number[..., None]
     return np.asarray(((points - mean[..., None, :]) ** 2).sum(axis=-1))
-
-
-def _unwrapped(angles: np.ndarray) -> np.ndarray:
-    """Continuous angles (N, B); where one is NaN, whatever was before stands in."""
-    known = np.isfinite(angles)
-    if not known.all():
-        rows = np.where(known, np.arange(len(angles))[:, None], known.argmax(axis=0))
-        filled = np.take_along_axis(angles, np.maximum.accumulate(rows), axis=0)
-        angles = np.where(np.isfinite(filled), filled, 0.0)
-    return np.unwrap(angles, axis=0)

@@ -59,6 +59,8 @@ class Turns:
 
     def _before(self, angle: Real) -> tuple[Real, np.ndarray]:
         """The last angles (T, B) found before each frame, and how many frames ago that was."""
+        if len(angle) == 1:
+            return self._angle[None], self._ago[None]
         all_angles = np.concatenate((self._angle[None], angle[:-1]))
         number = np.arange(len(angle))[:, None]
         found = np.where(np.isfinite(all_angles), number, 0)
