@@ -29,7 +29,9 @@ setup(
             'ros-jazzy-common-interfaces',
             'ros-jazzy-rmw-fastrtps-cpp',
         ],
+        'batch': ['dask>=2023.5', 'distributed>=2023.5'],
         'bench': ['matplotlib>=3.7', 'pynumdiff>=0.3', 'scipy>=1.11'],
+        'parquet': ['pyarrow>=12'],
         'plot': ['matplotlib>=3.7'],
         'test': [
             'colcon-ros>=0.4',

@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 _EPILOG = """examples:
   kinpole simulate four_bar --output four_bar.mcap --noise 0.0002
   kinpole replay four_bar.mcap --output result.mcap
+  kinpole batch runs/*.mcap --config rig.yaml --output results
   kinpole plot result.mcap --output result.png
   kinpole solve four_bar --sweep --centers --plot four_bar.png
   kinpole import tracked.csv --rate 240 --scale 0.001 --y-down --output markers.mcap
@@ -60,7 +61,7 @@ def _is_for_the_user(error: Exception) -> bool:
     return isinstance(error, ours) or 'matplotlib' in str(error)
 
 
-def _line(error: Exception) -> str:
+def _line(error: object) -> str:
     return ' '.join(str(error).split())
 
 
@@ -97,8 +98,51 @@ def _parser() -> argparse.ArgumentParser:
     )
     replay.add_argument('--output', metavar='OUT.mcap', help='bag of results, under /kinpole/...')
     replay.add_argument('--csv', metavar='OUT.csv', help='the same as a table, with sigmas')
+    replay.add_argument(
+        '--parquet',
+        metavar='OUT.parquet',
+        help="the same table for pandas and the like (pip install 'kinpole_ros[parquet]')",
+    )
     replay.add_argument('--topic', metavar='T', help="topic of the markers (config's, /markers)")
     replay.set_defaults(run=_replay)
+
+    batch = commands.add_parser(
+        'batch',
+        help='many bags, on all cores or a Dask cluster, and a table over all',
+        description='Replays every bag by itself and writes summary.csv, a line a bag: frames, '
+        'time span, noise, resets, share of instants with each pole, and what went wrong. A bag '
+        'that fails is reported, and the rest go on. Run again, it does what is not done yet: '
+        'results appear under their names only when whole, and stay as long as bag and settings '
+        "are the same. Needs Dask: pip install 'kinpole_ros[batch]'.",
+        epilog='examples:\n'
+        '  kinpole batch runs/*.mcap --config rig.yaml --output results\n'
+        '  kinpole batch runs/*/ --config rig.yaml --output results --parquet --workers 4\n'
+        '  kinpole batch runs/*/ --config rig.yaml --output results --scheduler tcp://hub:8786\n'
+        '\n'
+        'A cluster is `dask scheduler` on one machine and `dask worker tcp://hub:8786 --nthreads 1`'
+        '\non each of the others. All of them have kinpole_ros installed, and see bags and output\n'
+        'under the same paths. Dask takes code from whoever reaches it: keep it inside your lab.\n'
+        'Exit status: 0 all bags done, 2 some failed or are cut off; see the column error.',
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    batch.add_argument('bags', metavar='BAG', nargs='+', help='.mcap files and rosbag2 folders')
+    batch.add_argument(
+        '--config', metavar='FILE', help='ROS 2 parameter file for all of them, as for replay'
+    )
+    batch.add_argument(
+        '--output', metavar='DIR', default='batch', help='folder for results and summary (batch)'
+    )
+    batch.add_argument('--topic', metavar='T', help="topic of the markers (config's, /markers)")
+    batch.add_argument(
+        '--mcap', action='store_true', help='a bag of results for each (if nothing else is asked)'
+    )
+    batch.add_argument('--csv', action='store_true', help='a CSV table for each')
+    batch.add_argument('--parquet', action='store_true', help='a Parquet table for each')
+    batch.add_argument(
+        '--scheduler', metavar='ADDRESS', help='of a Dask cluster; without it, this machine'
+    )
+    batch.add_argument('--workers', type=int, metavar='N', help='processes here (one a core)')
+    batch.set_defaults(run=_batch)
 
     simulate = commands.add_parser(
         'simulate',
@@ -254,10 +298,19 @@ def _replay(options: argparse.Namespace) -> int:
     from kinpole_ros.bags import replay
     from kinpole_ros.parameters import Settings, load_settings
 
-    _keep(options.config, options.output, options.csv)
+    outputs = (options.output, options.csv, options.parquet)
+    _keep(options.config, *outputs)
     settings = load_settings(options.config) if options.config else Settings()
     with _progress('replay') as progress:
-        result = replay(options.bag, settings, options.output, options.csv, options.topic, progress)
+        result = replay(
+            options.bag,
+            settings,
+            options.output,
+            options.csv,
+            options.topic,
+            progress,
+            options.parquet,
+        )
     print(f'{result.frames} frames in, {result.estimates} instants out')
     for what, count in (('stamps repeated', result.repeated), ('jumps', result.resets)):
         if count:
@@ -265,7 +318,7 @@ def _replay(options: argparse.Namespace) -> int:
     for body, shares in result.determined.items():
         told = ', '.join(f'{pole} {share:.1%}' for pole, share in shares.items())
         print(f'{body}: determined at {told} of them')
-    for target in (options.output, options.csv):
+    for target in outputs:
         if target:
             print(f'written to {target}')
     if result.unreadable:
@@ -277,6 +330,45 @@ def _replay(options: argparse.Namespace) -> int:
         print(f'kinpole replay: {_line(result.truncated)}', file=sys.stderr)
         return 2
     return 0
+
+
+def _batch(options: argparse.Namespace) -> int:
+    from kinpole_ros.bags import BagError
+    from kinpole_ros.batch import KINDS, batch
+    from kinpole_ros.parameters import Settings, load_settings
+
+    if options.workers is not None and options.workers < 1:
+        raise BagError(f'--workers is {options.workers}; it must be 1 or more')
+    if options.workers is not None and options.scheduler is not None:
+        raise BagError('--workers is for this machine alone; leave it out with --scheduler')
+    settings = load_settings(options.config) if options.config else Settings()
+    kinds = [kind for kind in KINDS if getattr(options, kind)] or ['mcap']
+
+    def report(row: dict[str, Any]) -> None:
+        for trouble in (row['error'], row.get('truncated')):
+            if trouble:
+                name = '' if row['bag'] in trouble else f'{row["bag"]}: '
+                clear = f'\r{"":70}\r' if sys.stderr.isatty() else ''
+                print(f'{clear}kinpole batch: {name}{_line(trouble)}', file=sys.stderr)
+
+    with _progress('batch') as progress:
+        rows = batch(
+            options.bags,
+            options.output,
+            settings,
+            options.topic,
+            kinds,
+            options.scheduler,
+            options.workers,
+            progress,
+            report,
+        )
+    failed = sum(bool(row['error']) for row in rows)
+    cut = sum(bool(row.get('truncated')) for row in rows)
+    frames = sum(row.get('frames', 0) for row in rows)
+    print(f'{len(rows)} bags, {failed} failed, {cut} cut off; {frames} frames in')
+    print(f'written to {options.output}, with a table over all in {options.output}/summary.csv')
+    return 2 if failed or cut else 0
 
 
 def _keep(given: str | None, *outputs: str | None) -> None:

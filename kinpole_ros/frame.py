@@ -1,4 +1,4 @@
-"""The one thing every input becomes: the markers of consecutive instants, as arrays without ROS."""
+"""The one thing every input becomes: the markers of some instants, as arrays without ROS."""
 
 from typing import NamedTuple
 
@@ -7,11 +7,11 @@ import numpy as np
 
 class MarkerFrames(NamedTuple):
     """
-    Consecutive frames of one layout of markers.
+    Markers seen at T instants, one frame after the other, all of one layout.
 
-    `stamps` is int64 of shape (T,), in ns; `points` is float64 of shape (T, n, 3), in m in the
-    frame `frame_id`; a row with a number that is not finite is a marker that was not seen, and NaN
-    as a whole. `identities` names the n markers.
+    `stamps` (T,) int64, ns, as they came. `points` (T, n, 3) float64, m, in the frame `frame_id`; a
+    row with a number that is not finite is a marker that was not seen. `identities` names the n
+    rows.
     """
 
     stamps: np.ndarray
@@ -20,10 +20,13 @@ class MarkerFrames(NamedTuple):
     points: np.ndarray
 
 
-class MarkerFrame(NamedTuple):
-    """One frame of MarkerFrames, for a tracker that takes them one by one."""
+def one_frame(
+    stamp: int, frame_id: str, identities: tuple[str, ...], points: np.ndarray
+) -> MarkerFrames:
+    """The frame of one instant, with points (n, 3)."""
+    return MarkerFrames(np.array([stamp], np.int64), frame_id, identities, points[None])
 
-    stamp: int
-    frame_id: str
-    identities: tuple[str, ...]
-    points: np.ndarray
+
+def part_of(frames: MarkerFrames, part: slice) -> MarkerFrames:
+    """Some of the frames."""
+    return frames._replace(stamps=frames.stamps[part], points=frames.points[part])

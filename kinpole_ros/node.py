@@ -7,7 +7,7 @@ and publishes the rows of the results table that have subscribers.
 
 import re
 import sys
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import partial
 from typing import Any
 
@@ -28,7 +28,6 @@ from rclpy.qos_overriding_options import QoSOverridingOptions
 from rclpy.utilities import remove_ros_args
 
 from kinpole_ros.estimate import Estimate
-from kinpole_ros.frame import MarkerFrame, MarkerFrames
 from kinpole_ros.messages import (
     MARKER_TYPES,
     ROS_TYPE_NAMES,
@@ -333,12 +332,11 @@ class KinpoleNode(LifecycleNode):
                 self._warn('message', str(frames))
                 continue
             self._stamps.extend(frames.stamps.tolist())
-            for estimate in _added(self._tracker, frames, order):
+            for estimate in self._tracker.add(frames, order):
                 self._latest = estimate
                 for output, publisher in wanted:
-                    result = output.build(estimate)
-                    if result is not None:
-                        publisher.publish(result)
+                    for _, data in output.build(estimate):
+                        publisher.publish(data)
 
     def _count_dropped(self, numbers: Iterable[int | None]) -> None:
         """Count what is missing between messages, where they have numbers and one source."""
@@ -374,13 +372,6 @@ class KinpoleNode(LifecycleNode):
         self._tracker.counts['failures'] += 1
         text = ' '.join(str(error).split())
         self._warn('failure', f'the node failed ({type(error).__name__}: {text}) and starts anew')
-
-
-def _added(tracker: Tracker, frames: MarkerFrames, order: int | None) -> Iterator[Estimate]:
-    """One by one, as the tracker takes them."""
-    for stamp, points in zip(frames.stamps.tolist(), frames.points, strict=True):
-        frame = MarkerFrame(stamp, frames.frame_id, frames.identities, points)
-        yield from tracker.add(frame, order)
 
 
 def _change_if_possible(change: Callable[..., Any], request: Any, response: Any) -> Any:

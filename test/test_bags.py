@@ -381,7 +381,7 @@ def test_metadata_cannot_name_files_outside_of_the_folder(tmp_path, name):
     ('metadata', 'complaint'),
     [
         ({'names': ['x.db3'], 'storage': 'sqlite3'}, 'is a bag in sqlite3'),
-        ({'names': ['x.mcap.zstd'], 'compression': 'zstd'}, r'compressed by rosbag2 \(zstd\)'),
+        ({'names': ['x.mcap.lz4'], 'compression': 'lz4'}, r'compressed by rosbag2 \(lz4\)'),
         ({'names': []}, 'names no files'),
         ({'names': ['gone.mcap']}, 'gone.mcap, named by metadata.yaml, is not there'),
         ({'names': [1]}, 'is not the metadata of a rosbag2 bag'),

@@ -240,6 +240,19 @@ def test_a_size_that_is_not_there_is_refused_before_memory_is_taken(kind, claim,
         assert 'fewer than the sizes in them claim' in str(error)
 
 
+@pytest.mark.parametrize('kind', KINDS)
+def test_a_stamp_that_ros_cannot_hold_is_refused_among_others(kind):
+    messages = serialized(kind, 9)
+    place = 8 if kind == 'marker_array' else 4
+    late = struct.pack('<iI', 2**31 - 1, 2**32 - 1)
+    messages[5] = messages[5][:place] + late + messages[5][place + 8 :]
+    for _ in range(2):
+        found = one_by_one(MarkerReader(kind).read(messages))
+        assert [k for k, one in enumerate(found) if isinstance(one, MessageError)] == [5]
+        assert 'more than a ROS time holds' in str(found[5])
+        assert_same(found[8], ordinary(kind, messages[8]))
+
+
 def test_a_big_endian_message_is_read():
     header = struct.pack('>iI', 3, 4) + struct.pack('>I4s', 4, b'lab\0')
     poses = np.arange(14.0)

@@ -1,12 +1,16 @@
 """The noise level where frames go wild, and where a tracker rounds."""
 
+from collections import deque
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from stretches import fit_frames
 
 from kinpole_ros.planar import fit_pose
 from kinpole_ros.window import Noise, Shapes
+from kinpole_ros.window._noise import mean_square
 
 SHAPE = np.array([14 + 2j, -3 + 10j, 6 - 15j, 13 + 1j, -20 - 10j, 5 + 5j, -10 + 12j, 20 - 3j])
 SHAPE = np.concatenate((SHAPE, [-17 + 4j, 2 - 20j])) / 100
@@ -34,8 +38,7 @@ def gone_wild(points: np.ndarray, share: float, jump: float, seed: int) -> np.nd
 def level(points: np.ndarray) -> tuple[float, Shapes]:
     """The noise level after all frames, over SIGMA, and the shape."""
     noise, shapes = Noise(1), Shapes(1, points.shape[1])
-    for row in points:
-        noise.add(shapes.fit(row[None])[0])
+    deque(fit_frames(points[:, None], shapes, noise), maxlen=0)
     return float(noise.level()[0]) / SIGMA, shapes
 
 
@@ -55,8 +58,10 @@ def test_wild_frames_are_told_apart_by_the_level_alone(count: int) -> None:
     """With fits to the true shape, none of them mended."""
     for seed in range(3):
         noise = Noise(1)
-        for row in gone_wild(markers(count, 600, seed), 0.25, 500, seed):
-            noise.add(fit_pose(row[None], SHAPE[None, :count], np.ones((1, count))))
+        wild = gone_wild(markers(count, 600, seed), 0.25, 500, seed)[:, None]
+        fit = fit_pose(wild, SHAPE[None, :count], np.ones(wild.shape))
+        left = mean_square(fit.residual, fit.freedom)[0]
+        noise.add(fit.residual, fit.freedom, left, np.ones(len(wild), bool))
         assert noise.level()[0] / SIGMA == pytest.approx(1, abs=0.2)
 
 

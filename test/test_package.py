@@ -21,12 +21,14 @@ from kinpole_ros.parameters import load_settings
 ROOT = Path(__file__).parents[1]
 PACKAGE_XML = ET.parse(ROOT / 'package.xml').getroot()
 # Imports that are no ROS packages, and what package.xml calls them; None: no rosdep key, or comes
-# with mcap, or needed for pictures only, as the README says.
+# with mcap, or an extra, as the README says.
 PYTHON_PACKAGES = {
+    'distributed': None,
     'lz4': None,
     'matplotlib': None,
     'mcap': None,
     'numpy': 'python3-numpy',
+    'pyarrow': None,
     'yaml': 'python3-yaml',
     'zstandard': None,
 }

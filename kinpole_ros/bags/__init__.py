@@ -6,6 +6,7 @@ from kinpole_ros.bags._reader import (
     BagMessage,
     Truncated,
     bag_files,
+    read_blocks,
     read_messages,
     topics,
 )
@@ -25,6 +26,7 @@ __all__ = [
     'definition',
     'import_csv',
     'message_class',
+    'read_blocks',
     'read_messages',
     'replay',
     'simulate',

@@ -1,10 +1,11 @@
-"""Results as a spreadsheet: one row an instant, empty cells for what is undetermined."""
+"""Results as tables, CSV or Parquet: one row an instant, nothing where it is undetermined."""
 
 import csv
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from itertools import combinations
 from pathlib import Path
 from types import TracebackType
+from typing import Any
 
 import numpy as np
 
@@ -12,30 +13,89 @@ from kinpole_ros.bags._reader import BagError
 from kinpole_ros.estimate import POLE_NAMES, RATE_NAMES, Estimate, Numbers, Vectors
 from kinpole_ros.parameters import Settings
 
+# Rows in a group of a Parquet file, which are held in memory.
+_GROUP = 8192
 
-class Table:
+
+def column_names(bodies: tuple[str, ...], order: int) -> list[str]:
     """
-    Writes estimates to a CSV file; use it in a `with` block. Raises BagError when it cannot.
+    Names of the figures of an instant, up to the derivative of `order`.
 
-    Columns: t in s; of every body x, y, angle, the rates and curvature each with the column
-    NAME_sigma behind it, and the poles and the ICR's velocity as NAME_x, NAME_y and their sigmas;
-    of every pair the relative rate and center. SI units, sigma is one standard deviation.
+    Of every body x, y, angle, the rates and curvature each with the column NAME_sigma behind it,
+    and the poles and the ICR's velocity as NAME_x, NAME_y and their sigmas; of every pair the
+    relative rate and center. SI units, sigma is one standard deviation.
+    """
+    numbers = [*RATE_NAMES[:order], *(['centrode_curvature'] if order >= 3 else [])]
+    vectors = [*POLE_NAMES[:order], *(['icr_velocity'] if order >= 2 else [])]
+    names = []
+    for body in bodies:
+        names += [f'{body}_{name}' for name in ('x', 'y', 'angle')]
+        names += _names(body, numbers, vectors)
+    for i, j in combinations(bodies, 2):
+        names += _names(f'{j}_wrt_{i}', ['angular_velocity'], ['icr'])
+    return names
+
+
+def figures(estimate: Estimate, order: int) -> np.ndarray:
+    """The figures named by `column_names` at T instants, (T, columns); NaN is undetermined."""
+    shape = (np.size(estimate.stamp), len(estimate.bodies))
+    known = np.reshape(np.asarray(estimate.missing), shape) == ''
+    place = estimate.position[0].reshape(shape)
+    pose = np.stack((place.real, place.imag, estimate.angle[0].reshape(shape)), axis=-1)
+    numbers = [estimate.rate(k) for k in range(1, order + 1)]
+    vectors = [estimate.pole(k) for k in range(1, order + 1)]
+    if order >= 3:
+        numbers.append(estimate.centrode_curvature)
+    if order >= 2:
+        vectors.append(estimate.icr_velocity)
+    of_bodies = [np.where(known[..., None], pose, np.nan)]
+    of_bodies += [_number(one, shape) for one in numbers]
+    of_bodies += [_vector(one, shape) for one in vectors]
+    pairs = (shape[0], shape[1] * (shape[1] - 1) // 2)
+    of_pairs = [_number(estimate.relative_rate, pairs), _vector(estimate.relative_icr, pairs)]
+    return np.concatenate(
+        [np.concatenate(part, axis=-1).reshape(shape[0], -1) for part in (of_bodies, of_pairs)],
+        axis=1,
+    )
+
+
+def _names(prefix: str, numbers: list[str], vectors: list[str]) -> Iterator[str]:
+    for name in numbers:
+        yield from (f'{prefix}_{name}', f'{prefix}_{name}_sigma')
+    for name in vectors:
+        yield from (f'{prefix}_{name}_{end}' for end in ('x', 'y', 'x_sigma', 'y_sigma'))
+
+
+def _number(numbers: Numbers, shape: tuple[int, int]) -> np.ndarray:
+    """Value and sigma, (..., 2)."""
+    with np.errstate(invalid='ignore'):
+        both = np.stack((numbers.value, np.sqrt(numbers.variance)), axis=-1)
+    return np.where(numbers.determined[..., None], both, np.nan).reshape(*shape, 2)
+
+
+def _vector(vectors: Vectors, shape: tuple[int, int]) -> np.ndarray:
+    """Both components and their sigmas, (..., 4)."""
+    value = np.stack((vectors.value.real, vectors.value.imag), axis=-1)
+    with np.errstate(invalid='ignore'):
+        sigmas = np.sqrt(np.diagonal(vectors.covariance, axis1=-2, axis2=-1))
+    both = np.concatenate((value, sigmas), axis=-1)
+    return np.where(vectors.determined[..., None], both, np.nan).reshape(*shape, 4)
+
+
+class _Table:
+    """
+    A file that estimates are written to; use it in a `with` block.
+
+    Raises BagError when it cannot be written.
     """
 
     def __init__(self, path: str | Path, settings: Settings) -> None:
         self._path = Path(path)
         self._order = settings.derivative_order or 4
-        self._pairs = [f'{j}_wrt_{i}' for i, j in combinations(settings.bodies, 2)]
-        self._bodies = tuple(settings.bodies)
-        try:
-            self._path.parent.mkdir(parents=True, exist_ok=True)
-            self._file = open(self._path, 'w', newline='', encoding='utf-8')  # noqa: SIM115
-        except OSError as error:
-            raise self._failed(error) from None
-        self._rows = csv.writer(self._file)
-        self._write(['t', *self._header()])
+        self._names = column_names(tuple(settings.bodies), self._order)
+        self._guard(self._open)
 
-    def __enter__(self) -> 'Table':
+    def __enter__(self) -> '_Table':
         return self
 
     def __exit__(
@@ -45,87 +105,97 @@ class Table:
         traceback: TracebackType | None,
     ) -> None:
         try:
-            self._file.close()
-        except OSError as failed:
-            if kind is None:
-                raise self._failed(failed) from None
+            self._guard(self._close)
+        except BagError:
+            if kind is None:  # what went wrong first is what the user should see
+                raise
 
     def add(self, estimate: Estimate) -> None:
-        """Write the row of one instant."""
-        seconds, rest = divmod(estimate.stamp, 1_000_000_000)
-        cells = [f'{seconds}.{rest:09d}']
-        for b in range(len(self._bodies)):
-            cells += _pose(estimate, b)
-            for numbers in self._numbers(estimate):
-                cells += _number(numbers, b)
-            for vectors in self._vectors(estimate):
-                cells += _vector(vectors, b)
-        for k in range(len(self._pairs)):
-            cells += _number(estimate.relative_rate, k)
-            cells += _vector(estimate.relative_icr, k)
-        self._write(cells)
+        """Write the rows of its instants."""
+        rows = figures(estimate, self._order)
+        self._guard(lambda: self._write(np.atleast_1d(estimate.stamp), rows))
 
-    def _numbers(self, estimate: Estimate) -> Iterator[Numbers]:
-        for order in range(1, self._order + 1):
-            yield estimate.rate(order)
-        if self._order >= 3:
-            yield estimate.centrode_curvature
+    def _open(self) -> None:
+        raise NotImplementedError
 
-    def _vectors(self, estimate: Estimate) -> Iterator[Vectors]:
-        for order in range(1, self._order + 1):
-            yield estimate.pole(order)
-        if self._order >= 2:
-            yield estimate.icr_velocity
+    def _write(self, stamps: np.ndarray, rows: np.ndarray) -> None:
+        raise NotImplementedError
 
-    def _header(self) -> Iterator[str]:
-        numbers = [*RATE_NAMES[: self._order]]
-        if self._order >= 3:
-            numbers.append('centrode_curvature')
-        vectors = [*POLE_NAMES[: self._order]]
-        if self._order >= 2:
-            vectors.append('icr_velocity')
-        for body in self._bodies:
-            yield from (f'{body}_{name}' for name in ('x', 'y', 'angle'))
-            yield from _columns(body, numbers, vectors)
-        for pair in self._pairs:
-            yield from _columns(pair, ['angular_velocity'], ['icr'])
+    def _close(self) -> None:
+        raise NotImplementedError
 
-    def _write(self, cells: list[str]) -> None:
+    def _guard(self, do: Callable[[], None]) -> None:
         try:
-            self._rows.writerow(cells)
+            do()
         except OSError as error:
-            raise self._failed(error) from None
+            raise BagError(
+                f'{self._path} cannot be written: {error.strerror or error}; '
+                'check the path, its rights and the space on the disk'
+            ) from None
 
-    def _failed(self, error: OSError) -> BagError:
-        return BagError(
-            f'{self._path} cannot be written: {error.strerror}; '
-            'check the path, its rights and the space on the disk'
+
+class CsvTable(_Table):
+    """A spreadsheet: t in s with all its digits, then the figures; empty is undetermined."""
+
+    def _open(self) -> None:
+        self._path.parent.mkdir(parents=True, exist_ok=True)
+        self._file = open(self._path, 'w', newline='', encoding='utf-8')  # noqa: SIM115
+        self._rows = csv.writer(self._file)
+        self._rows.writerow(['t', *self._names])
+
+    def _write(self, stamps: np.ndarray, rows: np.ndarray) -> None:
+        cells = rows.astype(object)
+        cells[np.isnan(rows)] = None
+        times = [f'{stamp // 10**9}.{stamp % 10**9:09d}' for stamp in stamps.tolist()]
+        self._rows.writerows([time, *row] for time, row in zip(times, cells.tolist(), strict=True))
+
+    def _close(self) -> None:
+        self._file.close()
+
+
+class ParquetTable(_Table):
+    """
+    A Parquet file for pandas, Polars, DuckDB and the like, written in groups of rows.
+
+    Columns: stamp, ns, exact; t, s; then the figures; null is undetermined. Needs pyarrow.
+    """
+
+    def _open(self) -> None:
+        try:
+            import pyarrow
+            from pyarrow import parquet
+        except ImportError:
+            raise BagError(
+                f"{self._path} needs pyarrow; mend: pip install 'kinpole_ros[parquet]', "
+                'or write a CSV table'
+            ) from None
+        self._arrow: Any = pyarrow
+        double = pyarrow.float64()
+        self._schema = pyarrow.schema(
+            [('stamp', pyarrow.int64()), *((name, double) for name in ('t', *self._names))]
         )
+        self._waiting: list[tuple[np.ndarray, np.ndarray]] = []
+        self._path.parent.mkdir(parents=True, exist_ok=True)
+        self._file = open(self._path, 'wb')  # noqa: SIM115
+        self._writer = parquet.ParquetWriter(self._file, self._schema, compression='zstd')
 
+    def _write(self, stamps: np.ndarray, rows: np.ndarray) -> None:
+        self._waiting.append((stamps, rows))
+        if sum(len(stamps) for stamps, _ in self._waiting) >= _GROUP:
+            self._write_group()
 
-def _columns(prefix: str, numbers: list[str], vectors: list[str]) -> Iterator[str]:
-    for name in numbers:
-        yield from (f'{prefix}_{name}', f'{prefix}_{name}_sigma')
-    for name in vectors:
-        yield from (f'{prefix}_{name}_{end}' for end in ('x', 'y', 'x_sigma', 'y_sigma'))
+    def _write_group(self) -> None:
+        if not self._waiting:
+            return
+        stamps, rows = (np.concatenate(part) for part in zip(*self._waiting, strict=True))
+        self._waiting = []
+        columns = [stamps, stamps * 1e-9, *rows.T]
+        arrays = [self._arrow.array(column, from_pandas=True) for column in columns]
+        self._writer.write_table(self._arrow.table(arrays, schema=self._schema))
 
-
-def _pose(estimate: Estimate, b: int) -> list[str]:
-    if estimate.missing[b]:
-        return ['', '', '']
-    place = estimate.position[0, b]
-    return [repr(float(v)) for v in (place.real, place.imag, estimate.angle[0, b])]
-
-
-def _number(numbers: Numbers, k: int) -> list[str]:
-    if not numbers.determined[k]:
-        return ['', '']
-    return [repr(float(numbers.value[k])), repr(float(np.sqrt(numbers.variance[k])))]
-
-
-def _vector(vectors: Vectors, k: int) -> list[str]:
-    if not vectors.determined[k]:
-        return ['', '', '', '']
-    value = vectors.value[k]
-    sigmas = np.sqrt(np.diagonal(vectors.covariance[k]))
-    return [repr(float(v)) for v in (value.real, value.imag, *sigmas)]
+    def _close(self) -> None:
+        try:
+            self._write_group()
+            self._writer.close()
+        finally:
+            self._file.close()

@@ -54,9 +54,10 @@ class DiagnosticsMaker:
         """
         Diagnostics stamped `stamp` (ns), of the `seconds` since the last ones.
 
-        `latest` is the newest estimate, if any; `trouble` names what else is wrong, by topic;
-        `stamps` are those of the frames since.
+        `latest` holds the newest estimates, if any, of which the last counts; `trouble` names what
+        else is wrong, by topic; `stamps` are those of the frames since.
         """
+        now = None if latest is None else latest[-1]
         counts = tracker.counts
         since = {key: counts[key] - self._before[key] for key in counts}
         self._before = counts.copy()
@@ -67,28 +68,28 @@ class DiagnosticsMaker:
         array.status = [self._input(tracker, since, seconds, faults)]
         noise = tracker.noise()
         for b, body in enumerate(tracker.bodies):
-            array.status.append(self._body(b, body, latest, noise, bool(since.get('frames'))))
-        if latest is not None and (len(tracker.bodies) > 1 or self._theory is not None):
-            array.status.append(self._linkage(latest))
+            array.status.append(self._body(b, body, now, noise, bool(since.get('frames'))))
+        if now is not None and (len(tracker.bodies) > 1 or self._theory is not None):
+            array.status.append(self._linkage(now))
         return array
 
-    def _linkage(self, latest: Estimate) -> DiagnosticStatus:
+    def _linkage(self, now: Estimate) -> DiagnosticStatus:
         """What the bodies say of each other: Kennedy's theorem, and the scene if one is given."""
         values: dict[str, object] = {}
-        for k, (j, i) in enumerate(zip(*latest.pairs, strict=True)):
-            distance, deviations = (part[k] for part in latest.kennedy)
+        for k, (j, i) in enumerate(zip(*now.pairs, strict=True)):
+            distance, deviations = (part[k] for part in now.kennedy)
             if np.isfinite(distance):
-                pair = f'{latest.bodies[j]} wrt {latest.bodies[i]}'
+                pair = f'{now.bodies[j]} wrt {now.bodies[i]}'
                 values[f'{pair}: center off the line of the pins (m)'] = float(distance)
                 values[f'{pair}: the same in deviations'] = float(deviations)
         if self._theory is None:
             return _status(f'{self._name}: linkage', DiagnosticStatus.OK, 'no scene given', values)
         message = f'beside the scene {self._theory.scene.name}'
-        found = rate_differences(self._theory, latest)
+        found = rate_differences(self._theory, now)
         for body, off in found.items():
             values[f'{body}: angular velocity less theory (rad/s)'] = off.value
             values[f'{body}: deviation of that (rad/s)'] = off.deviation
-        for joint, off in joint_offsets(self._theory, latest).items():
+        for joint, off in joint_offsets(self._theory, now).items():
             values[f'{joint}: relative center off the pin (m)'] = off.value
             values[f'{joint}: deviation of that (m)'] = off.deviation
         if not found:
@@ -116,7 +117,7 @@ class DiagnosticsMaker:
         return _status(f'{self._name}: markers', level, message, values)
 
     def _body(
-        self, b: int, body: str, latest: Estimate | None, noise: np.ndarray, receiving: bool
+        self, b: int, body: str, now: Estimate | None, noise: np.ndarray, receiving: bool
     ) -> DiagnosticStatus:
         name = f'{self._name}: {body}'
         values: dict[str, object] = {}
@@ -124,20 +125,20 @@ class DiagnosticsMaker:
             values['noise of a marker per axis (m)'] = float(noise[b])
         if not receiving:
             return _status(name, DiagnosticStatus.STALE, 'no markers received', values)
-        if latest is None:
+        if now is None:
             reason = 'nothing known: too few frames yet, or nobody subscribes to a result'
             return _status(name, DiagnosticStatus.STALE, reason, values)
-        values['size (m)'] = float(latest.size[b])
-        if np.isfinite(latest.span[b]):
-            values['time used for the angular velocity (s)'] = float(latest.span[b])
-            values['degree used for the angular velocity'] = float(latest.degree[b])
-        reasons = latest.reasons(b)
+        values['size (m)'] = float(now.size[b])
+        if np.isfinite(now.span[b]):
+            values['time used for the angular velocity (s)'] = float(now.span[b])
+            values['degree used for the angular velocity'] = float(now.degree[b])
+        reasons = now.reasons(b)
         if 'all' in reasons:
             return _status(name, DiagnosticStatus.WARN, reasons['all'], values)
-        motion = latest.motion(b)
+        motion = now.motion(b)
         values['motion'] = motion
         if motion == 'pinned':
-            values['pin (m)'] = f'{latest.pin[b].real:.6g}, {latest.pin[b].imag:.6g}'
+            values['pin (m)'] = f'{now.pin[b].real:.6g}, {now.pin[b].imag:.6g}'
         for quantity, reason in reasons.items():
             values[f'{quantity} undetermined'] = reason
         message = 'tracking'

@@ -30,6 +30,8 @@ ROS_TYPE_NAMES: dict[str, str] = {
     'pose_array': 'geometry_msgs/msg/PoseArray',
     'point_cloud2': 'sensor_msgs/msg/PointCloud2',
 }
+# Where stamps end, in ns.
+END_OF_TIME = 2**31 * 1_000_000_000
 _IDENTITIES = ('auto', 'index', 'id', 'ns', 'ns_id')
 _xyz = attrgetter('x', 'y', 'z')
 
@@ -73,8 +75,14 @@ def read_markers(message: Any, identity: str = 'auto') -> MarkerFrames:
             f'header.stamp is {header.stamp.sec} s; see that the driver sets it to the time of '
             'capture, counted from 1970 or from its start'
         )
+    stamp = stamp_to_ns(header.stamp)
+    if stamp >= END_OF_TIME:
+        raise MessageError(
+            f'header.stamp has {header.stamp.nanosec} ns after {header.stamp.sec} s, more than a '
+            'ROS time holds; see that the driver sets nanosec to less than 1e9'
+        )
     blank_unseen(points)
-    stamps = np.array([stamp_to_ns(header.stamp)])
+    stamps = np.array([stamp])
     return MarkerFrames(stamps, header.frame_id, identities, points[None])
 
 
@@ -121,7 +129,7 @@ def stamp_to_ns(stamp: Time) -> int:
 def ns_to_stamp(ns: int) -> Time:
     """Make a builtin_interfaces Time of ns; ValueError outside what it holds (years 1970-2038)."""
     sec, nanosec = divmod(int(ns), 1_000_000_000)
-    if not 0 <= sec < 2**31:
+    if not 0 <= ns < END_OF_TIME:
         raise ValueError(f'stamp {ns} ns is out of range: a ROS time holds 0 to 2^31 s')
     return Time(sec=sec, nanosec=nanosec)
 

@@ -15,9 +15,10 @@ import numpy as np
 from rclpy.serialization import deserialize_message
 from visualization_msgs.msg import Marker
 
-from kinpole_ros.frame import MarkerFrames
+from kinpole_ros.frame import MarkerFrames, part_of
 from kinpole_ros.messages._cloud import MessageError, cloud_places, id_column
 from kinpole_ros.messages._markers import (
+    END_OF_TIME,
     MARKER_TYPES,
     ROS_TYPE_NAMES,
     blank_unseen,
@@ -77,7 +78,16 @@ class MarkerReader:
                 k += 1
             else:
                 end = layout.end_of_run(rows, k)
-                found.append(layout.read(rows[k:end]))
+                frames = layout.read(rows[k:end])
+                stamps = frames.stamps
+                if (stamps[0] if len(stamps) == 1 else stamps.max()) >= END_OF_TIME:
+                    good = int((stamps >= END_OF_TIME).argmax())
+                    if good:
+                        found.append(part_of(frames, slice(good)))
+                    found.append(self._read_ordinarily(messages[k + good])[0])
+                    end = k + good + 1
+                else:
+                    found.append(frames)
                 k = end
 
     def _fitting(self, row: np.ndarray, size: int) -> '_Layout | None':
@@ -90,12 +100,9 @@ class MarkerReader:
 
     def _read_anew(self, data: bytes, row: np.ndarray) -> MarkerFrames | MessageError:
         """Read a message the ordinary way, and remember its layout if that reads it as well."""
-        try:
-            walk = Walk(self._kind, data)
-            message = _deserialized(self._kind, data)
-            frames = read_markers(message, self._identity)
-        except MessageError as error:
-            return error
+        frames, walk, message = self._read_ordinarily(data)
+        if isinstance(frames, MessageError):
+            return frames
         layout = _layout(self._kind, self._identity, walk, message, frames, row)
         if layout is not None and layout.fits(row) and _equal(layout.read(row), frames):
             self._layouts.insert(0, layout)
@@ -104,6 +111,15 @@ class MarkerReader:
             ):
                 self._layouts.pop()
         return frames
+
+    def _read_ordinarily(self, data: bytes) -> tuple[MarkerFrames | MessageError, Any, Any]:
+        """What rclpy and read_markers make of a message, with its places and the message."""
+        try:
+            walk = Walk(self._kind, data)
+            message = _deserialized(self._kind, data)
+            return read_markers(message, self._identity), walk, message
+        except MessageError as error:
+            return error, None, None
 
 
 class _Layout(NamedTuple):

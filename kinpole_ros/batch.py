@@ -1,0 +1,267 @@
+"""
+Many bags replayed, on the cores of this machine or on a Dask cluster, and a table over all.
+
+Dask does the work of spreading; here is what makes a run of days bearable: each result appears
+under its name only when it is whole, with a small file beside it that tells what it was made of,
+so that a run that was stopped goes on where it was, and a bag that fails costs only itself.
+"""
+
+import csv
+import hashlib
+import json
+import logging
+import os
+import signal
+import threading
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from kinpole_ros import __version__
+from kinpole_ros.bags import BagError, bag_files, replay
+from kinpole_ros.mechanism import LinkageError, SceneError
+from kinpole_ros.parameters import ParameterError, Settings
+
+KINDS = ('mcap', 'csv', 'parquet')
+_PATIENCE = 30  # s, for a scheduler and its first worker
+_FIRST = ('bag', 'error', 'truncated', 'results', 'frames', 'estimates', 'start', 'end', 'seconds')
+_EXPECTED = (BagError, LinkageError, ParameterError, SceneError, OSError)
+
+# What the summary says of one bag: text and numbers by the name of their column.
+Row = dict[str, Any]
+
+
+def batch(
+    bags: Sequence[str | Path],
+    output: str | Path,
+    settings: Settings,
+    topic: str | None = None,
+    kinds: Sequence[str] = ('mcap',),
+    scheduler: str | None = None,
+    workers: int | None = None,
+    progress: Callable[[float], None] | None = None,
+    report: Callable[[Row], None] | None = None,
+) -> list[Row]:
+    """
+    Replay every bag into the folder `output` and write summary.csv there; returns its rows.
+
+    `kinds` are what is written of each bag: 'mcap', 'csv', 'parquet', as replay does. Results are
+    called after the bag and a number made of its whole path, so bags of one name do not meet.
+    `scheduler` is the address of a Dask scheduler whose workers have this package and see the
+    same files; without it, `workers` processes here (as many as cores). Bags that are finished
+    with the same settings are not done again.
+
+    A row has the bag and its results, frames, estimates, the span of time, noise, resets, what
+    was unreadable, the share of instants with each pole, where the bag was cut off ('truncated'),
+    and why it failed ('error'). A failed bag does not stop the rest; `report` is called with each
+    row as it comes, `progress` with the share of bags done. Rows are in the order of `bags`.
+    Raises BagError when there is no Dask, no scheduler, or no place to write. An interruption
+    leaves what is finished, and a summary of it.
+    """
+    folder = Path(os.path.abspath(output))
+    paths = {os.path.abspath(bag): None for bag in bags}
+    kinds = [kind for kind in KINDS if kind in kinds]
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise _unwritable(folder, error) from None
+    rows: dict[str, Row] = {}
+    try:
+        for row in _rows(list(paths), folder, settings, topic, kinds, scheduler, workers):
+            rows[row['bag']] = row
+            if report is not None:
+                report(row)
+            if progress is not None:
+                progress(len(rows) / len(paths))
+    finally:
+        # What was finished while we were being stopped counts too.
+        told = [rows.get(path) or _finished(path, folder, settings, topic, kinds) for path in paths]
+        listed = [row for row in told if row is not None]
+        _write_summary(folder / 'summary.csv', listed)
+    return listed
+
+
+def _rows(
+    bags: list[str],
+    folder: Path,
+    settings: Settings,
+    topic: str | None,
+    kinds: list[str],
+    scheduler: str | None,
+    workers: int | None,
+) -> Iterator[Row]:
+    """The row of each bag as it comes: first those that are there, then those made now."""
+    left = []
+    for bag in bags:
+        row = _finished(bag, folder, settings, topic, kinds)
+        if row is None:
+            left.append(bag)
+        else:
+            yield row
+    if not left:
+        return
+    with _cluster(scheduler, min(workers or os.cpu_count() or 1, len(left))) as client:
+        from distributed import as_completed
+
+        jobs = {
+            client.submit(_replay_one, bag, folder, settings, topic, kinds, pure=False): bag
+            for bag in left
+        }
+        for job in as_completed(jobs):
+            error = job.exception()
+            if error is None:
+                yield job.result()
+            else:  # a worker that died, or one without this package; or a fault of ours
+                text = ' '.join(f'{type(error).__name__}: {error}'.split())
+                yield {'bag': jobs[job], 'error': text}
+
+
+@contextmanager
+def _cluster(scheduler: str | None, workers: int) -> Iterator[Any]:
+    """A client of the cluster at that address, or of processes of our own."""
+    try:
+        from distributed import Client, LocalCluster
+    except ImportError:
+        raise BagError("kinpole batch needs Dask; mend: pip install 'kinpole_ros[batch]'") from None
+    logging.getLogger('distributed').setLevel(logging.CRITICAL)
+    if scheduler is None:
+        with _interrupts_ignored():
+            cluster = LocalCluster(
+                n_workers=workers,
+                threads_per_worker=1,
+                dashboard_address=None,
+                silence_logs=logging.CRITICAL,
+            )
+        with cluster, Client(cluster) as client:
+            yield client
+        return
+    try:
+        client = Client(scheduler, timeout=_PATIENCE)
+    except (OSError, ValueError) as error:
+        raise BagError(
+            f'no Dask scheduler answers at {scheduler} ({error}); mend: give the address that '
+            '`dask scheduler` prints, such as tcp://10.0.0.5:8786'
+        ) from None
+    with client:
+        try:
+            client.wait_for_workers(1, timeout=_PATIENCE)
+        except TimeoutError:
+            raise BagError(
+                f'the Dask scheduler at {scheduler} has no workers; mend: start some, with '
+                f'`dask worker {scheduler}`'
+            ) from None
+        yield client
+
+
+@contextmanager
+def _interrupts_ignored() -> Iterator[None]:
+    """Workers started meanwhile leave Ctrl-C to us; a terminal sends it to all of them."""
+    here = threading.current_thread() is threading.main_thread()
+    before = signal.signal(signal.SIGINT, signal.SIG_IGN) if here else None
+    try:
+        yield
+    finally:
+        if here:
+            signal.signal(signal.SIGINT, before)
+
+
+def _replay_one(
+    bag: str, folder: Path, settings: Settings, topic: str | None, kinds: list[str]
+) -> Row:
+    """Replay one bag, in whatever process this is; what is wrong with it is in the row."""
+    name = _name(bag)
+    parts = {kind: folder / f'{name}.{kind}.part' for kind in kinds}
+    try:
+        made_of = _made_of(bag, settings, topic)
+        result = replay(
+            bag,
+            settings,
+            output=parts.get('mcap'),
+            csv=parts.get('csv'),
+            topic=topic,
+            parquet=parts.get('parquet'),
+        )
+        row: Row = {
+            'bag': bag,
+            'error': '',
+            'truncated': str(result.truncated or ''),
+            'results': ' '.join(f'{name}.{kind}' for kind in kinds),
+            'frames': result.frames,
+            'estimates': result.estimates,
+            'start': result.first / 1e9,
+            'end': result.last / 1e9,
+            'seconds': (result.last - result.first) / 1e9,
+            'repeated': result.repeated,
+            'resets': result.resets,
+            'unreadable': result.unreadable,
+            'problem': result.problem,
+        }
+        for body, poles in result.determined.items():
+            row[f'{body}_noise'] = result.noise[body] if result.noise[body] >= 0 else None
+            row |= {f'{body}_{pole}_determined': share for pole, share in poles.items()}
+        for kind, part in parts.items():
+            part.replace(folder / f'{name}.{kind}')
+        _write_whole(folder / f'{name}.json', json.dumps({'made_of': made_of, 'row': row}))
+    except _EXPECTED as error:
+        for part in parts.values():
+            part.unlink(missing_ok=True)
+        return {'bag': bag, 'error': ' '.join(str(error).split())}
+    return row
+
+
+def _finished(
+    bag: str, folder: Path, settings: Settings, topic: str | None, kinds: list[str]
+) -> Row | None:
+    """The row of a bag whose results are there, made of the same bag with the same settings."""
+    name = _name(bag)
+    try:
+        told = json.loads((folder / f'{name}.json').read_text('utf-8'))
+        there = all((folder / f'{name}.{kind}').is_file() for kind in kinds)
+        row = told['row'] if there and told['made_of'] == _made_of(bag, settings, topic) else None
+    except (*_EXPECTED, ValueError, LookupError, TypeError):
+        return None
+    return row if isinstance(row, dict) and row.get('bag') == bag else None
+
+
+def _name(bag: str) -> str:
+    """What the results of a bag are called: its own name, and a number that only its path has."""
+    short = Path(bag).name.removesuffix('.zstd').removesuffix('.mcap')
+    return f'{short}-{hashlib.sha256(bag.encode()).hexdigest()[:10]}'
+
+
+def _made_of(bag: str, settings: Settings, topic: str | None) -> list[Any]:
+    """All that the results depend on, such that equal is unchanged."""
+    files = [(file.name, file.stat().st_size, file.stat().st_mtime_ns) for file in bag_files(bag)]
+    scene = Path(settings.scene)
+    told = repr((__version__, topic, settings, files)).encode()
+    if settings.scene and scene.is_file():
+        told += scene.read_bytes()
+    return [__version__, hashlib.sha256(told).hexdigest()]
+
+
+def _write_summary(path: Path, rows: list[Row]) -> None:
+    """One line a bag; a column for all that any of them has."""
+    columns = dict.fromkeys(_FIRST) | dict.fromkeys(name for row in rows for name in row)
+    part = path.with_name(f'{path.name}.part')
+    try:
+        with open(part, 'w', newline='', encoding='utf-8') as file:
+            table = csv.DictWriter(file, list(columns))
+            table.writeheader()
+            table.writerows(rows)
+        part.replace(path)
+    except OSError as error:
+        raise _unwritable(path, error) from None
+
+
+def _write_whole(path: Path, text: str) -> None:
+    part = path.with_name(f'{path.name}.part')
+    part.write_text(text, 'utf-8')
+    part.replace(path)
+
+
+def _unwritable(path: Path, error: OSError) -> BagError:
+    return BagError(
+        f'{path} cannot be written: {error.strerror}; '
+        'mend: check the path, its rights and the space on the disk'
+    )

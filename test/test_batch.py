@@ -1,0 +1,255 @@
+"""Many bags: each gets its result, one that fails costs only itself, and a stopped run goes on."""
+
+import csv
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+from conftest import bodies_of, decoded, write_config
+
+import kinpole_ros.batch as module
+from kinpole_ros.bags import BagError
+from kinpole_ros.bags import replay as replay_one
+from kinpole_ros.batch import _finished, _replay_one, batch
+from kinpole_ros.cli import main
+from kinpole_ros.parameters import Settings
+
+pytest.importorskip('distributed')
+
+Simulated = Callable[..., Path]
+SETTINGS = Settings(window=0.2, lag=0.05, derivative_order=2)
+ROOT = Path(__file__).parents[1]
+
+
+@contextmanager
+def process(*words: str) -> Iterator['subprocess.Popen[str]']:
+    """A Python program in a session of its own, ended with all it started."""
+    started = subprocess.Popen(
+        [sys.executable, *words],
+        cwd=ROOT,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+    )
+    try:
+        yield started
+    finally:
+        if started.poll() is None:
+            os.killpg(started.pid, signal.SIGKILL)
+        started.communicate()
+
+
+def until(condition: Callable[[], bool], seconds: float = 90.0) -> None:
+    deadline = time.monotonic() + seconds
+    while not condition():
+        assert time.monotonic() < deadline
+        time.sleep(0.01)
+
+
+def run(*words: object, seconds: float = 120) -> tuple[int, str, str]:
+    """Exit status and output of kinpole batch in a process of its own."""
+    with process('-m', 'kinpole_ros.cli', 'batch', *map(str, words)) as started:
+        out, complaints = started.communicate(timeout=seconds)
+        return started.returncode, out, complaints
+
+
+def summary(folder: Path) -> list[dict[str, str]]:
+    with open(folder / 'summary.csv', newline='', encoding='utf-8') as file:
+        return list(csv.DictReader(file))
+
+
+def files(folder: Path) -> dict[str, int]:
+    """When each file but the summary was written."""
+    return {p.name: p.stat().st_mtime_ns for p in folder.iterdir() if p.name != 'summary.csv'}
+
+
+def link(bag: Path, *places: Path) -> list[Path]:
+    for place in places:
+        place.parent.mkdir(parents=True, exist_ok=True)
+        os.link(bag, place)
+    return list(places)
+
+
+def test_each_bag_has_its_result_and_a_failed_one_costs_only_itself(
+    simulated: Simulated, tmp_path: Path
+) -> None:
+    bag = simulated('cardan', rate=100, duration=0.6)
+    good = link(bag, tmp_path / 'monday' / 'run.mcap', tmp_path / 'tuesday' / 'run.mcap')
+    broken, cut = tmp_path / 'broken.mcap', tmp_path / 'cut.mcap'
+    broken.write_text('no bag')
+    cut.write_bytes(bag.read_bytes()[:-3000])
+    config = write_config(tmp_path / 'rig.yaml', SETTINGS, derivative_order=2)
+    out = tmp_path / 'out'
+    words = [broken, *good, cut, good[0], '--config', config, '--output', out, '--csv', '--mcap']
+    status, said, complaints = run(*words, '--workers', 2)
+    assert status == 2
+    assert said.startswith('4 bags, 1 failed, 1 cut off; ')
+    assert f'kinpole batch: {broken} is not an MCAP file' in complaints
+    assert f'kinpole batch: {cut} is cut off at byte' in complaints
+    assert len(complaints.splitlines()) == 2
+
+    rows = summary(out)
+    assert [row['bag'] for row in rows] == [str(path) for path in (broken, *good, cut)]
+    assert [bool(row['error']) for row in rows] == [True, False, False, False]
+    assert [bool(row['truncated']) for row in rows] == [False, False, False, True]
+    replay_one(bag, SETTINGS, tmp_path / 'one.mcap', tmp_path / 'one.csv')
+    expected = decoded(tmp_path / 'one.mcap')
+    assert len({row['results'] for row in rows}) == 4
+    for row in rows[1:3]:
+        result, table = row['results'].split()
+        assert result.startswith('run-')
+        assert decoded(out / result) == expected
+        assert (out / table).read_bytes() == (tmp_path / 'one.csv').read_bytes()
+        assert (row['frames'], row['start'], row['end']) == ('60', '1.0', '1.59')
+        assert (row['resets'], row['unreadable']) == ('0', '0')
+        assert float(row['body_noise']) < 1e-9
+        assert float(row['body_icr_determined']) > 0.5
+    assert not list(out.glob('*.part'))
+
+    # Again: nothing that is finished is done again, what failed is tried again.
+    before = files(out)
+    broken.unlink()
+    os.link(bag, broken)
+    assert run(*words)[0] == 2
+    after = files(out)
+    assert {name: after[name] for name in before} == before
+    assert sum(name.startswith('broken-') for name in after) == 3
+    assert [bool(row['error']) for row in summary(out)] == [False] * 4
+
+
+@pytest.mark.parametrize('sent', [signal.SIGINT, signal.SIGKILL])
+def test_a_run_that_was_stopped_keeps_what_is_finished_and_goes_on(
+    simulated: Simulated, tmp_path: Path, sent: signal.Signals
+) -> None:
+    bag = simulated('cardan', rate=500, duration=1)
+    bags = link(bag, *(tmp_path / f'run_{k}.mcap' for k in range(4)))
+    out = tmp_path / 'out'
+    words = [*bags, '--output', out, '--csv']
+    with process('-m', 'kinpole_ros.cli', 'batch', *map(str, words), '--workers', '1') as started:
+        until(lambda: bool(list(out.glob('*.json'))))
+        if sent == signal.SIGINT:  # as a terminal does it, to all of them
+            os.killpg(started.pid, sent)
+        else:
+            started.send_signal(sent)
+        said, complaints = started.communicate(timeout=60)
+        if sent == signal.SIGINT:
+            assert started.returncode == 130
+            assert said == complaints == ''
+            assert len(summary(out)) >= 1
+    done = files(out)
+    finished = [name for name in done if name.endswith('.csv')]
+    assert 1 <= len(finished) < 4
+    assert all((out / name).read_bytes() for name in finished)
+
+    status, said, complaints = run(*words)
+    assert (status, complaints) == (0, '')
+    assert said.startswith('4 bags, 0 failed, 0 cut off; 2000 frames in')
+    assert not list(out.glob('*.part'))
+    assert {name: when for name, when in files(out).items() if name in finished} == {
+        name: done[name] for name in finished
+    }
+    tables = {path.read_bytes() for path in out.glob('run_*.csv')}
+    assert len(tables) == 1
+    assert len(summary(out)) == 4
+
+
+def test_a_dask_cluster_is_used_by_its_address(
+    simulated: Simulated,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    bag = simulated('cardan', rate=100, duration=0.6)
+    bags = link(bag, *(tmp_path / f'run_{k}.mcap' for k in range(3)))
+    (tmp_path / 'broken.mcap').write_text('no bag')
+    where = tmp_path / 'scheduler.json'
+    words = ['batch', *map(str, bags), str(tmp_path / 'broken.mcap')]
+    words += ['--output', str(tmp_path / 'out'), '--parquet', '--scheduler']
+    pytest.importorskip('pyarrow')
+    scheduling = ['-m', 'dask', 'scheduler', '--host', '127.0.0.1', '--port', '0']
+    with process(*scheduling, '--no-dashboard', '--scheduler-file', str(where)) as scheduler:
+        until(where.exists)
+        until(lambda: where.read_text().endswith('}'))
+        address = json.loads(where.read_text())['address']
+        with monkeypatch.context() as patience:
+            patience.setattr(module, '_PATIENCE', 0.5)
+            assert main([*words, address]) == 2
+        assert f'the Dask scheduler at {address} has no workers; mend' in capsys.readouterr().err
+        worker = ['-m', 'dask', 'worker', '--scheduler-file', str(where), '--nthreads', '1']
+        with process(*worker, '--no-dashboard', '--no-nanny'):
+            assert main([*words, address]) == 2
+        assert scheduler.poll() is None
+    said = capsys.readouterr()
+    assert said.out.startswith('4 bags, 1 failed, 0 cut off; 180 frames in')
+    assert len(said.err.splitlines()) == 1
+    assert len(list((tmp_path / 'out').glob('run_*.parquet'))) == 3
+    monkeypatch.setattr(module, '_PATIENCE', 0.5)
+    assert main([*words, 'tcp://127.0.0.1:9']) == 2
+    assert 'no Dask scheduler answers at tcp://127.0.0.1:9' in capsys.readouterr().err
+
+
+def test_results_are_made_anew_when_bag_settings_or_scene_change(
+    simulated: Simulated, tmp_path: Path
+) -> None:
+    bag = str(link(simulated('four_bar', rate=100, duration=0.3), tmp_path / 'run.mcap')[0])
+    out = tmp_path / 'out'
+    out.mkdir()
+    scene = tmp_path / 'mine.yaml'
+    scene.write_text((ROOT / 'config' / 'scenes' / 'four_bar.yaml').read_text())
+    settings = replace(SETTINGS, bodies=bodies_of('four_bar'), scene=str(scene))
+    row = _replay_one(bag, out, settings, None, ['csv'])
+    assert row['error'] == ''
+
+    def there(*given: Any) -> bool:
+        return _finished(bag, out, *given) == row
+
+    assert there(settings, None, ['csv'])
+    assert not there(settings, None, ['csv', 'mcap'])
+    assert not there(settings, '/other', ['csv'])
+    assert not there(replace(settings, window=0.3), None, ['csv'])
+    with scene.open('a') as file:
+        file.write('# changed\n')
+    assert not there(settings, None, ['csv'])
+    _replay_one(bag, out, settings, None, ['csv'])
+    assert there(settings, None, ['csv'])
+    os.utime(bag, ns=(0, 0))
+    assert not there(settings, None, ['csv'])
+    _replay_one(bag, out, settings, None, ['csv'])
+    for text in ('', '[]', '{"made_of": 1}', '{"made_of": [], "row": 5}'):
+        next(out.glob('*.json')).write_text(text)
+        assert not there(settings, None, ['csv'])
+
+
+def test_what_cannot_be_used_is_one_line(
+    simulated: Simulated,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    bag = str(simulated('cardan', rate=100, duration=0.3))
+    (tmp_path / 'file').write_text('')
+    monkeypatch.chdir(tmp_path)
+    for words, complaint in (
+        (['--output', 'file'], 'file cannot be written: '),
+        (['--workers', '0'], '--workers is 0; it must be 1 or more'),
+        (['--workers', '1', '--scheduler', 'tcp://x:1'], 'leave it out with --scheduler'),
+        (['--config', 'none.yaml'], 'none.yaml'),
+        (['--scheduler', 'nonsense://'], 'no Dask scheduler answers at nonsense://'),
+    ):
+        assert main(['batch', bag, *words]) == 2
+        line = capsys.readouterr().err
+        assert line.count('\n') == 1
+        assert complaint in line
+    monkeypatch.setitem(sys.modules, 'distributed', None)
+    with pytest.raises(BagError, match=r"needs Dask; mend: pip install 'kinpole_ros\[batch\]'"):
+        batch([bag], tmp_path / 'out', SETTINGS)
