@@ -128,6 +128,11 @@ class KinpoleNode(LifecycleNode):
         return super().set_parameters_atomically(parameter_list)
 
     def _check_parameters(self, changes: Sequence[RosParameter]) -> SetParametersResult:
+        for p in changes:
+            # rclpy declares them itself, to be set, and reads them when it subscribes.
+            if p.name.startswith('qos_overrides.') and self.has_parameter(p.name):
+                reason = f'parameter {p.name} is read at the start only; set it there'
+                return SetParametersResult(successful=False, reason=reason)
         try:
             load_theory(settings_from({**self._values(), **{p.name: p.value for p in changes}}))
         except ParameterError as error:

@@ -6,20 +6,26 @@ within one window, and its diagnostics named the fault.
 """
 
 import itertools
+import os
+import signal
 import time
 from array import array
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from pathlib import Path as FilePath
 from typing import Any
 
 import numpy as np
 import pytest
 from conftest import numbers, stamp_of, write_config
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from lifecycle_msgs.srv import ChangeState, GetState
 from nav_msgs.msg import Path
-from rclpy.qos import QoSProfile
+from rcl_interfaces.srv import SetParameters
+from rclpy.parameter import Parameter
+from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.serialization import deserialize_message, serialize_message
-from test_node import RELIABLE, Peer, node_words, process
+from test_node import LIMIT, RELIABLE, Peer, node_words, process
 from visualization_msgs.msg import MarkerArray
 
 from kinpole_ros.messages import MARKER_TYPES, result_outputs, to_message
@@ -87,6 +93,12 @@ class Rig(Peer):
         for listed in self.heard.values():
             listed.clear()
 
+    def until(self, condition: Callable[[], Any], what: str) -> None:
+        deadline = time.monotonic() + LIMIT
+        while not condition():
+            assert time.monotonic() < deadline, f'{what}: not within {LIMIT:g} s'
+            self._executor.spin_once(timeout_sec=0.002)
+
     @contextmanager
     def publisher(self, message_type: type, topic: str = '/markers') -> Iterator[Any]:
         """A publisher that the node has found, gone whatever happens meanwhile."""
@@ -109,10 +121,23 @@ class Rig(Peer):
     ) -> None:
         """Frames as they should be, until their results are there."""
         for _ in range(count):
-            self.frame += step / STEP
-            self.stamp += step
-            self.send(publisher, message(self.stamp, rod(self.frame), kind))
+            self.send_next(publisher, kind, step)
         self.until(lambda: self.newest() >= self.stamp - LAG - step, 'the results')
+
+    def begin(self, publisher: Any, kind: str = 'marker_array') -> None:
+        """Good frames until results come; the node may yet begin anew, with this publisher."""
+        enough = self.stamp + WINDOW // 2
+
+        def send_and_look() -> bool:
+            self.send_next(publisher, kind)
+            return self.newest() >= enough
+
+        self.until(send_and_look, 'the first results')
+
+    def send_next(self, publisher: Any, kind: str = 'marker_array', step: int = STEP) -> None:
+        self.frame += step / STEP
+        self.stamp += step
+        self.send(publisher, message(self.stamp, rod(self.frame), kind))
 
     def newest(self) -> int:
         """The last instant that all the results are there of that are checked."""
@@ -141,7 +166,8 @@ class Rig(Peer):
         for told in (heard.status[status] for heard in self.heard['/diagnostics']):
             if words in told.message and level in (None, told.level):
                 values = {pair.key: pair.value for pair in told.values}
-                return counted is None or int(values[counted]) > 0
+                if counted is None or int(values[counted]) > 0:
+                    return True
         return False
 
     def fault(
@@ -155,7 +181,7 @@ class Rig(Peer):
         status: int = 0,
     ) -> None:
         """Good frames, then faulty ones until diagnostics name the fault, then good ones again."""
-        self.good(publisher, 40, kind)
+        self.begin(publisher, kind)
         frames = itertools.count(1)
         act = lambda: self.send(publisher, faulty(next(frames)))  # noqa: E731
         self.diagnosed(act, level, words, counted, status)
@@ -256,7 +282,7 @@ def with_absurd_numbers(k: int, points: np.ndarray) -> None:
 
 
 def with_a_marker_that_jumps(k: int, points: np.ndarray) -> None:
-    points[2, :2] += k // 3 % 2 * 0.7
+    points[2, :2] += (k % 10 == 0) * 0.7
 
 
 LEFT_OUT = 'markers left out, since they did not fit their body'
@@ -292,6 +318,7 @@ def test_wrong_coordinates(
 
 def test_changes_of_rate(rig: Rig) -> None:
     with rig.publisher(MARKER_TYPES['marker_array']) as publisher:
+        rig.begin(publisher)
         for rate in (200, 50, 500, 200):
             rig.forget_heard()
             start = rig.stamp
@@ -308,7 +335,7 @@ def test_a_publisher_that_comes_back_with_other_markers_in_other_messages(
     moved = 1.3 * ARMS * np.exp(0.4j)
     extra = np.array([[3.0, 3.0, 0.0]])
     with rig.publisher(MARKER_TYPES['marker_array']) as publisher:
-        rig.good(publisher, 60)
+        rig.begin(publisher)
     rig.forget_heard()
     start = rig.stamp
     with rig.publisher(MARKER_TYPES[kind]) as publisher:
@@ -364,3 +391,161 @@ def test_mutilated_messages(rig: Rig, kind: str) -> None:
             'messages that could not be read',
             kind,
         )
+
+
+# Parameters, transitions, signals
+
+
+def test_parameters_set_while_markers_come(rig: Rig) -> None:
+    """Every parameter: bad values are refused in one line, good ones taken, and results go on."""
+    refused = {
+        'window': ('wide', -1.0, float('nan'), 1e300, [0.1], True),
+        'lag': (SETTINGS.window, -0.1, float('inf'), 'late', [b'\xff']),
+        'noise': (-1e-9, float('nan'), 'loud', False),
+        'derivative_order': (0, 5, 'high', 2.5, [1]),
+        'plane': ('xz', '', 1, ['xy']),
+        'method': ('poses', 0, ''),
+        'marker_identity': ('name', 7),
+        'marker_type': ('marker', 0),
+        'marker_topic': ('/other', '../../etc'),
+        'bodies': (['other'], [], 'rod'),
+        'rod.markers': (['0'], ['5', '6']),
+        'autostart': (False, 'yes'),
+        'scene': ('four_bar', '/etc/passwd', '../secrets.yaml'),
+        'qos_overrides./markers.subscription.depth': (-1, 'deep', 10**12),
+        'no_such_parameter': (0.3, ''),
+    }
+    taken = {
+        'noise': (1e-4, 0.0),
+        'window': (0.25, SETTINGS.window),
+        'lag': (0.05, SETTINGS.lag),
+        'derivative_order': (1, '2', 'auto'),
+        'method': ('landmarks', 'pose'),
+        'marker_identity': ('auto', 'index'),
+        'plane': ('zx', 'xy'),
+    }
+    with rig.publisher(MARKER_TYPES['point_cloud2']) as publisher:
+        rig.begin(publisher, 'point_cloud2')
+        given = [Parameter(name, value=v) for name, values in refused.items() for v in values]
+        request = SetParameters.Request(parameters=[p.to_parameter_msg() for p in given])
+        results = rig.call('/kinpole/set_parameters', SetParameters, request).results
+        for parameter, result in zip(given, results, strict=True):
+            assert not result.successful, parameter
+            assert result.reason and '\n' not in result.reason
+            assert 'root:' not in result.reason
+        # A value taken away, as rclpy understands a parameter without one.
+        for name in ('window', 'plane', 'bodies', 'rod.markers'):
+            assert not rig.set(**{name: None})[0].successful
+        for name, values in taken.items():
+            for value in values:
+                assert [r.successful for r in rig.set(**{name: value})] == [True], (name, value)
+                for _ in range(3):
+                    rig.send_next(publisher, 'point_cloud2')
+        rig.forget_heard()
+        start = rig.stamp
+        for _ in range(100):
+            rig.send_next(publisher, 'point_cloud2')
+        rig.until(lambda: rig.newest() >= rig.stamp - LAG - STEP, 'the results')
+        rig.check_right(start + WINDOW)
+    rig.check_finite()
+
+
+def test_impossible_transitions_are_refused_and_the_node_stays(rig: Rig) -> None:
+    for number in (*range(12), 60, 97, 99, 255):
+        if number not in (4, 7):  # deactivate and shutdown are possible
+            request = ChangeState.Request()
+            request.transition.id = number
+            assert not rig.call('/kinpole/change_state', ChangeState, request).success, number
+    assert not rig.change('no such transition')
+    assert rig.state() == 'active'
+
+
+STATES = {
+    'unconfigured': (),
+    'inactive': ('configure',),
+    'active': ('configure', 'activate'),
+    'active again': ('configure', 'activate', 'deactivate', 'activate'),
+    'configured again': ('configure', 'cleanup', 'configure'),
+    'finalized': ('configure', 'activate', 'shutdown'),
+}
+
+
+@pytest.mark.parametrize('state', STATES)
+def test_told_to_stop_in_any_state_the_node_ends_at_once(state: str, tmp_path: FilePath) -> None:
+    sign = (signal.SIGINT, signal.SIGTERM)[len(STATES[state]) % 2]
+    config = write_config(tmp_path / 'rod.yaml', SETTINGS, marker_identity='index')
+    asker = Peer()
+    words = node_words(config, autostart=False)
+    try:
+        with process(*words, '-r', '__node:=k', log=tmp_path / 'stderr') as node:
+            for transition in STATES[state]:
+                request = ChangeState.Request()
+                request.transition.label = transition
+                assert asker.call('/k/change_state', ChangeState, request).success, transition
+            found = asker.call('/k/get_state', GetState, GetState.Request()).current_state.label
+            assert found == {'active again': 'active', 'configured again': 'inactive'}.get(
+                state, state
+            )
+            node.send_signal(sign)
+            assert node.wait(LIMIT) == 0
+        assert (tmp_path / 'stderr').read_text() == ''
+    finally:
+        asker.close()
+
+
+DROPPED = 'messages dropped, since the node or the network could not keep up'
+
+
+def crowd(count: int = 100) -> Callable[[int, int], bytes]:
+    """Frames k of `count` markers on one turning body as bytes, with a stamp: cheap to make."""
+    marks = np.arange(3.0 * count).reshape(count, 3) + 0.123
+    data = serialize_message(to_message('marker_array', 0, 'world', ['m'] * count, marks))
+    places = np.array([data.index(row.tobytes()) for row in marks])[:, None] + np.arange(24)
+    flat = 0.2 * np.exp(1j * np.arange(count)) * np.linspace(0.2, 1, count)
+
+    def frame(k: int, stamp: int) -> bytes:
+        turned = PIVOT + flat * np.exp(1j * TURN * k / 1000)
+        points = np.stack((turned.real, turned.imag, 0 * turned.real), axis=-1)
+        made = np.frombuffer(data, np.uint8).copy()
+        made[places] = points.view(np.uint8).reshape(count, 24)
+        made[8:16] = np.array(divmod(stamp, 10**9), '<u4').view(np.uint8)
+        return made.tobytes()
+
+    return frame
+
+
+def test_a_flood_is_told_of_and_the_newest_wins(tmp_path: FilePath) -> None:
+    """100 markers at 1 kHz and more, for a node with one core that it shares with the sender."""
+    frame = crowd()
+    rig = Rig()
+    cores = os.sched_getaffinity(0)
+    os.sched_setaffinity(0, {min(cores)})
+    config = write_config(tmp_path / 'rod.yaml', Settings(bodies={'rod': ()}))
+    try:
+        with process(*node_words(config), log=tmp_path / 'stderr') as node:
+            rig.listen()
+            qos = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
+            publisher = rig.node.create_publisher(MarkerArray, '/markers', qos)
+            rig.until(publisher.get_subscription_count, 'the node')
+
+            def send() -> None:
+                for _ in range(20):
+                    rig.frame += 1
+                    rig.stamp += 1_000_000
+                    publisher.publish(frame(int(rig.frame), rig.stamp))
+
+            rig.diagnosed(send, WARN, 'cannot keep up', DROPPED)
+            rig.forget_heard()
+            # At a pace that can be borne it is right at once.
+            start = rig.stamp
+            for _ in range(100):
+                rig.frame += 5
+                rig.stamp += 5_000_000
+                rig.send(publisher, frame(int(rig.frame), rig.stamp))
+            rig.until(lambda: rig.newest() >= rig.stamp - LAG - 10 * STEP, 'the newest results')
+            rig.check_right(start + WINDOW)
+            rig.check_finite()
+            assert node.poll() is None
+    finally:
+        os.sched_setaffinity(0, cores)
+        rig.close()
