@@ -15,9 +15,10 @@ import numpy as np
 import numpy.typing as npt
 
 from kinpole_ros.mechanism._assembly import Assembly
-from kinpole_ros.mechanism._loops import Linkage, LinkageError, Solution, reduce, solve, sums, weigh
+from kinpole_ros.mechanism._loops import Linkage, LinkageError, reduce, sums, weigh
 from kinpole_ros.mechanism._motions import rotation_derivatives
 from kinpole_ros.mechanism._path import Path, Table, foretell, tabulate, trace, unit_input
+from kinpole_ros.mechanism._solution import Solution, solve
 from kinpole_ros.planar._plane import Complex, Real
 
 ORDERS = 5

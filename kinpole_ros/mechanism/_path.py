@@ -14,7 +14,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from kinpole_ros.mechanism._loops import Linkage, LinkageError, Solution, reduce, solve
+from kinpole_ros.mechanism._loops import Linkage, LinkageError, reduce
+from kinpole_ros.mechanism._solution import Solution, solve
 from kinpole_ros.planar._plane import Real
 
 # The largest error of a foretold variable, rad or lengths over the largest, and the longest step.
