@@ -33,7 +33,7 @@ def close_dyad(
             arms = [arm + slide[v] * sliding[first + k] for k, arm in enumerate(arms)]
     rows, turned = linkage.turns[block.turns], turn[block.turns]
     guess = weigh(rows, known)
-    moves = []
+    moves: list[tuple[Real, Real]] = []
     if block.dyad == 'RRR':
         done = _two_turns(rest, arms[0], arms[1], guess, turned)
     else:
@@ -47,17 +47,15 @@ def close_dyad(
                 rest, arms[0], sliding[first], length, turned[0]
             )
         moves.append((row, slide[before] - length))
-    for row, e, angle in zip(rows, turned, guess, strict=True):
-        change = np.arctan2(e.imag, e.real)
-        change -= angle
-        change -= (2 * np.pi) * np.rint(change * (0.5 / np.pi))
-        done &= np.abs(change) < _FAR
-        moves.append((row, change))
-    for row, change in moves:
+    change = np.arctan2(turned.imag.copy(), turned.real.copy()) - guess
+    change -= (2 * np.pi) * np.rint(change * (0.5 / np.pi))
+    done &= (np.abs(change) < _FAR).all(axis=0)
+    whole = bool(done.all())
+    for row, move in (*zip(rows, change, strict=True), *moves):
         (unknown,) = (k for k in block.unknown if row[k])
-        if not done.all():
-            change[~done] = 0.0
-        known[unknown] += change if row[unknown] == 1 else change / row[unknown]
+        if not whole:
+            move[~done] = 0.0
+        known[unknown] += move if row[unknown] == 1 else move / row[unknown]
     return done
 
 

@@ -72,7 +72,8 @@ class Block(NamedTuple):
     and m j rows), are constant @ E plus each slide times sliding @ E. `turns` and `slides` are the
     ranges of angles and lengths that become known with the block. `dyad` says by its joints which
     of the loops with a closed form it is (`_dyads`): RRR of two angles, RRP of an angle and a slide
-    in a known direction, RPR of a slide that turns; else empty.
+    in a known direction, RPR of a slide that turns; else empty. `mixed` tells whether its angles
+    and lengths also need what was known before.
     """
 
     loops: tuple[int, ...]
@@ -82,6 +83,7 @@ class Block(NamedTuple):
     turns: slice
     slides: slice
     dyad: str
+    mixed: bool
 
 
 def reduce(loops: Loops) -> Linkage:
@@ -188,8 +190,10 @@ def _block(
         known_with(linkage.turns),
         known_with(linkage.slides),
         '',
+        False,
     )
-    return block._replace(dyad=_dyad(linkage, block))
+    others = np.delete(np.concatenate((linkage.turns[block.turns], linkage.slides[block.slides])), unknown, axis=1)
+    return block._replace(dyad=_dyad(linkage, block), mixed=bool(others.any()))
 
 
 def _dyad(linkage: Linkage, block: Block) -> str:
@@ -272,22 +276,22 @@ def weigh(coefficients: np.ndarray, parts: np.ndarray, out: np.ndarray | None = 
     """
     Coefficients (s, A) @ parts (..., A, T), most coefficients being zero.
 
+    Rows of `out` (..., s, T) without coefficients are left as they are.
+
     For a single row the BLAS would call its threads, which on busy processors wait for each other
     much longer than this takes (3900 ns a position against 8).
     """
-    shape = (*parts.shape[:-2], len(coefficients), parts.shape[-1])
-    found = np.empty(shape, np.result_type(coefficients, parts)) if out is None else out
-    for s, row in enumerate(coefficients):
-        total = found[..., s, :]
-        used = row.nonzero()[0]
-        for first, a in enumerate(used):
-            weight, part = row[a], parts[..., a, :]
-            if first:
+    if out is None:
+        shape = (*parts.shape[:-2], len(coefficients), parts.shape[-1])
+        out = np.empty(shape, np.result_type(coefficients, parts))
+        out[..., ~coefficients.any(axis=1), :] = 0.0
+    given = parts.swapaxes(0, -2)
+    for row, total in zip(coefficients.tolist(), out.swapaxes(0, -2), strict=True):
+        fresh = True
+        for weight, part in zip(row, given, strict=True):
+            if weight and not fresh:
                 total += part if weight == 1 else weight * part
-            elif weight == 1:
-                total[...] = part
-            else:
+            elif weight:
                 np.multiply(weight, part, out=total)
-        if not len(used):
-            total[...] = 0.0
-    return found
+                fresh = False
+    return out

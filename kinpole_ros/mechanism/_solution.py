@@ -6,6 +6,7 @@ Differentiated k times, the loops are linear in the unknown k-th derivatives, al
 matrix: no difference quotient comes in.
 """
 
+from collections.abc import Sequence
 from math import comb
 from typing import NamedTuple
 
@@ -23,6 +24,7 @@ _MOST_STEPS = 60
 # With two columns this nearly parallel, positions are right to a rounding error over it and rates
 # to one over its square: to no digit.
 SINGULAR = 1e-7
+_NONE = 0j
 
 
 class Solution(NamedTuple):
@@ -44,14 +46,20 @@ class Solution(NamedTuple):
 
 
 def solve(
-    linkage: Linkage, inputs: Real, guess: Real, orders: int = 5, close: bool = True
+    linkage: Linkage,
+    inputs: Real,
+    guess: Real,
+    orders: int = 5,
+    close: bool = True,
+    out: Real | None = None,
 ) -> Solution:
     """
     Positions near `guess` (n, T), and their derivatives, for `inputs` (orders or more, d, T).
 
     `inputs` holds each driver's value and its time derivatives; `guess` all variables u, or just
     the unknowns of the linkage. Without `close` the positions are the guess, and only the
-    derivatives are found. Raises nothing: where the loops do not close, values are NaN.
+    derivatives are found. `out` is where the values go. Raises nothing: where the loops do not
+    close, values are NaN.
     """
     unknowns = linkage.free.shape[1]
     count = inputs.shape[-1]
@@ -77,7 +85,9 @@ def solve(
                 _move(linkage, block, known[0], turns[0], slides[0])
             determinants[b] = _differentiate(linkage, block, known, turns, slides)
             regular &= np.abs(determinants[b]) > SINGULAR
-    values = weigh(np.concatenate((linkage.free, linkage.driven), axis=1), known)
+    both = np.concatenate((linkage.free, linkage.driven), axis=1)
+    values = weigh(both, known, out)
+    values[:, ~both.any(axis=1)] = 0.0
     if linkage.fixed.any():
         values[0] += linkage.fixed[:, None]
     if not closed.all():
@@ -91,12 +101,12 @@ def _turn(row: Real, known: Real, turn: Complex) -> None:
     """Fill in e^{iα} (orders, T) of an angle that is all known, and its derivatives."""
     turn[0], turn[1:] = 1.0, 0.0
     if row.any():
-        angle = weigh(row[None], known)
-        _point(angle[0], turn[:1])
+        angle = weigh(row[None], known)[:, 0]
+        _point(angle[0], turn[0])
+        # Often all but the first are zero.
+        rates = [1j * rate if rate.any() else _NONE for rate in angle]
         for k in range(1, len(known)):
-            if angle[k].any():
-                turn[k] = 1j * angle[k, 0] * turn[0]
-            _turn_on(k, angle, turn[:, None])
+            turn[k] = rates[k] * turn[0] + _lower(k, rates, turn)
 
 
 def _point(angle: Real, turn: Complex) -> None:
@@ -111,11 +121,19 @@ def _point(angle: Real, turn: Complex) -> None:
     np.multiply(share, half, out=turn.imag)
 
 
-def _turn_on(k: int, angle: Real, turn: Complex) -> None:
-    """Add to the k-th derivative of e^{iα}, i Σ (k-1 over j) α^(j+1) (e^{iα})^(k-1-j), j < k-1."""
+def _lower(k: int, rates: Sequence[Complex | complex], turn: Complex) -> Complex | float:
+    """
+    The k-th derivative of e^{iα}, Σ (k-1 over j) i α^(j+1) (e^{iα})^(k-1-j), but for that of α.
+
+    `rates` are i α^(j), `turn` the derivatives (k or more, ...) up to the one before.
+    """
+    found: Complex | float = 0.0
     for j in range(k - 1):
-        if angle[j + 1].any():
-            turn[k] += (1j * comb(k - 1, j)) * angle[j + 1] * turn[k - 1 - j]
+        rate = rates[j + 1]
+        if rate is not _NONE:
+            weight = comb(k - 1, j)
+            found = found + (rate if weight == 1 else weight * rate) * turn[k - 1 - j]
+    return found
 
 
 def _move(linkage: Linkage, block: Block, known: Real, turn: Complex, slide: Real) -> None:
@@ -159,7 +177,7 @@ def _newton(
     both = _sum(block, slice(None), turn, slide)
     gap = both[:m]
     inverse, determinant = _inverse(both[m:].reshape(m, n, -1))
-    step = _apply(inverse, -gap)
+    step = _apply(inverse, gap)
     most = np.abs(step).max(axis=0, initial=0.0)
     worst = most.max(initial=0.0)
     if n == 2 * m and not lengths and worst * worst <= _LEFT * np.abs(determinant).min(initial=1.0):
@@ -216,48 +234,45 @@ def _differentiate(
     rows, upto = block.turns, block.turns.stop
     columns = _sum(block, slice(m, None), turns[0], slides[0])
     inverse, determinant = _inverse(columns.reshape(m, len(unknown), -1))
-    turning, slide_rows = linkage.turns[rows], linkage.slides[block.slides]
-    angle = np.empty((len(known), rows.stop - rows.start, known.shape[-1]))
+    turning, slide_rows = 1j * linkage.turns[rows], linkage.slides[block.slides]
+    # i α^(k) of the block's angles.
+    rates = np.empty((len(known), rows.stop - rows.start, known.shape[-1]), complex)
     sliding = [v for v in range(block.slides.stop) if block.sliding[v, :m].any()]
     # What does not turn at all has no derivatives.
     moving = block.constant[:m, :upto] * linkage.turns[:upto].any(axis=1)
-    # Whether the block's angles and lengths also need what was known before.
-    mixed = bool(np.delete(turning, unknown, axis=1).any())
-    mixed |= bool(np.delete(slide_rows, unknown, axis=1).any())
     for k in range(1, len(known)):
         # All that does not hold the unknowns' k-th derivatives (Leibniz), which are still zero.
-        turns[k, rows] = 0.0
-        _turn_on(k, angle, turns[:, rows])
-        if mixed:
+        turns[k, rows] = _lower(k, rates, turns[:, rows])
+        slides[k, block.slides] = 0.0
+        if block.mixed:
             known[k, unknown] = 0.0
-            turns[k, rows] += 1j * weigh(turning, known[k]) * turns[0, rows]
+            turns[k, rows] += weigh(turning, known[k]) * turns[0, rows]
             slides[k, block.slides] = weigh(slide_rows, known[k])
-        else:
-            slides[k, block.slides] = 0.0
         rest = weigh(moving, turns[k, :upto])
         for v in sliding:
             for j in range(k + 1):
                 part = weigh(block.sliding[v, :m, :upto], turns[k - j, :upto])
                 rest += comb(k, j) * slides[j, v] * part
         found = _apply(inverse, rest)
-        np.negative(found, out=found)
         known[k, unknown] = found
-        turns[k, rows] += 1j * weigh(turning[:, unknown], found) * turns[0, rows]
+        weigh(turning[:, unknown], found, out=rates[k])
+        turns[k, rows] += rates[k] * turns[0, rows]
         slides[k, block.slides] += weigh(slide_rows[:, unknown], found)
-        angle[k] = weigh(turning, known[k])
+        if block.mixed:
+            weigh(turning, known[k], out=rates[k])
     return determinant
 
 
-def _apply(inverse: Complex, right: Complex) -> Real:
-    """Real x (n, T) with columns x = right (m, T)."""
+def _apply(inverse: Complex, rest: Complex) -> Real:
+    """Real x (n, T) with columns x + rest (m, T) = 0."""
     if inverse.shape[1] == 1:
-        return (inverse[:, 0] * right[0]).real
-    return np.asarray(np.einsum('nmt,mt->nt', inverse, right).real)
+        return (inverse[:, 0] * rest[0]).real
+    return np.asarray(np.einsum('nmt,mt->nt', inverse, rest).real)
 
 
 def _inverse(columns: Complex) -> tuple[Complex, Real]:
     """
-    The inverse (n, m, T) of complex columns (m, n, T), x = Re(inverse right), and the determinant.
+    The inverse (n, m, T) of complex columns (m, n, T), x = Re(inverse rest), and the determinant.
 
     The determinant (T,) is that of columns scaled to length 1. More equations than unknowns, as
     where loops repeat each other, are met by least squares.
@@ -271,12 +286,12 @@ def _inverse(columns: Complex) -> tuple[Complex, Real]:
         share = 1.0 / cross
         inverse = np.empty((2, 1, count), complex)
         (first,), (second,) = inverse
-        # i b* / cross and -i a* / cross.
-        np.multiply(b.imag, share, out=first.real)
-        np.multiply(b.real, share, out=first.imag)
-        np.negative(share, out=share)
+        # -i b* / cross and i a* / cross.
         np.multiply(a.imag, share, out=second.real)
         np.multiply(a.real, share, out=second.imag)
+        np.negative(share, out=share)
+        np.multiply(b.imag, share, out=first.real)
+        np.multiply(b.real, share, out=first.imag)
         return inverse, cross / np.sqrt(both.real**2 + cross**2)
     if not n:
         return np.zeros((0, m, count), complex), np.ones(count)
@@ -297,4 +312,4 @@ def _inverse(columns: Complex) -> tuple[Complex, Real]:
         determinant = np.linalg.svd(scaled, compute_uv=False).min(axis=1)
         found = np.linalg.pinv(scaled)
     found = np.moveaxis(found / size.swapaxes(1, 2), 0, -1)
-    return found[:, :m] - 1j * found[:, m:], determinant
+    return 1j * found[:, m:] - found[:, :m], determinant
