@@ -176,7 +176,7 @@ def _block(
     by_slide = linkage.slides[:, list(unknown)]
     columns = constant[:, None] * by_turn + np.einsum('vj,vma->mja', by_slide, sliding)
     sliding_columns = sliding[:, :, None] * by_turn
-    angles, rows = len(linkage.turns), len(loops) * len(unknown)
+    angles, count = len(linkage.turns), len(loops) * len(unknown)
 
     def known_with(rows: Real) -> slice:
         last = (stage * (rows != 0)).max(axis=1, initial=0)
@@ -185,14 +185,16 @@ def _block(
     block = Block(
         loops,
         unknown,
-        np.concatenate((constant, columns.reshape(rows, angles))),
-        np.concatenate((sliding, sliding_columns.reshape(len(sliding), rows, angles)), axis=1),
+        np.concatenate((constant, columns.reshape(count, angles))),
+        np.concatenate((sliding, sliding_columns.reshape(len(sliding), count, angles)), axis=1),
         known_with(linkage.turns),
         known_with(linkage.slides),
         '',
         False,
     )
-    others = np.delete(np.concatenate((linkage.turns[block.turns], linkage.slides[block.slides])), unknown, axis=1)
+    others = np.delete(
+        np.concatenate((linkage.turns[block.turns], linkage.slides[block.slides])), unknown, axis=1
+    )
     return block._replace(dyad=_dyad(linkage, block), mixed=bool(others.any()))
 
 
@@ -281,10 +283,10 @@ def weigh(coefficients: np.ndarray, parts: np.ndarray, out: np.ndarray | None = 
     For a single row the BLAS would call its threads, which on busy processors wait for each other
     much longer than this takes (3900 ns a position against 8).
     """
+    whole = out is None
     if out is None:
         shape = (*parts.shape[:-2], len(coefficients), parts.shape[-1])
         out = np.empty(shape, np.result_type(coefficients, parts))
-        out[..., ~coefficients.any(axis=1), :] = 0.0
     given = parts.swapaxes(0, -2)
     for row, total in zip(coefficients.tolist(), out.swapaxes(0, -2), strict=True):
         fresh = True
@@ -294,4 +296,6 @@ def weigh(coefficients: np.ndarray, parts: np.ndarray, out: np.ndarray | None = 
             elif weight:
                 np.multiply(weight, part, out=total)
                 fresh = False
+        if fresh and whole:
+            total[...] = 0.0
     return out

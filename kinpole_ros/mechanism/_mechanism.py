@@ -101,7 +101,7 @@ class Mechanism:
         at = np.asarray(at, dtype=float)
         if len(self.drivers) != 1:
             raise LinkageError('a sweep is over one driver: hold the others')
-        return self._at(lambda part: unit_input(at[part]), len(at), at, None, orders)
+        return self._at(lambda part: unit_input(at[part], orders), len(at), at, None, orders)
 
     def unit_rates(self, values: Real) -> tuple[Complex, Real]:
         """

@@ -21,6 +21,8 @@ from kinpole_ros.planar._plane import Real
 # The largest error of a foretold variable, rad or lengths over the largest, and the longest step.
 _FORETOLD, _LONGEST, _SHORTEST = 1e-3, 0.25, 1e-7
 _MOST_NODES = 20_000
+# Determinants above this are far from dead points.
+_EASY = 0.05
 
 
 class DeadPoint(NamedTuple):
@@ -63,9 +65,9 @@ class Path(NamedTuple):
 Inputs = Callable[[Real], Real]
 
 
-def unit_input(at: Real) -> Real:
-    """An input (5, 1, T) that is its own parameter: the values `at` (T,), rate 1, no more."""
-    inputs = np.zeros((5, 1, len(at)))
+def unit_input(at: Real, orders: int = 5) -> Real:
+    """An input (orders, 1, T) that is its own parameter: the values `at` (T,), rate 1, no more."""
+    inputs = np.zeros((max(2, orders), 1, len(at)))
     inputs[0, 0], inputs[1] = at, 1.0
     return inputs
 
@@ -129,10 +131,11 @@ def trace(
 
 class Table(NamedTuple):
     """
-    Where Newton's method starts from: nodes of a path so close together that one step is left.
+    Guesses for `solve`: nodes of a path so close together that one step of Newton's method is left.
 
-    `inputs` (K,) between the nodes, and in `values` (4, unknowns, K) the unknowns and their
-    derivatives; `period` and `winding` as in Path.
+    `inputs` (K,), `between` the nodes, and in `values` (orders, unknowns, K) the unknowns and their
+    derivatives: three, or one where all loops are dyads, which need but a rough guess, and far from
+    dead points. `period` and `winding` as in Path.
     """
 
     between: Real
@@ -156,10 +159,12 @@ def tabulate(linkage: Linkage, path: Path, inputs: Inputs = unit_input) -> Table
     found = solve(linkage, inputs(at), np.asarray(guess), 4)
     good, rows = found.regular, list(linkage.unknown)
     at = at[good]
+    easy = all(block.dyad for block in linkage.blocks)
+    easy &= bool((np.abs(found.determinant) > _EASY).all())
     return Table(
         (at[1:] + at[:-1]) / 2,
         at,
-        np.ascontiguousarray(found.values[:, rows][:, :, good]),
+        np.ascontiguousarray(found.values[: 2 if easy else 4, rows][:, :, good]),
         path.period,
         path.winding[rows],
     )
@@ -174,8 +179,8 @@ def foretell(table: Table, at: Real) -> Real:
     node = np.searchsorted(table.between, at)
     # No farther than the nodes go: a value beyond a limit does not close, and is found out.
     step = np.clip(at - table.inputs[node], -_LONGEST, _LONGEST)
-    found = table.values[3].take(node, axis=1)
-    for k in (2, 1, 0):
+    found = table.values[-1].take(node, axis=1)
+    for k in reversed(range(len(table.values) - 1)):
         found *= step * (1 / (k + 1))
         found += table.values[k].take(node, axis=1)
     if turns is not None and table.winding.any():

@@ -99,14 +99,17 @@ def solve(
 
 def _turn(row: Real, known: Real, turn: Complex) -> None:
     """Fill in e^{iα} (orders, T) of an angle that is all known, and its derivatives."""
-    turn[0], turn[1:] = 1.0, 0.0
-    if row.any():
-        angle = weigh(row[None], known)[:, 0]
-        _point(angle[0], turn[0])
-        # Often all but the first are zero.
-        rates = [1j * rate if rate.any() else _NONE for rate in angle]
-        for k in range(1, len(known)):
-            turn[k] = rates[k] * turn[0] + _lower(k, rates, turn)
+    if not row.any():
+        turn[0], turn[1:] = 1.0, 0.0
+        return
+    angle = weigh(row[None], known)[:, 0]
+    _point(angle[0], turn[0])
+    # Often all but the first are zero.
+    rates = [1j * rate if rate.any() else _NONE for rate in angle]
+    for k in range(1, len(known)):
+        np.multiply(rates[k], turn[0], out=turn[k])
+        if k > 1:
+            turn[k] += _lower(k, rates, turn)
 
 
 def _point(angle: Real, turn: Complex) -> None:
@@ -152,9 +155,7 @@ def _sum(block: Block, rows: slice, turn: Complex, slide: Real) -> Complex:
     return found
 
 
-def _close(
-    linkage: Linkage, block: Block, known: Real, turn: Complex, slide: Real
-) -> np.ndarray:
+def _close(linkage: Linkage, block: Block, known: Real, turn: Complex, slide: Real) -> np.ndarray:
     """Move the block's unknowns in `known` until its loops close; return where they do (T,)."""
     if not block.dyad:
         return _newton(linkage, block, known, turn, slide)
@@ -243,11 +244,12 @@ def _differentiate(
     for k in range(1, len(known)):
         # All that does not hold the unknowns' k-th derivatives (Leibniz), which are still zero.
         turns[k, rows] = _lower(k, rates, turns[:, rows])
-        slides[k, block.slides] = 0.0
         if block.mixed:
             known[k, unknown] = 0.0
             turns[k, rows] += weigh(turning, known[k]) * turns[0, rows]
             slides[k, block.slides] = weigh(slide_rows, known[k])
+        elif len(slide_rows):
+            slides[k, block.slides] = 0.0
         rest = weigh(moving, turns[k, :upto])
         for v in sliding:
             for j in range(k + 1):
@@ -257,7 +259,8 @@ def _differentiate(
         known[k, unknown] = found
         weigh(turning[:, unknown], found, out=rates[k])
         turns[k, rows] += rates[k] * turns[0, rows]
-        slides[k, block.slides] += weigh(slide_rows[:, unknown], found)
+        if len(slide_rows):
+            slides[k, block.slides] += weigh(slide_rows[:, unknown], found)
         if block.mixed:
             weigh(turning, known[k], out=rates[k])
     return determinant
