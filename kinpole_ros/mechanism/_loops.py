@@ -286,7 +286,7 @@ def weigh(coefficients: np.ndarray, parts: np.ndarray, out: np.ndarray | None = 
     whole = out is None
     if out is None:
         shape = (*parts.shape[:-2], len(coefficients), parts.shape[-1])
-        out = np.empty(shape, np.result_type(coefficients, parts))
+        out = np.empty(shape, (coefficients if np.iscomplexobj(coefficients) else parts).dtype)
     given = parts.swapaxes(0, -2)
     for row, total in zip(coefficients.tolist(), out.swapaxes(0, -2), strict=True):
         fresh = True
