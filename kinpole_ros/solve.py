@@ -213,8 +213,11 @@ def _range_lines(solved: Solved) -> list[str]:
     if scene.mechanism.linkage.blocks:
         for dead in scene.mechanism.path(float(low), float(high)).dead_points:
             what = 'limit: it turns back' if dead.turns_back else 'change point: two ways on'
-            moving = ', '.join(dead.moving)
-            lines.append(f'dead point at {name} = {dead.at:.12g} ({what}; {moving} can move)')
+            moving, loop = ', '.join(dead.moving), ', '.join(dead.loop)
+            lines.append(
+                f'dead point at {name} = {_shown(scene, 0, dead.at, 12)} ({what}; in the loop '
+                f'{loop} can move {moving})'
+            )
     return lines
 
 
@@ -387,9 +390,9 @@ def _kind(scene: Scene, k: int) -> str:
     return kinds[int(np.flatnonzero(scene.mechanism.drivers[k].row)[0])]
 
 
-def _shown(scene: Scene, k: int, value: float) -> str:
+def _shown(scene: Scene, k: int, value: float, digits: int = 9) -> str:
     unit, size = driver_unit(scene, k)
-    return f'{value / size:.9g} {unit}'
+    return f'{value / size:.{digits}g} {unit}'
 
 
 def _number(value: float) -> str:

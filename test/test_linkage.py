@@ -8,7 +8,7 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from kinpole_ros.mechanism import _mechanism, rotation_derivatives
+from kinpole_ros.mechanism import _mechanism, _solution, rotation_derivatives
 from kinpole_ros.mechanism._assembly import Joint, Revolute, Rolling, Slot, Strut, assemble
 from kinpole_ros.mechanism._drive import constant_rate, sine, smooth_step, table
 from kinpole_ros.mechanism._loops import LinkageError
@@ -254,7 +254,13 @@ def quick_return(offset: float) -> list[Joint]:
     ],
 )
 def test_dyads_close_where_newton_does(
-    joints: list[Joint], drive: str, start: dict, low: float, high: float, kinds: str
+    joints: list[Joint],
+    drive: str,
+    start: dict,
+    low: float,
+    high: float,
+    kinds: str,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     middle = (low + high) / 2
     motion = mechanism(joints, constant_rate(1.0, middle), drive, **start)
@@ -267,7 +273,9 @@ def test_dyads_close_where_newton_does(
     guess = found.values[0, rows] + np.random.default_rng(1).normal(0, 1e-3, (len(rows), len(at)))
     inputs = np.stack([at, np.ones_like(at), *np.zeros((3, len(at)))])[:, None]
     plain = linkage._replace(blocks=tuple(b._replace(dyad='') for b in linkage.blocks))
-    one, other = solve(linkage, inputs, guess), solve(plain, inputs, guess)
+    other = solve(plain, inputs, guess)
+    monkeypatch.delattr(_solution, '_newton')
+    one = solve(linkage, inputs, guess)
     assert one.closed.all() and one.regular.all()
     for a, b in ((one.values, other.values), (one.turns, other.turns), (one.slides, other.slides)):
         scale = np.abs(b).max(axis=(1, 2), keepdims=True, initial=1.0)
@@ -379,6 +387,7 @@ def test_change_points_of_a_four_bar_are_found_and_passed() -> None:
     np.testing.assert_allclose(dead.values, [np.pi, 0.0, np.pi], atol=1e-9)
     assert not dead.turns_back
     assert set(dead.moving) == {'coupler', 'rocker'}
+    assert dead.loop == ('O', 'A', 'B', 'C')
     at = np.pi + np.array([-1e-3, -1e-5, 1e-5, 1e-3])
     found = motion.sweep(at)
     assert found.regular.all()
@@ -388,6 +397,51 @@ def test_change_points_of_a_four_bar_are_found_and_passed() -> None:
     # Smooth through it: the rates on both sides are those of one branch.
     rates = found.angle[1, 1:]
     np.testing.assert_allclose(rates[:, 1], rates[:, 2], rtol=1e-4)
+
+
+def test_right_in_a_change_point_there_are_no_rates() -> None:
+    motion = mechanism(
+        four_bar(0.4, 0.1, 0.3, 0.2), constant_rate(1.0, 1.0), 'crank', coupler=0.7, rocker=1.9
+    )
+    found = motion.sweep(np.pi + np.array([0.0, 1e-9, 1e-7]))
+    assert not found.regular.any()
+    assert np.isnan(found.angle[1:, 1:]).all()
+    np.testing.assert_allclose(found.values[0], [[np.pi], [0.0], [np.pi]] * np.ones(3), atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ('joints', 'drive', 'at', 'end', 'start', 'loop'),
+    [
+        (slider_crank(0.1, 0.3), 'piston', 0.4, 0.25, {}, 'piston, A, O'),
+        (four_bar(0.4, 0.1, 0.3, 0.2), 'crank', np.pi, 4.0, {'rocker': np.pi}, 'O, A, B, C'),
+        # Coupler and rocker in line: 0.3, 0.4, 0.5.
+        (
+            four_bar(0.4, 0.3, 0.3, 0.2),
+            'crank',
+            np.pi / 2,
+            1.0,
+            {'coupler': -0.6435, 'rocker': 2.4981},
+            'O, A, B, C',
+        ),
+    ],
+)
+def test_a_start_in_a_dead_point_is_refused_not_left(
+    joints: list[Joint], drive: str, at: float, end: float, start: dict, loop: str
+) -> None:
+    motion = mechanism(joints, smooth_step(at, end, 0.0, 1.0), drive, **start)
+    with pytest.raises(LinkageError, match=f'is a dead point of the loop {loop}, from which'):
+        motion.motion(np.linspace(0, 1, 5))
+
+
+def test_a_dead_point_names_the_loop_that_has_it() -> None:
+    # The lever is too short for the rod to pass.
+    joints = six_bar(0.1, 0.3, 0.15 + 0.1j, 0.5 + 0.15j)
+    start = {'coupler': 0.8, 'rocker': 1.8, 'rod': 0.5, 'lever': 1.9}
+    path = mechanism(joints, constant_rate(1.0, 0.3), 'crank', **start).path(-7.0, 7.0)
+    assert len(path.dead_points) == 2
+    for dead in path.dead_points:
+        assert dead.turns_back and {'D', 'E', 'F'} <= set(dead.loop)
+        assert set(dead.moving) == {'rod', 'lever'}
 
 
 @pytest.mark.parametrize(

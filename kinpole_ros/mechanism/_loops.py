@@ -26,7 +26,7 @@ class Loops(NamedTuple):
     `variables` names the n variables u; `lengths` and `angles` (terms, n), `length0` and `angle0`
     (terms,). `loops` (m, terms) holds the sign of each term in each closed sum. Each row of `ties`
     (k, n) is a linear equation ties u = tie0; each of `drives` (d, n) one whose right side is an
-    input.
+    input. `around` names, for people, the joints or vectors that each loop goes around by.
     """
 
     variables: tuple[str, ...]
@@ -38,6 +38,7 @@ class Loops(NamedTuple):
     ties: Real
     tie0: Real
     drives: Real
+    around: tuple[tuple[str, ...], ...]
 
 
 class Linkage(NamedTuple):

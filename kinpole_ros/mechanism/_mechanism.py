@@ -22,8 +22,8 @@ from kinpole_ros.mechanism._solution import Solution, solve
 from kinpole_ros.planar._plane import Complex, Real
 
 ORDERS = 5
-# Positions at a time: fewer cost more calls, more leave the cache (1e5 of a four-bar with velocities
-# and accelerations: 9.2 ms with 6144, 8.6 with 8192, 14.7 with 12500).
+# Positions at a time: fewer cost more calls, more leave the cache (1e5 of a four-bar to its
+# accelerations: 9.2 ms with 6144, 8.6 with 8192, 14.7 with 12500).
 _CHUNK = 8192
 
 
@@ -206,15 +206,16 @@ class Mechanism:
         first = int(np.argmin(closed))
         when = '' if times is None else f' at {times[first]:.6g} s'
         at = ', '.join(
-            f'{driver.name} = {value:.6g}'
+            f'{driver.name} = {value:.12g}'
             for driver, value in zip(self.drivers, inputs[0, :, first], strict=True)
         )
-        path = self._path
-        limits = (
-            ''
-            if path is None or len(self.drivers) > 1
-            else (f', it reaches from {path.inputs[0]:.6g} to {path.inputs[-1]:.6g}')
-        )
+        limits = ''
+        if self._path is not None and len(self.drivers) == 1:
+            ends = [self._path.inputs[0], self._path.inputs[-1]]
+            for dead in self._path.dead_points:
+                if dead.turns_back:
+                    ends[int(dead.at > self._path.inputs[0])] = dead.at
+            limits = f', it reaches from {ends[0]:.12g} to {ends[1]:.12g}'
         return f'the linkage cannot follow its drivers{when}, to {at}{limits}: drive it less far'
 
 

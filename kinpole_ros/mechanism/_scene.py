@@ -300,7 +300,7 @@ def _check_range(mechanism: Mechanism, driven: list[_Driven]) -> None:
     if path.period or (reach[0] <= low + slack and reach[1] >= high - slack):
         return
     dead = next((dead for dead in path.dead_points if dead.turns_back), None)
-    why = '' if dead is None else f', a dead point where only {", ".join(dead.moving)} can move'
+    why = '' if dead is None else f', a dead point of the loop {", ".join(dead.loop)}'
     raise SceneError(
         f"'drivers' ask for {unit}{low:.6g} to {high:.6g}, but the linkage goes from "
         f'{reach[0]:.6g} to {reach[1]:.6g}{why}: drive it less far, or change lengths'

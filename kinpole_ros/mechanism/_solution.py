@@ -22,8 +22,8 @@ _ROUNDING = 64 * np.finfo(float).eps
 _LEFT = 1e-17
 _MOST_STEPS = 60
 # With two columns this nearly parallel, positions are right to a rounding error over it and rates
-# to one over its square: to no digit.
-SINGULAR = 1e-7
+# to one over its square: to three digits. In a change point positions are off by up to 1e-7.
+SINGULAR = 1e-6
 _NONE = 0j
 
 
@@ -198,7 +198,7 @@ def _newton(
     tight = np.abs(gap).max(axis=0) <= _ROUNDING * scale
     done |= tight
     # In a change point a step is rounding over nothing: what was foretold is better.
-    step[:, tight & (np.abs(determinant) < 10 * SINGULAR)] = 0.0
+    step[:, tight & (np.abs(determinant) < SINGULAR)] = 0.0
     if n < 2 * m:
         # Loops that others repeat: no step is left, but they may still be open.
         done &= np.abs(gap).max(axis=0) <= 1e-7 * scale
