@@ -14,12 +14,15 @@ import numpy as np
 
 from kinpole_ros.mechanism import (
     Centers,
+    Load,
     Motion,
     Scene,
     SceneError,
+    Torque,
     centrodes,
     efforts,
     explain,
+    holding,
     instant_centers,
     load_scene,
     quantity,
@@ -213,8 +216,11 @@ def _range_lines(solved: Solved) -> list[str]:
     if scene.mechanism.linkage.blocks:
         for dead in scene.mechanism.path(float(low), float(high)).dead_points:
             what = 'limit: it turns back' if dead.turns_back else 'change point: two ways on'
-            moving = ', '.join(dead.moving)
-            lines.append(f'dead point at {name} = {dead.at:.12g} ({what}; {moving} can move)')
+            moving, loop = ', '.join(dead.moving), ', '.join(dead.loop)
+            lines.append(
+                f'dead point at {name} = {_shown(scene, 0, dead.at, 12)} ({what}; in the loop '
+                f'{loop} can move {moving})'
+            )
     return lines
 
 
@@ -266,20 +272,18 @@ def _static_lines(solved: Solved) -> list[str]:
             f'{scene.name} has no loads: add them, as loads: [{{weight: 10 kg, at: BODY.POINT}}]'
         )
     first = solved.values[:, :1]
-    lines = ['']
-    borne = efforts(scene.mechanism, first, scene.loads)
-    for k, driver in enumerate(scene.mechanism.drivers):
-        unit = 'N m' if _kind(scene, k) == 'angle' else 'N'
-        if not borne.determined[k, 0]:
-            lines.append(f'{driver.name}: a dead point, where no finite effort balances the loads')
-            continue
-        lines.append(f'{driver.name} balances the loads with {borne.effort[k, 0]:.9g} {unit}')
-        if len(scene.loads) > 1:
-            parts = ', '.join(f'{share:.6g}' for share in borne.share[:, k, 0])
-            lines.append(f'  of this, load by load: {parts} {unit}')
+    several = solved.inputs.shape[1] > 1
+    lines = ['', 'forces at the start of the range' if several else 'forces']
+    loads = scene.loads
+    if scene.held_by:
+        size, load = holding(scene.mechanism, first, loads, scene.held_by)
+        lines.append(_held_line(scene, float(size[0]), load))
+        loads = (*loads, load)
+    else:
+        lines += _effort_lines(scene, first)
     if not scene.mechanism.assembly.joints:
         return [*lines, 'vectors have no joints: for what these bear write bodies and joints']
-    found = reactions(scene.mechanism, first, scene.loads)
+    found = reactions(scene.mechanism, first, loads)
     rows = [
         [
             name,
@@ -293,6 +297,35 @@ def _static_lines(solved: Solved) -> list[str]:
     if rows:
         lines += ['', *_table(['joint', 'Fx N', 'Fy N', 'F N', 'moment N m'], rows)]
     return [*lines, *undetermined(scene.mechanism, first[:, 0])]
+
+
+def _effort_lines(scene: Scene, first: np.ndarray) -> list[str]:
+    """What each driver exerts to balance the loads."""
+    lines = []
+    borne = efforts(scene.mechanism, first, scene.loads)
+    for k, driver in enumerate(scene.mechanism.drivers):
+        unit = 'N m' if _kind(scene, k) == 'angle' else 'N'
+        if not borne.determined[k, 0]:
+            lines.append(f'{driver.name}: a dead point, where no finite effort balances the loads')
+            continue
+        lines.append(f'{driver.name} balances the loads with {borne.effort[k, 0]:.9g} {unit}')
+        if len(scene.loads) > 1:
+            parts = ', '.join(f'{share:.6g}' for share in borne.share[:, k, 0])
+            lines.append(f'  of this, load by load: {parts} {unit}')
+    return lines
+
+
+def _held_line(scene: Scene, size: float, load: Load) -> str:
+    """What holds the loads in place of the driver."""
+    driver = scene.mechanism.drivers[0].name
+    if not np.isfinite(size):
+        return f'on {load.body} nothing balances the loads here: it does not move, or a dead point'
+    if isinstance(load, Torque):
+        return f'{size:.9g} N m on {load.body} balance the loads, with {driver} free'
+    name = next(n for n, place in scene.points.items() if place == (load.body, load.point))
+    force = complex(np.ravel(load.force)[0])
+    way = f'{np.rad2deg(np.angle(force / size)):.6g} deg'
+    return f'{size:.9g} N at {name}, along {way}, balance the loads, with {driver} free'
 
 
 def point_motions(solved: Solved) -> dict[str, np.ndarray]:
@@ -333,11 +366,16 @@ def _write_table(path: Path, solved: Solved, centers: bool, statics: bool) -> No
             columns[f'{name}_x'] = found.points[c].real
             columns[f'{name}_y'] = found.points[c].imag
     if statics:
-        borne = efforts(solved.scene.mechanism, solved.values, solved.scene.loads)
+        loads = solved.scene.loads
+        if solved.scene.held_by:
+            size, load = holding(solved.scene.mechanism, solved.values, loads, solved.scene.held_by)
+            columns['held_by'] = size
+            loads = (*loads, load)
+        borne = efforts(solved.scene.mechanism, solved.values, loads)
         for k, driver in enumerate(solved.scene.mechanism.drivers):
             columns[f'{driver.name}_effort'] = borne.effort[k]
         if solved.scene.mechanism.assembly.joints:
-            forces = reactions(solved.scene.mechanism, solved.values, solved.scene.loads)
+            forces = reactions(solved.scene.mechanism, solved.values, loads)
             for j, joint in enumerate(forces.joints):
                 columns[f'{joint}_force_x'] = forces.force[j].real
                 columns[f'{joint}_force_y'] = forces.force[j].imag
@@ -387,9 +425,9 @@ def _kind(scene: Scene, k: int) -> str:
     return kinds[int(np.flatnonzero(scene.mechanism.drivers[k].row)[0])]
 
 
-def _shown(scene: Scene, k: int, value: float) -> str:
+def _shown(scene: Scene, k: int, value: float, digits: int = 9) -> str:
     unit, size = driver_unit(scene, k)
-    return f'{value / size:.9g} {unit}'
+    return f'{value / size:.{digits}g} {unit}'
 
 
 def _number(value: float) -> str:

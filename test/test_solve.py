@@ -63,13 +63,40 @@ def test_a_sweep_tells_limits_and_dead_points(
     dead = [line for line in lines if line.startswith('dead point')]
     assert len(dead) == 2
     assert all('change point' in line and 'follower' in line for line in dead)
-    at = [float(re.search(r'= ([\d.]+)', line)[1]) for line in dead]  # type: ignore[index]
-    assert at == pytest.approx([np.pi, 2 * np.pi], abs=1e-9)
+    assert all('in the loop O, A, B, C can move' in line for line in dead)
+    at = [float(re.search(r'= ([\d.]+) deg', line)[1]) for line in dead]  # type: ignore[index]
+    assert np.deg2rad(at) == pytest.approx([np.pi, 2 * np.pi], abs=1e-9)
     table = columns(tmp_path / 'a.csv')
     assert len(table['crank']) > 300
     # At a change point there are no rates, and beside it there are.
     rates = table['follower_angle_velocity']
     assert 0 < np.isnan(rates).sum() <= 3
+
+
+@pytest.mark.parametrize(
+    ('scene', 'force', 'told_as'),
+    [
+        ('trebuchet', 485.303316, 'N at bar.P, along -120 deg, balance the loads, with drop free'),
+        ('exercise_machine', 0.451301, 'N at link_2.P, along 180 deg, balance the loads, with'),
+    ],
+)
+def test_statics_answer_the_questions_of_the_seed(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, scene: str, force: float, told_as: str
+) -> None:
+    lines = told(capsys, scene, '--statics', '--csv', str(tmp_path / 'a.csv'))
+    (line,) = [line for line in lines if told_as in line]
+    assert float(line.split()[0]) == pytest.approx(force, rel=1e-6)
+    table = columns(tmp_path / 'a.csv')
+    assert table['held_by'] == pytest.approx(force, rel=1e-6)
+    (effort,) = [column for name, column in table.items() if name.endswith('_effort')]
+    assert effort == pytest.approx(0.0, abs=1e-9)
+
+
+def test_right_in_a_dead_point_nothing_is_made_up(capsys: pytest.CaptureFixture[str]) -> None:
+    lines = told(capsys, 'antiparallelogram', '--at', '180 deg')
+    assert 'a dead point: the drivers do not tell how it moves on' in lines
+    (follower,) = [line for line in lines if line.startswith('follower ')]
+    assert follower.split()[1:] == ['180', '-', '-', '-', '-']
 
 
 @pytest.mark.parametrize('scene', scene_names())
