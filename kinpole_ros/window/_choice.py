@@ -182,7 +182,7 @@ def differentiate(
             np.where(missing[..., None], 0.0, signals - base) if missing.any() else signals - base
         )
         # All signals at all instants are columns of one product.
-        centered = np.moveaxis(centered, -1, 1).reshape(1, count, 2 * instants * groups)
+        centered = centered.transpose(0, 3, 1, 2).reshape(1, count, 2 * instants * groups)
     else:
         models = _models(times, now, weights.T, orders)
         # What is missing may hold anything.
@@ -244,7 +244,7 @@ def differentiate(
     covariance = (part[:, :, None] * part[:, None] * errors).sum(axis=0)
     disagreement = np.sqrt(mix / dimensions)[:, :, None] * (values - result)
     covariance += np.einsum('lkcmg,ljcmg->kjmg', disagreement, disagreement)
-    result = np.moveaxis(result, 1, -1)
+    result = result.transpose(0, 2, 3, 1)
     result[0] += base
     result[unknown] = np.nan
     covariance[unknown[:, None] | unknown[None]] = np.nan
