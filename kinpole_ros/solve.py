@@ -245,13 +245,14 @@ def _center_lines(solved: Solved) -> list[str]:
     found = _centers(solved)
     several = solved.inputs.shape[1] > 1
     lines = ['', 'instant centers' + (' at the start of the range' if several else '')]
-    rows = []
+    rows: list[list[str | float]] = []
     for c, (i, j) in enumerate(found.pairs):
         point, direction = found.points[c, 0], found.directions[c, 0]
+        where: list[str | float]
         if np.isfinite(direction):
             where = ['at infinity', f'{np.rad2deg(direction):.6g} deg']
         elif np.isfinite(point):
-            where = [_number(point.real), _number(point.imag)]
+            where = [point.real, point.imag]
         else:
             where = ['none', '']
         rows.append([f'I{i + 1}{j + 1}', f'{found.bodies[i]}, {found.bodies[j]}', *where])

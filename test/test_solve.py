@@ -56,6 +56,16 @@ def test_centers_come_with_their_deduction(capsys: pytest.CaptureFixture[str]) -
     assert x == pytest.approx(y, rel=1e-5)
 
 
+def test_where_kennedy_does_not_suffice_the_chain_says_so(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    lines = told(capsys, 'eight_bar', '--centers')
+    assert len([line for line in lines if re.match(r'I\d\d  ', line)]) == 28
+    assert len([line for line in lines if re.match(r'I\d\d: pin', line)]) == 10
+    assert len([line for line in lines if 'from the rates: Kennedy has ' in line]) == 18
+    assert 'I26: from the rates: Kennedy has no line for it' in lines
+
+
 def test_a_sweep_tells_limits_and_dead_points(
     capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
