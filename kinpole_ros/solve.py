@@ -167,10 +167,14 @@ def _range(scene: Scene, start: float) -> tuple[float, float, tuple[float | None
 
 def _head(scene: Scene) -> list[str]:
     mechanism = scene.mechanism
-    joints, loops = len(mechanism.assembly.joints), len(mechanism.linkage.loops.loops)
-    parts = [f'{len(mechanism.bodies)} moving bodies', f'{joints} joints', f'{loops} loops']
+    counts = {
+        'moving bodies': len(mechanism.bodies),
+        'joints': len(mechanism.assembly.joints),
+        'loops': len(mechanism.linkage.loops.loops),
+    }
     driven = ', '.join(driver.name for driver in scene.mechanism.drivers)
-    return [f'{scene.name}: {", ".join(p for p in parts if p[0] != "0")}, driven: {driven}']
+    parts = [f'{what}: {count}' for what, count in counts.items() if count]
+    return [f'{scene.name}: {", ".join(parts)}, driven: {driven}']
 
 
 def _motion_lines(solved: Solved) -> list[str]:
@@ -192,6 +196,9 @@ def _motion_lines(solved: Solved) -> list[str]:
     lines += _table(
         ['body', 'angle deg', 'ω rad/s', 'α rad/s²', 'jerk rad/s³', 'snap rad/s⁴'], rows
     )
+    slides = [[name, *motion.values[:, k, 0]] for name, k in _lengths(scene).items()]
+    if slides:
+        lines += ['', *_table(['length', 'm', 'm/s', 'm/s²', 'm/s³', 'm/s⁴'], slides)]
     places = point_motions(solved)
     rows = []
     for name, place in places.items():
@@ -218,8 +225,8 @@ def _range_lines(solved: Solved) -> list[str]:
             what = 'limit: it turns back' if dead.turns_back else 'change point: two ways on'
             moving, loop = ', '.join(dead.moving), ', '.join(dead.loop)
             lines.append(
-                f'dead point at {name} = {_shown(scene, 0, dead.at, 12)} ({what}; in the loop '
-                f'{loop} can move {moving})'
+                f'dead point at {name} = {_shown(scene, 0, dead.at, 12)} ({what}; {moving} can '
+                f'move, in the loop {loop})'
             )
     return lines
 
@@ -230,11 +237,16 @@ def _sweep_lines(solved: Solved) -> list[str]:
     unit, size = driver_unit(scene, 0)
     head = [f'{scene.mechanism.drivers[0].name} ({unit})']
     head += [f'{b} {q}' for b in scene.mechanism.bodies for q in ('deg', 'rad/s')]
+    driven = scene.mechanism.drivers[0].name
+    slides = {name: n for name, n in _lengths(scene).items() if name != driven}
+    head += [f'{name} {q}' for name in slides for q in ('m', 'm/s')]
     rows = []
     for k in kept:
         row = [float(solved.inputs[0, k]) / size]
         for b in range(len(scene.mechanism.bodies)):
             row += [np.rad2deg(motion.angle[0, b, k]), motion.angle[1, b, k]]
+        for n in slides.values():
+            row += [motion.values[0, n, k], motion.values[1, n, k]]
         rows.append(row)
     return _table(head, rows)
 
@@ -245,13 +257,14 @@ def _center_lines(solved: Solved) -> list[str]:
     found = _centers(solved)
     several = solved.inputs.shape[1] > 1
     lines = ['', 'instant centers' + (' at the start of the range' if several else '')]
-    rows = []
+    rows: list[list[str | float]] = []
     for c, (i, j) in enumerate(found.pairs):
         point, direction = found.points[c, 0], found.directions[c, 0]
+        where: list[str | float]
         if np.isfinite(direction):
             where = ['at infinity', f'{np.rad2deg(direction):.6g} deg']
         elif np.isfinite(point):
-            where = [_number(point.real), _number(point.imag)]
+            where = [point.real, point.imag]
         else:
             where = ['none', '']
         rows.append([f'I{i + 1}{j + 1}', f'{found.bodies[i]}, {found.bodies[j]}', *where])
@@ -347,13 +360,17 @@ def point_motions(solved: Solved) -> dict[str, np.ndarray]:
 def _write_table(path: Path, solved: Solved, centers: bool, statics: bool) -> None:
     """One row per position, SI units; empty cells for what is not determined."""
     columns: dict[str, np.ndarray] = {}
+    orders = ('', '_velocity', '_acceleration', '_jerk', '_snap')
     for k, driver in enumerate(solved.scene.mechanism.drivers):
         columns[driver.name] = solved.inputs[k]
     for b, body in enumerate(solved.scene.mechanism.bodies):
-        for k, name in enumerate(('', '_velocity', '_acceleration', '_jerk', '_snap')):
+        for k, name in enumerate(orders):
             columns[f'{body}_x{name}'] = solved.motion.position[k, b].real
             columns[f'{body}_y{name}'] = solved.motion.position[k, b].imag
             columns[f'{body}_angle{name}'] = solved.motion.angle[k, b]
+    for name, n in _lengths(solved.scene).items():
+        for k, what in enumerate(orders):
+            columns[f'{name}{what}'] = solved.motion.values[k, n]
     for point, places in point_motions(solved).items():
         name = point.replace('.', '_')
         for k, what in enumerate(('', '_velocity', '_acceleration')):
@@ -425,9 +442,15 @@ def _kind(scene: Scene, k: int) -> str:
     return kinds[int(np.flatnonzero(scene.mechanism.drivers[k].row)[0])]
 
 
+def _lengths(scene: Scene) -> dict[str, int]:
+    """The slides and other lengths that change, by name, and which variables they are."""
+    kinds = scene.mechanism.assembly.kinds
+    return {name: n for n, (name, kind) in enumerate(kinds.items()) if kind == 'length'}
+
+
 def _shown(scene: Scene, k: int, value: float, digits: int = 9) -> str:
     unit, size = driver_unit(scene, k)
-    return f'{value / size:.{digits}g} {unit}'
+    return f'{value / size if abs(value) > 1e-12 else 0.0:.{digits}g} {unit}'
 
 
 def _number(value: float) -> str:

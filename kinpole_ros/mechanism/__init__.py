@@ -1,6 +1,6 @@
 """Mechanisms whose motion is known exactly: the truth that measured kinematics is held against."""
 
-from kinpole_ros.mechanism._assembly import Revolute
+from kinpole_ros.mechanism._assembly import Revolute, Rolling
 from kinpole_ros.mechanism._centers import Centers, explain, instant_centers
 from kinpole_ros.mechanism._centrodes import Centrodes, centrodes, write_pitch_curves
 from kinpole_ros.mechanism._loops import LinkageError
@@ -24,6 +24,7 @@ __all__ = [
     'Mechanism',
     'Motion',
     'Revolute',
+    'Rolling',
     'Scene',
     'SceneError',
     'Torque',
