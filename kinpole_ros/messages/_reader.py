@@ -33,6 +33,8 @@ from kinpole_ros.messages._walk import LITTLE, MarkerPlaces, Walk
 
 # Markers that come and go make many layouts; more than these, or larger ones, are not remembered.
 _MOST_LAYOUTS = 64
+# Of those that differ by names alone, which must not push out the others.
+_MOST_NAMES = 8
 _MOST_BYTES = 1 << 25
 # Of messages put together, and of those compared at once, which a cache should hold.
 _MOST_JOINED = 1 << 23
@@ -111,6 +113,9 @@ class MarkerReader:
             if layout.size == len(data):
                 renamed = layout.renamed(masked[id(layout.mask)], data)
                 if renamed is not None:
+                    same = [k for k, one in enumerate(self._layouts) if one.mask is layout.mask]
+                    if len(same) >= _MOST_NAMES:
+                        del self._layouts[same[-1]]
                     self._remember(renamed)
                     return renamed
         return None
