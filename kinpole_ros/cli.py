@@ -88,7 +88,8 @@ def _parser() -> argparse.ArgumentParser:
         'replay',
         help='a bag of markers to results, as fast as the machine goes',
         description='Runs the markers of a bag through the same pipeline as the node. The same '
-        'bag and parameters give the same figures every time.',
+        'bag and parameters give the same figures every time. What is written before a kill or a '
+        'full disk can be read; a Parquet table only when whole.',
     )
     replay.add_argument('bag', metavar='BAG', help='an .mcap file or a rosbag2 folder')
     replay.add_argument(
