@@ -29,7 +29,7 @@ from visualization_msgs.msg import MarkerArray
 from kinpole_ros.bags import BagError, read_messages, replay
 from kinpole_ros.demo import live_run
 from kinpole_ros.estimate import Estimate
-from kinpole_ros.frame import MarkerFrame
+from kinpole_ros.frame import MarkerFrames
 from kinpole_ros.messages import MARKER_TYPES, read_markers, to_message
 from kinpole_ros.node import KinpoleNode
 from kinpole_ros.parameters import PARAMETERS, Settings
@@ -495,9 +495,9 @@ def test_nothing_is_computed_that_nobody_subscribes_to(
     asked: list[int | None] = []
 
     class Watched(Tracker):
-        def add(self, frame: MarkerFrame, order: int | None) -> list[Estimate]:
+        def add(self, frames: MarkerFrames, order: int | None) -> list[Estimate]:
             asked.append(order)
-            return super().add(frame, order)
+            return super().add(frames, order)
 
     monkeypatch.setattr('kinpole_ros.node.Tracker', Watched)
     context = rclpy.get_default_context()
