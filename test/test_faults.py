@@ -17,6 +17,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import rclpy
 from conftest import numbers, stamp_of, write_config
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from lifecycle_msgs.srv import ChangeState, GetState
@@ -24,7 +25,7 @@ from nav_msgs.msg import Path
 from rcl_interfaces.srv import SetParameters
 from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile, ReliabilityPolicy
-from rclpy.serialization import deserialize_message, serialize_message
+from rclpy.serialization import serialize_message
 from test_node import LIMIT, RELIABLE, Peer, node_words, process
 from visualization_msgs.msg import MarkerArray
 
@@ -66,32 +67,38 @@ class Rig(Peer):
 
     def __init__(self) -> None:
         super().__init__()
-        self.heard: dict[str, list[Any]] = {}
-        self._types: dict[str, type] = {}
-        self._next = 0.0
         self.frame = 0.0
         self.stamp = 1_000_000_000_000
+        self._next = 0.0
+        self._ears: dict[str, Any] = {}
+        self._heard_so_far: dict[str, list[Any]] = {}
 
     def listen(self) -> None:
-        """Hear all results, kept as they come: to decode them all at once costs less."""
-        self._types = {
-            f'/kinpole/{o.topic}': o.message_type for o in result_outputs(('rod',), 'xy')
-        }
-        for topic, message_type in self._types.items():
-            self.heard[topic] = []
-            self.node.create_subscription(
-                message_type, topic, self.heard[topic].append, QoSProfile(depth=1000), raw=True
-            )
-        self.heard['/diagnostics'] = self.hear('/diagnostics', DiagnosticArray)
-        heard = lambda: all(self.node.count_publishers(topic) for topic in self._types)  # noqa: E731
+        """
+        Hear all results.
+
+        No executor has to wait for them: the middleware keeps them until they are looked at.
+        """
+        ears = rclpy.create_node('ears', context=self.node.context)
+        topics = {f'/kinpole/{o.topic}': o.message_type for o in result_outputs(('rod',), 'xy')}
+        for topic, kind in {**topics, '/diagnostics': DiagnosticArray}.items():
+            qos = QoSProfile(depth=2000)
+            self._ears[topic] = ears.create_subscription(kind, topic, lambda _: None, qos)
+            self._heard_so_far[topic] = []
+        heard = lambda: all(self.node.count_publishers(topic) for topic in self._ears)  # noqa: E731
         self.until(heard, 'all publishers')
 
-    def decoded(self, topic: str, most: int = 0) -> list[Any]:
-        return [deserialize_message(m, self._types[topic]) for m in self.heard[topic][-most:]]
+    def heard(self, topic: str) -> list[Any]:
+        """All messages of a topic since the last time that what was heard was forgotten."""
+        ear, listed = self._ears[topic], self._heard_so_far[topic]
+        with ear.handle:
+            while (taken := ear.handle.take_message(ear.msg_type, False)) is not None:
+                listed.append(taken[0])
+        return listed
 
-    def forget_heard(self) -> None:
-        for listed in self.heard.values():
-            listed.clear()
+    def forget_heard(self, *topics: str) -> None:
+        for topic in topics or self._ears:
+            self.heard(topic).clear()
 
     def until(self, condition: Callable[[], Any], what: str) -> None:
         deadline = time.monotonic() + LIMIT
@@ -113,8 +120,7 @@ class Rig(Peer):
         """Publish at the pace of a tracker."""
         publisher.publish(sent)
         self._next = max(self._next + PACE, time.monotonic())
-        while (left := self._next - time.monotonic()) > 0:
-            self._executor.spin_once(timeout_sec=left)
+        self._executor.spin_once(timeout_sec=max(0, self._next - time.monotonic()))
 
     def good(
         self, publisher: Any, count: int, kind: str = 'marker_array', step: int = STEP
@@ -141,29 +147,30 @@ class Rig(Peer):
 
     def newest(self) -> int:
         """The last instant that all the results are there of that are checked."""
-        last = [self.decoded(f'/kinpole/rod/{topic}', 1) for topic in CHECKED]
-        return min(stamp_of(found[-1]) for found in last) if all(last) else 0
+        last = [self.heard(f'/kinpole/rod/{topic}')[-1:] for topic in CHECKED]
+        return min(stamp_of(found[0]) for found in last) if all(last) else 0
 
     def check_right(self, since: int) -> None:
         """All that holds for instants from `since` on is right, and there is enough of it."""
         for topic, (read, expected, tolerance) in CHECKED.items():
-            found = [m for m in self.decoded(f'/kinpole/rod/{topic}') if stamp_of(m) >= since]
+            found = [m for m in self.heard(f'/kinpole/rod/{topic}') if stamp_of(m) >= since]
             assert len(found) >= 5, topic
             off = max(abs(read(m) - expected) for m in found)
             assert off < tolerance, f'{topic} {off} off'
 
     def check_finite(self) -> None:
-        for topic, message_type in self._types.items():
+        for topic, ear in self._ears.items():
             # A path holds again what the one before did.
-            for heard in self.decoded(topic, 2 if message_type in (Path, MarkerArray) else 0):
+            most = 2 if ear.msg_type in (Path, MarkerArray) else 0
+            for heard in self.heard(topic)[-most:]:
                 assert np.isfinite(list(numbers(heard))).all(), topic
-        for told in self.heard['/diagnostics']:
+        for told in self.heard('/diagnostics'):
             for pair in itertools.chain.from_iterable(s.values for s in told.status):
                 assert pair.value.strip('-') not in ('nan', 'inf'), pair.key
 
     def named(self, level: bytes | None, words: str, counted: str | None, status: int = 0) -> bool:
         """Whether diagnostics were heard of this level, with these words and a count."""
-        for told in (heard.status[status] for heard in self.heard['/diagnostics']):
+        for told in (heard.status[status] for heard in self.heard('/diagnostics')):
             if words in told.message and level in (None, told.level):
                 values = {pair.key: pair.value for pair in told.values}
                 if counted is None or int(values[counted]) > 0:
@@ -201,7 +208,7 @@ class Rig(Peer):
         status: int = 0,
     ) -> None:
         """Do something until diagnostics tell of it."""
-        self.heard['/diagnostics'].clear()
+        self.forget_heard('/diagnostics')
 
         def act_and_look() -> bool:
             if self.named(level, words, counted, status):

@@ -495,9 +495,9 @@ def test_nothing_is_computed_that_nobody_subscribes_to(
     asked: list[int | None] = []
 
     class Watched(Tracker):
-        def add(self, frame: MarkerFrames, order: int | None) -> list[Estimate]:
+        def add(self, frames: MarkerFrames, order: int | None) -> list[Estimate]:
             asked.append(order)
-            return super().add(frame, order)
+            return super().add(frames, order)
 
     monkeypatch.setattr('kinpole_ros.node.Tracker', Watched)
     context = rclpy.get_default_context()

@@ -34,7 +34,7 @@ RESULTS = {
     'icr': PointStamped,
     'centrode_curvature': Vector3Stamped,
 }
-_LAG = 100_000_000
+LAG = 100_000_000
 _MARKERS = 20
 _BODY = ['3', '7', '11', '15']
 _BEST_EFFORT = ReliabilityPolicy.BEST_EFFORT
@@ -103,8 +103,8 @@ class Cloud:
         self._noise = np.random.default_rng(1)
         self._arms = 0.1 * np.exp(2j * np.pi * np.array([0.0, 0.2, 0.45, 0.8]))
 
-    def at(self, stamp: int) -> bytes:
-        """The message of an instant, ns."""
+    def at(self, stamp: int, hidden: bool = False, off: bool = False) -> bytes:
+        """The message of an instant, ns, maybe with a marker of the body hidden or 0.1 m off."""
         t = stamp % 10**12 * 1e-9
         angle = 6 * t + 0.5 * math.sin(3 * t)
         flat = -0.1 * angle + self._arms * np.exp(1j * angle)
@@ -112,6 +112,10 @@ class Cloud:
         body[:, 0], body[:, 1] = flat.real, flat.imag
         body[:, :2] += 2e-4 * self._noise.normal(size=(4, 2))
         body[:, 2] = 0
+        if hidden:
+            body[self._noise.integers(4)] = np.nan
+        if off:
+            body[self._noise.integers(4)] += 0.1
         self._points[[int(name) for name in _BODY]] = body
         made = bytearray(self._data)
         made[self._start : self._start + self._points.nbytes] = self._points.tobytes()
@@ -176,7 +180,7 @@ def node_words(folder: Path) -> list[str]:
     config.write_text(
         '/**: {ros__parameters: {bodies: [rod], rod: {markers: '
         f'{_BODY}}}, marker_topic: /{NODE}/markers, marker_type: point_cloud2, '
-        f'lag: {_LAG * 1e-9}}}}}\n'
+        f'lag: {LAG * 1e-9}}}}}\n'
     )
     return ['-m', 'kinpole_ros.cli', 'node', '--ros-args', '--params-file', str(config)]
 
@@ -253,7 +257,7 @@ def _latency(asker: Asker, messages: int, rate: float) -> dict[str, Latency]:
     asker.until(lambda: time.monotonic() > quiet, 'the last answers')
     found = {}
     for name, lists in heard.items():
-        lag = _LAG if name == NODE else 0
+        lag = LAG if name == NODE else 0
         arrived: dict[int, list[int]] = {}
         for listed, kind in zip(lists, types[name], strict=True):
             for data, received in listed:
