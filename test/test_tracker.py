@@ -1,6 +1,6 @@
 """The whole pipeline, frames in and motion out, on scenes whose motion is known exactly."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -11,7 +11,7 @@ from stretches import instants
 
 from kinpole_ros import planar
 from kinpole_ros.estimate import POLE_NAMES, Estimate
-from kinpole_ros.frame import MarkerFrames, one_frame
+from kinpole_ros.frame import MarkerFrames, one_frame, part_of
 from kinpole_ros.mechanism import BodyMotion, load_scene, marker_positions
 from kinpole_ros.parameters import settings_from
 from kinpole_ros.tracker import MOST_MARKERS, Tracker, find_marker
@@ -529,6 +529,54 @@ def test_what_is_found_does_not_depend_on_the_order_asked_for(method: str, drop:
             assert few.angle_covariance == pytest.approx(
                 all_.angle_covariance[rows, rows], rel=1e-6, nan_ok=True
             )
+
+
+@pytest.mark.parametrize('method', ['pose', 'landmarks'])
+def test_frames_all_at_once_give_what_they_give_one_by_one(method: str) -> None:
+    """With markers and whole bodies that drop out, one that is elsewhere for a frame, and a gap."""
+    seen = record('four_bar', count=260, noise=1e-4)
+    points = np.concatenate([frame.points for frame in seen.frames])
+    points[120:126, :4] = np.nan
+    points[140:143, 1] = np.nan
+    points[200, 5] += 0.3
+    keep = np.r_[0:30, 31:160, 168:260]
+    stamps = START + STEP * keep
+    frames = MarkerFrames(stamps, 'world', seen.frames[0].identities, points[keep])
+    settings = settings_from({**seen.values, 'method': method})
+    whole, single = Tracker(settings), Tracker(settings)
+    together = instants(whole.add(frames, 4))
+    one_by_one = [
+        estimate
+        for k in range(len(stamps))
+        for estimate in instants(single.add(part_of(frames, slice(k, k + 1)), 4))
+    ]
+    assert whole.counts == single.counts
+    assert [e.stamp for e in together] == [e.stamp for e in one_by_one]
+    assert len(together) > 200
+    for name in ('position', 'angle', 'position_covariance', 'angle_covariance', 'span', 'degree'):
+        alike(*(np.stack([getattr(e, name) for e in all_]) for all_ in (together, one_by_one)))
+    for quantity in QUANTITIES:
+        one, other = ([quantity(e) for e in all_] for all_ in (together, one_by_one))
+        told = np.stack([figure.determined for figure in one])
+        np.testing.assert_array_equal(told, np.stack([figure.determined for figure in other]))
+        # Not about what is next to 0 / 0.
+        for part in (0, 1):
+            alike(*(np.stack([figure[part] for figure in all_])[told] for all_ in (one, other)))
+
+
+QUANTITIES: tuple[Callable[[Estimate], Any], ...] = (
+    *(lambda estimate, k=k: estimate.pole(k) for k in range(1, 5)),
+    lambda estimate: estimate.icr_velocity,
+    lambda estimate: estimate.centrode_curvature,
+    lambda estimate: estimate.relative_icr,
+)
+
+
+def alike(one: np.ndarray, other: np.ndarray) -> None:
+    """To 1e-9 of what each figure (T, ...) is like over time."""
+    scale = np.nanmedian(np.abs(one), axis=0)
+    scale = np.where(scale > 0, scale, 1.0)
+    assert one / scale == pytest.approx(other / scale, rel=1e-9, abs=1e-9, nan_ok=True)
 
 
 def test_a_name_stands_for_identity_then_namespace_then_id() -> None:
