@@ -18,7 +18,7 @@ SIGNIFICANT = 4.0
 # Beyond this many body sizes a pole is as good as at infinity.
 FARTHEST = 1e3
 # An ICR that moves by less than so many standard deviations, or body sizes per rad, stands still.
-_MOVING = 5.0
+_MOVING = 3.0
 _STILL = 1e-6
 POLE_NAMES = ('icr', 'iap', 'ijp', 'isp')
 RATE_NAMES = ('angular_velocity', 'angular_acceleration', 'angular_jerk', 'angular_snap')
@@ -40,6 +40,20 @@ class Numbers(NamedTuple):
     determined: np.ndarray
 
 
+class Poses(NamedTuple):
+    """
+    Poses with derivatives (K, ...) of `position`, complex, and `angle`; covariances (K, K, ...).
+
+    `turning` (K, ...) is variance of the angle to add where it is asked whether the body turns.
+    """
+
+    position: np.ndarray
+    angle: np.ndarray
+    position_covariance: np.ndarray
+    angle_covariance: np.ndarray
+    turning: np.ndarray
+
+
 class Estimate:
     """
     Motion of B bodies at T instants `stamp` (T,), ns, up to the derivative of `order`.
@@ -54,7 +68,8 @@ class Estimate:
     frames. `pin` (T, B) is the fixed point a body was found to turn about, complex, m, with
     `pin_variance` (T, B), m^2, of one coordinate; NaN for a body on no pin. `shape` (B, n) are the
     markers in the bodies' frames, complex, m. `due` (T,) is which frame, of those the tracker was
-    given together, each instant fell due with.
+    given together, each instant fell due with. `together` are poses (K, A, T, B) whose angle and
+    position are found by the same weights, those that suit the pole of order 1 to A.
 
     What follows is of shape (T, B) too, (T, pairs) for pairs of bodies. An index gives one instant
     as an estimate of its own, in which all arrays lack the axis of T.
@@ -79,6 +94,7 @@ class Estimate:
         pin_variance: np.ndarray | None = None,
         shape: np.ndarray | None = None,
         due: np.ndarray | None = None,
+        together: Poses | None = None,
     ) -> None:
         self.stamp = stamp
         self.frame_id = frame_id
@@ -99,7 +115,9 @@ class Estimate:
         self.pinned = np.isfinite(self.pin)
         self.shape = np.full((len(bodies), 0), complex(np.nan, np.nan)) if shape is None else shape
         self.due = np.arange(np.size(stamp)).reshape(np.shape(stamp)) if due is None else due
+        self.together = together
         self.pole = cache(self._pole)
+        self._poses = cache(self._poses_for)
 
     def __len__(self) -> int:
         return len(self.stamp)
@@ -126,6 +144,7 @@ class Estimate:
             self.pin_variance[instant],
             self.shape,
             self.due[instant],
+            self.together and Poses(*(part[..., instant, :] for part in self.together)),
         )
 
     @property
@@ -138,21 +157,39 @@ class Estimate:
         value = self.angle[order]
         return Numbers(value, self.angle_covariance[order, order], np.isfinite(value))
 
+    def _poses_for(self, order: int) -> Poses:
+        """Poses (K, S, T, B) to find the pole of that order from: apart and, if known, together."""
+        apart = Poses(
+            self.position,
+            self.angle,
+            self.position_covariance,
+            self.angle_covariance,
+            np.zeros_like(self.angle),
+        )
+        axis = -1 - np.ndim(self.size)
+        if self.together is None:
+            return Poses(*(np.expand_dims(part, axis) for part in apart))
+        index = (..., order - 1, *[slice(None)] * np.ndim(self.size))
+        both = zip(apart, self.together, strict=True)
+        return Poses(*(np.stack((one, other[index]), axis) for one, other in both))
+
     def _pole(self, order: int) -> Vectors:
         """ICR, IAP, IJP or ISP (m) for order 1 to 4."""
-        pole = planar.pole(order, self.position, self.angle)
-        denominator = planar.rotation_coefficient(order, self.angle)
-        partials = planar.rotation_partials(order, self.angle)
-        noise = sum(
-            (partials[k] * partials[m].conj()).real * self.angle_covariance[k, m]
+        poses = self._poses(order)
+        poles = planar.pole(order, poses.position, poses.angle)
+        value, spread = _mean(poles.value, planar.covariance(poles, *poses[2:4]))
+        # Whether the body turns is asked of the last: together, where that is known.
+        angle = poses.angle[:, -1]
+        denominator = planar.rotation_coefficient(order, angle)
+        partials = planar.rotation_partials(order, angle)
+        noise = poses.turning[order, -1] + sum(
+            (partials[k] * partials[m].conj()).real * poses.angle_covariance[k, m, -1]
             for k in partials
             for m in partials
         )
         with np.errstate(invalid='ignore'):
             turning = np.abs(denominator) > SIGNIFICANT * np.sqrt(noise)
-            near = np.abs(pole.value - self.position[0]) < FARTHEST * self.size
-        spread = planar.covariance(pole, self.position_covariance, self.angle_covariance)
-        value = pole.value
+            near = np.abs(value - self.position[0]) < FARTHEST * self.size
         if self.pinned.any():
             value = np.where(self.pinned, self.pin, value)
             even = self.pin_variance[..., None, None] * np.eye(2)
@@ -181,9 +218,10 @@ class Estimate:
     @cached_property
     def icr_velocity(self) -> Vectors:
         """Velocity of the ICR along both centrodes (m/s)."""
-        u = planar.icr_velocity(self.position, self.angle)
-        spread = planar.covariance(u, self.position_covariance, self.angle_covariance)
-        value = np.where(self.pinned, 0.0, u.value)
+        poses = self._poses(1)
+        u = planar.icr_velocity(poses.position, poses.angle)
+        value, spread = _mean(u.value, planar.covariance(u, *poses[2:4]))
+        value = np.where(self.pinned, 0.0, value)
         spread = np.where(self.pinned[..., None, None], 0.0, spread)
         finite = np.isfinite(value) & np.isfinite(spread).all(axis=(-2, -1))
         return Vectors(value, spread, self.pole(1).determined & finite)
@@ -191,11 +229,13 @@ class Estimate:
     @cached_property
     def centrode_curvature(self) -> Numbers:
         """Signed curvature of the fixed centrode (1/m); undetermined where the ICR stands still."""
-        curvature = planar.centrode_curvature(self.position, self.angle)
-        value = curvature.value.real
-        noise = planar.variance(curvature, self.position_covariance, self.angle_covariance)
-        finite = np.isfinite(value) & np.isfinite(noise)
-        return Numbers(value, noise, self.icr_moves & finite)
+        poses = self._poses(1)
+        curvature = planar.centrode_curvature(poses.position, poses.angle)
+        value, noise = _mean(curvature.value.real, planar.variance(curvature, *poses[2:4]))
+        with np.errstate(invalid='ignore'):
+            least = np.maximum(np.abs(value) / SIGNIFICANT, 1 / self.size)
+            known = np.isfinite(value) & (noise < least**2)
+        return Numbers(value, noise, self.icr_moves & known)
 
     @cached_property
     def icr_moves(self) -> np.ndarray:
@@ -285,3 +325,33 @@ def _stands_out(values: np.ndarray, covariance: np.ndarray) -> np.ndarray:
     with np.errstate(invalid='ignore'):
         noise = np.sqrt(covariance[orders, orders])
         return np.asarray((values[1:] > SIGNIFICANT * noise).any(axis=0))
+
+
+def _mean(values: np.ndarray, spread: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """
+    Mean of values (S, ...) and of their (co)variances, (S, ...) or (S, ..., 2, 2).
+
+    Weighted by the inverse squares of the latter; what the values differ by is error too.
+    """
+    plane = spread.ndim > values.ndim
+    variance = spread[..., 0, 0] + spread[..., 1, 1] if plane else spread
+    known = np.isfinite(variance) & np.isfinite(values)
+    least = np.where(known, variance, np.inf).min(axis=0)
+    with np.errstate(divide='ignore', invalid='ignore', over='ignore'):
+        shares = np.where(known, np.where(variance > least, (least / variance) ** 2, 1.0), 0.0)
+        # Where nothing is known the first stands, to tell what it would be.
+        shares[0] += ~known.any(axis=0)
+        shares /= shares.sum(axis=0)
+        value = np.where(shares > 0, shares * values, 0).sum(axis=0)
+        off = np.where(shares > 0, np.sqrt(shares) * (values - value), 0)
+        wide = shares[..., None, None] if plane else shares
+        mixed = np.where(wide > 0, wide * spread, 0).sum(axis=0)
+        if not plane:
+            return value, mixed + (off**2).sum(axis=0)
+        x, y = off.real, off.imag
+        mixed[..., 0, 0] += (x * x).sum(axis=0)
+        mixed[..., 1, 1] += (y * y).sum(axis=0)
+        across = (x * y).sum(axis=0)
+        mixed[..., 0, 1] += across
+        mixed[..., 1, 0] += across
+        return value, mixed

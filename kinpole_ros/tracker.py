@@ -7,25 +7,27 @@ Header stamps drive it; it never asks for the time.
 """
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
 
-from kinpole_ros.estimate import Estimate
+from kinpole_ros.estimate import FARTHEST, Estimate, Poses
 from kinpole_ros.frame import MarkerFrames, part_of
 from kinpole_ros.parameters import Settings
-from kinpole_ros.planar import landmark_kinematics, to_plane
+from kinpole_ros.planar import landmark_kinematics, pole, to_plane
 from kinpole_ros.window import (
     FEWEST_SAMPLES,
     STRIKES,
-    Derivatives,
     Noise,
     Pins,
     Samples,
     Shapes,
     Spectrum,
     differentiate,
+    project,
+    weigh_apart,
+    weigh_together,
 )
 
 # Columns of a marker that span the plane, and the one along its normal.
@@ -36,7 +38,7 @@ MOST_MARKERS = 1024
 # Coordinates are known no better than a few units of their last place.
 _ROUNDING = 4 * np.finfo(float).eps
 # m. No marker is that far, and the squares of what is nearer do not overflow.
-_FARTHEST = 1e15
+_FARTHEST_MARKER = 1e15
 # rad. An angle noisier than this wanders round, and its errors are no longer small.
 _UNSTEADY = 0.15
 # Weights this near to 1 are not worth fits of their own.
@@ -85,6 +87,7 @@ class Tracker:
         self._noise = Noise(count)
         self._pins = Pins(count)
         self._spectrum = Spectrum()
+        self._spectrum_together = Spectrum()
         self._places: dict[tuple[str, ...], np.ndarray] = {}
         self._stamps = Samples((), np.int64)
         self._positions = Samples((count,), complex)
@@ -194,7 +197,7 @@ class Tracker:
             rows = padded
         solid = rows[:, place]
         with np.errstate(invalid='ignore'):
-            near = (np.abs(solid) < _FARTHEST).all(axis=-1)
+            near = (np.abs(solid) < _FARTHEST_MARKER).all(axis=-1)
         if not near.all():
             solid[~near] = np.nan
         flat = np.empty(solid.shape[:-1], complex)
@@ -399,10 +402,10 @@ class Tracker:
         usable = seen & measured & firm
         noise = np.where(measured, noise, 1.0)
         differentiated = self._from_poses if self._points is None else self._from_landmarks
-        found = differentiated(now, oldest, newest, noise, order)
+        found, together = differentiated(now, oldest, newest, noise, order)
         position, angle, position_covariance, angle_covariance, span, degree = found
         if not usable.all():
-            for array in found:
+            for array in (*found, *(together or ())):
                 array[..., ~usable] = np.nan
         few = ~np.isfinite(angle[1]) | ~np.isfinite(position[1])
         missing = np.full(seen.shape, '', object)
@@ -431,6 +434,7 @@ class Tracker:
             *self._pinned(oldest, newest),
             self._shapes.markers(),
             due,
+            together,
         )
 
     def _pinned(self, oldest: np.ndarray, newest: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -452,53 +456,72 @@ class Tracker:
 
     def _from_poses(
         self, now: np.ndarray, oldest: np.ndarray, newest: np.ndarray, noise: np.ndarray, order: int
-    ) -> tuple[np.ndarray, ...]:
-        """Derivatives of the fitted poses: angle and position, each with models of its own."""
+    ) -> tuple[tuple[np.ndarray, ...], Poses | None]:
+        """Derivatives of the fitted poses, angle and position each by itself and together."""
         count = len(self.bodies)
         angles = self._angles.view()
         signals = np.zeros((len(angles), 2 * count, 2))
         turns = self._turns.view()
         signals[:, :count, 0] = angles + 2 * np.pi * (turns - turns[0])
         signals[:, count:] = to_plane(self._positions.view())
-        found = self._differentiate(
-            (now, oldest, newest),
-            signals,
-            self._information.view(),
-            np.tile(noise, 2),
-            np.repeat((1, 2), count),
-            order,
-        )
-        position = found.values[..., count:, 0] + 1j * found.values[..., count:, 1]
-        angle = found.values[..., :count, 0]
+        dimensions = np.repeat((1, 2), count)
+        reach = FARTHEST * self._size()
+        found = []
+        for times, samples, weights, level in self._runs(
+            (now, oldest, newest), signals, self._information.view(), np.tile(noise, 2)
+        ):
+            fits = project(times, samples, weights, order, count)
+            own = weigh_apart(fits, level, dimensions, order, self._spectrum)
+            position = own.values[..., count:, 0] + 1j * own.values[..., count:, 1]
+            angle = own.values[..., :count, 0]
+            poles = [pole(k, position, angle).value for k in range(1, order + 1)]
+            arms = np.stack(poles) - position[0]
+            with np.errstate(invalid='ignore'):
+                arms = np.where(np.abs(arms) < reach, arms, 0.0)
+            both = weigh_together(fits, arms, level, order, self._spectrum_together)
+            of_angle = both.covariance * (level[:, :count] / level[:, count:]) ** 2
+            found.append(
+                (
+                    position,
+                    angle,
+                    own.covariance[..., count:],
+                    own.covariance[..., :count],
+                    own.span[:, :count],
+                    own.degree[:, :count],
+                    *Poses(both.position, both.angle, both.covariance, of_angle, both.turning),
+                )
+            )
+        parts = _joined(found)
+        apart, together = parts[:6], Poses(*parts[6:])
         # Of all turns that are one, as it was measured.
-        angle[0] += angles[now] - signals[now, :count, 0]
-        covariance = found.covariance
-        return (
-            position,
-            angle,
-            covariance[..., count:],
-            covariance[..., :count],
-            found.span[:, :count],
-            found.degree[:, :count],
-        )
+        apart[1][0] += angles[now] - signals[now, :count, 0]
+        # The instant itself is the same for both.
+        for covariance in together[2:4]:
+            covariance[0] = covariance[:, 0] = 0.0
+        for part, alone in zip(together, apart[:4], strict=False):
+            part[(0,) * (part.ndim - 3)] = alone[(0,) * (alone.ndim - 2)]
+        return apart, together
 
     def _from_landmarks(
         self, now: np.ndarray, oldest: np.ndarray, newest: np.ndarray, noise: np.ndarray, order: int
-    ) -> tuple[np.ndarray, ...]:
+    ) -> tuple[tuple[np.ndarray, ...], Poses | None]:
         """Derivatives of each landmark, then the seeds' formulas (seed 000)."""
         assert self._points is not None
         points = self._points.view()
         count, width = points.shape[1:]
         signals = to_plane(points.reshape(len(points), -1))
-        found = self._differentiate(
+        dimensions = np.full(count * width, 2)
+        found = []
+        for run in self._runs(
             (now, oldest, newest),
             signals,
             np.where(np.isfinite(signals[..., 0]), 1.0, 0.0),
             np.repeat(noise, width),
-            np.full(count * width, 2),
-            order,
-        )
-        derivatives = found.values.reshape(order + 1, len(now), count, width, 2)
+        ):
+            one = differentiate(*run, dimensions, order, self._spectrum)
+            found.append((*np.moveaxis(one.values, -1, 0), *one[1:]))
+        x, y, covariance, span, degree = _joined(found)
+        derivatives = np.stack((x, y), axis=-1).reshape(order + 1, len(now), count, width, 2)
         here = np.asarray(np.isfinite(derivatives).all(axis=(0, -1)))
         given = np.where(here[..., None], derivatives, 0.0)
         landmarks, velocities, *higher = given
@@ -508,32 +531,31 @@ class Tracker:
             *higher,
             weights=here.astype(float),  # type: ignore[misc]
         )
-        covariance = found.covariance.reshape(order + 1, order + 1, len(now), count, width)
+        covariance = covariance.reshape(order + 1, order + 1, len(now), count, width)
         covariance = np.where(here, covariance, 0.0)
         with np.errstate(divide='ignore', invalid='ignore'):
             number = here.sum(axis=-1)
             arms = np.where(here, _squared_arms(given[0], here), 0.0)
             position_covariance = covariance.sum(axis=-1) / number**2
             angle_covariance = (covariance * arms).sum(axis=-1) / arms.sum(axis=-1) ** 2
-        span = found.span.reshape(len(now), count, width).mean(axis=-1)
-        degree = found.degree.reshape(len(now), count, width).mean(axis=-1)
+        span = span.reshape(len(now), count, width).mean(axis=-1)
+        degree = degree.reshape(len(now), count, width).mean(axis=-1)
         angle = motion.angle[: order + 1].copy()
         angle[0] = self._angles.view()[now]
         position = motion.position[: order + 1].copy()
-        return position, angle, position_covariance, angle_covariance, span, degree
+        return (position, angle, position_covariance, angle_covariance, span, degree), None
 
-    def _differentiate(
+    def _runs(
         self,
         windows: tuple[np.ndarray, np.ndarray, np.ndarray],
         signals: np.ndarray,
         information: np.ndarray,
         noise: np.ndarray,
-        dimensions: np.ndarray,
-        order: int,
-    ) -> Derivatives:
+    ) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray | None, np.ndarray]]:
         """
-        Derivatives at the frames `windows` (now, oldest, newest) of signals (frames, G, 2).
+        What `differentiate` takes: times, samples, weights and noise (M, G), of runs of instants.
 
+        The instants are the frames `windows` (now, oldest, newest) of signals (frames, G, 2);
         `information` (frames, G) are inverse variances over that of `noise` (G,). Instants with
         the same stamps about them are done at once, as a rule all of them.
         """
@@ -545,7 +567,6 @@ class Tracker:
         alike = bool(((least > _ALIKE * most) | (most == 0)).all())
         signals = np.where((most > 0)[:, None], signals, np.nan) if alike else signals
         size = newest - oldest
-        found = []
         first = 0
         while first < len(now):
             end = first + 1
@@ -570,27 +591,8 @@ class Tracker:
             weights = None if alike else information[rows[:, 0]] / held
             if weights is not None and np.all(weights > _ALIKE):
                 weights = None
-            found.append(
-                differentiate(
-                    times,
-                    signals[rows],
-                    weights,
-                    noise / np.sqrt(held),
-                    dimensions,
-                    order,
-                    self._spectrum,
-                )
-            )
+            yield times, signals[rows], weights, noise / np.sqrt(held)
             first = end
-        if len(found) == 1:
-            return found[0]
-        values, covariance, span, degree = zip(*found, strict=True)
-        return Derivatives(
-            np.concatenate(values, axis=1),
-            np.concatenate(covariance, axis=2),
-            np.concatenate(span),
-            np.concatenate(degree),
-        )
 
 
 def find_marker(marker: str, identities: Sequence[str]) -> int:
@@ -618,3 +620,10 @@ def _squared_arms(points: np.ndarray, here: np.ndarray) -> np.ndarray:
     number = np.maximum(here.sum(axis=-1), 1)
     mean = (points * here[..., None]).sum(axis=-2) / number[..., None]
     return np.asarray(((points - mean[..., None, :]) ** 2).sum(axis=-1))
+
+
+def _joined(found: list[tuple[np.ndarray, ...]]) -> tuple[np.ndarray, ...]:
+    """Arrays (..., T, B) of some runs of instants, as of one."""
+    if len(found) == 1:
+        return found[0]
+    return tuple(np.concatenate(parts, axis=-2) for parts in zip(*found, strict=True))

@@ -322,10 +322,10 @@ class FixedTracker(Tracker):
 
     def _from_poses(
         self, now: np.ndarray, oldest: np.ndarray, newest: np.ndarray, noise: np.ndarray, order: int
-    ) -> tuple[np.ndarray, ...]:
+    ) -> tuple[tuple[np.ndarray, ...], None]:
         found = [self._at(*frame, noise, order) for frame in zip(now, oldest, newest, strict=True)]
         axes = (1, 1, 2, 2, 0, 0)
-        return tuple(map(np.stack, zip(*found, strict=True), axes))
+        return tuple(map(np.stack, zip(*found, strict=True), axes)), None
 
     def _at(
         self, now: int, oldest: int, newest: int, noise: np.ndarray, order: int

@@ -5,10 +5,17 @@ Knows rigid bodies only as shapes to fit, and neither ROS nor the names of quant
 their noise go in at true time stamps, derivatives with covariances come out.
 """
 
-from kinpole_ros.window._choice import FEWEST_SAMPLES, Derivatives, Spectrum, differentiate
+from kinpole_ros.window._choice import (
+    Derivatives,
+    Spectrum,
+    differentiate,
+    weigh_apart,
+    weigh_together,
+)
 from kinpole_ros.window._noise import Noise
 from kinpole_ros.window._pin import STRIKES, Pins
 from kinpole_ros.window._polynomial import derivative_weights, stencil
+from kinpole_ros.window._projection import FEWEST_SAMPLES, project
 from kinpole_ros.window._samples import Samples
 from kinpole_ros.window._shape import Shapes
 
@@ -23,5 +30,8 @@ __all__ = [
     'Spectrum',
     'derivative_weights',
     'differentiate',
+    'project',
     'stencil',
+    'weigh_apart',
+    'weigh_together',
 ]

@@ -16,22 +16,17 @@ Averages look back, so what happens only now has its own say: a coefficient that
 noise by itself counts, and a window whose richest fit leaves more than noise is charged for it.
 """
 
-from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
 
-from kinpole_ros.planar._plane import Real
-from kinpole_ros.window._polynomial import orthonormal_basis
+from kinpole_ros.planar._plane import Complex, Real
+from kinpole_ros.window._projection import Models, Projection, evaluate, project
 
-HIGHEST_ORDER = 4
-FEWEST_SAMPLES = 7
-_HIGHEST_DEGREE = 12
-_LADDER = 1.33
-# Windows of more samples are made of means: a polynomial of this degree is as well known by them.
-_FINEST = 128
 # The averages of a window go back this many times its own length: a short one learns quickly.
 _MEMORY = 3.0
+# The point at a pole is another one every instant: what it did before a window is of no use.
+_MEMORY_TOGETHER = 1.0
 # A mean energy counts from so many of its standard deviations, a single one from so many s^2.
 _LASTING = 3.0
 _SUDDEN = 11.0
@@ -105,47 +100,20 @@ class Spectrum:
         return means, among
 
 
-class _Scale(NamedTuple):
+class Together(NamedTuple):
     """
-    Windows of one scale, made of means of `each` samples together, for long ones need no more.
+    Derivatives of poses by the same weights for angle and position, for each of A arms.
 
-    The B means start at the sample `start`; `root` (groups, B) are the square roots of their
-    weights; `basis` (groups, l, B, D) are the members of the l windows, orthonormal on the weighted
-    means, and zero for means that are not `inside` (l, B).
-    """
-
-    each: int
-    start: int
-    root: Real
-    basis: Real
-    inside: np.ndarray
-
-
-class _Shortcut(NamedTuple):
-    """
-    A scale whose models are shared and used again and again, as one matrix.
-
-    `matrix` (l D + R, B) gives the coefficients of the l windows, and below what the fits leave of
-    each mean inside, window after window from the rows `starts` (l,) on.
+    `angle` (K, A, M, B) and `position` (K, A, M, B), complex; `covariance` (K, K, A, M, B) of one
+    component of the position, in whose ratio to the noise of positions that of angles goes too;
+    `turning` (K, A, M, B) is the variance by which the windows differ in the angle. What is of
+    order 0 is counted from the sample at time 0.
     """
 
-    matrix: Real
-    starts: np.ndarray
-
-
-class _Models(NamedTuple):
-    """All fits of one set of instants: `groups` is 1 where every signal shares them, else G."""
-
-    scales: tuple[_Scale, ...]
-    shortcuts: tuple[_Shortcut, ...]  # of the scales, where they pay
-    rows: Real  # (groups, L, K, D), derivatives of order 0 to K - 1 of the members at time 0
-    products: Real  # (groups, L, K * K, D), of the rows of any two orders
-    rim: Real  # (L, K, 1, groups), the larger square of the last two members in each row
-    own: Real  # (L, K, 1, groups), the square of the first member that each row knows
-    lengths: np.ndarray  # (L, 1, groups) samples with weight in each window
-    freedom: np.ndarray  # (L, 1, groups) means beyond the members of the richest fit
-    highest: np.ndarray  # (L, 1, groups) degree of the richest fit
-    spans: Real  # (L, 1, 1) s
+    position: Complex
+    angle: Real
+    covariance: Real
+    turning: Real
 
 
 def differentiate(
@@ -157,47 +125,170 @@ def differentiate(
     order: int,
     spectrum: Spectrum | None = None,
 ) -> Derivatives:
-    """
-    Derivatives of order 0 to `order` of G signals at M instants.
+    """Derivatives of order 0 to `order` of G signals: see `project` and `weigh_apart`."""
+    return weigh_apart(project(times, signals, weights, order), noise, dimensions, order, spectrum)
 
-    `times` (N,) are whole ns from the instant, rising, with 0 among them, alike for all instants;
-    `signals` (N, M, G, 2) are vectors of the plane, or numbers in their first component, as the
-    samples about each instant have them; `dimensions` (G,) says which, 2 or 1. `weights` (N, G),
-    for one instant at a time, are the inverse variances of the samples relative to `noise` (G,) or
-    (M, G), the standard deviation of one component of a sample of weight 1; 0 is a sample that is
-    missing, None means all are 1, or that a signal is NaN throughout. A signal that is missing or
-    NaN at time 0 comes out NaN. `spectrum` remembers the instants before; without it only these
-    judge, one after the other.
-    """
-    now = int(np.searchsorted(times, 0))
-    count, instants, groups = signals.shape[:3]
-    missing = np.isnan(signals[now, ..., 0])  # (M, G)
-    if weights is not None:
-        missing |= ~(weights[now] > 0)
-    base = np.where(missing[..., None], 0.0, signals[now])
-    orders = order + 1
-    if weights is None:
-        models = _shared_models(times.tobytes(), now, orders)
-        centered = (
-            np.where(missing[..., None], 0.0, signals - base) if missing.any() else signals - base
-        )
-        # All signals at all instants are columns of one product.
-        centered = centered.transpose(0, 3, 1, 2).reshape(1, count, 2 * instants * groups)
-    else:
-        models = _models(times, now, weights.T, orders)
-        # What is missing may hold anything.
-        centered = np.where(weights[:, None, :, None] > 0, signals - base, 0.0)
-        centered = centered.transpose(2, 0, 3, 1).reshape(groups, count, 2 * instants)
-    coefficients, squares = _project(models, centered, weights, instants, groups)
 
-    energy = (coefficients**2).sum(axis=2) / dimensions  # (L, D, M, G)
-    freedom = models.freedom
-    left = squares.sum(axis=1) / (dimensions * np.maximum(freedom, 1))  # (L, M, G)
-    known = np.broadcast_to((models.lengths > 0) & ~missing, left.shape)
+def weigh_apart(
+    fits: Projection,
+    noise: Real,
+    dimensions: np.ndarray,
+    order: int,
+    spectrum: Spectrum | None = None,
+) -> Derivatives:
+    """
+    Derivatives of order 0 to `order` of G signals at M instants, each with weights of its own.
+
+    `noise` (G,) or (M, G) is the standard deviation of one component of a sample of weight 1;
+    `dimensions` (G,) says how many components a signal has, 1 or 2. A signal that is missing or NaN
+    at time 0 comes out NaN. `spectrum` remembers the instants before; without it only these judge,
+    one after the other.
+    """
+    energy = (fits.coefficients**2).sum(axis=2) / dimensions  # (L, D, M, G)
+    left = fits.squares.sum(axis=1) / dimensions  # (L, M, G)
     memory = Spectrum() if spectrum is None else spectrum
+    weights = _weigh(fits.models, energy, left, fits.missing, noise, dimensions, order, memory)
+    # (L, K, 2, M, G)
+    values = evaluate(fits.models.rows, weights.share[:, :, None] * fits.coefficients)
+    mix = weights.mix
+    result = (mix[:, :, None] * values).sum(axis=0)
+    covariance = weights.covariance + _disagreement(mix / dimensions, values - result)
+    result = result.transpose(0, 2, 3, 1)
+    result[0] += fits.base
+    result[weights.unknown] = np.nan
+    covariance[weights.unknown[:, None] | weights.unknown[None]] = np.nan
+    first = mix[:, min(1, order)]
+    span = (first * fits.models.spans).sum(axis=0)
+    return Derivatives(result, covariance, span, (first * weights.last).sum(axis=0))
+
+
+def weigh_together(
+    fits: Projection, arms: Complex, noise: Real, order: int, spectrum: Spectrum
+) -> Together:
+    """
+    Derivatives of the angles and positions of B bodies at M instants, both by the same weights.
+
+    `fits` are those of poses. Where a motion sets in, all windows are off, but angle and position
+    by one factor, which cancels in a pole if it is the same. The weights are those for the point of
+    the body at `arms` (A, M, B), m from the reference point now, which should be near the pole of
+    order 1 to A: its error is that of the pole. `noise` (M, 2 B) as in `weigh_apart`.
+    """
+    number, instants, count = arms.shape
+    arms = np.moveaxis(arms, 0, 1)  # (M, A, B)
+    reach = np.abs(arms)
+    along = np.where(reach > 0, arms, 1.0) / np.where(reach > 0, reach, 1.0)
+    cos, sin = along.real, along.imag
+    noise = noise[:, None]
+    even = noise[..., count:]
+    # Across the arm the angle's noise adds to that of the position: scaled back to the same.
+    scale = even / np.sqrt(even**2 + (reach * noise[..., :count]) ** 2)
+
+    # Angle, and position along and across the arms: (L, D, 3, M, A, B).
+    angle = fits.coefficients[:, :, 0, :, None, :count]
+    x, y = (fits.coefficients[:, :, k, :, None, count:] for k in (0, 1))
+    members = np.empty((*angle.shape[:2], 3, *arms.shape))
+    members[:, :, 0] = angle
+    members[:, :, 1] = cos * x + sin * y
+    members[:, :, 2] = cos * y - sin * x
+    energy = _at_arms(members, reach, scale)
+    energy = (energy[:, :, 0] ** 2 + energy[:, :, 1] ** 2) / 2
+    turned, (xx, yy) = fits.squares[:, 0, :, None, :count], fits.squares.swapaxes(0, 1)
+    xx, yy = xx[:, :, None, count:], yy[:, :, None, count:]
+    with_x, with_y, xy = (fits.products[:, k, :, None] for k in range(3))
+    left = cos**2 * xx + 2 * cos * sin * xy + sin**2 * yy
+    across = xx + yy - left + reach**2 * turned + 2 * reach * (cos * with_y - sin * with_x)
+    # A difference of what may be large: never below 0 but for rounding.
+    left = np.maximum(left + scale**2 * across, 0.0) / 2
+
+    def flat(array: Real) -> Real:
+        return array.reshape(*array.shape[:-2], number * count)
+
+    place = np.tile(np.arange(count), number)
+    by_angle, by_position = fits.models.of(place), fits.models.of(count + place)
+    weights = _weigh(
+        by_position,
+        flat(energy),
+        flat(left),
+        np.tile(fits.missing[:, :count] | fits.missing[:, count:], number),
+        np.tile(even[:, 0], number),
+        np.full(number * count, 2),
+        order,
+        spectrum,
+        _MEMORY_TOGETHER,
+        # A pole's own order is not taken for small: its first coefficients count in full.
+        np.repeat(np.arange(1, number + 1), count),
+    )
+    members = flat(members)
+    members *= weights.share[:, :, None]
+    if by_angle is by_position:
+        values = evaluate(by_angle.rows, members)  # (L, K, 3, M, A B)
+    else:
+        parts = (by_angle.rows, members[:, :, :1]), (by_position.rows, members[:, :, 1:])
+        values = np.concatenate([evaluate(*part) for part in parts], axis=2)
+    result = (weights.mix[:, :, None] * values).sum(axis=0)
+    values -= result
+    shape = instants, number, count
+    off = _at_arms(values.reshape(*values.shape[:3], *shape), reach, scale)
+    covariance = weights.covariance + _disagreement(weights.mix / 2, flat(off))
+    turning = (weights.mix * values[:, :, 0] ** 2).sum(axis=0)
+    np.moveaxis(result, 1, -1)[weights.unknown] = np.nan
+
+    def by_arm(array: Real) -> Real:
+        return np.moveaxis(array.reshape(*array.shape[:-2], *shape), -2, -3)
+
+    result = by_arm(result)
+    along = np.moveaxis(along, 1, 0)
+    position = along * (result[:, 1] + 1j * result[:, 2])
+    return Together(position, result[:, 0], by_arm(covariance), by_arm(turning))
+
+
+def _at_arms(poses: Real, reach: Real, scale: Real) -> Real:
+    """Points (..., 2, M, A, B) along and across the arms, of poses (..., 3, M, A, B) in them."""
+    points = poses[:, :, 1:].copy()
+    points[:, :, 1] += reach * poses[:, :, 0]
+    points[:, :, 1] *= scale
+    return points
+
+
+class _Weights(NamedTuple):
+    """
+    Weights of coefficients `share` (L, D, M, G) and of windows `mix` (L, K, M, G).
+
+    `covariance` (K, K, M, G) without what the windows disagree about; `last` (L, M, G) is the
+    degree of the last coefficient in use; `unknown` (K, M, G) says where no window will do.
+    """
+
+    share: Real
+    mix: Real
+    covariance: Real
+    last: np.ndarray
+    unknown: np.ndarray
+
+
+def _weigh(
+    models: Models,
+    energy: Real,
+    left: Real,
+    missing: np.ndarray,
+    noise: Real,
+    dimensions: np.ndarray,
+    order: int,
+    spectrum: Spectrum,
+    back: float = _MEMORY,
+    free: np.ndarray | int = -1,
+) -> _Weights:
+    """
+    Judge the squares of coefficients (L, D, M, G) and what fits leave (L, M, G), by component.
+
+    Coefficients of degree up to `free` are taken as they are.
+    """
+    instants, groups = missing.shape
+    freedom = models.freedom
+    left = left / np.maximum(freedom, 1)
+    known = np.broadcast_to((models.lengths > 0) & ~missing, left.shape)
     lengths = np.maximum(models.lengths, 1)
-    mean, among = memory.follow(
-        np.concatenate((energy, left[:, None]), axis=1), known, _MEMORY * lengths[:, 0]
+    mean, among = spectrum.follow(
+        np.concatenate((energy, left[:, None]), axis=1), known, back * lengths[:, 0]
     )
     mean, mean_left = mean[:, :-1], mean[:, -1]
     # Neighboring windows share samples; the number of squares that are new to each other:
@@ -211,13 +302,16 @@ def differentiate(
     signal = np.maximum(signal, 0.0)
     degrees = np.arange(energy.shape[1])[:, None, None]
     last = np.where(sudden | lasting, degrees, -1).max(axis=1)[:, None]
+    last = np.maximum(last, free)
     used = degrees <= last
+    within = degrees <= models.highest[:, None]
     share = np.where(used, signal / (signal + variance), 0.0)
-    hidden = (degrees > last) & (degrees <= last + 2) & (degrees <= models.highest[:, None])
+    share = np.where((degrees <= free) & within, 1.0, share)
+    hidden = (degrees > last) & (degrees <= last + 2) & within
     error = share * variance + np.where(hidden, _HIDDEN * scatter, 0.0)
 
-    values = _evaluate(models.rows, share[:, :, None] * coefficients)  # (L, K, 2, M, G)
-    errors = _evaluate(models.products, error).reshape(-1, orders, orders, instants, groups)
+    orders = order + 1
+    errors = evaluate(models.products, error).reshape(-1, orders, orders, instants, groups)
     # What a window cannot follow adds to its error: what it leaves, and the rest of its series.
     odds = np.sqrt(2 / np.maximum(freedom * apart, 1))
     lost = np.maximum(mean_left - variance * (_LEFT + _LEFT_LASTING * odds), 0.0)
@@ -238,187 +332,19 @@ def differentiate(
     least = risk.min(axis=0)
     unknown = ~np.isfinite(least)
     mix = np.maximum(np.where(unknown, 1.0, least) / risk - _OUT, 0.0) ** _SHARPNESS
-    mix /= np.where(unknown, 1.0, mix.sum(axis=0))  # (L, K, M, G)
-    result = (mix[:, :, None] * values).sum(axis=0)
+    mix /= np.where(unknown, 1.0, mix.sum(axis=0))
     part = mix**_KINSHIP
     covariance = (part[:, :, None] * part[:, None] * errors).sum(axis=0)
-    disagreement = np.sqrt(mix / dimensions)[:, :, None] * (values - result)
-    covariance += np.einsum('lkcmg,ljcmg->kjmg', disagreement, disagreement)
-    result = result.transpose(0, 2, 3, 1)
-    result[0] += base
-    result[unknown] = np.nan
-    covariance[unknown[:, None] | unknown[None]] = np.nan
-    first = mix[:, min(1, order)]
-    span = (first * models.spans).sum(axis=0)
-    return Derivatives(result, covariance, span, (first * last[:, 0]).sum(axis=0))
+    return _Weights(share, mix, covariance, last[:, 0], unknown)
+
+
+def _disagreement(mix: Real, apart: Real) -> Real:
+    """Covariance (K, K, M, G) of windows that are off (L, K, C, M, G) their mean."""
+    parted = np.sqrt(mix)[:, :, None] * apart
+    return np.asarray(np.einsum('lkcmg,ljcmg->kjmg', parted, parted))
 
 
 def _variance(mean_left: Real, freedom: Real, noise: Real) -> Real:
     """Variance (M, G) of the noise to judge by: not less than what the best rich fit leaves."""
     measured = np.where(freedom >= _ENOUGH_FREEDOM, mean_left, np.inf).min(axis=0)
     return np.where(np.isfinite(measured), np.maximum(noise**2, measured), noise**2)
-
-
-def _project(
-    models: _Models, centered: Real, weights: Real | None, instants: int, groups: int
-) -> tuple[Real, Real]:
-    """Coefficients (L, D, 2, M, G) of all windows, and the squares (L, 2, M, G) they leave."""
-    found, left = [], []
-    for k, scale in enumerate(models.scales):
-        means = _means(centered, scale, weights) * scale.root[..., None]
-        if models.shortcuts:
-            shortcut = models.shortcuts[k]
-            both = shortcut.matrix @ means
-            coefficients = len(scale.inside) * scale.basis.shape[-1]
-            found.append(both[:, :coefficients])
-            rest = both[:, coefficients:]
-            left.append(np.add.reduceat(np.square(rest, out=rest), shortcut.starts, axis=1))
-        else:
-            of_window = np.swapaxes(scale.basis, -1, -2) @ means[:, None]
-            rest = (means[:, None] - scale.basis @ of_window) * scale.inside[..., None]
-            found.append(of_window.reshape(len(means), -1, means.shape[-1]))
-            left.append(np.einsum('glbc,glbc->glc', rest, rest))
-    members = models.rows.shape[-1]
-    columns = 2, instants, groups // len(centered)
-    coefficients = np.concatenate(found, axis=1).reshape(len(centered), -1, members, *columns)
-    squares = np.concatenate(left, axis=1).reshape(len(centered), -1, *columns)
-    if len(centered) == 1:
-        return coefficients[0], squares[0]
-    return np.moveaxis(coefficients[..., 0], 0, -1), np.moveaxis(squares[..., 0], 0, -1)
-
-
-def _means(rows: Real, scale: _Scale, weights: Real | None) -> Real:
-    """The means (groups, B, ...) of rows (groups, N, ...) that a scale is made of."""
-    blocks = scale.root.shape[1]
-    taken = rows[:, scale.start : scale.start + blocks * scale.each]
-    if scale.each == 1:
-        return taken
-    taken = taken.reshape(len(rows), blocks, scale.each, -1)
-    if weights is None:
-        return np.asarray(taken.mean(axis=2))
-    given = weights.T[:, scale.start : scale.start + blocks * scale.each]
-    given = given.reshape(len(rows), blocks, scale.each, 1)
-    total = given.sum(axis=2)
-    return np.asarray((given * taken).sum(axis=2) / np.where(total > 0, total, 1.0))
-
-
-def _evaluate(matrix: Real, members: Real) -> Real:
-    """Rows (groups, L, r, D) applied to what each member has, (L, D, ..., G): (L, r, ..., G)."""
-    if len(matrix) == 1:
-        flat = matrix[0] @ members.reshape(*members.shape[:2], -1)
-        return flat.reshape(*flat.shape[:2], *members.shape[2:])
-    return np.einsum('glrd,ld...g->lr...g', matrix, members)
-
-
-@lru_cache(maxsize=16)
-def _shared_models(times: bytes, now: int, orders: int) -> _Models:
-    """The models of equally weighted samples: even sampling asks for the same ones every frame."""
-    instants = np.frombuffer(times, np.int64)
-    models = _models(instants, now, np.ones((1, len(instants))), orders)
-    return models._replace(shortcuts=tuple(map(_shortcut, models.scales)))
-
-
-def _shortcut(scale: _Scale) -> _Shortcut:
-    """One product instead of two for each window (of 61 samples, 10 us instead of 17)."""
-    basis = scale.basis[0]
-    left = np.eye(basis.shape[1]) - basis @ np.swapaxes(basis, -1, -2)
-    project = np.swapaxes(basis, -1, -2).reshape(-1, basis.shape[1])
-    rows = scale.inside.sum(axis=-1)
-    # What lies outside of a window is none of what its fit leaves.
-    rest = np.where(scale.inside[:, None], left, 0.0)[scale.inside]
-    return _Shortcut(np.concatenate((project, rest)), np.cumsum(rows) - rows)
-
-
-def _ladder(count: int) -> list[tuple[int, int]]:
-    """Windows up to `count` samples: of how many means of how many samples each they are made."""
-    windows = [(min(FEWEST_SAMPLES, count), 1)]
-    while True:
-        means, each = windows[-1]
-        longer = max(int(means * each * _LADDER), means * each + 2)
-        while longer > _FINEST * each:
-            each *= 3
-        # Odd numbers are symmetric about the instant.
-        means = longer // 2 * 2 + 1 if each == 1 else (longer // each - 1) // 2 * 2 + 1
-        if means * each > count:
-            return windows
-        windows.append((means, each))
-
-
-def _models(times: np.ndarray, now: int, weights: Real, orders: int) -> _Models:
-    """Fit bases for every window of the ladder: each reaches as far ahead as it does back."""
-    windows = _ladder(len(times))
-    parts = []
-    for each in sorted({each for _, each in windows}):
-        means = np.array([means for means, each_ in windows if each_ == each])
-        parts.append(_scale(times, now, weights, orders, means, each))
-    scales, rows, highest, lengths, counts, spans = zip(*parts, strict=True)
-    rows, highest = np.concatenate(rows, axis=1), np.concatenate(highest, axis=1)
-    lengths, counts = np.concatenate(lengths, axis=1), np.concatenate(counts, axis=1)
-    member = np.arange(rows.shape[-1])
-    near_rim = (member <= highest[..., None]) & (member >= highest[..., None] - 1)
-    squares = rows**2
-    rim = np.where(near_rim[:, :, None], squares, 0.0).max(axis=-1)
-    index = np.arange(orders)
-    products = rows[:, :, :, None] * rows[:, :, None]
-
-    def last(array: np.ndarray) -> np.ndarray:
-        """The groups (groups, L, ...) as the last axis, instants before them."""
-        return np.moveaxis(array, 0, -1)[..., None, :]
-
-    return _Models(
-        tuple(scales),
-        (),
-        rows,
-        products.reshape(*rows.shape[:2], -1, rows.shape[-1]),
-        last(rim),
-        last(squares[:, :, index, index]),
-        last(lengths),
-        last(counts - highest - 1),
-        last(highest),
-        np.concatenate(spans)[:, None, None],
-    )
-
-
-def _scale(
-    times: np.ndarray, now: int, weights: Real, orders: int, sizes: np.ndarray, each: int
-) -> tuple[_Scale, Real, np.ndarray, np.ndarray, np.ndarray, Real]:
-    """
-    The windows of one scale, of `sizes` (l,) means.
-
-    Also their rows (groups, l, K, D), and by (groups, l) the degrees of their richest fits and how
-    many samples and means have weight in them, and their spans (l,).
-    """
-    blocks = len(times) // each
-    # The newest samples count most.
-    start = len(times) - blocks * each
-    here = (now - start) // each
-    ahead = np.maximum(np.minimum(blocks - 1 - here, (sizes - 1) // 2), sizes - 1 - here)
-    first, last = here + ahead - sizes + 1, here + ahead
-    lowest, blocks = first.min(), last.max() - first.min() + 1
-    start, first, last = start + lowest * each, first - lowest, last - lowest
-    index = np.arange(blocks)
-    inside = (index >= first[:, None]) & (index <= last[:, None])
-    taken = slice(start, start + blocks * each)
-    times = times[taken]
-    given = weights[:, None, taken] * np.repeat(inside, each, axis=-1)
-    seconds = np.broadcast_to(times * 1e-9, given.shape)
-    degree = min(_HIGHEST_DEGREE, blocks - 1)
-    basis, rows = orthonormal_basis(seconds, np.sqrt(given), degree, orders - 1, each)
-    # A basis has the same members whatever the window holds; those it cannot carry are zero.
-    more = [(0, 0), (0, 0), (0, 0), (0, _HIGHEST_DEGREE - degree)]
-    basis, rows = np.pad(basis, more), np.pad(rows, more)
-    by_mean = given.reshape(*given.shape[:2], blocks, each)
-    counts = (by_mean > 0).any(axis=-1).sum(axis=-1)
-    highest = np.maximum(counts - 3, np.minimum(counts - 1, HIGHEST_ORDER))
-    highest = np.minimum(highest, degree)
-    member = np.arange(basis.shape[-1]) <= highest[..., None]
-    scale = _Scale(
-        each,
-        start,
-        np.sqrt(weights[:, taken].reshape(len(weights), blocks, each).sum(axis=-1)),
-        basis * member[..., None, :],
-        inside,
-    )
-    spans = (times[(last + 1) * each - 1] - times[first * each]) * 1e-9
-    lengths = (given > 0).sum(axis=-1)
-    return scale, rows * member[..., None, :], highest, lengths, counts, spans
