@@ -117,7 +117,6 @@ class Estimate:
         self.due = np.arange(np.size(stamp)).reshape(np.shape(stamp)) if due is None else due
         self.together = together
         self.pole = cache(self._pole)
-        self._poses = cache(self._poses_for)
 
     def __len__(self) -> int:
         return len(self.stamp)
@@ -157,21 +156,23 @@ class Estimate:
         value = self.angle[order]
         return Numbers(value, self.angle_covariance[order, order], np.isfinite(value))
 
-    def _poses_for(self, order: int) -> Poses:
-        """Poses (K, S, T, B) to find the pole of that order from: apart and, if known, together."""
-        apart = Poses(
-            self.position,
-            self.angle,
-            self.position_covariance,
-            self.angle_covariance,
-            np.zeros_like(self.angle),
-        )
+    @cached_property
+    def _all_poses(self) -> Poses:
+        """Poses (K, 1 + A, T, B): apart, and those together for each order, if known."""
         axis = -1 - np.ndim(self.size)
+        own = (self.position, self.angle, self.position_covariance, self.angle_covariance)
+        parts = *own, np.zeros_like(self.angle)
+        apart = Poses(*(np.expand_dims(part, axis) for part in parts))
         if self.together is None:
-            return Poses(*(np.expand_dims(part, axis) for part in apart))
-        index = (..., order - 1, *[slice(None)] * np.ndim(self.size))
+            return apart
         both = zip(apart, self.together, strict=True)
-        return Poses(*(np.stack((one, other[index]), axis) for one, other in both))
+        return Poses(*(np.concatenate(parts, axis) for parts in both))
+
+    def _poses(self, order: int) -> Poses:
+        """Poses (K, S, T, B) to find the pole of that order from: apart and, if known, together."""
+        rest = (slice(None),) * np.ndim(self.size)
+        index = (..., slice(0, order + 1, order), *rest)
+        return Poses(*(part[index] for part in self._all_poses))
 
     def _pole(self, order: int) -> Vectors:
         """ICR, IAP, IJP or ISP (m) for order 1 to 4."""
@@ -181,13 +182,12 @@ class Estimate:
         # Whether the body turns is asked of the last: together, where that is known.
         angle = poses.angle[:, -1]
         denominator = planar.rotation_coefficient(order, angle)
-        partials = planar.rotation_partials(order, angle)
-        noise = poses.turning[order, -1] + sum(
-            (partials[k] * partials[m].conj()).real * poses.angle_covariance[k, m, -1]
-            for k in partials
-            for m in partials
-        )
-        with np.errstate(invalid='ignore'):
+        by = np.array(list(planar.rotation_partials(order, angle).values()))
+        orders = slice(1, order + 1)
+        spread_of_angle = poses.angle_covariance[orders, orders, -1]
+        with np.errstate(invalid='ignore', over='ignore'):
+            noise = ((by[:, None] * by.conj()).real * spread_of_angle).sum(axis=(0, 1))
+            noise += poses.turning[order, -1]
             turning = np.abs(denominator) > SIGNIFICANT * np.sqrt(noise)
             near = np.abs(value - self.position[0]) < FARTHEST * self.size
         if self.pinned.any():

@@ -15,7 +15,7 @@ import numpy as np
 from kinpole_ros.estimate import FARTHEST, Estimate, Poses
 from kinpole_ros.frame import MarkerFrames, part_of
 from kinpole_ros.parameters import Settings
-from kinpole_ros.planar import landmark_kinematics, pole, to_plane
+from kinpole_ros.planar import landmark_kinematics, rotation_coefficient, to_plane
 from kinpole_ros.window import (
     FEWEST_SAMPLES,
     STRIKES,
@@ -474,9 +474,9 @@ class Tracker:
             own = weigh_apart(fits, level, dimensions, order, self._spectrum)
             position = own.values[..., count:, 0] + 1j * own.values[..., count:, 1]
             angle = own.values[..., :count, 0]
-            poles = [pole(k, position, angle).value for k in range(1, order + 1)]
-            arms = np.stack(poles) - position[0]
-            with np.errstate(invalid='ignore'):
+            orders = range(1, order + 1)
+            with np.errstate(divide='ignore', invalid='ignore', over='ignore'):
+                arms = -position[1:] / [rotation_coefficient(k, angle) for k in orders]
                 arms = np.where(np.abs(arms) < reach, arms, 0.0)
             both = weigh_together(fits, arms, level, order, self._spectrum_together)
             of_angle = both.covariance * (level[:, :count] / level[:, count:]) ** 2

@@ -174,76 +174,76 @@ def weigh_together(
     order 1 to A: its error is that of the pole. `noise` (M, 2 B) as in `weigh_apart`.
     """
     number, instants, count = arms.shape
-    arms = np.moveaxis(arms, 0, 1)  # (M, A, B)
     reach = np.abs(arms)
     along = np.where(reach > 0, arms, 1.0) / np.where(reach > 0, reach, 1.0)
     cos, sin = along.real, along.imag
-    noise = noise[:, None]
-    even = noise[..., count:]
+    of_angle, even = noise[:, :count], noise[:, count:]
     # Across the arm the angle's noise adds to that of the position: scaled back to the same.
-    scale = even / np.sqrt(even**2 + (reach * noise[..., :count]) ** 2)
+    scale = even / np.sqrt(even**2 + (reach * of_angle) ** 2)
 
-    # Angle, and position along and across the arms: (L, D, 3, M, A, B).
-    angle = fits.coefficients[:, :, 0, :, None, :count]
-    x, y = (fits.coefficients[:, :, k, :, None, count:] for k in (0, 1))
-    members = np.empty((*angle.shape[:2], 3, *arms.shape))
-    members[:, :, 0] = angle
+    by_angle, by_position = fits.models, fits.models
+    if len(by_angle.rows) > 1:
+        place = np.tile(np.arange(count), number)
+        by_angle, by_position = by_angle.of(place), by_angle.of(count + place)
+
+    # Angle, and position along and across the arms: (L, D, 3, A, M, B).
+    x, y = (fits.coefficients[:, :, k, None, :, count:] for k in (0, 1))
+    members = np.empty((*x.shape[:2], 3, *arms.shape))
+    members[:, :, 0] = fits.coefficients[:, :, 0, None, :, :count]
     members[:, :, 1] = cos * x + sin * y
     members[:, :, 2] = cos * y - sin * x
-    energy = _at_arms(members, reach, scale)
-    energy = (energy[:, :, 0] ** 2 + energy[:, :, 1] ** 2) / 2
-    turned, (xx, yy) = fits.squares[:, 0, :, None, :count], fits.squares.swapaxes(0, 1)
-    xx, yy = xx[:, :, None, count:], yy[:, :, None, count:]
-    with_x, with_y, xy = (fits.products[:, k, :, None] for k in range(3))
+    points = _at_arms(members, reach, scale)
+    energy = (points[:, :, 0] ** 2 + points[:, :, 1] ** 2) / 2
+    turned, xx = fits.squares[:, 0, None, :, :count], fits.squares[:, 0, None, :, count:]
+    yy = fits.squares[:, 1, None, :, count:]
+    with_x, with_y, xy = (fits.products[:, k, None] for k in range(3))
     left = cos**2 * xx + 2 * cos * sin * xy + sin**2 * yy
-    across = xx + yy - left + reach**2 * turned + 2 * reach * (cos * with_y - sin * with_x)
+    across = xx + yy - left + reach * (reach * turned + 2 * (cos * with_y - sin * with_x))
     # A difference of what may be large: never below 0 but for rounding.
     left = np.maximum(left + scale**2 * across, 0.0) / 2
 
-    def flat(array: Real) -> Real:
-        return array.reshape(*array.shape[:-2], number * count)
+    def signals(array: Real) -> Real:
+        """Arms and bodies (..., A, M, B) as so many signals (..., M, A B)."""
+        return np.swapaxes(array, -3, -2).reshape(*array.shape[:-3], instants, number * count)
 
-    place = np.tile(np.arange(count), number)
-    by_angle, by_position = fits.models.of(place), fits.models.of(count + place)
+    def arms_of(array: Real) -> Real:
+        """The reverse, as a view."""
+        return np.swapaxes(array.reshape(*array.shape[:-1], number, count), -3, -2)
+
     weights = _weigh(
         by_position,
-        flat(energy),
-        flat(left),
+        signals(energy),
+        signals(left),
         np.tile(fits.missing[:, :count] | fits.missing[:, count:], number),
-        np.tile(even[:, 0], number),
-        np.full(number * count, 2),
+        np.tile(even, number),
+        2,
         order,
         spectrum,
         _MEMORY_TOGETHER,
         # A pole's own order is not taken for small: its first coefficients count in full.
         np.repeat(np.arange(1, number + 1), count),
     )
-    members = flat(members)
-    members *= weights.share[:, :, None]
+    members *= arms_of(weights.share)[:, :, None]
     if by_angle is by_position:
-        values = evaluate(by_angle.rows, members)  # (L, K, 3, M, A B)
+        values = evaluate(by_angle.rows, members)  # (L, K, 3, A, M, B)
     else:
         parts = (by_angle.rows, members[:, :, :1]), (by_position.rows, members[:, :, 1:])
-        values = np.concatenate([evaluate(*part) for part in parts], axis=2)
-    result = (weights.mix[:, :, None] * values).sum(axis=0)
+        values = np.concatenate(
+            [arms_of(evaluate(rows, signals(part))) for rows, part in parts], axis=2
+        )
+    mix = arms_of(weights.mix)
+    result = (mix[:, :, None] * values).sum(axis=0)
     values -= result
-    shape = instants, number, count
-    off = _at_arms(values.reshape(*values.shape[:3], *shape), reach, scale)
-    covariance = weights.covariance + _disagreement(weights.mix / 2, flat(off))
-    turning = (weights.mix * values[:, :, 0] ** 2).sum(axis=0)
-    np.moveaxis(result, 1, -1)[weights.unknown] = np.nan
-
-    def by_arm(array: Real) -> Real:
-        return np.moveaxis(array.reshape(*array.shape[:-2], *shape), -2, -3)
-
-    result = by_arm(result)
-    along = np.moveaxis(along, 1, 0)
+    covariance = arms_of(weights.covariance)
+    covariance += _disagreement(mix / 2, _at_arms(values, reach, scale))
+    turning = (mix * values[:, :, 0] ** 2).sum(axis=0)
+    np.moveaxis(result, 1, -1)[arms_of(weights.unknown)] = np.nan
     position = along * (result[:, 1] + 1j * result[:, 2])
-    return Together(position, result[:, 0], by_arm(covariance), by_arm(turning))
+    return Together(position, result[:, 0], covariance, turning)
 
 
 def _at_arms(poses: Real, reach: Real, scale: Real) -> Real:
-    """Points (..., 2, M, A, B) along and across the arms, of poses (..., 3, M, A, B) in them."""
+    """Points (..., 2, A, M, B) along and across the arms, of poses (..., 3, A, M, B) in them."""
     points = poses[:, :, 1:].copy()
     points[:, :, 1] += reach * poses[:, :, 0]
     points[:, :, 1] *= scale
@@ -271,11 +271,11 @@ def _weigh(
     left: Real,
     missing: np.ndarray,
     noise: Real,
-    dimensions: np.ndarray,
+    dimensions: np.ndarray | int,
     order: int,
     spectrum: Spectrum,
     back: float = _MEMORY,
-    free: np.ndarray | int = -1,
+    free: np.ndarray | None = None,
 ) -> _Weights:
     """
     Judge the squares of coefficients (L, D, M, G) and what fits leave (L, M, G), by component.
@@ -302,11 +302,13 @@ def _weigh(
     signal = np.maximum(signal, 0.0)
     degrees = np.arange(energy.shape[1])[:, None, None]
     last = np.where(sudden | lasting, degrees, -1).max(axis=1)[:, None]
-    last = np.maximum(last, free)
+    if free is not None:
+        last = np.maximum(last, free)
     used = degrees <= last
     within = degrees <= models.highest[:, None]
     share = np.where(used, signal / (signal + variance), 0.0)
-    share = np.where((degrees <= free) & within, 1.0, share)
+    if free is not None:
+        share = np.where((degrees <= free) & within, 1.0, share)
     hidden = (degrees > last) & (degrees <= last + 2) & within
     error = share * variance + np.where(hidden, _HIDDEN * scatter, 0.0)
 
@@ -339,9 +341,9 @@ def _weigh(
 
 
 def _disagreement(mix: Real, apart: Real) -> Real:
-    """Covariance (K, K, M, G) of windows that are off (L, K, C, M, G) their mean."""
+    """Covariance (K, K, ...) of windows that are off (L, K, C, ...) their mean."""
     parted = np.sqrt(mix)[:, :, None] * apart
-    return np.asarray(np.einsum('lkcmg,ljcmg->kjmg', parted, parted))
+    return np.asarray(np.einsum('lkc...,ljc...->kj...', parted, parted))
 
 
 def _variance(mean_left: Real, freedom: Real, noise: Real) -> Real:

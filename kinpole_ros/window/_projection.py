@@ -66,8 +66,6 @@ class Models(NamedTuple):
 
     def of(self, place: np.ndarray) -> 'Models':
         """The models of the signals at `place`, to evaluate and to judge by, not to project on."""
-        if len(self.rows) == 1:
-            return self
         return Models(
             (),
             (),
