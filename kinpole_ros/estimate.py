@@ -174,8 +174,8 @@ class Estimate:
         index = (..., slice(0, order + 1, order), *rest)
         return Poses(*(part[index] for part in self._all_poses))
 
-    def _pole(self, order: int) -> Vectors:
-        """ICR, IAP, IJP or ISP (m) for order 1 to 4."""
+    def general_pole(self, order: int) -> Vectors:
+        """The pole of order 1 to 4 (m) as it follows from the motion, whatever is known of pins."""
         poses = self._poses(order)
         poles = planar.pole(order, poses.position, poses.angle)
         value, spread = _mean(poles.value, planar.covariance(poles, *poses[2:4]))
@@ -190,6 +190,12 @@ class Estimate:
             noise += poses.turning[order, -1]
             turning = np.abs(denominator) > SIGNIFICANT * np.sqrt(noise)
             near = np.abs(value - self.position[0]) < FARTHEST * self.size
+        finite = np.isfinite(value) & np.isfinite(spread).all(axis=(-2, -1))
+        return Vectors(value, spread, turning & near & finite)
+
+    def _pole(self, order: int) -> Vectors:
+        """ICR, IAP, IJP or ISP (m) for order 1 to 4, on the pin where there is one."""
+        value, spread, determined = self.general_pole(order)
         if self.pinned.any():
             value = np.where(self.pinned, self.pin, value)
             even = self.pin_variance[..., None, None] * np.eye(2)
@@ -197,9 +203,8 @@ class Estimate:
             # Whatever rate is seen, the pin has none of that order; the formula need not be known.
             rates = slice(order + 1)
             turns = _stands_out(np.abs(self.angle[rates]), self.angle_covariance[rates, rates])
-            turning, near = turning | (self.pinned & turns), near | self.pinned
-        finite = np.isfinite(value) & np.isfinite(spread).all(axis=(-2, -1))
-        return Vectors(value, spread, turning & near & finite)
+            determined = determined | (self.pinned & turns)
+        return Vectors(value, spread, determined)
 
     def motion(self, body: int) -> str:
         """

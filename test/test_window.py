@@ -22,7 +22,9 @@ from kinpole_ros.window import (
     Shapes,
     Spectrum,
     derivative_weights,
+    project,
     stencil,
+    weigh_together,
 )
 
 pytestmark = pytest.mark.filterwarnings('error')
@@ -747,3 +749,57 @@ def test_fewest_samples_hold_every_order() -> None:
     times = (np.arange(FEWEST_SAMPLES) - FEWEST_SAMPLES + 1) * 5_000_000
     found = differentiate(times, noisy(count=FEWEST_SAMPLES), None, LEVEL, TWO, 4)
     assert np.isfinite(found.values).all()
+
+
+def setting_in(instants: int) -> np.ndarray:
+    """Poses (101, M, 2, 2) of a body that starts to turn about the point ARM between samples."""
+    times = 5_000_000 * np.arange(-80, 21)
+    seconds = (times[:, None] + 5_000_000 * np.arange(instants)) * 1e-9
+    turned = 40 * np.clip(seconds + 0.012, 0, None) ** 2
+    rng = np.random.default_rng(5)
+    signals = np.zeros((101, instants, 2, 2))
+    signals[..., 0, 0] = turned
+    signals[..., 1, :] = -turned[..., None] * np.array([-ARM.imag, ARM.real])
+    signals[..., 0, 0] += rng.normal(0, 1e-9, (101, instants))
+    signals[..., 1, :] += rng.normal(0, 1e-9, (101, instants, 2))
+    return signals
+
+
+ARM = 0.1 - 0.25j
+
+
+@pytest.mark.parametrize('weighted', [False, True])
+def test_together_what_is_off_by_one_factor_in_angle_and_position_cancels(weighted: bool) -> None:
+    """A motion that sets in between two samples, about one point: all windows are off, alike."""
+    times = 5_000_000 * np.arange(-80, 21)
+    weights = np.ones((101, 2))
+    weights[30:33] = 0.0
+    instants = 1 if weighted else 4
+    fits = project(times, setting_in(instants), weights if weighted else None, 3, 1)
+    arms = np.full((3, instants, 1), ARM)
+    found = weigh_together(fits, arms, np.full((instants, 2), 1e-9), 3, Spectrum())
+    for order in (1, 2, 3):
+        angle, position = (part[order, order - 1] for part in (found.angle, found.position))
+        # The angle's derivative itself is off by percents.
+        np.testing.assert_allclose(position, -1j * angle * ARM, atol=1e-5 * np.abs(angle).max())
+
+
+def test_together_bodies_and_instants_do_not_mix() -> None:
+    """Two bodies at four instants, and the second one of them alone, instant by instant."""
+    times = 5_000_000 * np.arange(-80, 21)
+    rng = np.random.default_rng(2)
+    steady = np.cumsum(rng.normal(0, 1e-3, (101, 4, 2, 2)), axis=0)
+    steady[..., 0, 1] = 0
+    # Angles first, then positions.
+    signals = np.stack((steady, setting_in(4)), axis=3).reshape(101, 4, 4, 2)
+    arms = np.stack((np.full((3, 4), 0.5 + 0.1j), np.full((3, 4), ARM)), axis=-1)
+    noise = np.full((4, 4), 1e-9)
+    both = weigh_together(project(times, signals, None, 3, 2), arms, noise, 3, Spectrum())
+    spectrum = Spectrum()
+    for m in range(4):
+        now = slice(m, m + 1)
+        fits = project(times, signals[:, now, 1::2], None, 3, 1)
+        alone = weigh_together(fits, arms[:, now, 1:], noise[now, 1::2], 3, spectrum)
+        for one, other in zip(alone, both, strict=True):
+            there = other[..., now, 1:]
+            np.testing.assert_allclose(one, there, rtol=1e-9, atol=1e-9 * np.abs(there).max())

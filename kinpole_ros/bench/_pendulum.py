@@ -44,7 +44,7 @@ _JOINT = (21, 3)
 
 def general_pole(estimate: Estimate, order: int) -> np.ndarray:
     """Pole (B,) by the general formula, whatever is known of a pin; NaN where undetermined."""
-    value = planar.pole(order, estimate.position, estimate.angle).value
+    value = estimate.general_pole(order).value
     return np.where(estimate.pole(order).determined, value, np.nan)
 
 
