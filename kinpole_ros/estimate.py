@@ -237,7 +237,7 @@ class Estimate:
         poses = self._poses(1)
         curvature = planar.centrode_curvature(poses.position, poses.angle)
         value, noise = _mean(curvature.value.real, planar.variance(curvature, *poses[2:4]))
-        with np.errstate(invalid='ignore'):
+        with np.errstate(divide='ignore', invalid='ignore'):
             least = np.maximum(np.abs(value) / SIGNIFICANT, 1 / self.size)
             known = np.isfinite(value) & (noise < least**2)
         return Numbers(value, noise, self.icr_moves & known)
