@@ -28,6 +28,7 @@ from rclpy.qos_overriding_options import QoSOverridingOptions
 from rclpy.utilities import remove_ros_args
 
 from kinpole_ros.estimate import Estimate
+from kinpole_ros.frame import MarkerFrames, part_of
 from kinpole_ros.messages import (
     MARKER_TYPES,
     ROS_TYPE_NAMES,
@@ -45,6 +46,8 @@ _DIAGNOSTICS_EVERY = 1.0
 _LOOK_EVERY = 0.1
 # Messages that wait while others are worked on; beyond, the newest push out the oldest.
 _DEPTH = 50
+# With so many waiting the node is behind: all are taken into the window, the newest alone is told.
+_BEHIND = 25
 # So many failures with nothing done between them are no weather to ride out.
 _MOST_FAILURES = 100
 _LATEST_STAMP = 2**31 * 10**9 - 1
@@ -76,6 +79,7 @@ class KinpoleNode(LifecycleNode):
         # Where the markers come from, and the number of the last message of a sole source.
         self._sources: set[bytes] = set()
         self._number: int | None = None
+        self._lossless = False
         # Of the frames since the last diagnostics.
         self._stamps: list[int] = []
         self._timers_made: list[Any] = []
@@ -278,6 +282,8 @@ class KinpoleNode(LifecycleNode):
                 qos_overriding_options=QoSOverridingOptions.with_default_policies(),
                 raw=True,
             )
+            reliability = f'qos_overrides.{resolved}.subscription.reliability'
+            self._lossless = self.get_parameter(reliability).value == 'reliable'
         except Exception as error:  # rclpy raises many things, some without words
             raise ParameterError(
                 f'parameters qos_overrides.{resolved}.subscription cannot be used '
@@ -326,7 +332,10 @@ class KinpoleNode(LifecycleNode):
         order = max((output.order for output, _ in wanted), default=None)
         if order is None:
             self._latest = None
-        for frames in self._reader.read(data for data, _ in waiting):
+        read = self._reader.read(data for data, _ in waiting)
+        if len(waiting) >= _BEHIND and not self._lossless:
+            read = self._newest_last(read)
+        for frames in read:
             if isinstance(frames, MessageError):
                 self._tracker.counts['unreadable'] += 1
                 self._warn('message', str(frames))
@@ -337,6 +346,23 @@ class KinpoleNode(LifecycleNode):
                 for output, publisher in wanted:
                     for _, data in output.build(estimate):
                         publisher.publish(data)
+
+    def _newest_last(
+        self, read: list[MarkerFrames | MessageError]
+    ) -> list[MarkerFrames | MessageError]:
+        """Take all but the newest frame into the window, without results."""
+        *earlier, last = read
+        for frames in (f for f in earlier if not isinstance(f, MessageError)):
+            self._take_silently(frames)
+        if not isinstance(last, MessageError) and len(last.stamps) > 1:
+            self._take_silently(part_of(last, slice(-1)))
+            last = part_of(last, slice(-1, None))
+        return [*(f for f in earlier if isinstance(f, MessageError)), last]
+
+    def _take_silently(self, frames: MarkerFrames) -> None:
+        self._stamps.extend(frames.stamps.tolist())
+        self._tracker.add(frames, None)
+        self._tracker.counts['untold'] += len(frames.stamps)
 
     def _count_dropped(self, numbers: Iterable[int | None]) -> None:
         """Count what is missing between messages, where they have numbers and one source."""
