@@ -5,7 +5,7 @@ PYTEST_ARGS ?=
 RUN := .venv/bin/python
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test lint bags clean
+.PHONY: help demo test lint bags fuzz clean
 
 help:  ## list these targets
 	@sed -n 's/^\([a-z]*\):.*## \(.*\)/make \1\t\2/p' $(MAKEFILE_LIST)
@@ -53,6 +53,9 @@ bags: $(STAMP)  ## simulate the bags in bags/ again
 	  $(RUN) -m kinpole_ros.cli simulate $$scene --noise 0.0002 --rate 100 --duration 4 \
 	    --output bags/$$scene.mcap || exit 1; \
 	done
+
+fuzz: $(STAMP)  ## read 10,000 corrupted bags
+	@$(RUN) test/fuzz_bags.py
 
 clean:  ## remove .venv and all else that can be made again
 	rm -rf .venv build *.egg-info .hypothesis .mypy_cache .pytest_cache .ruff_cache

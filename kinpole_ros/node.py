@@ -7,6 +7,7 @@ and publishes the rows of the results table that have subscribers.
 
 import re
 import sys
+import warnings
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import partial
 from typing import Any
@@ -438,6 +439,8 @@ def main(args: Sequence[str] | None = None) -> int:
         rclpy.init(args=words)
         set_logger_level('rcl', LoggingSeverity.UNSET)
         started = True
+        # It warns of what it also raises.
+        warnings.filterwarnings('ignore', 'Failed to fini', RuntimeWarning)
         if unknown := remove_ros_args(words)[1:]:
             return _refuse(f'unknown words {" ".join(unknown)}; those for ROS follow --ros-args')
         node = KinpoleNode()
@@ -447,10 +450,12 @@ def main(args: Sequence[str] | None = None) -> int:
     except (ParameterError, ParameterException) as error:
         return _refuse(str(error))
     except Exception as error:
+        # Less the places in rcl's source.
+        reason = re.sub(r', at \S+:\d+', '', str(error))
         if not started:
-            # Less the places in rcl's source.
-            reason = re.sub(r', at \S+:\d+', '', str(error))
             return _refuse(f'ROS cannot use the words after --ros-args: {reason}')
+        if node is None and isinstance(error, rclpy_implementation.RCLError):
+            return _refuse(f'ROS cannot make the node: {reason}')
         # Told to stop amid a call, rclpy raises whatever that call makes of it.
         if rclpy.ok():
             raise

@@ -41,6 +41,8 @@ _FARTHEST = 1e15
 _UNSTEADY = 0.15
 # Weights this near to 1 are not worth fits of their own.
 _ALIKE = 0.97
+# Instants times signals that are differentiated at once: what a cache holds.
+_MOST_AT_ONCE = 512
 # Frames later than this many intervals of late come after a gap.
 _LATE = 2.5
 
@@ -51,10 +53,9 @@ class _News(NamedTuple):
     stamps: np.ndarray
     position: np.ndarray
     angle: np.ndarray
-    variance: np.ndarray  # (T, 2, B) of one coordinate of the position, and of the angle
+    information: np.ndarray  # (T, 2 B)
     residual: np.ndarray
     freedom: np.ndarray
-    left: np.ndarray
     goes_on: np.ndarray
 
 
@@ -88,6 +89,10 @@ class Tracker:
         self._stamps = Samples((), np.int64)
         self._positions = Samples((count,), complex)
         self._angles = Samples((count,), float)
+        # Whole turns, as what comes between -pi and pi goes on.
+        self._turns = Samples((count,), float)
+        self._last_angle = np.zeros(count)
+        self._last_turn = np.zeros(count)
         self._information = Samples((2 * count,), float)
         self._heights = Samples((count,), float)
         self._strayed = Samples((count,), bool)
@@ -160,6 +165,9 @@ class Tracker:
         found = []
         first = 0
         while first < len(stamps):
+            if self._new >= self._shapes.beat:
+                # Not as soon as the frames are there: nobody waits for it then.
+                self._learn()
             room = self._shapes.beat - self._new
             unseen = self._shapes.unseen(points[first : first + room])
             if not unseen:
@@ -172,8 +180,6 @@ class Tracker:
                 end = first + 1 + int(later[0])
             self._take(stamps[first:end], points[first:end], heights[first:end], gaps[first])
             found += self._estimates(frames.frame_id, order, numbers[first:end])
-            if self._new >= self._shapes.beat:
-                self._learn()
             first = end
         return found
 
@@ -181,12 +187,16 @@ class Tracker:
         """The markers (T, B, n) of each body, complex, NaN for none, and their heights."""
         place = self._place(frames.identities)
         rows = frames.points
-        # One more row of NaN stands for every marker that is not in the message.
-        padded = np.full((len(rows), rows.shape[1] + 1, 3), np.nan)
-        padded[:, :-1] = rows
-        solid = padded[:, place]
+        if place.max(initial=0) == rows.shape[1]:
+            # One more row of NaN stands for every marker that is not in the message.
+            padded = np.full((len(rows), rows.shape[1] + 1, 3), np.nan)
+            padded[:, :-1] = rows
+            rows = padded
+        solid = rows[:, place]
         with np.errstate(invalid='ignore'):
-            solid[~(np.abs(solid) < _FARTHEST).all(axis=-1)] = np.nan
+            near = (np.abs(solid) < _FARTHEST).all(axis=-1)
+        if not near.all():
+            solid[~near] = np.nan
         flat = np.empty(solid.shape[:-1], complex)
         flat.real, flat.imag = solid[..., self._axes[0]], solid[..., self._axes[1]]
         wanted = sum(len(markers) for markers in self._markers)
@@ -211,7 +221,7 @@ class Tracker:
         """Fit the poses of frames between which nothing is learned and no gap is."""
         if gap:
             self._shapes.forget_motion()
-        fit, points, left = self._shapes.fit(points)
+        fit, points = self._shapes.fit(points)
         self.counts.update(self._shapes.mended)
         self._shapes.mended.clear()
         seen = ~np.isnan(points)
@@ -221,25 +231,47 @@ class Tracker:
             off_center = fit.mean.real**2 + fit.mean.imag**2
             position = 1 / (1 / fit.total + off_center / fit.spread)
             height = np.where(seen, heights, 0).sum(axis=-1) / seen.sum(axis=-1)
-            variance = self._misfit() / np.stack((position, fit.spread), axis=1)
         known = np.isfinite(fit.angle)
         information = np.concatenate((fit.spread, position), axis=-1)
         self._stamps.extend(stamps)
         self._positions.extend(fit.position)
         self._angles.extend(fit.angle)
+        self._turns.extend(self._turned(fit.angle, known))
         self._information.extend(np.where(np.tile(known, 2), information, 0.0))
         self._heights.extend(height)
-        self._strayed.extend(self._pins.strayed(fit.position, fit.angle, variance))
+        strayed = np.zeros(known.shape, bool)
+        if np.isfinite(self._pins.center).any():
+            variance = self._variance(information)
+            strayed = self._pins.strayed(fit.position, fit.angle, variance)
+        self._strayed.extend(strayed)
         if self._points is not None:
             self._points.extend(points)
         goes_on = np.ones(len(stamps), bool)
         goes_on[0] = not gap
         self._news.append(
             _News(
-                stamps, fit.position, fit.angle, variance, fit.residual, fit.freedom, left, goes_on
+                stamps,
+                fit.position,
+                fit.angle,
+                information,
+                fit.residual,
+                fit.freedom,
+                goes_on,
             )
         )
         self._new += len(stamps)
+
+    def _turned(self, angle: np.ndarray, known: np.ndarray) -> np.ndarray:
+        """How often (T, B) the bodies have turned round when they are at `angle`, where `known`."""
+        if not known.all():
+            # Where nothing is known it is as it was.
+            rows = np.where(known, np.arange(1, len(angle) + 1)[:, None], 0)
+            before = np.concatenate((self._last_angle[None], np.where(known, angle, 0.0)))
+            angle = np.take_along_axis(before, np.maximum.accumulate(rows, axis=0), axis=0)
+        steps = np.diff(angle, axis=0, prepend=self._last_angle[None])
+        turns = self._last_turn - np.cumsum(np.rint(steps / (2 * np.pi)), axis=0)
+        self._last_angle, self._last_turn = angle[-1], turns[-1]
+        return np.asarray(turns)
 
     def _learn(self) -> None:
         """A beat: learn the bodies' shapes, noise and pins from the frames since the last one."""
@@ -249,9 +281,16 @@ class Tracker:
         news = _News(*map(np.concatenate, zip(*self._news, strict=True)))
         self._news, self._new = [], 0
         if self._points is None:
-            self._pins.add(news.stamps, news.position, news.angle, news.variance, size)
-        self._noise.add(news.residual, news.freedom, news.left, news.goes_on)
+            variance = self._variance(news.information)
+            self._pins.add(news.stamps, news.position, news.angle, variance, size)
+        self._noise.add(news.residual, news.freedom, news.goes_on)
         self._shapes.learn()
+
+    def _variance(self, information: np.ndarray) -> np.ndarray:
+        """Variances (T, 2, B) of one coordinate of the positions, and of the angles."""
+        of_angle_first = information.reshape(len(information), 2, -1)
+        with np.errstate(divide='ignore', invalid='ignore'):
+            return np.asarray(self._misfit() / of_angle_first[:, ::-1])
 
     def _misfit(self) -> np.ndarray:
         """Variance (B,) of one coordinate of a marker, of all that keeps it off its place."""
@@ -268,6 +307,7 @@ class Tracker:
             self._stamps,
             self._positions,
             self._angles,
+            self._turns,
             self._information,
             self._heights,
             self._strayed,
@@ -417,7 +457,8 @@ class Tracker:
         count = len(self.bodies)
         angles = self._angles.view()
         signals = np.zeros((len(angles), 2 * count, 2))
-        signals[:, :count, 0] = _unwrapped(angles)
+        turns = self._turns.view()
+        signals[:, :count, 0] = angles + 2 * np.pi * (turns - turns[0])
         signals[:, count:] = to_plane(self._positions.view())
         found = self._differentiate(
             (now, oldest, newest),
@@ -516,6 +557,7 @@ class Tracker:
                     oldest[end:] - now[end:] == rows[0] - now[first]
                 )
                 end += int(same.argmin()) if not same.all() else len(same)
+                end = min(end, first + max(1, _MOST_AT_ONCE // len(noise)))
                 rows = rows[:, None] + (oldest[first:end] - oldest[first])
                 others = stamps[rows] - stamps[now[first:end]]
                 same = (others == times[:, None]).all(axis=0)
@@ -576,13 +618,3 @@ def _squared_arms(points: np.ndarray, here: np.ndarray) -> np.ndarray:
     number = np.maximum(here.sum(axis=-1), 1)
     mean = (points * here[..., None]).sum(axis=-2) / number[..., None]
     return np.asarray(((points - mean[..., None, :]) ** 2).sum(axis=-1))
-
-
-def _unwrapped(angles: np.ndarray) -> np.ndarray:
-    """Continuous angles (N, B); where one is NaN, whatever was before stands in."""
-    known = np.isfinite(angles)
-    if not known.all():
-        rows = np.where(known, np.arange(len(angles))[:, None], known.argmax(axis=0))
-        filled = np.take_along_axis(angles, np.maximum.accumulate(rows), axis=0)
-        angles = np.where(np.isfinite(filled), filled, 0.0)
-    return np.unwrap(angles, axis=0)

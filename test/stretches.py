@@ -17,8 +17,8 @@ def fit_frames(
     for row in points[:, None]:
         if not shapes.unseen(row):
             shapes.begin(row[0])
-        fit, mended, left = shapes.fit(row)
-        news.append((fit.residual, fit.freedom, left, np.ones(1, bool)))
+        fit, mended = shapes.fit(row)
+        news.append((fit.residual, fit.freedom, np.ones(1, bool)))
         if len(news) >= shapes.beat:
             if noise is not None:
                 noise.add(*map(np.concatenate, zip(*news, strict=True)))

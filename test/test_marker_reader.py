@@ -86,8 +86,9 @@ def test_a_byte_that_may_differ_in_a_layout_decides_one_figure_at_most(kind, onl
         if isinstance(found, MessageError):
             continue
         kept += 1
-        assert found.identities == expected.identities
+        names = zip(found.identities, expected.identities, strict=True)
         changed = int(found.stamps[0] != expected.stamps[0])
+        changed += sum(name != other for name, other in names)
         changed += np.count_nonzero(~(found.points == expected.points).all(axis=-1))
         # The place of a Marker moves all its points.
         assert changed <= (4 if kind == 'marker' else 1)
@@ -210,6 +211,43 @@ def test_markers_that_come_and_go_are_read_right_however_many_layouts_they_make(
             assert_same(one, ordinary(kind, data))
 
 
+@pytest.mark.parametrize('identity', IDENTITIES[1:])
+def test_names_that_come_and_go_need_no_rclpy_either(identity, only_bytes):
+    generator = np.random.default_rng(4)
+    messages, expected = [], []
+    for k in range(200):
+        points = generator.normal(size=(12, 3))
+        points[generator.choice(12, 4, replace=False)] = np.nan
+        array = to_message('marker_array', k, 'lab', [f'm{j:02}' for j in range(12)], points)
+        messages.append(serialize_message(array))
+        expected.append(read_markers(array, identity))
+    reader = MarkerReader('marker_array', identity)
+    reader.read(messages[:1])
+    only_bytes()
+    for found, one in zip(one_by_one(reader.read(messages)), expected, strict=True):
+        assert_same(found, one)
+
+
+@pytest.mark.parametrize('name', ['caf\u00e9'.encode(), b'a\0cde', b'abcde', b'\xff\xfe\xfd\xfc\0'])
+def test_names_that_are_not_plain_are_left_to_rclpy(name):
+    data = serialize_message(make('marker_array', names=['abcd', 'b', 'c', 'd', 'e']))
+    reader = MarkerReader('marker_array', 'ns')
+    reader.read([data])
+    other = data.replace(b'abcd\0', name[:5].ljust(5, b'\0'))
+    assert other != data
+    for found in one_by_one(reader.read([other, other])):
+        assert_same(found, ordinary('marker_array', other, 'ns'))
+
+
+def test_a_name_that_comes_twice_is_refused_among_others():
+    data = serialize_message(make('marker_array'))
+    reader = MarkerReader('marker_array', 'ns')
+    reader.read([data])
+    [good, error, last] = reader.read([data, data.replace(b'b\0', b'a\0'), data])
+    assert "'a' 2 times" in str(error)
+    assert_same(good, last)
+
+
 def test_a_turned_marker_that_moves_is_read_as_data(only_bytes):
     message = make('marker')
     generator = np.random.default_rng(5)
@@ -237,7 +275,7 @@ def test_a_size_that_is_not_there_is_refused_before_memory_is_taken(kind, claim,
         claimed = data[:place] + struct.pack('<I', claim) + data[place + 4 :]
         [error] = MarkerReader(kind).read([claimed])
         assert isinstance(error, MessageError)
-        assert 'fewer than the sizes in them claim' in str(error)
+        assert 'the sizes in them claim more' in str(error)
 
 
 @pytest.mark.parametrize('kind', KINDS)
@@ -313,7 +351,7 @@ def test_corrupted_bytes_are_read_as_the_ordinary_way_does_or_refused(corruption
         elif isinstance(one, MessageError):
             # rclpy reads on behind a sequence inside a marker that claims more than there is,
             # and in encodings that are not plain CDR.
-            assert 'fewer than the sizes' in str(one) or 'plain CDR' in str(one)
+            assert 'the sizes in them claim more' in str(one) or 'plain CDR' in str(one)
         else:
             assert_same(one, other)
     assert type(found[0]) is type(expected[0])

@@ -10,7 +10,6 @@ from stretches import fit_frames
 
 from kinpole_ros.planar import fit_pose
 from kinpole_ros.window import Noise, Shapes
-from kinpole_ros.window._noise import mean_square
 
 SHAPE = np.array([14 + 2j, -3 + 10j, 6 - 15j, 13 + 1j, -20 - 10j, 5 + 5j, -10 + 12j, 20 - 3j])
 SHAPE = np.concatenate((SHAPE, [-17 + 4j, 2 - 20j])) / 100
@@ -60,8 +59,7 @@ def test_wild_frames_are_told_apart_by_the_level_alone(count: int) -> None:
         noise = Noise(1)
         wild = gone_wild(markers(count, 600, seed), 0.25, 500, seed)[:, None]
         fit = fit_pose(wild, SHAPE[None, :count], np.ones(wild.shape))
-        left = mean_square(fit.residual, fit.freedom)[0]
-        noise.add(fit.residual, fit.freedom, left, np.ones(len(wild), bool))
+        noise.add(fit.residual, fit.freedom, np.ones(len(wild), bool))
         assert noise.level()[0] / SIGMA == pytest.approx(1, abs=0.2)
 
 

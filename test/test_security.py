@@ -1,5 +1,8 @@
 """The policy for SROS2 names what the running node uses; no name from outside is a path."""
 
+import os
+import subprocess
+import sys
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -58,6 +61,19 @@ def test_the_policy_names_all_that_the_running_node_uses(tmp_path: Path, namespa
             assert ask.get_client_names_and_types_by_node('kinpole', namespace) == []
     finally:
         peer.close()
+
+
+def test_keys_that_are_not_there_are_told_in_one_line(tmp_path: Path) -> None:
+    asked = {'ENABLE': 'true', 'STRATEGY': 'Enforce', 'KEYSTORE': str(tmp_path)}
+    done = subprocess.run(
+        ['timeout', '-k', '2', '30', sys.executable, '-m', 'kinpole_ros.cli', 'node'],
+        env={**os.environ, **{f'ROS_SECURITY_{key}': value for key, value in asked.items()}},
+        capture_output=True,
+        text=True,
+    )
+    assert done.returncode == 2, done.stderr
+    assert done.stderr.startswith('kinpole node: ')
+    assert done.stderr.count('\n') == 1, done.stderr
 
 
 def test_the_command_prints_a_policy_and_refuses_in_one_line(

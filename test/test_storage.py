@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 import yaml
 import zstandard
+from fuzz_bags import fuzz_bags
 from geometry_msgs.msg import Point, Quaternion
 from mcap.data_stream import RecordBuilder
 from mcap.reader import make_reader
@@ -380,3 +381,9 @@ def test_columns_that_do_not_fit_are_refused(tmp_path):
         with pytest.raises(BagError, match=r"'/p' holds geometry_msgs/msg/Point"):
             bag.write_many([('/p', Quaternion, [7], [b''])])
     assert [m.log_time for m in read_messages(tmp_path / 'out.mcap')] == [6]
+
+
+def test_corrupted_bags_are_read_or_refused_soon_and_in_little_memory(tmp_path):
+    outcomes = fuzz_bags(300, seed=3, folder=tmp_path)
+    assert sum(outcomes.values()) == 300
+    assert min(outcomes[name] for name in ('read', 'BagError', 'Truncated')) > 10

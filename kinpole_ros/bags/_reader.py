@@ -382,6 +382,8 @@ class _Channels:
                     found.append(BagMessage(*chosen, data, log_time))
             elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
                 self.add(_description(opcode, records[start:end]))
+            elif opcode == 0:
+                raise ValueError('zeros in place of a record')
 
     def _complain(self, channel_id: int) -> None:
         if channel_id in self._refused:

@@ -144,15 +144,19 @@ def _read_marker_array(
     header = markers[first].header if markers else Header()
     if identity == 'index':
         return header, tuple(map(str, kept)), points
+    return header, marker_names([(markers[k].ns, markers[k].id) for k in kept], identity), points
+
+
+def marker_names(keys: Sequence[tuple[str, int]], identity: str) -> tuple[str, ...]:
+    """Identities of markers from their ns and id; raises MessageError for one that comes twice."""
     if identity == 'id':
-        identities = tuple(str(markers[k].id) for k in kept)
+        identities = tuple([str(number) for _, number in keys])
     elif identity == 'ns':
-        identities = tuple(markers[k].ns for k in kept)
+        identities = tuple([ns for ns, _ in keys])
     else:
-        keys = [(markers[k].ns, markers[k].id) for k in kept]
-        identities = tuple(f'{ns}/{number}' if ns else str(number) for ns, number in keys)
-    _check_unique(identities, message, identity)
-    return header, identities, points
+        identities = tuple([f'{ns}/{number}' if ns else str(number) for ns, number in keys])
+    _check_unique(identities, 'MarkerArray', identity)
+    return identities
 
 
 def remaining(markers: Sequence[Marker]) -> Sequence[int]:
@@ -216,7 +220,7 @@ def _identities(message: Any, identity: str, n: int) -> tuple[str, ...]:
         return _indices(n)
     if identity == 'id' and isinstance(message, PointCloud2):
         identities = cloud_ids(message)
-        _check_unique(identities, message, identity)
+        _check_unique(identities, 'PointCloud2', identity)
         return identities
     raise MessageError(
         f"{type(message).__name__} has no identities but the index, so none by '{identity}': "
@@ -230,11 +234,11 @@ def _indices(n: int) -> tuple[str, ...]:
     return tuple(map(str, range(n)))
 
 
-def _check_unique(identities: tuple[str, ...], message: Any, identity: str) -> None:
+def _check_unique(identities: tuple[str, ...], kind: str, identity: str) -> None:
     if len(set(identities)) < len(identities):
         name, times = Counter(identities).most_common(1)[0]
         raise MessageError(
-            f"{type(message).__name__} has the identity '{name}' {times} times by '{identity}': "
+            f"{kind} has the identity '{name}' {times} times by '{identity}': "
             'set another marker_identity (index always works)'
         )
 

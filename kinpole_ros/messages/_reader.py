@@ -4,9 +4,11 @@ Marker messages straight from their bytes, as many at once as look alike.
 Making rclpy's objects takes milliseconds for an array of 100 markers, though all that differs from
 one message to the next are stamps and coordinates. So the first message of a layout is read the
 ordinary way, and where in its bytes the figures are is remembered, with all bytes that decide what
-the figures mean. Messages that agree in these are read by a few array operations.
+the figures mean. Messages that agree in these are read by a few array operations. Where markers of
+an array come and go, so that its names alone differ from those before, the names are read anew.
 """
 
+import struct
 from collections.abc import Callable, Iterable
 from itertools import groupby
 from typing import Any, NamedTuple
@@ -22,20 +24,24 @@ from kinpole_ros.messages._markers import (
     MARKER_TYPES,
     ROS_TYPE_NAMES,
     blank_unseen,
+    marker_names,
     moved,
     read_markers,
     remaining,
 )
-from kinpole_ros.messages._walk import LITTLE, Walk
+from kinpole_ros.messages._walk import LITTLE, MarkerPlaces, Walk
 
 # Markers that come and go make many layouts; more than these, or larger ones, are not remembered.
 _MOST_LAYOUTS = 64
+# Of those that differ by names alone, which must not push out the others.
+_MOST_NAMES = 8
 _MOST_BYTES = 1 << 25
 # Of messages put together, and of those compared at once, which a cache should hold.
 _MOST_JOINED = 1 << 23
 _MOST_COMPARED = 1 << 18
 # In a row of joined messages there are so many bytes before each, so that its doubles are aligned.
 _LEAD = 4
+_ID = struct.Struct('<i')
 _NS = np.array([1_000_000_000, 1])
 
 
@@ -72,7 +78,7 @@ class MarkerReader:
         rows = _rows(messages)
         k = 0
         while k < len(messages):
-            layout = self._fitting(rows[k : k + 1], len(messages[0]))
+            layout = self._fitting(rows[k : k + 1], messages[k])
             if layout is None:
                 found.append(self._read_anew(messages[k], rows[k : k + 1]))
                 k += 1
@@ -90,26 +96,45 @@ class MarkerReader:
                     found.append(frames)
                 k = end
 
-    def _fitting(self, row: np.ndarray, size: int) -> '_Layout | None':
+    def _fitting(self, row: np.ndarray, data: bytes) -> '_Layout | None':
+        """The layout of a message (1, words), if it is one of those remembered, or names apart."""
+        masked: dict[int, bytes] = {}
         for k, layout in enumerate(self._layouts):
-            if layout.size == size and layout.fits(row):
-                if k:
-                    self._layouts.insert(0, self._layouts.pop(k))
-                return layout
+            if layout.size == len(data):
+                mask = layout.mask
+                # Layouts that differ in names have one mask.
+                if id(mask) not in masked:
+                    masked[id(mask)] = (row[:, : len(mask)] & mask).tobytes()
+                if masked[id(mask)] == layout.key:
+                    if k:
+                        self._layouts.insert(0, self._layouts.pop(k))
+                    return layout
+        for layout in self._layouts:
+            if layout.size == len(data):
+                renamed = layout.renamed(masked[id(layout.mask)], data)
+                if renamed is not None:
+                    same = [k for k, one in enumerate(self._layouts) if one.mask is layout.mask]
+                    if len(same) >= _MOST_NAMES:
+                        del self._layouts[same[-1]]
+                    self._remember(renamed)
+                    return renamed
         return None
+
+    def _remember(self, layout: '_Layout') -> None:
+        self._layouts.insert(0, layout)
+        while len(self._layouts) > _MOST_LAYOUTS or (
+            sum(kept.memory for kept in self._layouts) > _MOST_BYTES
+        ):
+            self._layouts.pop()
 
     def _read_anew(self, data: bytes, row: np.ndarray) -> MarkerFrames | MessageError:
         """Read a message the ordinary way, and remember its layout if that reads it as well."""
         frames, walk, message = self._read_ordinarily(data)
         if isinstance(frames, MessageError):
             return frames
-        layout = _layout(self._kind, self._identity, walk, message, frames, row)
-        if layout is not None and layout.fits(row) and _equal(layout.read(row), frames):
-            self._layouts.insert(0, layout)
-            while len(self._layouts) > _MOST_LAYOUTS or (
-                sum(kept.memory for kept in self._layouts) > _MOST_BYTES
-            ):
-                self._layouts.pop()
+        layout = _layout(self._kind, self._identity, walk, message, frames, data, row)
+        if layout is not None and _equal(layout.read(row), frames):
+            self._remember(layout)
         return frames
 
     def _read_ordinarily(self, data: bytes) -> tuple[MarkerFrames | MessageError, Any, Any]:
@@ -124,32 +149,42 @@ class MarkerReader:
 
 class _Layout(NamedTuple):
     """
-    Messages of `size` bytes that agree where `mask` has ones: in `agreed`, as rows of words.
+    Messages of `size` bytes that agree with `key` where `mask` has ones, both in words of 64 bits.
 
     `points` takes the positions (T, n, 3) out of rows; the stamp is at the 32-bit word `stamp`.
+    `names` reads the identities from a message that agrees where `fixed` has ones, None where they
+    are not plain; without it, all that is in the mask is fixed.
     """
 
     size: int
     mask: np.ndarray
-    agreed: np.ndarray
     key: bytes
     stamp: int
     frame_id: str
     identities: tuple[str, ...]
     points: Callable[[np.ndarray], np.ndarray]
     memory: int
+    fixed: np.ndarray
+    names: Callable[[bytes], tuple[str, ...] | None] | None
 
-    def fits(self, row: np.ndarray) -> bool:
-        """Whether one message (1, words) is of this layout."""
-        return (row[:, : len(self.mask)] & self.mask).tobytes() == self.key
+    def renamed(self, key: bytes, data: bytes) -> '_Layout | None':
+        """The layout of a message that differs by the names of its markers, if it is one."""
+        if self.names is None:
+            return None
+        differing = np.frombuffer(key, '<u8') ^ np.frombuffer(self.key, '<u8')
+        if (differing & self.fixed).any():
+            return None
+        identities = self.names(data)
+        return None if identities is None else self._replace(key=key, identities=identities)
 
     def end_of_run(self, rows: np.ndarray, first: int) -> int:
         """Where the messages of this layout end that begin at row `first`, which is one."""
         end, count = first + 1, 1
         most = 1 + _MOST_COMPARED // self.mask.nbytes
+        agreed = np.frombuffer(self.key, '<u8')
         while end < len(rows):
             some = rows[end : end + count, : len(self.mask)]
-            other = ((some & self.mask) != self.agreed).any(axis=1)
+            other = ((some & self.mask) != agreed).any(axis=1)
             if other.any():
                 return end + int(other.argmax())
             end += len(some)
@@ -196,7 +231,13 @@ def _equal(a: MarkerFrames, b: MarkerFrames) -> bool:
 
 
 def _layout(
-    kind: str, identity: str, walk: Walk, message: Any, frames: MarkerFrames, row: np.ndarray
+    kind: str,
+    identity: str,
+    walk: Walk,
+    message: Any,
+    frames: MarkerFrames,
+    data: bytes,
+    row: np.ndarray,
 ) -> _Layout | None:
     """The layout of a message that was read the ordinary way; None where there is no such thing."""
     if not walk.little or (kind == 'marker_array' and not walk.markers):
@@ -205,16 +246,21 @@ def _layout(
     spans = [(0, len(LITTLE)), *walk.layout]
     words = list(walk.sizes)
     points: Callable[[np.ndarray], np.ndarray]
+    names = None
     mask = np.zeros(row.nbytes, np.uint8)
+    naming = np.zeros_like(mask)
     if kind == 'marker_array':
         kept = remaining(message.markers)
         stamp, frame_id = (walk.markers[kept[0]] if kept else walk.markers[0])[:2]
         words += [marker.number + 8 for marker in walk.markers]
         deleting = any(marker.action >= Marker.DELETE for marker in message.markers)
-        if deleting or identity not in ('index', 'id'):
-            spans += [(ns.start, ns.start + ns.number) for _, _, ns, *_ in walk.markers]
-        if deleting or identity not in ('index', 'ns'):
-            words += [marker.number for marker in walk.markers]
+        for _, _, ns, number, *_ in walk.markers:
+            if deleting or identity not in ('index', 'id'):
+                naming[_LEAD + ns.start : _LEAD + ns.start + ns.number] = 0xFF
+            if deleting or identity not in ('index', 'ns'):
+                naming[_LEAD + number : _LEAD + number + 4] = 0xFF
+        if not deleting and identity != 'index':
+            names = _namer(walk.markers, identity)
         points = _taker(np.array([walk.markers[k].pose for k in kept], np.intp))
     elif kind == 'marker':
         (marker,) = walk.markers
@@ -224,14 +270,14 @@ def _layout(
     elif kind == 'pose_array':
         points = _taker(walk.items.start + 56 * np.arange(walk.items.number))
     else:
-        data = _LEAD + walk.items.start
+        cloud = _LEAD + walk.items.start
         places = cloud_places(message)
 
         def points(rows: np.ndarray) -> np.ndarray:
-            return places.points(rows, data, len(rows), rows.strides[0])
+            return places.points(rows, cloud, len(rows), rows.strides[0])
 
         if identity == 'id':
-            column = id_column(message, mask, data)
+            column = id_column(message, mask, cloud)
             np.invert(column, out=column)
     spans.append((frame_id.start, frame_id.start + frame_id.number))
     mask.view('<u4')[(np.array(words, np.intp) + _LEAD) // 4] = 0xFFFFFFFF
@@ -239,21 +285,40 @@ def _layout(
     mask[_LEAD + stamp + 3] = 0x80
     for start, end in spans:
         mask[_LEAD + start : _LEAD + end] = 0xFF
-    masked = mask.view('<u8')
-    masked = masked[: masked.nonzero()[0][-1] + 1].copy()
-    agreed = row[0, : len(masked)] & masked
-    # The places of the points of an array take as much again.
+    fixed, every = mask.view('<u8'), (mask | naming).view('<u8')
+    words_used = int(every.nonzero()[0][-1]) + 1
+    every = every[:words_used].copy()
     return _Layout(
         walk.size,
-        masked,
-        agreed,
-        agreed.tobytes(),
+        every,
+        (row[:, :words_used] & every).tobytes(),
         (_LEAD + stamp) // 4,
         frames.frame_id,
         frames.identities,
         points,
-        3 * masked.nbytes + 8 * frames.points.size,
+        # The places of the points of an array take as much again.
+        3 * every.nbytes + 8 * frames.points.size,
+        fixed[:words_used].copy() if names is not None else every,
+        names if names is not None and names(data) == frames.identities else None,
     )
+
+
+def _namer(markers: list[MarkerPlaces], identity: str) -> Callable[[bytes], tuple[str, ...] | None]:
+    """Reads the identities of an array's markers from its bytes; None where they are not plain."""
+
+    def names(data: bytes) -> tuple[str, ...] | None:
+        keys = []
+        for _, _, (start, length), number, *_ in markers:
+            ns, end, rest = data[start : start + length].partition(b'\0')
+            if not end or rest or not ns.isascii():
+                return None
+            keys.append((ns.decode(), _ID.unpack_from(data, number)[0]))
+        try:
+            return marker_names(keys, identity)
+        except MessageError:
+            return None
+
+    return names
 
 
 def _taker(starts: np.ndarray) -> Callable[[np.ndarray], np.ndarray]:

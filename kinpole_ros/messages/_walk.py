@@ -11,6 +11,7 @@ import struct
 from typing import NamedTuple
 
 from kinpole_ros.messages._cloud import MessageError
+from kinpole_ros.messages._markers import ROS_TYPE_NAMES
 
 # The four bytes before the fields; of these the last two say nothing.
 HEAD = 4
@@ -55,8 +56,8 @@ class Walk:
         order = _ORDERS.get(data[:2])
         if order is None or len(data) < HEAD:
             raise MessageError(
-                f'{len(data)} bytes do not start as a message of ROS 2 does; '
-                'see that the sender sends plain CDR and that nothing is damaged'
+                f'{len(data)} bytes are no {ROS_TYPE_NAMES[kind]}: they do not start as plain CDR; '
+                'see that the sender sends that and that nothing is damaged'
             )
         self.little = order == '<'
         self.size = len(data)
@@ -69,7 +70,7 @@ class Walk:
             self._at = len(data) + 1
         if self._at > len(data):
             raise MessageError(
-                f'{len(data)} bytes are fewer than the sizes in them claim; '
+                f'{len(data)} bytes are no {ROS_TYPE_NAMES[kind]}: the sizes in them claim more; '
                 'see that the sender sends whole messages and that nothing is damaged'
             )
 

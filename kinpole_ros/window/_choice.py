@@ -178,19 +178,21 @@ def differentiate(
     orders = order + 1
     if weights is None:
         models = _shared_models(times.tobytes(), now, orders)
+        centered = (
+            np.where(missing[..., None], 0.0, signals - base) if missing.any() else signals - base
+        )
         # All signals at all instants are columns of one product.
-        centered = np.where(missing[..., None], 0.0, signals - base)
-        centered = centered.reshape(1, count, instants * groups * 2)
+        centered = centered.transpose(0, 3, 1, 2).reshape(1, count, 2 * instants * groups)
     else:
         models = _models(times, now, weights.T, orders)
         # What is missing may hold anything.
         centered = np.where(weights[:, None, :, None] > 0, signals - base, 0.0)
-        centered = np.moveaxis(centered, 2, 0).reshape(groups, count, instants * 2)
+        centered = centered.transpose(2, 0, 3, 1).reshape(groups, count, 2 * instants)
     coefficients, squares = _project(models, centered, weights, instants, groups)
 
-    energy = (coefficients**2).sum(axis=-1) / dimensions  # (L, D, M, G)
+    energy = (coefficients**2).sum(axis=2) / dimensions  # (L, D, M, G)
     freedom = models.freedom
-    left = squares.sum(axis=-1) / (dimensions * np.maximum(freedom, 1))  # (L, M, G)
+    left = squares.sum(axis=1) / (dimensions * np.maximum(freedom, 1))  # (L, M, G)
     known = np.broadcast_to((models.lengths > 0) & ~missing, left.shape)
     memory = Spectrum() if spectrum is None else spectrum
     lengths = np.maximum(models.lengths, 1)
@@ -214,7 +216,7 @@ def differentiate(
     hidden = (degrees > last) & (degrees <= last + 2) & (degrees <= models.highest[:, None])
     error = share * variance + np.where(hidden, _HIDDEN * scatter, 0.0)
 
-    values = _evaluate(models.rows, share[..., None] * coefficients)
+    values = _evaluate(models.rows, share[:, :, None] * coefficients)  # (L, K, 2, M, G)
     errors = _evaluate(models.products, error).reshape(-1, orders, orders, instants, groups)
     # What a window cannot follow adds to its error: what it leaves, and the rest of its series.
     odds = np.sqrt(2 / np.maximum(freedom * apart, 1))
@@ -237,11 +239,12 @@ def differentiate(
     unknown = ~np.isfinite(least)
     mix = np.maximum(np.where(unknown, 1.0, least) / risk - _OUT, 0.0) ** _SHARPNESS
     mix /= np.where(unknown, 1.0, mix.sum(axis=0))  # (L, K, M, G)
-    result = (mix[..., None] * values).sum(axis=0)
+    result = (mix[:, :, None] * values).sum(axis=0)
     part = mix**_KINSHIP
     covariance = (part[:, :, None] * part[:, None] * errors).sum(axis=0)
-    disagreement = np.sqrt(mix / dimensions)[..., None] * (values - result)
-    covariance += (disagreement[:, :, None] * disagreement[:, None]).sum(axis=(0, -1))
+    disagreement = np.sqrt(mix / dimensions)[:, :, None] * (values - result)
+    covariance += np.einsum('lkcmg,ljcmg->kjmg', disagreement, disagreement)
+    result = result.transpose(0, 2, 3, 1)
     result[0] += base
     result[unknown] = np.nan
     covariance[unknown[:, None] | unknown[None]] = np.nan
@@ -259,7 +262,7 @@ def _variance(mean_left: Real, freedom: Real, noise: Real) -> Real:
 def _project(
     models: _Models, centered: Real, weights: Real | None, instants: int, groups: int
 ) -> tuple[Real, Real]:
-    """Coefficients (L, D, M, G, 2) of all windows, and the squares (L, M, G, 2) they leave."""
+    """Coefficients (L, D, 2, M, G) of all windows, and the squares (L, 2, M, G) they leave."""
     found, left = [], []
     for k, scale in enumerate(models.scales):
         means = _means(centered, scale, weights) * scale.root[..., None]
@@ -275,15 +278,13 @@ def _project(
             rest = (means[:, None] - scale.basis @ of_window) * scale.inside[..., None]
             found.append(of_window.reshape(len(means), -1, means.shape[-1]))
             left.append(np.einsum('glbc,glbc->glc', rest, rest))
-    # (1, ..., groups, 2) or (groups, ..., 1, 2) to (..., groups, 2).
     members = models.rows.shape[-1]
-    shape = (len(centered), -1, members, instants, groups // len(centered), 2)
-    coefficients = np.moveaxis(np.concatenate(found, axis=1).reshape(shape), 0, -2)
-    squares = np.moveaxis(np.concatenate(left, axis=1).reshape(*shape[:2], *shape[3:]), 0, -2)
-    return (
-        coefficients.reshape(*coefficients.shape[:3], groups, 2),
-        squares.reshape(*squares.shape[:2], groups, 2),
-    )
+    columns = 2, instants, groups // len(centered)
+    coefficients = np.concatenate(found, axis=1).reshape(len(centered), -1, members, *columns)
+    squares = np.concatenate(left, axis=1).reshape(len(centered), -1, *columns)
+    if len(centered) == 1:
+        return coefficients[0], squares[0]
+    return np.moveaxis(coefficients[..., 0], 0, -1), np.moveaxis(squares[..., 0], 0, -1)
 
 
 def _means(rows: Real, scale: _Scale, weights: Real | None) -> Real:
@@ -302,11 +303,11 @@ def _means(rows: Real, scale: _Scale, weights: Real | None) -> Real:
 
 
 def _evaluate(matrix: Real, members: Real) -> Real:
-    """Rows (groups, L, r, D) applied to what each member has, (L, D, M, G, ...): (L, r, M, ...)."""
+    """Rows (groups, L, r, D) applied to what each member has, (L, D, ..., G): (L, r, ..., G)."""
     if len(matrix) == 1:
         flat = matrix[0] @ members.reshape(*members.shape[:2], -1)
         return flat.reshape(*flat.shape[:2], *members.shape[2:])
-    return np.einsum('glrd,ldmg...->lrmg...', matrix, members)
+    return np.einsum('glrd,ld...g->lr...g', matrix, members)
 
 
 @lru_cache(maxsize=16)

@@ -37,14 +37,14 @@ class Noise:
         self._before: tuple[Complex, Real, Real, np.ndarray] | None = None
         self._level = np.full(bodies, np.nan)
 
-    def add(self, residual: Complex, freedom: Real, left: Real, goes_on: np.ndarray) -> None:
+    def add(self, residual: Complex, freedom: Real, goes_on: np.ndarray) -> None:
         """
         Take the fits of some frames, and measure anew.
 
-        `residual` and `freedom` (T, B, n) as of `Fit`, `left` (T, B) the mean squares that are
-        left; `goes_on` (T,) is False for a frame that comes after a gap.
+        `residual` and `freedom` (T, B, n) as of `Fit`; `goes_on` (T,) is False for a frame that
+        comes after a gap.
         """
-        rows = residual, freedom, left, goes_on
+        rows = residual, freedom, mean_square(residual, freedom)[0], goes_on
         if self._before is not None and self._before[0].shape[1:] == residual.shape[1:]:
             rows = tuple(np.concatenate(pair) for pair in zip(self._before, rows, strict=True))
         residual, freedom, left, goes_on = rows

@@ -11,6 +11,7 @@ be fitted at once, and a frame comes out the same whether it is in a stretch or 
 """
 
 from collections import Counter
+from typing import NamedTuple
 
 import numpy as np
 
@@ -39,6 +40,17 @@ _TINY = 1e-6
 _MOVED = 100
 
 
+class _News(NamedTuple):
+    """What frames tell of the shapes, kept until a beat: (T, B, n), or (T, B) for the poses."""
+
+    points: Complex
+    position: Complex
+    angle: Real
+    residual: Complex
+    freedom: Real
+    weights: Real
+
+
 class Shapes:
     """
     Shapes of B bodies of up to n markers, in each body's own frame.
@@ -63,8 +75,9 @@ class Shapes:
         self._turns = Turns(bodies)
         # Frames running in which a body was turned back.
         self._turned = np.zeros(bodies, int)
-        self._news: list[Complex] = []
-        self._news_left: list[Real] = []
+        # Whether any of these, or of those astray, is not zero.
+        self._disturbed = False
+        self._news: list[_News] = []
         self._measure()
 
     def unseen(self, points: Complex) -> int:
@@ -90,31 +103,35 @@ class Shapes:
         self._frames[seen] = self._first[seen] = 1.0
         self._measure()
 
-    def fit(self, points: Complex) -> tuple[Fit, Complex, Real]:
+    def fit(self, points: Complex) -> tuple[Fit, Complex]:
         """
         Fit the poses of some frames, `points` (T, B, n), NaN for a marker that was not seen.
 
         Bodies of which fewer than two known markers are seen, or of which all coincide, get NaN.
         Markers that do not fit their body, or that turn it by half a turn in one frame, are left
-        out or put back, see `untangle` and `half_turn`, and counted in `mended`. Returns the fits,
-        the markers they are of, and the mean squares (T, B) they leave.
+        out or put back, see `untangle` and `half_turn`, and counted in `mended`. Returns the fits
+        and the markers they are of.
         """
         parts = []
         while len(points):
             weights = np.where(np.isnan(points), 0.0, self._weights)
             fit = fit_pose(points, self.points, weights)
-            left = mean_square(fit.residual, fit.freedom)[0]
             with np.errstate(invalid='ignore'):
                 far = fit.residual.real**2 + fit.residual.imag**2 > self._limit[:, None] ** 2
                 odd = (far.any(axis=-1) & self._mature).any(axis=-1)
                 odd |= self._turns.may_jump(fit.angle)
             quiet = int(odd.argmax()) if odd.any() else len(points)
+            if quiet == len(points):
+                part = fit, points
+            else:
+                part = Fit(*(field[:quiet] for field in fit)), points[:quiet]
             if quiet:
-                part = Fit(*(field[:quiet] for field in fit)), points[:quiet], left[:quiet]
-                self._take(*part, part[2], weights[:quiet])
-                seen = (weights[:quiet] > 0).any(axis=0)
-                self._astray[seen] = 0
-                self._turned[seen.any(axis=-1)] = 0
+                self._take(*part, fit.residual[:quiet], fit.freedom[:quiet], weights[:quiet])
+                if self._disturbed:
+                    seen = (weights[:quiet] > 0).any(axis=0)
+                    self._astray[seen] = 0
+                    self._turned[seen.any(axis=-1)] = 0
+                    self._disturbed = bool(self._astray.any() or self._turned.any())
                 parts.append(part)
             if quiet < len(points):
                 here = Fit(*(field[quiet] for field in fit))
@@ -122,9 +139,9 @@ class Shapes:
             points = points[quiet + 1 :]
         if len(parts) == 1:
             return parts[0]
-        fits, markers, squares = zip(*parts, strict=True)
+        fits, markers = zip(*parts, strict=True)
         together = Fit(*(np.concatenate(field) for field in zip(*fits, strict=True)))
-        return together, np.concatenate(markers), np.concatenate(squares)
+        return together, np.concatenate(markers)
 
     def forget_motion(self) -> None:
         """Do not expect the next poses to go on from those before a gap."""
@@ -134,8 +151,10 @@ class Shapes:
         """Move the shapes towards where the markers were found since the last beat."""
         if not self._news:
             return
-        off, left = np.concatenate(self._news), np.concatenate(self._news_left)
-        self._news, self._news_left = [], []
+        news = _News(*map(np.concatenate, zip(*self._news, strict=True)))
+        self._news = []
+        turned = np.exp(-1j * news.angle)[..., None]
+        off = (news.points - news.position[..., None]) * turned - self.points
         seen = ~np.isnan(off)
         count = np.maximum(seen.sum(axis=0) - self._first, 0)
         known = self._frames
@@ -150,7 +169,7 @@ class Shapes:
         self._first[:] = 0.0
         held = settled & (np.abs(self._drift) < _REFUTED * np.sqrt(self._least_rule())[:, None])
         self.points += np.where(held, 0.0, step)
-        self._learn_rule(left)
+        self._learn_rule(news)
         moved = self._astray >= _MOVED
         if moved.any():
             # Learned anew where it is from the next frame on; a body none of which fits, too.
@@ -161,27 +180,21 @@ class Shapes:
             self._fits[body] = 0
         self._measure()
 
-    def _take(self, fit: Fit, points: Complex, left: Real, found: Real, weights: Real) -> None:
-        """Keep what frames tell of the shapes until the beat; `found` (T, B) is what fits left."""
-        turned = np.exp(-1j * fit.angle)[..., None]
-        self._news.append((points - fit.position[..., None]) * turned - self.points)
-        rule = self._least_rule()
-        clipped = np.where(self._fits < _MATURE, found, np.minimum(found, _RULE_CLIP * rule))
-        # A body at rest in a tracker that rounds seems to fit to the last digit, until it moves.
-        before = np.concatenate((self._before[None], points[:-1]))
-        still = ((points == before) | (weights == 0)).all(axis=-1)
-        self._news_left.append(np.where(still, np.nan, clipped))
-        self._before = points[-1]
+    def _take(
+        self, fit: Fit, points: Complex, residual: Complex, freedom: Real, weights: Real
+    ) -> None:
+        """Keep what frames tell until the beat, the residuals as before the frames were mended."""
+        self._news.append(_News(points, fit.position, fit.angle, residual, freedom, weights))
         self._turns.follow(fit.angle)
 
     def _least_rule(self) -> Real:
         return np.maximum(self._rule, _TINY**2 * self.spread)
 
-    def _mend(self, points: Complex, weights: Real, fit: Fit) -> tuple[Fit, Complex, Real]:
+    def _mend(self, points: Complex, weights: Real, fit: Fit) -> tuple[Fit, Complex]:
         """Put right what can be of one frame (B, n); as `fit` gives it, with an axis of one."""
         points, weights = points.copy(), weights.copy()
         fit = self._turn_back(points, weights, fit)
-        found = mean_square(fit.residual, fit.freedom)[0]
+        residual, freedom = fit.residual[None], fit.freedom[None]
         with np.errstate(invalid='ignore'):
             far = (np.abs(fit.residual) > self._limit[:, None]).any(axis=-1) & self._mature
         good = ~far[:, None] & (weights > 0)
@@ -195,9 +208,9 @@ class Shapes:
             weights[b, out] = 0.0
             self._astray[b] = np.where(out, self._astray[b] + 1, 0)
         fit = Fit(*(field[None] for field in fit_pose(points, self.points, weights)))
-        left = mean_square(fit.residual, fit.freedom)[0]
-        self._take(fit, points[None], left, found[None], weights[None])
-        return fit, points[None], left
+        self._take(fit, points[None], residual, freedom, weights[None])
+        self._disturbed = True
+        return fit, points[None]
 
     def _turn_back(self, points: Complex, weights: Real, fit: Fit) -> Fit:
         """
@@ -221,13 +234,20 @@ class Shapes:
             for kept in (self.points, self._frames, self._first, self._drift, weights):
                 kept[b] = kept[b, order]
             for news in self._news:
-                news[:, b] = news[:, b, order]
+                news.points[:, b] = news.points[:, b, order]
             self._turned[b] = 0
             self._measure()
         return fit_pose(points, self.points, weights) if jumped.any() else fit
 
-    def _learn_rule(self, left: Real) -> None:
-        """Take the mean squares (m, B) that the fits of frames leave, NaN for a body not fitted."""
+    def _learn_rule(self, news: '_News') -> None:
+        """Take the mean squares that the fits of frames leave."""
+        left = mean_square(news.residual, news.freedom)[0]
+        most = np.where(self._fits < _MATURE, np.inf, _RULE_CLIP * self._least_rule())
+        # A body at rest in a tracker that rounds seems to fit to the last digit, until it moves.
+        before = np.concatenate((self._before[None], news.points[:-1]))
+        still = ((news.points == before) | (news.weights == 0)).all(axis=-1)
+        self._before = news.points[-1]
+        left = np.where(still, np.nan, np.minimum(left, most))
         fitted = ~np.isnan(left)
         frame, body = np.nonzero(fitted)
         place = self._fits + np.cumsum(fitted, axis=0) - 1

@@ -1,0 +1,299 @@
+"""
+Corrupted bags by the thousand: each is read, or refused in one line, soon and in little memory.
+
+`python test/fuzz_bags.py [COUNT [SEED]]` runs as many as you like, 10,000 unless told; the test
+suite runs a few hundred. Damage is done to the bytes, to the order, lengths and contents of
+records, and inside chunks that are then compressed again with their checksums put right, so that
+it is not only the checksum that finds it.
+"""
+
+import random
+import resource
+import signal
+import struct
+import sys
+import tempfile
+import time
+import zlib
+from collections import Counter
+from collections.abc import Callable
+from functools import cache
+from io import BytesIO
+from pathlib import Path
+from types import FrameType
+
+import lz4.frame
+import numpy as np
+import yaml
+import zstandard
+from mcap.data_stream import ReadDataStream, RecordBuilder
+from mcap.opcode import Opcode
+from mcap.records import Chunk
+from mcap.writer import MCAP0_MAGIC, CompressionType, IndexType, Writer
+from rclpy.serialization import serialize_message
+
+from kinpole_ros.bags import BagError, definition, read_blocks, replay, topics, type_name
+from kinpole_ros.messages import to_message
+from kinpole_ros.parameters import Settings
+
+LONGEST = 5.0  # s
+MOST_MEMORY = 512 * 2**20
+_HEAD = struct.Struct('<BQ')
+_EXTREMES = (0, 1, 2**31 - 1, 2**32 - 1, 2**40, 2**63, 2**64 - 1)
+
+
+def fuzz_bags(count: int, seed: int = 0, folder: str | Path | None = None) -> Counter[str]:
+    """
+    Read `count` bags with damage that follows from `seed`; returns how many ended in which way.
+
+    Raises AssertionError, naming the file left in `folder`, for one that ends in anything but
+    messages or a BagError of one line, takes over 5 s, or more memory than 512 MiB in all.
+    """
+    place = Path(folder or tempfile.mkdtemp(prefix='fuzz_bags_'))
+    generator = random.Random(seed)
+    sound = _sound_bags(place)
+    outcomes: Counter[str] = Counter()
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    path = place / 'fuzzed.mcap'
+    for number in range(count):
+        folder_bag = place / 'folder'
+        if number % 20 == 0:
+            bag = _fuzzed_folder(generator, folder_bag, generator.choice(sound))
+        else:
+            path.write_bytes(_fuzzed(generator, generator.choice(sound)))
+            bag = path
+        try:
+            outcomes[_ending(bag, with_replay=number % 5 == 0)] += 1
+        except BaseException as error:
+            raise AssertionError(
+                f'bag {number} of seed {seed}, left as {bag}: {type(error).__name__}: {error}'
+            ) from error
+        grown = (resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before) * 1024
+        assert grown < MOST_MEMORY, f'bag {number} of seed {seed}, left as {bag}: {grown} bytes'
+    return outcomes
+
+
+def _ending(bag: Path, with_replay: bool) -> str:
+    def stop(number: int, frame: FrameType | None) -> None:
+        raise TimeoutError(f'not done in {LONGEST:g} s')
+
+    old = signal.signal(signal.SIGALRM, stop)
+    signal.setitimer(signal.ITIMER_REAL, LONGEST)
+    try:
+        topics(bag)
+        for block in read_blocks(bag):
+            assert all(isinstance(message.data, bytes) for message in block)
+        if with_replay:
+            replay(bag, Settings())
+    except BagError as error:
+        text = str(error)
+        assert '\n' not in text
+        assert str(bag) in text
+        return type(error).__name__
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0)
+        signal.signal(signal.SIGALRM, old)
+    return 'read'
+
+
+def _sound_bags(place: Path) -> list[bytes]:
+    """Small bags of markers and something else, of every way to lay out a file."""
+    generator = np.random.default_rng(0)
+    names = ['a', 'b', 'c']
+    kinds = ('point_cloud2', 'marker_array')
+    found = []
+    for kind in kinds:
+        messages = [
+            to_message(kind, stamp, 'world', names, generator.random((3, 3)))
+            for stamp in range(10**9, 2 * 10**9, 10**8)
+        ]
+        data = [bytes(serialize_message(message)) for message in messages]
+        schema = (type_name(type(messages[0])), definition(type(messages[0])).encode())
+        for compression in CompressionType:
+            for options in ({}, {'use_chunking': False}, {'index_types': IndexType.NONE}):
+                path = place / 'sound.mcap'
+                writer = Writer(str(path), chunk_size=1500, compression=compression, **options)
+                writer.start('ros2', 'fuzz')
+                described = writer.register_schema(schema[0], 'ros2msg', schema[1])
+                ids = [writer.register_channel(t, 'cdr', described) for t in ('/markers', '/b')]
+                for k, content in enumerate(data):
+                    packed = zstandard.compress(content) if k % 2 and not options else content
+                    for channel, body in zip(ids, (content, packed), strict=True):
+                        writer.add_message(channel, 10**9 + k, body, 10**9 + k, k)
+                writer.finish()
+                found.append(path.read_bytes())
+    return found
+
+
+def _fuzzed(generator: random.Random, content: bytes) -> bytes:
+    if generator.random() < 0.6:
+        records = _records(content)
+        if generator.random() < 0.5:
+            records = [_fuzzed_chunk(generator, record) for record in records]
+        for _ in range(generator.randint(0, 3)):
+            generator.choice(_RECORD_DAMAGE)(generator, records)
+        content = MCAP0_MAGIC + b''.join(records) + MCAP0_MAGIC
+    if generator.random() < 0.6:
+        content = _damaged(generator, content)
+    if generator.random() < 0.15:
+        content = zstandard.compress(content)
+        if generator.random() < 0.5:
+            content = _damaged(generator, content)
+    return content
+
+
+def _damaged(generator: random.Random, content: bytes) -> bytes:
+    """With bits, numbers or a stretch of bytes changed, or with an end missing."""
+    changed = bytearray(content)
+    for _ in range(generator.choice((1, 1, 2, 5, 20))):
+        if not changed:
+            break
+        at = generator.randrange(len(changed))
+        way = generator.randrange(6)
+        if way == 0:
+            changed[at] ^= 1 << generator.randrange(8)
+        elif way == 1:
+            changed[at] = generator.randrange(256)
+        elif way == 2:
+            number = generator.choice(_EXTREMES).to_bytes(8, 'little')
+            size = generator.choice((2, 4, 8))
+            changed[at : at + size] = number[:size]
+        elif way == 3 and generator.random() < 0.5:
+            del changed[at:]
+        elif way == 4:
+            other = generator.randrange(len(changed))
+            changed[at : at + generator.randrange(60)] = changed[other : other + 30]
+        elif way == 5:
+            changed[at : at + 40] = bytes(len(changed[at : at + 40]))
+    return bytes(changed)
+
+
+def _records(content: bytes) -> list[bytes]:
+    """The records of a sound file, or of a chunk."""
+    at, end = 0, len(content)
+    if content.startswith(MCAP0_MAGIC):
+        at, end = len(MCAP0_MAGIC), len(content) - len(MCAP0_MAGIC)
+    found = []
+    while at < end:
+        size = _HEAD.size + _HEAD.unpack_from(content, at)[1]
+        found.append(content[at : at + size])
+        at += size
+    return found
+
+
+def _fuzzed_chunk(generator: random.Random, record: bytes) -> bytes:
+    """A chunk with damage inside of what it compresses, and its checksum mostly right."""
+    if record[0] != Opcode.CHUNK:
+        return record
+    chunk = Chunk.read(ReadDataStream(BytesIO(record[_HEAD.size :])))
+    inner = chunk.data
+    if chunk.compression == 'zstd':
+        inner = zstandard.decompress(inner)
+    elif chunk.compression == 'lz4':
+        inner = lz4.frame.decompress(inner)
+    records = _records(inner)
+    for _ in range(generator.randint(0, 2)):
+        generator.choice(_RECORD_DAMAGE)(generator, records)
+    inner = b''.join(records)
+    if generator.random() < 0.3:
+        inner = _damaged(generator, inner)
+    chunk.uncompressed_size = generator.choice((len(inner),) * 5 + _EXTREMES)
+    chunk.uncompressed_crc = generator.choice((zlib.crc32(inner), 0, 0, 1))
+    pack: dict[str, Callable[[bytes], bytes]] = {
+        'zstd': zstandard.compress,
+        'lz4': lz4.frame.compress,
+        '': bytes,
+    }
+    chunk.data = pack[chunk.compression](inner)
+    if generator.random() < 0.02:
+        chunk.compression, chunk.data = 'zstd', _bomb()
+        chunk.uncompressed_size = generator.choice((1000, 2**30, *_EXTREMES))
+    builder = RecordBuilder()
+    chunk.write(builder)
+    return bytes(builder.end())
+
+
+@cache
+def _bomb() -> bytes:
+    """A gigabyte in some 30 kB."""
+    packer = zstandard.ZstdCompressor().compressobj()
+    packed = b''.join(packer.compress(bytes(2**24)) for _ in range(64))
+    return packed + packer.flush()
+
+
+def _exchange(generator: random.Random, records: list[bytes]) -> None:
+    if records:
+        at, other = generator.randrange(len(records)), generator.randrange(len(records))
+        records[at], records[other] = records[other], records[at]
+
+
+def _repeat(generator: random.Random, records: list[bytes]) -> None:
+    if records:
+        record = generator.choice(records)
+        at = generator.randrange(len(records))
+        records[at:at] = [record] * generator.choice((1, 3, 300))
+
+
+def _drop(generator: random.Random, records: list[bytes]) -> None:
+    if records:
+        del records[generator.randrange(len(records))]
+
+
+def _lie(generator: random.Random, records: list[bytes]) -> None:
+    """Give a record another length or opcode."""
+    if records:
+        at = generator.randrange(len(records))
+        opcode, length = _HEAD.unpack_from(records[at])
+        if generator.random() < 0.5:
+            length = generator.choice((*_EXTREMES, length ^ 1, length >> 1))
+        else:
+            opcode = generator.randrange(256)
+        records[at] = _HEAD.pack(opcode, length) + records[at][_HEAD.size :]
+
+
+def _change(generator: random.Random, records: list[bytes]) -> None:
+    """Damage a record behind its head."""
+    if records:
+        at = generator.randrange(len(records))
+        head, body = records[at][: _HEAD.size], records[at][_HEAD.size :]
+        records[at] = head + _damaged(generator, body)[: len(body)].ljust(len(body), b'\0')
+
+
+_RECORD_DAMAGE = (_exchange, _repeat, _drop, _lie, _change)
+
+
+def _fuzzed_folder(generator: random.Random, folder: Path, content: bytes) -> Path:
+    """A folder of split files whose metadata is damaged, or else one of its files."""
+    folder.mkdir(exist_ok=True)
+    names = ['run_0.mcap', 'run_1.mcap']
+    about = {
+        'version': 9,
+        'storage_identifier': 'mcap',
+        'compression_format': generator.choice(('', 'zstd')),
+        'compression_mode': generator.choice(('', 'FILE', 'MESSAGE')),
+        'relative_file_paths': names,
+        'duration': {'nanoseconds': 10**9},
+    }
+    text = yaml.safe_dump({'rosbag2_bagfile_information': about}).encode()
+    if generator.random() < 0.7:
+        text = _damaged(generator, text)
+    (folder / 'metadata.yaml').write_bytes(text)
+    for name in names:
+        (folder / name).write_bytes(content)
+        if generator.random() < 0.3:
+            (folder / name).write_bytes(_fuzzed(generator, content))
+    return folder
+
+
+def main() -> None:
+    """Run as many as asked for, and say how they ended."""
+    count, seed = ([int(word) for word in sys.argv[1:]] + [10_000, 0][len(sys.argv) - 1 :])[:2]
+    start = time.monotonic()
+    outcomes = fuzz_bags(count, seed)
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+    told = ', '.join(f'{name} {number}' for name, number in sorted(outcomes.items()))
+    print(f'{count} bags in {time.monotonic() - start:.0f} s: {told}; {peak:.0f} MiB at most')
+
+
+if __name__ == '__main__':
+    main()

@@ -1,0 +1,171 @@
+"""Killed, or out of disk: what replay and record had written until then is there to be read."""
+
+import os
+import resource
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+import numpy as np
+import pytest
+import rclpy
+from rclpy.node import Node
+from rclpy.publisher import Publisher
+from rclpy.qos import QoSProfile
+from std_msgs.msg import String
+
+from kinpole_ros.bags import BagError, BagMessage, BagWriter, read_messages
+from kinpole_ros.messages import to_message
+
+ROOT = Path(__file__).parents[1]
+TOPIC = '/kinpole/test_stopped'
+FILE_SIZE = 600_000
+
+
+@pytest.fixture(scope='module')
+def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """So many frames of a turning body that a replay can be stopped on its way."""
+    path = tmp_path_factory.mktemp('long') / 'turning.mcap'
+    times = np.arange(20_000) * 0.005
+    corners = np.array([0.1, 0.1j, -0.1]) * np.exp(2j * np.sin(times))[:, None]
+    points = np.stack((corners.real, corners.imag, np.zeros_like(corners.real)), axis=-1)
+    with BagWriter(path) as writer:
+        for k, stamp in enumerate((10**9 + times * 1e9).astype(int).tolist()):
+            cloud = to_message('point_cloud2', stamp, 'world', ['a', 'b', 'c'], points[k])
+            writer.write('/markers', cloud, stamp)
+    return path
+
+
+@contextmanager
+def kinpole(*words: object, most: int | None = None) -> Iterator['subprocess.Popen[str]']:
+    """The command in a process of its own; no file it writes gets larger than `most` bytes."""
+
+    def limit() -> None:
+        if most is not None:
+            resource.setrlimit(resource.RLIMIT_FSIZE, (most, most))
+
+    started = subprocess.Popen(
+        [sys.executable, '-m', 'kinpole_ros.cli', *map(str, words)],
+        cwd=ROOT,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        preexec_fn=limit,
+    )
+    try:
+        yield started
+    finally:
+        started.kill()
+        started.communicate()
+
+
+@contextmanager
+def publisher() -> Iterator[Publisher]:
+    context = rclpy.Context()
+    rclpy.init(args=[], context=context)
+    node = Node('test_stopped', context=context)
+    try:
+        yield node.create_publisher(String, TOPIC, QoSProfile(depth=1000))
+    finally:
+        node.destroy_node()
+        context.try_shutdown()
+
+
+def until(condition: Callable[[], bool], seconds: float = 60.0) -> None:
+    deadline = time.monotonic() + seconds
+    while not condition():
+        assert time.monotonic() < deadline
+        time.sleep(0.01)
+
+
+def readable(path: Path) -> list[BagMessage]:
+    """All that can be read, of a bag that need not be there yet."""
+    messages = []
+    with suppress(BagError):
+        for message in read_messages(path):
+            messages.append(message)
+    return messages
+
+
+def test_replay_killed_on_the_way_leaves_what_it_had_written(bag: Path, tmp_path: Path) -> None:
+    result, table = tmp_path / 'out.mcap', tmp_path / 'out.csv'
+    with kinpole('replay', bag, '--output', result, '--csv', table) as process:
+        until(lambda: result.exists() and result.stat().st_size > 200_000)
+        process.kill()
+        assert process.wait() == -signal.SIGKILL
+    there = readable(result)
+    times = [message.log_time for message in there]
+    assert times == sorted(times)
+    # Complete for every instant but for the last: as many of each topic as of the first.
+    poses = [m.log_time for m in there if m.topic == '/kinpole/body/odom']
+    assert len(poses) > 100
+    stamps = [message.log_time for message in read_messages(bag, ['/markers'])]
+    begun = stamps.index(poses[0])
+    assert poses == stamps[begun : begun + len(poses)]
+    assert len(poses) < len(stamps) - 100
+    lines = table.read_text().split('\n')
+    assert len(lines) > 100
+    assert {line.count(',') for line in lines[:-1]} == {lines[0].count(',')}
+
+
+def test_recording_killed_on_the_way_keeps_what_came_before_the_last_second(
+    tmp_path: Path,
+) -> None:
+    path = tmp_path / 'live.mcap'
+    with publisher() as source, kinpole('record', '--output', path, '--topic', TOPIC) as process:
+        until(lambda: source.get_subscription_count() > 0)
+        for k in range(20):
+            source.publish(String(data=f'early {k}'))
+        # Few and small, so that only the clock can have sent them to the disk.
+        until(lambda: len(readable(path)) == 20)
+        for k in range(20):
+            source.publish(String(data=f'late {k}'))
+        process.kill()
+        assert process.wait() == -signal.SIGKILL
+    assert len(readable(path)) >= 20
+    assert [b'early' in m.data for m in readable(path)[:20]] == [True] * 20
+
+
+@pytest.mark.parametrize('target', ['--output', '--csv'])
+def test_a_full_disk_ends_a_replay_in_one_line(bag: Path, tmp_path: Path, target: str) -> None:
+    path = tmp_path / 'out'
+    most = 250_000
+    with kinpole('replay', bag, target, path, most=most) as process:
+        said, complaints = process.communicate(timeout=120)
+    assert process.returncode == 2
+    assert said == ''
+    assert complaints.count('\n') == 1
+    assert f'{path} cannot be written: File too large; ' in complaints
+    if target == '--output':
+        poses = [m for m in readable(path) if m.topic == '/kinpole/body/odom']
+        assert len(poses) > 50
+    else:
+        lines = path.read_text().split('\n')
+        assert {line.count(',') for line in lines[:-1]} == {lines[0].count(',')}
+        assert path.stat().st_size == most
+
+
+def test_a_full_disk_ends_a_recording_in_one_line(tmp_path: Path) -> None:
+    path = tmp_path / 'live.mcap'
+    recording = ('record', '--output', path, '--topic', TOPIC)
+    with publisher() as source, kinpole(*recording, most=FILE_SIZE) as process:
+        until(lambda: source.get_subscription_count() > 0)
+        sent = 0
+
+        def publish_until_it_ends() -> bool:
+            nonlocal sent
+            source.publish(String(data=os.urandom(10_000).hex()))
+            sent += 1
+            return process.poll() is not None
+
+        until(publish_until_it_ends)
+        said, complaints = process.communicate(timeout=60)
+    assert process.returncode == 2
+    assert said == ''
+    assert complaints.count('\n') == 1
+    assert f'{path} cannot be written: File too large; mend: ' in complaints
+    assert 20 <= len(readable(path)) < sent
