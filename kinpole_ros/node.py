@@ -219,6 +219,11 @@ class KinpoleNode(LifecycleNode):
         """After a transition that failed, be as before the first."""
         return self.on_shutdown(state)
 
+    @property
+    def listening(self) -> bool:
+        """Whether the node is active, with timers that beat."""
+        return bool(self._timers_made)
+
     def _make_outputs(self) -> None:
         highest = self.settings.derivative_order or 4
         bodies = tuple(self.settings.bodies)
@@ -238,7 +243,7 @@ class KinpoleNode(LifecycleNode):
                     _DEPTH,
                     event_callbacks=PublisherEventCallbacks(use_default_callbacks=False),
                 )
-                if self._timers_made:
+                if self.listening:
                     publisher.on_activate(LifecycleState('active', 0))
                 self._publishers_made[output.topic] = publisher
             self._outputs.append((output, publisher))
@@ -417,7 +422,8 @@ def _spin(node: KinpoleNode) -> None:
     failures = 0
     while rclpy.ok():
         try:
-            executor.spin_once()
+            # A signal may shut rclpy down just after it woke us: without timers, look again.
+            executor.spin_once(None if node.listening else _LOOK_EVERY)
             failures = 0
         except (ParameterError, ExternalShutdownException):
             raise
