@@ -51,6 +51,8 @@ _DEPTH = 50
 _BEHIND = 25
 # So many failures with nothing done between them are no weather to ride out.
 _MOST_FAILURES = 100
+# rclpy's own callbacks only log, and cost 6 us a publisher whenever it waits.
+_NO_EVENTS = PublisherEventCallbacks(use_default_callbacks=False)
 _LATEST_STAMP = 2**31 * 10**9 - 1
 
 
@@ -170,7 +172,9 @@ class KinpoleNode(LifecycleNode):
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Make the publishers."""
         self._make_outputs()
-        self._status = self.create_publisher(DiagnosticArray, '/diagnostics', 10)
+        self._status = self.create_publisher(
+            DiagnosticArray, '/diagnostics', 10, event_callbacks=_NO_EVENTS
+        )
         return super().on_configure(state)
 
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
@@ -236,12 +240,11 @@ class KinpoleNode(LifecycleNode):
         for output in outputs:
             publisher = self._publishers_made.get(output.topic)
             if publisher is None:
-                # rclpy's own callbacks only log, and cost 6 us a publisher whenever it waits.
                 publisher = self.create_lifecycle_publisher(
                     output.message_type,
                     f'~/{output.topic}',
                     _DEPTH,
-                    event_callbacks=PublisherEventCallbacks(use_default_callbacks=False),
+                    event_callbacks=_NO_EVENTS,
                 )
                 if self.listening:
                     publisher.on_activate(LifecycleState('active', 0))
@@ -284,7 +287,9 @@ class KinpoleNode(LifecycleNode):
                 topic,
                 self._on_markers,
                 qos,
-                event_callbacks=SubscriptionEventCallbacks(incompatible_qos=self._mismatched),
+                event_callbacks=SubscriptionEventCallbacks(
+                    incompatible_qos=self._mismatched, use_default_callbacks=False
+                ),
                 qos_overriding_options=QoSOverridingOptions.with_default_policies(),
                 raw=True,
             )
