@@ -33,7 +33,7 @@ def test_the_policy_in_the_package_is_that_of_the_four_bar() -> None:
 
 @pytest.mark.parametrize('namespace', ['/', '/rig'])
 def test_the_policy_names_all_that_the_running_node_uses(tmp_path: Path, namespace: str) -> None:
-    document = policy(load_settings(FOUR_BAR), namespace=namespace)
+    document = policy(load_settings(FOUR_BAR), 'guarded', namespace)
     expected = [
         named(document, group, verb)
         for group, verb in (('topics', 'publish'), ('topics', 'subscribe'), ('services', 'reply'))
@@ -41,14 +41,16 @@ def test_the_policy_names_all_that_the_running_node_uses(tmp_path: Path, namespa
     words = node_words(FOUR_BAR, use_sim_time=True, marker_type='marker_array')
     peer = Peer()
     try:
-        with process(*words, '-r', f'__ns:={namespace}', log=tmp_path / 'stderr'):
+        with process(
+            *words, '-r', f'__ns:={namespace}', '-r', '__node:=guarded', log=tmp_path / 'stderr'
+        ):
             ask = peer.node
 
             def used() -> list[set[str]]:
-                if ('kinpole', namespace) not in ask.get_node_names_and_namespaces():
+                if ('guarded', namespace) not in ask.get_node_names_and_namespaces():
                     return []
                 return [
-                    {name for name, _ in found('kinpole', namespace)}
+                    {name for name, _ in found('guarded', namespace)}
                     for found in (
                         ask.get_publisher_names_and_types_by_node,
                         ask.get_subscriber_names_and_types_by_node,
@@ -58,7 +60,7 @@ def test_the_policy_names_all_that_the_running_node_uses(tmp_path: Path, namespa
 
             # The graph fills up bit by bit, and goes beyond only if the policy lacks something.
             peer.until(lambda: used() == expected, 'a graph as in the policy')
-            assert ask.get_client_names_and_types_by_node('kinpole', namespace) == []
+            assert ask.get_client_names_and_types_by_node('guarded', namespace) == []
     finally:
         peer.close()
 
