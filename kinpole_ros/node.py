@@ -45,6 +45,9 @@ _DIAGNOSTICS_EVERY = 1.0
 _LOOK_EVERY = 0.1
 # Messages that wait while others are worked on; beyond, the newest push out the oldest.
 _DEPTH = 50
+# Results kept for a reliable reader that is slow, such as a recorder on a busy machine: what waits
+# is taken at once, so they come in bunches. Those who asked for less do not get more.
+_KEPT = 1000
 # So many failures with nothing done between them are no weather to ride out.
 _MOST_FAILURES = 100
 _LATEST_STAMP = 2**31 * 10**9 - 1
@@ -230,7 +233,7 @@ class KinpoleNode(LifecycleNode):
                 publisher = self.create_lifecycle_publisher(
                     output.message_type,
                     f'~/{output.topic}',
-                    _DEPTH,
+                    _KEPT,
                     event_callbacks=PublisherEventCallbacks(use_default_callbacks=False),
                 )
                 if self._timers_made:
