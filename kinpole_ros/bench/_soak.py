@@ -74,19 +74,10 @@ def soak(
                 before, counts = counts, _counts(told)
                 told.clear()
                 times = [answers[s] - sent for s, sent in run.sent.items() if s in answers]
-                half, most, worst = np.percentile(np.array(times) * 1e-9, (50, 99, 100)).tolist()
+                p50, p99, worst = np.percentile(np.array(times) * 1e-9, (50, 99, 100)).tolist()
                 since = {key: value - before.get(key, 0) for key, value in counts.items()}
-                found.append(
-                    Minute(
-                        _resident(running[NODE].pid),
-                        half,
-                        most,
-                        worst,
-                        len(run.sent),
-                        len(times),
-                        since,
-                    )
-                )
+                memory = _resident(running[NODE].pid)
+                found.append(Minute(memory, p50, p99, worst, len(run.sent), len(times), since))
             return found
         finally:
             asker.close()
