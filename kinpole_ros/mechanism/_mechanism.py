@@ -18,7 +18,7 @@ from kinpole_ros.mechanism._assembly import Assembly
 from kinpole_ros.mechanism._loops import Linkage, LinkageError, reduce, sums, weigh
 from kinpole_ros.mechanism._motions import rotation_derivatives
 from kinpole_ros.mechanism._path import Path, Table, foretell, tabulate, trace, unit_input
-from kinpole_ros.mechanism._solution import Solution, solve
+from kinpole_ros.mechanism._solution import Solution, solve, sound_orders
 from kinpole_ros.planar._plane import Complex, Real
 
 ORDERS = 5
@@ -46,13 +46,15 @@ class Motion(NamedTuple):
     """
     All bodies (B) of a linkage: `position` (5, B, ...) complex, m, of their origins, and `angle`
     (5, B, ...), rad, with the derivatives by time, or by the input; `values` (5, n, ...) the
-    variables; `regular` (...) where the derivatives are determined.
+    variables; `regular` (...) where the derivatives are determined, and `sound` (...) how many
+    orders have digits left, which next to change points are not all.
     """
 
     position: Complex
     angle: Real
     values: Real
     regular: np.ndarray
+    sound: np.ndarray
 
 
 @dataclass(eq=False)
@@ -94,7 +96,8 @@ class Mechanism:
             part.reshape(*part.shape[:2], *times.shape)
             for part in (found.position, found.angle, found.values)
         )
-        return Motion(position, angle, values, found.regular.reshape(times.shape))
+        regular, sound = (part.reshape(times.shape) for part in (found.regular, found.sound))
+        return Motion(position, angle, values, regular, sound)
 
     def sweep(self, at: Real, orders: int = ORDERS) -> Motion:
         """How all bodies move at the inputs `at` (T,) of the one driver, by that input."""
@@ -145,6 +148,7 @@ class Mechanism:
         # Much of it stays zero: memory that nobody writes to costs nothing.
         position = np.zeros((orders, len(self.bodies), count), complex)
         values, regular = np.empty((orders, len(self.start), count)), np.empty(count, bool)
+        sound = np.empty(count, np.int8)
         for first in range(0, count, _CHUNK):
             part = slice(first, first + _CHUNK)
             here = inputs(part)
@@ -157,8 +161,9 @@ class Mechanism:
                 when = None if times is None else times[part]
                 raise LinkageError(self._out_of_reach(here, when, found.closed))
             regular[part] = found.regular
+            sound[part] = sound_orders(self.linkage, here, found)
             self._place(found, position[:, :, part])
-        return Motion(position, self._angles(values), values, regular)
+        return Motion(position, self._angles(values), values, regular, sound)
 
     def _angles(self, values: Real) -> Real:
         """The angles (orders, B, T) of all bodies, without a copy where they are variables."""
