@@ -201,7 +201,8 @@ def _motion_lines(solved: Solved) -> list[str]:
     )
     lines = [f'at {at}']
     if not motion.regular[0]:
-        lines.append('a dead point: the drivers do not tell how it moves on')
+        loop = ', '.join(scene.mechanism.dead_loop(motion.values[0, :, 0]))
+        lines.append(f'a dead point of the loop {loop}: the drivers do not tell how it moves on')
     elif motion.sound[0] < len(motion.values):
         lines.append('next to a change point, where rounding leaves no digits of what is missing')
     rows = [

@@ -134,7 +134,7 @@ def test_statics_answer_the_questions_of_the_seed(
 
 def test_right_in_a_dead_point_nothing_is_made_up(capsys: pytest.CaptureFixture[str]) -> None:
     lines = told(capsys, 'antiparallelogram', '--at', '180 deg')
-    assert 'a dead point: the drivers do not tell how it moves on' in lines
+    assert 'a dead point of the loop O, A, B, C: the drivers do not tell how it moves on' in lines
     (follower,) = [line for line in lines if line.startswith('follower ')]
     assert follower.split()[1:] == ['180', '-', '-', '-', '-']
     # Beside it rounding leaves rates, but no snap: 1e5 of it would be noise.

@@ -17,7 +17,16 @@ import numpy.typing as npt
 from kinpole_ros.mechanism._assembly import Assembly
 from kinpole_ros.mechanism._loops import Linkage, LinkageError, reduce, sums, weigh
 from kinpole_ros.mechanism._motions import rotation_derivatives
-from kinpole_ros.mechanism._path import Path, Table, foretell, tabulate, trace, unit_input
+from kinpole_ros.mechanism._path import (
+    Path,
+    Table,
+    flattest,
+    foretell,
+    loop_of,
+    tabulate,
+    trace,
+    unit_input,
+)
 from kinpole_ros.mechanism._solution import Solution, solve, sound_orders
 from kinpole_ros.planar._plane import Complex, Real
 
@@ -120,6 +129,13 @@ class Mechanism:
             rates.append(solve(self.linkage, inputs, values, 2, close=False).values)
         moved = [body_motion(self.assembly, found) for found in rates]
         return np.stack([z[1] for z, _ in moved]), np.stack([angle[1] for _, angle in moved])
+
+    def dead_loop(self, values: Real) -> tuple[str, ...]:
+        """The joints, or vectors, of the loops that are in a dead point at variables (n,)."""
+        here = values[:, None]
+        inputs = np.zeros((2, len(self.drivers), 1))
+        inputs[0] = np.stack([driver.row for driver in self.drivers]) @ here
+        return loop_of(self.linkage, flattest(solve(self.linkage, inputs, here, 2, close=False)))
 
     def at_inputs(self, inputs: Real, times: Real | None, orders: int = ORDERS) -> Motion:
         """
