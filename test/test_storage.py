@@ -272,6 +272,22 @@ def test_a_bomb_fills_neither_memory_nor_disk(tmp_path):
     assert f'a record that claims {size + 22} bytes' in bounded(path, 300)
 
 
+def test_many_small_bombs_are_one_bomb(tmp_path):
+    path = tmp_path / 'run.mcap'
+    # Each by itself could be true, not all of them in one chunk.
+    bomb = zstandard.compress(bytes(10 * 2**20))
+    messages = [Message(7, 9, bomb, 9, 0) for _ in range(100)]
+    together = handmade(*messages)[len(MCAP0_MAGIC) :]
+    path.write_bytes(handmade(*DESCRIBED, Chunk('', together, 9, 9, 0, len(together))))
+    assert 'a message that claims to be 10485760 bytes unpacked' in bounded(path, 300)
+    # Nor in many, when all must wait, since the last message of the file comes first.
+    inner = b'\x05' + (2**23).to_bytes(8, 'little') + bytes([7]) + bytes(2**23 - 1)
+    packed = zstandard.compress(inner)
+    chunks = [Chunk('zstd', packed, 9, 9, 0, len(inner)) for _ in range(200)]
+    path.write_bytes(handmade(*DESCRIBED, *chunks, SOUND))
+    assert 'so far out of order that more than' in bounded(path, 500)
+
+
 def test_a_message_that_unpacks_to_too_much_is_damage(tmp_path):
     path = tmp_path / 'run.mcap'
     bomb = Message(7, 9, zstandard.compress(bytes(2**30)), 9, 0)
