@@ -281,7 +281,7 @@ def test_many_small_bombs_are_one_bomb(tmp_path):
     path.write_bytes(handmade(*DESCRIBED, Chunk('', together, 9, 9, 0, len(together))))
     assert 'a message that claims to be 10485760 bytes unpacked' in bounded(path, 300)
     # Nor in many, when all must wait, since the last message of the file comes first.
-    inner = b'\x05' + (2**23).to_bytes(8, 'little') + bytes([7]) + bytes(2**23 - 1)
+    inner = handmade(Message(7, 9, bytes(2**23), 9, 0))[len(MCAP0_MAGIC) :]
     packed = zstandard.compress(inner)
     chunks = [Chunk('zstd', packed, 9, 9, 0, len(inner)) for _ in range(200)]
     path.write_bytes(handmade(*DESCRIBED, *chunks, SOUND))
