@@ -54,7 +54,7 @@ setup(
     entry_points={
         'console_scripts': [
             'kinpole = kinpole_ros.cli:main',
-            'kinpole_node = kinpole_ros.node:main',
+            'kinpole_node = kinpole_ros.cli:node',
         ],
     },
 )

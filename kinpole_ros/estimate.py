@@ -1,10 +1,11 @@
 """
-What is known of all bodies at one instant, each quantity computed when it is first asked for.
+What is known of all bodies at some instants, each quantity computed when it is first asked for.
 
 Holds the poses with their derivatives and covariances; rates, poles and centrodes follow from them
 by `planar`. Whatever does not stand out of its noise is marked undetermined, with the reason.
 """
 
+from collections.abc import Iterator
 from functools import cache, cached_property
 from typing import NamedTuple
 
@@ -41,22 +42,27 @@ class Numbers(NamedTuple):
 
 class Estimate:
     """
-    Motion of B bodies at the instant `stamp` (ns), up to the derivative of `order`.
+    Motion of B bodies at T instants `stamp` (T,), ns, up to the derivative of `order`.
 
-    `position` (order + 1, B) complex, m, and `angle` (order + 1, B), rad, are the poses of the
-    bodies' frames in the plane of `frame_id`; `position_covariance` and `angle_covariance`
-    (order + 1, order + 1, B) between orders, of one axis; `size` (B,) is the diameter of each body
-    and `height` (B,) where its markers are along the normal, m; `span` (B,) in s and `degree` (B,)
-    tell on how much time and by which polynomial the angular velocity was found. NaN marks a body
-    of which nothing is known, for the reason in `missing` (B,). `since` is the stamp of the frame
-    that the tracker last began with: poses from before it are in other body frames. `pin` (B,) is
-    the fixed point a body was found to turn about, complex, m, with `pin_variance` (B,), m^2, of
-    one coordinate; NaN for a body on no pin.
+    `position` (order + 1, T, B) complex, m, and `angle` (order + 1, T, B), rad, are the poses of
+    the bodies' frames in the plane of `frame_id`; `position_covariance` and `angle_covariance`
+    (order + 1, order + 1, T, B) between orders, of one axis; `size` (T, B) is the diameter of
+    each body and `height` (T, B) where its markers are along the normal, m; `span` (T, B) in s and
+    `degree` (T, B) tell on how much time and by which polynomial the angular velocity was found.
+    NaN marks a body of which nothing is known, for the reason in `missing` (T, B). `since` is the
+    stamp of the frame that the tracker last began with: poses from before it are in other body
+    frames. `pin` (T, B) is the fixed point a body was found to turn about, complex, m, with
+    `pin_variance` (T, B), m^2, of one coordinate; NaN for a body on no pin. `shape` (B, n) are the
+    markers in the bodies' frames, complex, m. `due` (T,) is which frame, of those the tracker was
+    given together, each instant fell due with.
+
+    What follows is of shape (T, B) too, (T, pairs) for pairs of bodies. An index gives one instant
+    as an estimate of its own, in which all arrays lack the axis of T.
     """
 
     def __init__(
         self,
-        stamp: int,
+        stamp: np.ndarray,
         frame_id: str,
         bodies: tuple[str, ...],
         position: np.ndarray,
@@ -67,11 +73,12 @@ class Estimate:
         height: np.ndarray,
         span: np.ndarray,
         degree: np.ndarray,
-        missing: tuple[str, ...],
+        missing: np.ndarray,
         since: int = 0,
         pin: np.ndarray | None = None,
         pin_variance: np.ndarray | None = None,
         shape: np.ndarray | None = None,
+        due: np.ndarray | None = None,
     ) -> None:
         self.stamp = stamp
         self.frame_id = frame_id
@@ -86,12 +93,40 @@ class Estimate:
         self.degree = degree
         self.missing = missing
         self.since = since
-        nowhere = np.full(len(bodies), np.nan)
+        nowhere = np.full(position.shape[1:], np.nan)
         self.pin = nowhere + 0j if pin is None else pin
         self.pin_variance = nowhere if pin_variance is None else pin_variance
         self.pinned = np.isfinite(self.pin)
-        self.shape = np.full((len(bodies), 0), nowhere[:, None] + 0j) if shape is None else shape
+        self.shape = np.full((len(bodies), 0), complex(np.nan, np.nan)) if shape is None else shape
+        self.due = np.arange(np.size(stamp)).reshape(np.shape(stamp)) if due is None else due
         self.pole = cache(self._pole)
+
+    def __len__(self) -> int:
+        return len(self.stamp)
+
+    def __iter__(self) -> Iterator['Estimate']:
+        return (self[instant] for instant in range(len(self)))
+
+    def __getitem__(self, instant: int) -> 'Estimate':
+        return Estimate(
+            self.stamp[instant],
+            self.frame_id,
+            self.bodies,
+            self.position[:, instant],
+            self.angle[:, instant],
+            self.position_covariance[:, :, instant],
+            self.angle_covariance[:, :, instant],
+            self.size[instant],
+            self.height[instant],
+            self.span[instant],
+            self.degree[instant],
+            self.missing[instant],
+            self.since,
+            self.pin[instant],
+            self.pin_variance[instant],
+            self.shape,
+            self.due[instant],
+        )
 
     @property
     def order(self) -> int:
@@ -120,8 +155,8 @@ class Estimate:
         value = pole.value
         if self.pinned.any():
             value = np.where(self.pinned, self.pin, value)
-            even = self.pin_variance[:, None, None] * np.eye(2)
-            spread = np.where(self.pinned[:, None, None], even, spread)
+            even = self.pin_variance[..., None, None] * np.eye(2)
+            spread = np.where(self.pinned[..., None, None], even, spread)
             # Whatever rate is seen, the pin has none of that order; the formula need not be known.
             rates = slice(order + 1)
             turns = _stands_out(np.abs(self.angle[rates]), self.angle_covariance[rates, rates])
@@ -131,7 +166,7 @@ class Estimate:
 
     def motion(self, body: int) -> str:
         """
-        What a body does as far as can be told: 'still', 'translating', 'pinned' or 'general'.
+        What a body does at one instant: 'still', 'translating', 'pinned' or 'general'.
 
         Empty for a body of which nothing is known.
         """
@@ -149,7 +184,7 @@ class Estimate:
         u = planar.icr_velocity(self.position, self.angle)
         spread = planar.covariance(u, self.position_covariance, self.angle_covariance)
         value = np.where(self.pinned, 0.0, u.value)
-        spread = np.where(self.pinned[:, None, None], 0.0, spread)
+        spread = np.where(self.pinned[..., None, None], 0.0, spread)
         finite = np.isfinite(value) & np.isfinite(spread).all(axis=(-2, -1))
         return Vectors(value, spread, self.pole(1).determined & finite)
 
@@ -164,7 +199,7 @@ class Estimate:
 
     @cached_property
     def icr_moves(self) -> np.ndarray:
-        """Where (B,) the ICR is seen to move: a pinned body's centrode is a point."""
+        """Where (T, B) the ICR is seen to move: a pinned body's centrode is a point."""
         u = self.icr_velocity
         with np.errstate(invalid='ignore'):
             noise = np.sqrt(u.covariance[..., 0, 0] + u.covariance[..., 1, 1])
@@ -182,9 +217,9 @@ class Estimate:
     def relative_rate(self) -> Numbers:
         """Angular velocity of j with respect to i (rad/s) for every pair."""
         j, i = self.pairs
-        value = self.angle[1, j] - self.angle[1, i]
-        noise = self.angle_covariance[1, 1]
-        return Numbers(value, noise[j] + noise[i], np.isfinite(value))
+        rate, noise = self.angle[1], self.angle_covariance[1, 1]
+        value = rate[..., j] - rate[..., i]
+        return Numbers(value, noise[..., j] + noise[..., i], np.isfinite(value))
 
     @cached_property
     def relative_icr(self) -> Vectors:
@@ -195,7 +230,7 @@ class Estimate:
         """
         j, i = self.pairs
         by_j, by_i = planar.relative_pole(
-            self.position[:, j], self.angle[:, j], self.position[:, i], self.angle[:, i]
+            self.position[..., j], self.angle[..., j], self.position[..., i], self.angle[..., i]
         )
         spread = sum(
             planar.covariance(part, self.position_covariance[..., k], self.angle_covariance[..., k])
@@ -204,8 +239,9 @@ class Estimate:
         rate = self.relative_rate
         with np.errstate(invalid='ignore'):
             turning = np.abs(rate.value) > SIGNIFICANT * np.sqrt(rate.variance)
-            middle = (self.position[0, j] + self.position[0, i]) / 2
-            near = np.abs(by_j.value - middle) < FARTHEST * np.maximum(self.size[j], self.size[i])
+            place, size = self.position[0], self.size
+            apart = np.abs(by_j.value - (place[..., j] + place[..., i]) / 2)
+            near = apart < FARTHEST * np.maximum(size[..., j], size[..., i])
         finite = np.isfinite(by_j.value) & np.isfinite(spread).all(axis=(-2, -1))
         return Vectors(by_j.value, np.asarray(spread), turning & near & finite)
 
@@ -219,18 +255,18 @@ class Estimate:
         """
         j, i = self.pairs
         center = self.relative_icr
-        even = self.pin_variance[:, None, None] * np.eye(2)
+        even = self.pin_variance[..., None, None] * np.eye(2)
         distance, deviations = planar.kennedy_residual(
-            np.stack((self.pin[i], self.pin[j], center.value)),
-            np.stack((even[i], even[j], center.covariance)),
+            np.stack((self.pin[..., i], self.pin[..., j], center.value)),
+            np.stack((even[..., i, :, :], even[..., j, :, :], center.covariance)),
         )
-        known = self.pinned[i] & self.pinned[j] & center.determined
+        known = self.pinned[..., i] & self.pinned[..., j] & center.determined
         return np.where(known, distance, np.nan), np.where(known, deviations, np.nan)
 
     def reasons(self, body: int) -> dict[str, str]:
-        """Why each quantity of a body that can be told at this order is undetermined, if it is."""
+        """Why each quantity of a body at one instant is undetermined, of those of this order."""
         if self.missing[body]:
-            return {'all': self.missing[body]}
+            return {'all': str(self.missing[body])}
         found = {}
         for order in range(1, self.order + 1):
             pole = self.pole(order)
@@ -244,7 +280,7 @@ class Estimate:
 
 
 def _stands_out(values: np.ndarray, covariance: np.ndarray) -> np.ndarray:
-    """Where (B,) any of the derivatives (K, B) of order 1 and up exceeds its noise."""
+    """Where (..., B) any of the derivatives (K, ..., B) of order 1 and up exceeds its noise."""
     orders = np.arange(1, len(values))
     with np.errstate(invalid='ignore'):
         noise = np.sqrt(covariance[orders, orders])

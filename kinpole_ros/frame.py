@@ -1,18 +1,32 @@
-"""The one thing every input becomes: the markers of one instant, as arrays without ROS."""
+"""The one thing every input becomes: the markers of some instants, as arrays without ROS."""
 
 from typing import NamedTuple
 
 import numpy as np
 
 
-class MarkerFrame(NamedTuple):
-    """Markers seen at one instant.
+class MarkerFrames(NamedTuple):
+    """
+    Markers seen at T instants, one frame after the other, all of one layout.
 
-    `points` is float64 of shape (n, 3), in m in the frame `frame_id`; a row with a number that is
-    not finite is a marker that was not seen. `identities` names the n rows. `stamp` is in ns.
+    `stamps` (T,) int64, ns, as they came. `points` (T, n, 3) float64, m, in the frame `frame_id`; a
+    row with a number that is not finite is a marker that was not seen. `identities` names the n
+    rows.
     """
 
-    stamp: int
+    stamps: np.ndarray
     frame_id: str
     identities: tuple[str, ...]
     points: np.ndarray
+
+
+def one_frame(
+    stamp: int, frame_id: str, identities: tuple[str, ...], points: np.ndarray
+) -> MarkerFrames:
+    """The frame of one instant, with points (n, 3)."""
+    return MarkerFrames(np.array([stamp], np.int64), frame_id, identities, points[None])
+
+
+def part_of(frames: MarkerFrames, part: slice) -> MarkerFrames:
+    """Some of the frames."""
+    return frames._replace(stamps=frames.stamps[part], points=frames.points[part])

@@ -7,7 +7,8 @@ and publishes the rows of the results table that have subscribers.
 
 import re
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from functools import partial
 from typing import Any
 
 import rclpy
@@ -15,12 +16,14 @@ from diagnostic_msgs.msg import DiagnosticArray
 from rcl_interfaces.msg import FloatingPointRange, ParameterDescriptor, SetParametersResult
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
+from rclpy.event_handler import PublisherEventCallbacks, SubscriptionEventCallbacks
 from rclpy.exceptions import ParameterException
-from rclpy.executors import ExternalShutdownException
+from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 from rclpy.logging import LoggingSeverity, set_logger_level
 from rclpy.parameter import Parameter as RosParameter
-from rclpy.qos import QoSProfile, ReliabilityPolicy
+from rclpy.qos import QoSProfile, ReliabilityPolicy, qos_policy_name_from_kind
 from rclpy.qos_overriding_options import QoSOverridingOptions
 from rclpy.utilities import remove_ros_args
 
@@ -29,9 +32,9 @@ from kinpole_ros.messages import (
     MARKER_TYPES,
     ROS_TYPE_NAMES,
     DiagnosticsMaker,
+    MarkerReader,
     MessageError,
     Output,
-    read_markers,
     result_outputs,
 )
 from kinpole_ros.parameters import AUTOSTART, MARKERS, PARAMETERS, ParameterError, settings_from
@@ -40,6 +43,11 @@ from kinpole_ros.tracker import Tracker
 
 _DIAGNOSTICS_EVERY = 1.0
 _LOOK_EVERY = 0.1
+# Messages that wait while others are worked on; beyond, the newest push out the oldest.
+_DEPTH = 50
+# So many failures with nothing done between them are no weather to ride out.
+_MOST_FAILURES = 100
+_LATEST_STAMP = 2**31 * 10**9 - 1
 
 
 class KinpoleNode(LifecycleNode):
@@ -62,8 +70,14 @@ class KinpoleNode(LifecycleNode):
         self._tracker = Tracker(self.settings)
         self._diagnostics = DiagnosticsMaker(self.get_name(), self._theory)
         self._outputs: list[tuple[Output, Any]] = []
+        self._publishers_made: dict[str, Any] = {}
         self._subscription: Any = None
         self._kind = ''
+        # Where the markers come from, and the number of the last message of a sole source.
+        self._sources: set[bytes] = set()
+        self._number: int | None = None
+        # Of the frames since the last diagnostics.
+        self._stamps: list[int] = []
         self._timers_made: list[Any] = []
         self._latest: Estimate | None = None
         self._trouble: dict[str, str] = {}
@@ -71,9 +85,12 @@ class KinpoleNode(LifecycleNode):
         self._status: Any = None
         self.add_on_set_parameters_callback(self._check_parameters)
         self.add_post_set_parameters_callback(self._take_parameters)
+        service = self._service_change_state
+        service.callback = partial(_change_if_possible, service.callback)
         if self.get_parameter('autostart').value:
             self.trigger_configure()
-            self.trigger_activate()
+            if self.trigger_activate() != TransitionCallbackReturn.SUCCESS:
+                raise ParameterError(self._trouble['start'])
 
     def _declare(self) -> None:
         """Declare every parameter with its description and range; unknown ones are refused."""
@@ -111,6 +128,11 @@ class KinpoleNode(LifecycleNode):
         return super().set_parameters_atomically(parameter_list)
 
     def _check_parameters(self, changes: Sequence[RosParameter]) -> SetParametersResult:
+        for p in changes:
+            # rclpy declares them itself, to be set, and reads them when it subscribes.
+            if p.name.startswith('qos_overrides.') and self.has_parameter(p.name):
+                reason = f'parameter {p.name} is read at the start only; set it there'
+                return SetParametersResult(successful=False, reason=reason)
         try:
             load_theory(settings_from({**self._values(), **{p.name: p.value for p in changes}}))
         except ParameterError as error:
@@ -118,17 +140,24 @@ class KinpoleNode(LifecycleNode):
         return SetParametersResult(successful=True)
 
     def _take_parameters(self, changes: Sequence[RosParameter]) -> None:
-        """Start anew with the changed settings."""
+        """Start anew with the changed settings; publishers that stay in use are not touched."""
         if not any(self._is_ours(p.name) for p in changes):
             return
         self.settings = settings_from(self._values())
         self._theory = load_theory(self.settings)
+        self._start_anew()
+        if self._outputs:
+            self._make_outputs()
+
+    def _start_anew(self) -> None:
+        """Forget all frames, and the counts."""
         self._tracker = Tracker(self.settings)
         self._diagnostics = DiagnosticsMaker(self.get_name(), self._theory)
+        if self._kind:
+            self._reader = MarkerReader(self._kind, self.settings.marker_identity)
         self._latest = None
-        if self._outputs:
-            self._drop_outputs()
-            self._make_outputs()
+        self._number = None
+        self._stamps = []
 
     def _is_ours(self, name: str) -> bool:
         return name in PARAMETERS or name.endswith('.markers')
@@ -142,16 +171,22 @@ class KinpoleNode(LifecycleNode):
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Start listening, with an empty window."""
         result = super().on_activate(state)
-        self._tracker = Tracker(self.settings)
-        self._diagnostics = DiagnosticsMaker(self.get_name(), self._theory)
-        self._latest = None
+        self._start_anew()
+        self._trouble.clear()
         self._told = self._steady.now()
         # A steady clock: these beat even where simulated time stands still.
         self._timers_made = [
             self.create_timer(_DIAGNOSTICS_EVERY, self._tell, clock=self._steady),
             self.create_timer(_LOOK_EVERY, self._find_markers, clock=self._steady),
         ]
-        self._find_markers()
+        try:
+            self._find_markers()
+        except ParameterError as error:
+            self.on_deactivate(state)
+            self._trouble['start'] = str(error)
+            if not self.get_parameter('autostart').value:
+                self.get_logger().error(str(error))
+            return TransitionCallbackReturn.FAILURE
         return result
 
     def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
@@ -164,7 +199,7 @@ class KinpoleNode(LifecycleNode):
 
     def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Take the publishers down."""
-        self._drop_outputs()
+        self._drop_outputs([])
         if self._status is not None:
             self.destroy_publisher(self._status)
             self._status = None
@@ -175,29 +210,47 @@ class KinpoleNode(LifecycleNode):
         self.on_deactivate(state)
         return self.on_cleanup(state)
 
+    def on_error(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """After a transition that failed, be as before the first."""
+        return self.on_shutdown(state)
+
     def _make_outputs(self) -> None:
         highest = self.settings.derivative_order or 4
-        for output in result_outputs(
-            tuple(self.settings.bodies), self.settings.plane, self._theory
-        ):
-            if output.order <= highest:
+        bodies = tuple(self.settings.bodies)
+        outputs = [
+            output
+            for output in result_outputs(bodies, self.settings.plane, self._theory)
+            if output.order <= highest
+        ]
+        self._drop_outputs([output.topic for output in outputs])
+        for output in outputs:
+            publisher = self._publishers_made.get(output.topic)
+            if publisher is None:
+                # rclpy's own callbacks only log, and cost 6 us a publisher whenever it waits.
                 publisher = self.create_lifecycle_publisher(
-                    output.message_type, f'~/{output.topic}', 10
+                    output.message_type,
+                    f'~/{output.topic}',
+                    _DEPTH,
+                    event_callbacks=PublisherEventCallbacks(use_default_callbacks=False),
                 )
                 if self._timers_made:
                     publisher.on_activate(LifecycleState('active', 0))
-                self._outputs.append((output, publisher))
+                self._publishers_made[output.topic] = publisher
+            self._outputs.append((output, publisher))
 
-    def _drop_outputs(self) -> None:
-        for _, publisher in self._outputs:
-            self.destroy_lifecycle_publisher(publisher)
+    def _drop_outputs(self, kept: Sequence[str]) -> None:
+        """Destroy the publishers of all topics but those kept."""
+        for topic in self._publishers_made.keys() - set(kept):
+            self.destroy_lifecycle_publisher(self._publishers_made.pop(topic))
         self._outputs = []
 
     def _find_markers(self) -> None:
         """Subscribe as soon as the type of the markers is known; tell when none can be read."""
         topic = self.settings.marker_topic
         resolved = self.resolve_topic_name(topic)
-        published = {p.topic_type for p in self.get_publishers_info_by_topic(resolved)}
+        sources = self.get_publishers_info_by_topic(resolved)
+        published = {source.topic_type for source in sources}
+        self._note_sources({bytes(source.endpoint_gid) for source in sources})
         wanted = self.settings.marker_type
         readable = [wanted] if wanted != 'auto' else list(MARKER_TYPES)
         found = [kind for kind in readable if ROS_TYPE_NAMES[kind] in published]
@@ -214,14 +267,16 @@ class KinpoleNode(LifecycleNode):
             return
         self._unsubscribe()
         # Drivers mostly send as sensors do; what is late is not worth waiting for.
-        qos = QoSProfile(depth=50, reliability=ReliabilityPolicy.BEST_EFFORT)
+        qos = QoSProfile(depth=_DEPTH, reliability=ReliabilityPolicy.BEST_EFFORT)
         try:
             self._subscription = self.create_subscription(
                 MARKER_TYPES[kinds[0]],
                 topic,
                 self._on_markers,
                 qos,
+                event_callbacks=SubscriptionEventCallbacks(incompatible_qos=self._mismatched),
                 qos_overriding_options=QoSOverridingOptions.with_default_policies(),
+                raw=True,
             )
         except Exception as error:  # rclpy raises many things, some without words
             raise ParameterError(
@@ -229,34 +284,70 @@ class KinpoleNode(LifecycleNode):
                 f'({str(error) or type(error).__name__}); correct them or leave them out'
             ) from None
         self._kind = kinds[0]
+        self._reader = MarkerReader(kinds[0], self.settings.marker_identity)
+
+    def _note_sources(self, seen: set[bytes]) -> None:
+        """Where another publisher has taken over, its markers may be other ones: start anew."""
+        if not seen or seen == self._sources:
+            return
+        if self._sources and not seen & self._sources:
+            self._tracker.reset()
+            self._tracker.counts['restarts'] += 1
+        self._sources, self._number = seen, None
 
     def _unsubscribe(self) -> None:
         if self._subscription is not None:
             self.destroy_subscription(self._subscription)
         self._subscription = None
         self._kind = ''
+        self._number = None
 
-    def _on_markers(self, message: Any) -> None:
-        try:
-            frame = read_markers(message, self.settings.marker_identity)
-        except MessageError as error:
-            self._tracker.counts['unreadable'] += 1
-            self._warn('message', str(error))
-            return
+    def _mismatched(self, event: Any) -> None:
+        policy = qos_policy_name_from_kind(event.last_policy_kind).lower()
+        topic = self._subscription.topic_name
+        self._warn(
+            'qos',
+            f'a publisher of {topic} offers less than this node asks for in the QoS policy '
+            f'{policy}, and nothing is received from it: set the parameter '
+            f'qos_overrides.{topic}.subscription.{policy} to what it offers',
+        )
+
+    def _on_markers(self, message: bytes, info: Mapping[str, Any]) -> None:
+        """Take all that waits at once: what is behind catches up, and loses the oldest first."""
+        kind = MARKER_TYPES[self._kind]
+        waiting = [(message, info)]
+        with self._subscription.handle:
+            take = self._subscription.handle.take_message
+            while len(waiting) < _DEPTH and (more := take(kind, True)) is not None:
+                waiting.append(more)
+        self._trouble.pop('qos', None)
+        self._count_dropped(info.get('publication_sequence_number') for _, info in waiting)
         wanted = [row for row in self._outputs if row[1].get_subscription_count()]
         order = max((output.order for output, _ in wanted), default=None)
         if order is None:
             self._latest = None
-        for estimate in self._tracker.add(frame, order):
-            self._latest = estimate
-            for output, publisher in wanted:
-                result = output.build(estimate)
-                if result is not None:
-                    publisher.publish(result)
+        for frames in self._reader.read(data for data, _ in waiting):
+            if isinstance(frames, MessageError):
+                self._tracker.counts['unreadable'] += 1
+                self._warn('message', str(frames))
+                continue
+            self._stamps.extend(frames.stamps.tolist())
+            for estimate in self._tracker.add(frames, order):
+                self._latest = estimate
+                for output, publisher in wanted:
+                    for _, data in output.build(estimate):
+                        publisher.publish(data)
+
+    def _count_dropped(self, numbers: Iterable[int | None]) -> None:
+        """Count what is missing between messages, where they have numbers and one source."""
+        for number in numbers:
+            if number and self._number is not None and len(self._sources) == 1:
+                self._tracker.counts['dropped'] += max(0, number - self._number - 1)
+            self._number = number
 
     def _warn(self, topic: str, text: str) -> None:
-        """Say once what is wrong, and keep it for the diagnostics."""
-        if self._trouble.get(topic) != text:
+        """Keep what is wrong for the diagnostics, and say it when it begins."""
+        if topic not in self._trouble:
             self.get_logger().warning(text)
         self._trouble[topic] = text
 
@@ -264,10 +355,50 @@ class KinpoleNode(LifecycleNode):
         now = self._steady.now()
         seconds = (now - self._told).nanoseconds * 1e-9
         self._told = now
-        stamp = self.get_clock().now().nanoseconds
-        array = self._diagnostics.make(stamp, self._tracker, self._latest, seconds, self._trouble)
-        self._trouble.pop('message', None)
+        # A simulated clock may tell any time.
+        stamp = min(max(0, self.get_clock().now().nanoseconds), _LATEST_STAMP)
+        array = self._diagnostics.make(
+            stamp, self._tracker, self._latest, seconds, self._trouble, self._stamps
+        )
+        self._stamps = []
+        for passing in ('message', 'failure'):
+            self._trouble.pop(passing, None)
         self._status.publish(array)
+
+    def survive(self, error: Exception) -> None:
+        """Start anew after what no callback caught, and tell of it."""
+        self._tracker.reset()
+        self._latest = None
+        self._tracker.counts['failures'] += 1
+        text = ' '.join(str(error).split())
+        self._warn('failure', f'the node failed ({type(error).__name__}: {text}) and starts anew')
+
+
+def _change_if_possible(change: Callable[..., Any], request: Any, response: Any) -> Any:
+    """Answer a request for a transition; rclpy raises for one that is not possible now."""
+    try:
+        return change(request, response)
+    except rclpy_implementation.RCLError:
+        response.success = False
+        return response
+
+
+def _spin(node: KinpoleNode) -> None:
+    """As rclpy.spin, but a node that others rely upon does not end with its first failure."""
+    executor = SingleThreadedExecutor()
+    executor.add_node(node)
+    failures = 0
+    while rclpy.ok():
+        try:
+            executor.spin_once()
+            failures = 0
+        except (ParameterError, ExternalShutdownException):
+            raise
+        except Exception as error:
+            failures += 1
+            if not rclpy.ok() or failures > _MOST_FAILURES:
+                raise
+            node.survive(error)
 
 
 def main(args: Sequence[str] | None = None) -> int:
@@ -284,7 +415,7 @@ def main(args: Sequence[str] | None = None) -> int:
         if unknown := remove_ros_args(words)[1:]:
             return _refuse(f'unknown words {" ".join(unknown)}; those for ROS follow --ros-args')
         node = KinpoleNode()
-        rclpy.spin(node)
+        _spin(node)
     except (KeyboardInterrupt, ExternalShutdownException):
         pass
     except (ParameterError, ParameterException) as error:

@@ -197,6 +197,8 @@ PARAMETERS: Mapping[str, Parameter] = {
         'from its theory, and ~/balance what effort its loads ask for. Empty: none.',
         _text,
         'the name of a scene, such as four_bar, or the path of one',
+        # Whoever is on the network must not name files of this machine.
+        fixed=True,
     ),
 }
 MARKERS = Parameter(

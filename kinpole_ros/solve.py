@@ -14,12 +14,15 @@ import numpy as np
 
 from kinpole_ros.mechanism import (
     Centers,
+    Load,
     Motion,
     Scene,
     SceneError,
+    Torque,
     centrodes,
     efforts,
     explain,
+    holding,
     instant_centers,
     load_scene,
     quantity,
@@ -164,10 +167,14 @@ def _range(scene: Scene, start: float) -> tuple[float, float, tuple[float | None
 
 def _head(scene: Scene) -> list[str]:
     mechanism = scene.mechanism
-    joints, loops = len(mechanism.assembly.joints), len(mechanism.linkage.loops.loops)
-    parts = [f'{len(mechanism.bodies)} moving bodies', f'{joints} joints', f'{loops} loops']
+    counts = {
+        'moving bodies': len(mechanism.bodies),
+        'joints': len(mechanism.assembly.joints),
+        'loops': len(mechanism.linkage.loops.loops),
+    }
     driven = ', '.join(driver.name for driver in scene.mechanism.drivers)
-    return [f'{scene.name}: {", ".join(p for p in parts if p[0] != "0")}, driven: {driven}']
+    parts = [f'{what}: {count}' for what, count in counts.items() if count]
+    return [f'{scene.name}: {", ".join(parts)}, driven: {driven}']
 
 
 def _motion_lines(solved: Solved) -> list[str]:
@@ -189,6 +196,9 @@ def _motion_lines(solved: Solved) -> list[str]:
     lines += _table(
         ['body', 'angle deg', 'ω rad/s', 'α rad/s²', 'jerk rad/s³', 'snap rad/s⁴'], rows
     )
+    slides = [[name, *motion.values[:, k, 0]] for name, k in _lengths(scene).items()]
+    if slides:
+        lines += ['', *_table(['length', 'm', 'm/s', 'm/s²', 'm/s³', 'm/s⁴'], slides)]
     places = point_motions(solved)
     rows = []
     for name, place in places.items():
@@ -213,8 +223,11 @@ def _range_lines(solved: Solved) -> list[str]:
     if scene.mechanism.linkage.blocks:
         for dead in scene.mechanism.path(float(low), float(high)).dead_points:
             what = 'limit: it turns back' if dead.turns_back else 'change point: two ways on'
-            moving = ', '.join(dead.moving)
-            lines.append(f'dead point at {name} = {dead.at:.12g} ({what}; {moving} can move)')
+            moving, loop = ', '.join(dead.moving), ', '.join(dead.loop)
+            lines.append(
+                f'dead point at {name} = {_shown(scene, 0, dead.at, 12)} ({what}; {moving} can '
+                f'move, in the loop {loop})'
+            )
     return lines
 
 
@@ -224,11 +237,16 @@ def _sweep_lines(solved: Solved) -> list[str]:
     unit, size = driver_unit(scene, 0)
     head = [f'{scene.mechanism.drivers[0].name} ({unit})']
     head += [f'{b} {q}' for b in scene.mechanism.bodies for q in ('deg', 'rad/s')]
+    driven = scene.mechanism.drivers[0].name
+    slides = {name: n for name, n in _lengths(scene).items() if name != driven}
+    head += [f'{name} {q}' for name in slides for q in ('m', 'm/s')]
     rows = []
     for k in kept:
         row = [float(solved.inputs[0, k]) / size]
         for b in range(len(scene.mechanism.bodies)):
             row += [np.rad2deg(motion.angle[0, b, k]), motion.angle[1, b, k]]
+        for n in slides.values():
+            row += [motion.values[0, n, k], motion.values[1, n, k]]
         rows.append(row)
     return _table(head, rows)
 
@@ -239,13 +257,14 @@ def _center_lines(solved: Solved) -> list[str]:
     found = _centers(solved)
     several = solved.inputs.shape[1] > 1
     lines = ['', 'instant centers' + (' at the start of the range' if several else '')]
-    rows = []
+    rows: list[list[str | float]] = []
     for c, (i, j) in enumerate(found.pairs):
         point, direction = found.points[c, 0], found.directions[c, 0]
+        where: list[str | float]
         if np.isfinite(direction):
             where = ['at infinity', f'{np.rad2deg(direction):.6g} deg']
         elif np.isfinite(point):
-            where = [_number(point.real), _number(point.imag)]
+            where = [point.real, point.imag]
         else:
             where = ['none', '']
         rows.append([f'I{i + 1}{j + 1}', f'{found.bodies[i]}, {found.bodies[j]}', *where])
@@ -266,20 +285,18 @@ def _static_lines(solved: Solved) -> list[str]:
             f'{scene.name} has no loads: add them, as loads: [{{weight: 10 kg, at: BODY.POINT}}]'
         )
     first = solved.values[:, :1]
-    lines = ['']
-    borne = efforts(scene.mechanism, first, scene.loads)
-    for k, driver in enumerate(scene.mechanism.drivers):
-        unit = 'N m' if _kind(scene, k) == 'angle' else 'N'
-        if not borne.determined[k, 0]:
-            lines.append(f'{driver.name}: a dead point, where no finite effort balances the loads')
-            continue
-        lines.append(f'{driver.name} balances the loads with {borne.effort[k, 0]:.9g} {unit}')
-        if len(scene.loads) > 1:
-            parts = ', '.join(f'{share:.6g}' for share in borne.share[:, k, 0])
-            lines.append(f'  of this, load by load: {parts} {unit}')
+    several = solved.inputs.shape[1] > 1
+    lines = ['', 'forces at the start of the range' if several else 'forces']
+    loads = scene.loads
+    if scene.held_by:
+        size, load = holding(scene.mechanism, first, loads, scene.held_by)
+        lines.append(_held_line(scene, float(size[0]), load))
+        loads = (*loads, load)
+    else:
+        lines += _effort_lines(scene, first)
     if not scene.mechanism.assembly.joints:
         return [*lines, 'vectors have no joints: for what these bear write bodies and joints']
-    found = reactions(scene.mechanism, first, scene.loads)
+    found = reactions(scene.mechanism, first, loads)
     rows = [
         [
             name,
@@ -293,6 +310,35 @@ def _static_lines(solved: Solved) -> list[str]:
     if rows:
         lines += ['', *_table(['joint', 'Fx N', 'Fy N', 'F N', 'moment N m'], rows)]
     return [*lines, *undetermined(scene.mechanism, first[:, 0])]
+
+
+def _effort_lines(scene: Scene, first: np.ndarray) -> list[str]:
+    """What each driver exerts to balance the loads."""
+    lines = []
+    borne = efforts(scene.mechanism, first, scene.loads)
+    for k, driver in enumerate(scene.mechanism.drivers):
+        unit = 'N m' if _kind(scene, k) == 'angle' else 'N'
+        if not borne.determined[k, 0]:
+            lines.append(f'{driver.name}: a dead point, where no finite effort balances the loads')
+            continue
+        lines.append(f'{driver.name} balances the loads with {borne.effort[k, 0]:.9g} {unit}')
+        if len(scene.loads) > 1:
+            parts = ', '.join(f'{share:.6g}' for share in borne.share[:, k, 0])
+            lines.append(f'  of this, load by load: {parts} {unit}')
+    return lines
+
+
+def _held_line(scene: Scene, size: float, load: Load) -> str:
+    """What holds the loads in place of the driver."""
+    driver = scene.mechanism.drivers[0].name
+    if not np.isfinite(size):
+        return f'on {load.body} nothing balances the loads here: it does not move, or a dead point'
+    if isinstance(load, Torque):
+        return f'{size:.9g} N m on {load.body} balance the loads, with {driver} free'
+    name = next(n for n, place in scene.points.items() if place == (load.body, load.point))
+    force = complex(np.ravel(load.force)[0])
+    way = f'{np.rad2deg(np.angle(force / size)):.6g} deg'
+    return f'{size:.9g} N at {name}, along {way}, balance the loads, with {driver} free'
 
 
 def point_motions(solved: Solved) -> dict[str, np.ndarray]:
@@ -314,13 +360,17 @@ def point_motions(solved: Solved) -> dict[str, np.ndarray]:
 def _write_table(path: Path, solved: Solved, centers: bool, statics: bool) -> None:
     """One row per position, SI units; empty cells for what is not determined."""
     columns: dict[str, np.ndarray] = {}
+    orders = ('', '_velocity', '_acceleration', '_jerk', '_snap')
     for k, driver in enumerate(solved.scene.mechanism.drivers):
         columns[driver.name] = solved.inputs[k]
     for b, body in enumerate(solved.scene.mechanism.bodies):
-        for k, name in enumerate(('', '_velocity', '_acceleration', '_jerk', '_snap')):
+        for k, name in enumerate(orders):
             columns[f'{body}_x{name}'] = solved.motion.position[k, b].real
             columns[f'{body}_y{name}'] = solved.motion.position[k, b].imag
             columns[f'{body}_angle{name}'] = solved.motion.angle[k, b]
+    for name, n in _lengths(solved.scene).items():
+        for k, what in enumerate(orders):
+            columns[f'{name}{what}'] = solved.motion.values[k, n]
     for point, places in point_motions(solved).items():
         name = point.replace('.', '_')
         for k, what in enumerate(('', '_velocity', '_acceleration')):
@@ -333,11 +383,16 @@ def _write_table(path: Path, solved: Solved, centers: bool, statics: bool) -> No
             columns[f'{name}_x'] = found.points[c].real
             columns[f'{name}_y'] = found.points[c].imag
     if statics:
-        borne = efforts(solved.scene.mechanism, solved.values, solved.scene.loads)
+        loads = solved.scene.loads
+        if solved.scene.held_by:
+            size, load = holding(solved.scene.mechanism, solved.values, loads, solved.scene.held_by)
+            columns['held_by'] = size
+            loads = (*loads, load)
+        borne = efforts(solved.scene.mechanism, solved.values, loads)
         for k, driver in enumerate(solved.scene.mechanism.drivers):
             columns[f'{driver.name}_effort'] = borne.effort[k]
         if solved.scene.mechanism.assembly.joints:
-            forces = reactions(solved.scene.mechanism, solved.values, solved.scene.loads)
+            forces = reactions(solved.scene.mechanism, solved.values, loads)
             for j, joint in enumerate(forces.joints):
                 columns[f'{joint}_force_x'] = forces.force[j].real
                 columns[f'{joint}_force_y'] = forces.force[j].imag
@@ -387,9 +442,15 @@ def _kind(scene: Scene, k: int) -> str:
     return kinds[int(np.flatnonzero(scene.mechanism.drivers[k].row)[0])]
 
 
-def _shown(scene: Scene, k: int, value: float) -> str:
+def _lengths(scene: Scene) -> dict[str, int]:
+    """The slides and other lengths that change, by name, and which variables they are."""
+    kinds = scene.mechanism.assembly.kinds
+    return {name: n for n, (name, kind) in enumerate(kinds.items()) if kind == 'length'}
+
+
+def _shown(scene: Scene, k: int, value: float, digits: int = 9) -> str:
     unit, size = driver_unit(scene, k)
-    return f'{value / size:.9g} {unit}'
+    return f'{value / size if abs(value) > 1e-12 else 0.0:.{digits}g} {unit}'
 
 
 def _number(value: float) -> str:

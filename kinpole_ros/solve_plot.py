@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from kinpole_ros.mechanism import instant_centers
+from kinpole_ros.mechanism import Rolling, instant_centers
 from kinpole_ros.planar import pole
 from kinpole_ros.solve import Solved, driver_unit, point_motions
 
@@ -74,8 +74,11 @@ def _draw_linkage(axis: Any, solved: Solved, k: int, centers: bool) -> None:
     for b, body in enumerate(bodies):
         if not places[body]:
             places[body].append(np.stack([motion.position[n, b] for n in range(3)]))
+    wheels = _wheels(solved, k)
     everything = np.concatenate(
-        [found[0] for listed in places.values() for found in listed] + [fixed.ravel() + 0j]
+        [found[0] for listed in places.values() for found in listed]
+        + [rim for _, rim in wheels]
+        + [fixed.ravel() + 0j]
     )
     everything = everything[np.isfinite(everything)]
     low = complex(everything.real.min(), everything.imag.min())
@@ -84,6 +87,13 @@ def _draw_linkage(axis: Any, solved: Solved, k: int, centers: bool) -> None:
     fastest = max(
         (np.abs(found[1, k]) for listed in places.values() for found in listed), default=0.0
     )
+    moving = [found[:2, k] for listed in places.values() for found in listed]
+    arrows = [
+        (z, z + v / fastest * _ARROW * reach) for z, v in moving if np.abs(v) > 1e-3 * fastest
+    ]
+    for _, tip in arrows:
+        low = complex(min(low.real, tip.real), min(low.imag, tip.imag))
+        high = complex(max(high.real, tip.real), max(high.imag, tip.imag))
     for listed in places.values():
         for found in listed:
             axis.plot(found[0].real, found[0].imag, color='#bbbbbb', linewidth=0.8, zorder=1)
@@ -111,18 +121,18 @@ def _draw_linkage(axis: Any, solved: Solved, k: int, centers: bool) -> None:
             textcoords='offset points',
             zorder=5,
         )
-        for found in places[body]:
-            z, v = found[0, k], found[1, k]
-            if fastest > 0 and np.abs(v) > 1e-3 * fastest:
-                tip = z + v / fastest * _ARROW * reach
-                axis.annotate(
-                    '',
-                    (tip.real, tip.imag),
-                    (z.real, z.imag),
-                    zorder=4,
-                    arrowprops={'arrowstyle': '->', 'color': '#444444', 'linewidth': 1.1},
-                )
+    for tail, tip in arrows:
+        axis.annotate(
+            '',
+            (tip.real, tip.imag),
+            (tail.real, tail.imag),
+            zorder=4,
+            arrowprops={'arrowstyle': '->', 'color': '#444444', 'linewidth': 1.1},
+        )
     axis.plot(fixed.real, fixed.imag, 'k^', markersize=8, zorder=4, label='ground')
+    _draw_vectors(axis, solved, k)
+    for b, rim in wheels:
+        axis.plot(rim.real, rim.imag, color=_GRAYS[b % len(_GRAYS)], zorder=3)
     if centers:
         low, high = _draw_centers(axis, solved, k, low, high, reach)
     centrode = _draw_centrodes(axis, solved, (low + high) / 2, (0.5 + _FAR) * abs(high - low))
@@ -138,6 +148,35 @@ def _draw_linkage(axis: Any, solved: Solved, k: int, centers: bool) -> None:
         + ('; crosses: instant centers' if centers else ''),
         fontsize=10,
     )
+
+
+def _draw_vectors(axis: Any, solved: Solved, k: int) -> None:
+    """The turning vectors of a scene that has no bodies with joints."""
+    assembly = solved.scene.mechanism.assembly
+    if assembly.joints:
+        return
+    loops, values = assembly.loops, solved.values[:, k]
+    # Each of them is a body, in the same order.
+    for b, term in enumerate(np.flatnonzero(loops.angles.any(axis=1))):
+        length = loops.lengths[term] @ values + loops.length0[term]
+        angle = loops.angles[term] @ values + loops.angle0[term]
+        tail = solved.motion.position[0, b, k]
+        ends = np.array([tail, tail + length * np.exp(1j * angle)])
+        style = {'linestyle': _DASHES[b % len(_DASHES)], 'color': _GRAYS[b % len(_GRAYS)]}
+        axis.plot(ends.real, ends.imag, linewidth=2.4, zorder=3, **style)
+
+
+def _wheels(solved: Solved, k: int) -> list[tuple[int, np.ndarray]]:
+    """The bodies that roll, by their numbers: a spoke and the rim, complex."""
+    mechanism, wheels = solved.scene.mechanism, []
+    circle = np.exp(1j * np.linspace(0, 2 * np.pi, 73))
+    for joint in mechanism.assembly.joints:
+        if isinstance(joint, Rolling) and joint.other in mechanism.bodies:
+            b = mechanism.bodies.index(joint.other)
+            turn = np.exp(1j * solved.motion.angle[0, b, k])
+            hub = solved.motion.position[0, b, k] + joint.b * turn
+            wheels.append((b, hub + joint.radius * turn * np.append(0, circle)))
+    return wheels
 
 
 def _draw_centrodes(axis: Any, solved: Solved, middle: complex, far: float) -> bool:

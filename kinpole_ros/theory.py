@@ -158,26 +158,29 @@ def joint_offsets(theory: Theory, estimate: Estimate) -> dict[str, Difference]:
 
 def balance(theory: Theory, estimate: Estimate) -> Numbers:
     """
-    Torque on the driven body that balances the scene's loads at the velocities seen, N m, ().
+    Torque on the driven body that balances the scene's loads at the velocities seen, N m, (T,).
 
     Determined where all the bodies are known and the driver turns by more than its noise.
     """
     frames = _frames(theory, estimate)
     needed = {theory.driver, *(load.body for load in theory.scene.loads)}
-    nothing = Numbers(np.array(np.nan), np.array(np.nan), np.array(False))
     if not needed <= set(frames):
-        return nothing
+        unknown = np.full(np.shape(estimate.stamp), np.nan)
+        return Numbers(unknown, unknown, np.isfinite(unknown))
     ports = [_port(theory, load, frames) for load in theory.scene.loads]
     value, variance, determined = measured_balance(
         Port(theory.places[theory.driver][0], 1.0),
         ports,
-        estimate.position,
-        estimate.angle,
-        estimate.position_covariance,
-        estimate.angle_covariance,
+        np.moveaxis(estimate.position, -1, 1),
+        np.moveaxis(estimate.angle, -1, 1),
+        np.moveaxis(estimate.position_covariance, -1, 2),
+        np.moveaxis(estimate.angle_covariance, -1, 2),
         SIGNIFICANT,
     )
-    return Numbers(np.asarray(value), np.asarray(variance), np.asarray(determined))
+    known = [estimate.missing[..., theory.places[body][0]] == '' for body in needed]
+    return Numbers(
+        np.asarray(value), np.asarray(variance), np.asarray(determined) & np.all(known, axis=0)
+    )
 
 
 def _port(theory: Theory, load: Load, frames: dict[str, tuple[complex, float]]) -> Port:
@@ -194,6 +197,6 @@ def _frames(theory: Theory, estimate: Estimate) -> dict[str, tuple[complex, floa
     for body, (b, _, markers, known) in theory.places.items():
         shape = estimate.shape[b, markers]
         fit = fit_pose(shape, known, np.isfinite(shape).astype(float))
-        if np.isfinite(fit.angle) and not estimate.missing[b]:
+        if np.isfinite(fit.angle):
             found[body] = (complex(fit.position), float(fit.angle))
     return found

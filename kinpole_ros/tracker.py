@@ -2,20 +2,24 @@
 The one pipeline: frames of markers in, motion of bodies out.
 
 Node and replay both call it and nothing else does the job, so what is seen live is what a bag
-gives. Header stamps drive it; it never asks for the time.
+gives: the one hands it frame by frame, the other many at once, and what they get is the same.
+Header stamps drive it; it never asks for the time.
 """
 
 from collections import Counter
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 
 from kinpole_ros.estimate import Estimate
-from kinpole_ros.frame import MarkerFrame
+from kinpole_ros.frame import MarkerFrames, part_of
 from kinpole_ros.parameters import Settings
-from kinpole_ros.planar import landmark_kinematics, to_complex, to_plane
+from kinpole_ros.planar import landmark_kinematics, to_plane
 from kinpole_ros.window import (
     FEWEST_SAMPLES,
+    STRIKES,
+    Derivatives,
     Noise,
     Pins,
     Samples,
@@ -37,6 +41,22 @@ _FARTHEST = 1e15
 _UNSTEADY = 0.15
 # Weights this near to 1 are not worth fits of their own.
 _ALIKE = 0.97
+# Instants times signals that are differentiated at once: what a cache holds.
+_MOST_AT_ONCE = 512
+# Frames later than this many intervals of late come after a gap.
+_LATE = 2.5
+
+
+class _News(NamedTuple):
+    """Frames that were taken since the last beat: fits, and what is left of them, (T, ...)."""
+
+    stamps: np.ndarray
+    position: np.ndarray
+    angle: np.ndarray
+    information: np.ndarray  # (T, 2 B)
+    residual: np.ndarray
+    freedom: np.ndarray
+    goes_on: np.ndarray
 
 
 class Tracker:
@@ -69,14 +89,22 @@ class Tracker:
         self._stamps = Samples((), np.int64)
         self._positions = Samples((count,), complex)
         self._angles = Samples((count,), float)
+        # Whole turns, as what comes between -pi and pi goes on.
+        self._turns = Samples((count,), float)
+        self._last_angle = np.zeros(count)
+        self._last_turn = np.zeros(count)
         self._information = Samples((2 * count,), float)
         self._heights = Samples((count,), float)
+        self._strayed = Samples((count,), bool)
         self._points: Samples | None = None
         if self.settings.method == 'landmarks':
             self._points = Samples((count, width), complex)
         self._largest = 0.0
         self._since = 0
         self._due = 0
+        # Frames since the last beat, at which the bodies' shapes, noise and pins are learned.
+        self._news: list[_News] = []
+        self._new = 0
 
     @property
     def samples(self) -> int:
@@ -97,70 +125,172 @@ class Tracker:
             return np.full(len(self.bodies), self.settings.noise)
         return np.maximum(self._noise.level(), _ROUNDING * self._largest)
 
-    def add(self, frame: MarkerFrame, order: int | None) -> list[Estimate]:
+    def add(self, frames: MarkerFrames, order: int | None) -> list[Estimate]:
         """
-        Take one frame; return what is now known, stamped `lag` earlier, mostly one estimate.
+        Take frames; return what is now known, stamped `lag` earlier, an instant for most frames.
 
         `order` is the highest derivative wanted now (1 to 4), None for no estimates at all. A stamp
         seen already is left out; one that steps back, or forward by more than the window, starts
         everything anew.
         """
-        self.counts['frames'] += 1
-        stamps = self._stamps.view()
-        if len(stamps):
-            step = frame.stamp - int(stamps[-1])
-            if step == 0:
-                self.counts['repeated'] += 1
-                return []
-            if step < 0 or step > self._window:
+        stamps = np.asarray(frames.stamps)
+        self.counts['frames'] += len(stamps)
+        steps = np.diff(
+            stamps, prepend=self._stamps.view()[-1:] if self.samples else stamps[:1] - 1
+        )
+        new = np.flatnonzero(steps)
+        if len(new) < len(stamps):
+            self.counts['repeated'] += len(stamps) - len(new)
+            frames = frames._replace(stamps=stamps[new], points=frames.points[new])
+            stamps, steps = stamps[new], steps[new]
+        jumps = np.flatnonzero((steps < 0) | (steps > self._window))
+        found: list[Estimate] = []
+        first = 0
+        for end in (*jumps, len(stamps)):
+            if end > first:
+                found += self._run(part_of(frames, slice(first, end)), order, new[first:end])
+            if end < len(stamps):
                 self.counts['resets'] += 1
                 self.reset()
-        if not len(self._stamps):
-            self._since = frame.stamp
-        self._append(frame)
-        return self._estimates(frame.frame_id, order)
+            first = end
+        return found
 
-    def _append(self, frame: MarkerFrame) -> None:
-        place = self._place(frame.identities)
-        # One more row of NaN stands for every marker that is not in the message.
-        padded = np.full((len(frame.points) + 1, 3), np.nan)
-        padded[:-1] = frame.points
-        points = padded[place]
+    def _run(self, frames: MarkerFrames, order: int | None, numbers: np.ndarray) -> list[Estimate]:
+        """Take frames whose stamps go on from those before; `numbers` (T,) are theirs."""
+        points, heights = self._sorted(frames)
+        stamps = frames.stamps
+        if not self.samples:
+            self._since = int(stamps[0])
+        gaps = self._gaps(stamps)
+        found = []
+        first = 0
+        while first < len(stamps):
+            if self._new >= self._shapes.beat:
+                # Not as soon as the frames are there: nobody waits for it then.
+                self._learn()
+            room = self._shapes.beat - self._new
+            unseen = self._shapes.unseen(points[first : first + room])
+            if not unseen:
+                self._learn()
+                self._shapes.begin(points[first])
+                unseen = room = 1
+            end = min(first + min(room, unseen), len(stamps))
+            later = np.flatnonzero(gaps[first + 1 : end])
+            if len(later):
+                end = first + 1 + int(later[0])
+            self._take(stamps[first:end], points[first:end], heights[first:end], gaps[first])
+            found += self._estimates(frames.frame_id, order, numbers[first:end])
+            first = end
+        return found
+
+    def _sorted(self, frames: MarkerFrames) -> tuple[np.ndarray, np.ndarray]:
+        """The markers (T, B, n) of each body, complex, NaN for none, and their heights."""
+        place = self._place(frames.identities)
+        rows = frames.points
+        if place.max(initial=0) == rows.shape[1]:
+            # One more row of NaN stands for every marker that is not in the message.
+            padded = np.full((len(rows), rows.shape[1] + 1, 3), np.nan)
+            padded[:, :-1] = rows
+            rows = padded
+        solid = rows[:, place]
         with np.errstate(invalid='ignore'):
-            points[~(np.abs(points) < _FARTHEST).all(axis=-1)] = np.nan
-        flat = to_complex(points[..., self._axes[:2]])
-        seen = ~np.isnan(flat)
+            near = (np.abs(solid) < _FARTHEST).all(axis=-1)
+        if not near.all():
+            solid[~near] = np.nan
+        flat = np.empty(solid.shape[:-1], complex)
+        flat.real, flat.imag = solid[..., self._axes[0]], solid[..., self._axes[1]]
         wanted = sum(len(markers) for markers in self._markers)
-        self.counts['markers_not_seen'] += wanted - int(seen.sum())
+        self.counts['markers_not_seen'] += wanted * len(rows) - int((~np.isnan(flat)).sum())
+        return flat, solid[..., self._axes[2]]
 
-        if self._stamps.view().size and self._gap(frame.stamp):
+    def _gaps(self, stamps: np.ndarray) -> np.ndarray:
+        """Which frames (T,) come much later than the frames before them did."""
+        known = self._stamps.view()
+        every = np.concatenate((known, stamps))
+        last = len(known) + np.arange(len(stamps)) - 1
+        # As the window is when the frame comes.
+        first = np.searchsorted(every, every[last] - self._window)
+        with np.errstate(divide='ignore', invalid='ignore'):
+            interval = (every[last] - every[first]) / (last - first)
+            gaps = stamps - every[last] > _LATE * interval
+        if not len(known):
+            gaps[0] = False
+        return np.asarray(gaps & (last > first))
+
+    def _take(self, stamps: np.ndarray, points: np.ndarray, heights: np.ndarray, gap: bool) -> None:
+        """Fit the poses of frames between which nothing is learned and no gap is."""
+        if gap:
             self._shapes.forget_motion()
-            self._noise.forget_neighbors()
-        fit, flat = self._shapes.fit(flat)
-        self._noise.add(fit)
+        fit, points = self._shapes.fit(points)
         self.counts.update(self._shapes.mended)
         self._shapes.mended.clear()
-        seen = ~np.isnan(flat)
-        self._largest = max(self._largest, np.abs(flat).max(where=seen, initial=0.0))
+        seen = ~np.isnan(points)
+        self._largest = max(self._largest, np.abs(points).max(where=seen, initial=0.0))
         with np.errstate(divide='ignore', invalid='ignore'):
             # Inverse variances of angle and position, per variance of a coordinate of a marker.
-            off_center = np.abs(fit.mean) ** 2
+            off_center = fit.mean.real**2 + fit.mean.imag**2
             position = 1 / (1 / fit.total + off_center / fit.spread)
-            height = np.where(seen, points[..., self._axes[2]], 0).sum(axis=-1) / seen.sum(axis=-1)
-        information = np.concatenate((fit.spread, position))
-        known = np.isfinite(np.concatenate((fit.angle, fit.angle)))
-        if self._points is None:
-            with np.errstate(divide='ignore', invalid='ignore'):
-                variance = self._misfit() / np.stack((position, fit.spread))
-            self._pins.add(frame.stamp, fit.position, fit.angle, variance, self._size())
-        self._stamps.append(frame.stamp)
-        self._positions.append(fit.position)
-        self._angles.append(fit.angle)
-        self._information.append(np.where(known, information, 0.0))
-        self._heights.append(height)
+            height = np.where(seen, heights, 0).sum(axis=-1) / seen.sum(axis=-1)
+        known = np.isfinite(fit.angle)
+        information = np.concatenate((fit.spread, position), axis=-1)
+        self._stamps.extend(stamps)
+        self._positions.extend(fit.position)
+        self._angles.extend(fit.angle)
+        self._turns.extend(self._turned(fit.angle, known))
+        self._information.extend(np.where(np.tile(known, 2), information, 0.0))
+        self._heights.extend(height)
+        strayed = np.zeros(known.shape, bool)
+        if np.isfinite(self._pins.center).any():
+            variance = self._variance(information)
+            strayed = self._pins.strayed(fit.position, fit.angle, variance)
+        self._strayed.extend(strayed)
         if self._points is not None:
-            self._points.append(flat)
-        self._trim(frame.stamp - self._window)
+            self._points.extend(points)
+        goes_on = np.ones(len(stamps), bool)
+        goes_on[0] = not gap
+        self._news.append(
+            _News(
+                stamps,
+                fit.position,
+                fit.angle,
+                information,
+                fit.residual,
+                fit.freedom,
+                goes_on,
+            )
+        )
+        self._new += len(stamps)
+
+    def _turned(self, angle: np.ndarray, known: np.ndarray) -> np.ndarray:
+        """How often (T, B) the bodies have turned round when they are at `angle`, where `known`."""
+        if not known.all():
+            # Where nothing is known it is as it was.
+            rows = np.where(known, np.arange(1, len(angle) + 1)[:, None], 0)
+            before = np.concatenate((self._last_angle[None], np.where(known, angle, 0.0)))
+            angle = np.take_along_axis(before, np.maximum.accumulate(rows, axis=0), axis=0)
+        steps = np.diff(angle, axis=0, prepend=self._last_angle[None])
+        turns = self._last_turn - np.cumsum(np.rint(steps / (2 * np.pi)), axis=0)
+        self._last_angle, self._last_turn = angle[-1], turns[-1]
+        return np.asarray(turns)
+
+    def _learn(self) -> None:
+        """A beat: learn the bodies' shapes, noise and pins from the frames since the last one."""
+        if not self._new:
+            return
+        size = self._size()
+        news = _News(*map(np.concatenate, zip(*self._news, strict=True)))
+        self._news, self._new = [], 0
+        if self._points is None:
+            variance = self._variance(news.information)
+            self._pins.add(news.stamps, news.position, news.angle, variance, size)
+        self._noise.add(news.residual, news.freedom, news.goes_on)
+        self._shapes.learn()
+
+    def _variance(self, information: np.ndarray) -> np.ndarray:
+        """Variances (T, 2, B) of one coordinate of the positions, and of the angles."""
+        of_angle_first = information.reshape(len(information), 2, -1)
+        with np.errstate(divide='ignore', invalid='ignore'):
+            return np.asarray(self._misfit() / of_angle_first[:, ::-1])
 
     def _misfit(self) -> np.ndarray:
         """Variance (B,) of one coordinate of a marker, of all that keeps it off its place."""
@@ -171,19 +301,16 @@ class Tracker:
         """Diameters (B,) of the bodies: twice the rms distance of their markers from the mean."""
         return np.asarray(2 * np.sqrt(self._shapes.spread / np.maximum(self._shapes.known, 1)))
 
-    def _gap(self, stamp: int) -> bool:
-        """Whether this frame comes much later than the frames before it did."""
-        late = (stamp - int(self._stamps.view()[-1])) * 1e-9
-        return bool(late > 2.5 * self.interval)
-
-    def _trim(self, oldest: int) -> None:
-        count = int(np.searchsorted(self._stamps.view(), oldest))
+    def _trim(self, count: int) -> None:
+        """Drop so many frames that no window to come holds."""
         buffers = (
             self._stamps,
             self._positions,
             self._angles,
+            self._turns,
             self._information,
             self._heights,
+            self._strayed,
             self._points,
         )
         for buffer in buffers:
@@ -215,135 +342,163 @@ class Tracker:
         new = [name for name in dict.fromkeys(identities) if name not in set(markers)]
         markers += new[: MOST_MARKERS - len(markers)]
         if len(markers) > self._shapes.points.shape[1]:
+            self._learn()
             self._shapes.widen(len(markers))
-            self._noise.forget_neighbors()
             self._places.clear()
             if self._points is not None:
                 # The landmarks of the new ones are not known in the frames before.
                 old = self._points.view()
+                wide = np.full((len(old), 1, len(markers)), complex(np.nan, np.nan))
+                wide[..., : old.shape[-1]] = old
                 self._points = Samples((1, len(markers)), complex)
-                for row in old:
-                    missing = np.full((1, len(markers) - row.shape[1]), complex(np.nan, np.nan))
-                    self._points.append(np.concatenate((row, missing), axis=1))
+                self._points.extend(wide)
 
-    def _estimates(self, frame_id: str, order: int | None) -> list[Estimate]:
-        """All estimates that fall due: waiting for one more frame would trail by more than lag."""
+    def _estimates(self, frame_id: str, order: int | None, numbers: np.ndarray) -> list[Estimate]:
+        """
+        What falls due with the latest frames: to wait for one more would trail beyond lag.
+
+        Each instant is seen as of the frame it falls due with, whatever has come since.
+        """
         stamps = self._stamps.view()
-        newest = int(stamps[-1])
-        slack = 0.75 * self.interval if len(stamps) > 1 else 0.0
-        last = newest - round((self.settings.lag - slack) * 1e9)
-        end = min(int(np.searchsorted(stamps, last, side='right')), len(stamps))
-        due, self._due = range(self._due, end), max(self._due, end)
-        if order is None or len(stamps) < FEWEST_SAMPLES:
-            return []
-        return [self._estimate(now, frame_id, order) for now in due]
+        frames = np.arange(len(stamps) - len(numbers), len(stamps))
+        oldest = np.searchsorted(stamps, stamps[frames] - self._window)
+        held = frames - oldest + 1
+        slack = 0.75 * (stamps[frames] - stamps[oldest]) / np.maximum(held - 1, 1)
+        last = stamps[frames] - np.rint(self.settings.lag * 1e9 - slack).astype(np.int64)
+        end = np.minimum(np.searchsorted(stamps, last, side='right'), frames + 1)
+        end = np.maximum.accumulate(np.maximum(end, self._due))
+        due = np.arange(self._due, end[-1])
+        self._due = int(end[-1])
+        found = []
+        if order is not None and len(due):
+            frame = np.searchsorted(end, due, side='right')
+            seen = (held[frame] >= FEWEST_SAMPLES) & (due >= oldest[frame])
+            if seen.any():
+                frame = frame[seen]
+                windows = due[seen], oldest[frame], frames[frame]
+                found.append(self._estimate(*windows, frame_id, order, numbers[frame]))
+        self._trim(int(oldest[-1]))
+        return found
 
-    def _estimate(self, now: int, frame_id: str, order: int) -> Estimate:
+    def _estimate(
+        self,
+        now: np.ndarray,
+        oldest: np.ndarray,
+        newest: np.ndarray,
+        frame_id: str,
+        order: int,
+        due: np.ndarray,
+    ) -> Estimate:
+        """The frames `now` (T,), as the frames from `oldest` to `newest` (T,) tell of them."""
         count = len(self.bodies)
-        stamps = self._stamps.view()
-        times = stamps - stamps[now]
         noise = self.noise()
-        information = self._information.view()
-        seen = information[now, :count] > 0
+        seen = self._information.view()[now, :count] > 0
         measured = np.isfinite(noise)
         with np.errstate(invalid='ignore'):
             firm = noise**2 < _UNSTEADY**2 * self._shapes.spread
         usable = seen & measured & firm
         noise = np.where(measured, noise, 1.0)
         differentiated = self._from_poses if self._points is None else self._from_landmarks
-        found = differentiated(times, now, noise, order)
+        found = differentiated(now, oldest, newest, noise, order)
         position, angle, position_covariance, angle_covariance, span, degree = found
-        for array in found:
-            array[..., ~usable] = np.nan
+        if not usable.all():
+            for array in found:
+                array[..., ~usable] = np.nan
         few = ~np.isfinite(angle[1]) | ~np.isfinite(position[1])
-        missing = tuple(
-            _why_missing(*flags) for flags in zip(seen, measured, firm, few, strict=True)
-        )
+        missing = np.full(seen.shape, '', object)
+        for why, those in (
+            ('window not full', few),
+            ('markers too close together for their noise', ~firm),
+            ('noise not known yet', ~measured),
+            ('too few markers seen, or all at one place', ~seen),
+        ):
+            if those.any():
+                missing[np.broadcast_to(those, seen.shape)] = why
         return Estimate(
-            int(stamps[now]),
+            self._stamps.view()[now],
             frame_id,
             self.bodies,
             position,
             angle,
             position_covariance,
             angle_covariance,
-            self._size(),
-            self._heights.view()[now].copy(),
+            np.broadcast_to(self._size(), seen.shape),
+            self._heights.view()[now],
             span,
             degree,
             missing,
             self._since,
-            *self._pinned(),
+            *self._pinned(oldest, newest),
             self._shapes.markers(),
+            due,
         )
 
-    def _pinned(self) -> tuple[np.ndarray, np.ndarray]:
+    def _pinned(self, oldest: np.ndarray, newest: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """
-        Fixed pins (B,) of the bodies, complex, NaN for none, and their variance.
+        Fixed pins (T, B) of the bodies, complex, NaN for none, and their variance.
 
         A pin holds for the whole window or not at all.
         """
-        held = np.isfinite(self._pins.center) & (self._pins.since <= self._stamps.view()[0])
+        since = self._pins.since <= self._stamps.view()[oldest][:, None]
+        held = np.isfinite(self._pins.center) & since
+        strayed = self._strayed.view()
+        if strayed.any():
+            before = np.cumsum(np.pad(strayed, ((1, 0), (0, 0))), axis=0)
+            held &= before[newest + 1] - before[oldest] < STRIKES
         return (
             np.where(held, self._pins.center, complex(np.nan, np.nan)),
             np.where(held, self._pins.variance, np.nan),
         )
 
     def _from_poses(
-        self, times: np.ndarray, now: int, noise: np.ndarray, order: int
+        self, now: np.ndarray, oldest: np.ndarray, newest: np.ndarray, noise: np.ndarray, order: int
     ) -> tuple[np.ndarray, ...]:
         """Derivatives of the fitted poses: angle and position, each with models of its own."""
         count = len(self.bodies)
-        information = self._information.view()
-        most = information.max(axis=0)
-        most = np.where(most > 0, most, 1.0)
-        weights = information / most
-        signals = np.zeros((len(times), 2 * count, 2))
-        signals[:, :count, 0] = _unwrapped(self._angles.view())
+        angles = self._angles.view()
+        signals = np.zeros((len(angles), 2 * count, 2))
+        turns = self._turns.view()
+        signals[:, :count, 0] = angles + 2 * np.pi * (turns - turns[0])
         signals[:, count:] = to_plane(self._positions.view())
-        dimensions = np.repeat((1, 2), count)
-        level = np.concatenate((noise, noise)) / np.sqrt(most)
-        alike = bool(np.all(weights > _ALIKE))
-        found = differentiate(
-            times,
+        found = self._differentiate(
+            (now, oldest, newest),
             signals,
-            None if alike else weights,
-            level,
-            dimensions,
+            self._information.view(),
+            np.tile(noise, 2),
+            np.repeat((1, 2), count),
             order,
-            self._spectrum,
         )
-        position = found.values[:, count:, 0] + 1j * found.values[:, count:, 1]
-        angle = found.values[:, :count, 0].copy()
+        position = found.values[..., count:, 0] + 1j * found.values[..., count:, 1]
+        angle = found.values[..., :count, 0]
+        # Of all turns that are one, as it was measured.
+        angle[0] += angles[now] - signals[now, :count, 0]
         covariance = found.covariance
         return (
             position,
             angle,
             covariance[..., count:],
             covariance[..., :count],
-            found.span[:count],
-            found.degree[:count],
+            found.span[:, :count],
+            found.degree[:, :count],
         )
 
     def _from_landmarks(
-        self, times: np.ndarray, now: int, noise: np.ndarray, order: int
+        self, now: np.ndarray, oldest: np.ndarray, newest: np.ndarray, noise: np.ndarray, order: int
     ) -> tuple[np.ndarray, ...]:
         """Derivatives of each landmark, then the seeds' formulas (seed 000)."""
         assert self._points is not None
         points = self._points.view()
         count, width = points.shape[1:]
         signals = to_plane(points.reshape(len(points), -1))
-        weights = np.where(np.isfinite(signals[..., 0]), 1.0, 0.0)
-        found = differentiate(
-            times,
+        found = self._differentiate(
+            (now, oldest, newest),
             signals,
-            None if weights.all() else weights,
+            np.where(np.isfinite(signals[..., 0]), 1.0, 0.0),
             np.repeat(noise, width),
             np.full(count * width, 2),
             order,
-            self._spectrum,
         )
-        derivatives = found.values.reshape(order + 1, count, width, 2)
+        derivatives = found.values.reshape(order + 1, len(now), count, width, 2)
         here = np.asarray(np.isfinite(derivatives).all(axis=(0, -1)))
         given = np.where(here[..., None], derivatives, 0.0)
         landmarks, velocities, *higher = given
@@ -353,18 +508,89 @@ class Tracker:
             *higher,
             weights=here.astype(float),  # type: ignore[misc]
         )
-        covariance = np.where(here, found.covariance.reshape(order + 1, -1, count, width), 0.0)
+        covariance = found.covariance.reshape(order + 1, order + 1, len(now), count, width)
+        covariance = np.where(here, covariance, 0.0)
         with np.errstate(divide='ignore', invalid='ignore'):
             number = here.sum(axis=-1)
             arms = np.where(here, _squared_arms(given[0], here), 0.0)
             position_covariance = covariance.sum(axis=-1) / number**2
             angle_covariance = (covariance * arms).sum(axis=-1) / arms.sum(axis=-1) ** 2
-        span = found.span.reshape(count, width).mean(axis=1)
-        degree = found.degree.reshape(count, width).mean(axis=1)
+        span = found.span.reshape(len(now), count, width).mean(axis=-1)
+        degree = found.degree.reshape(len(now), count, width).mean(axis=-1)
         angle = motion.angle[: order + 1].copy()
         angle[0] = self._angles.view()[now]
         position = motion.position[: order + 1].copy()
         return position, angle, position_covariance, angle_covariance, span, degree
+
+    def _differentiate(
+        self,
+        windows: tuple[np.ndarray, np.ndarray, np.ndarray],
+        signals: np.ndarray,
+        information: np.ndarray,
+        noise: np.ndarray,
+        dimensions: np.ndarray,
+        order: int,
+    ) -> Derivatives:
+        """
+        Derivatives at the frames `windows` (now, oldest, newest) of signals (frames, G, 2).
+
+        `information` (frames, G) are inverse variances over that of `noise` (G,). Instants with
+        the same stamps about them are done at once, as a rule all of them.
+        """
+        now, oldest, newest = windows
+        stamps = self._stamps.view()
+        least = information[oldest[0] : newest[-1] + 1].min(axis=0)
+        most = information[oldest[0] : newest[-1] + 1].max(axis=0)
+        # What is not seen at all is no reason to weigh the others.
+        alike = bool(((least > _ALIKE * most) | (most == 0)).all())
+        signals = np.where((most > 0)[:, None], signals, np.nan) if alike else signals
+        size = newest - oldest
+        found = []
+        first = 0
+        while first < len(now):
+            end = first + 1
+            rows = np.arange(oldest[first], newest[first] + 1)
+            times = stamps[rows] - stamps[now[first]]
+            if alike:
+                # As many more as are the same.
+                same = (size[end:] == size[first]) & (
+                    oldest[end:] - now[end:] == rows[0] - now[first]
+                )
+                end += int(same.argmin()) if not same.all() else len(same)
+                end = min(end, first + max(1, _MOST_AT_ONCE // len(noise)))
+                rows = rows[:, None] + (oldest[first:end] - oldest[first])
+                others = stamps[rows] - stamps[now[first:end]]
+                same = (others == times[:, None]).all(axis=0)
+                end = first + (int(same.argmin()) if not same.all() else len(same))
+                rows = rows[:, : end - first]
+            else:
+                rows = rows[:, None]
+            held = information[rows].max(axis=0)  # (m, G)
+            held = np.where(held > 0, held, 1.0)
+            weights = None if alike else information[rows[:, 0]] / held
+            if weights is not None and np.all(weights > _ALIKE):
+                weights = None
+            found.append(
+                differentiate(
+                    times,
+                    signals[rows],
+                    weights,
+                    noise / np.sqrt(held),
+                    dimensions,
+                    order,
+                    self._spectrum,
+                )
+            )
+            first = end
+        if len(found) == 1:
+            return found[0]
+        values, covariance, span, degree = zip(*found, strict=True)
+        return Derivatives(
+            np.concatenate(values, axis=1),
+            np.concatenate(covariance, axis=2),
+            np.concatenate(span),
+            np.concatenate(degree),
+        )
 
 
 def find_marker(marker: str, identities: Sequence[str]) -> int:
@@ -388,27 +614,7 @@ def find_marker(marker: str, identities: Sequence[str]) -> int:
 
 
 def _squared_arms(points: np.ndarray, here: np.ndarray) -> np.ndarray:
-    """Squared distances (B, n) of the markers that are here from their mean."""
+    """Squared distances (..., n) of the markers that are here from their mean."""
     number = np.maximum(here.sum(axis=-1), 1)
-    mean = (points * here[..., None]).sum(axis=-2) / number[:, None]
-    return np.asarray(((points - mean[:, None]) ** 2).sum(axis=-1))
-
-
-def _unwrapped(angles: np.ndarray) -> np.ndarray:
-    """Continuous angles (N, B); where one is NaN, whatever was before stands in."""
-    known = np.isfinite(angles)
-    if not known.all():
-        rows = np.where(known, np.arange(len(angles))[:, None], known.argmax(axis=0))
-        filled = np.take_along_axis(angles, np.maximum.accumulate(rows), axis=0)
-        angles = np.where(np.isfinite(filled), filled, 0.0)
-    return np.unwrap(angles, axis=0)
-
-
-def _why_missing(seen: bool, measured: bool, firm: bool, few: bool) -> str:
-    if not seen:
-        return 'too few markers seen, or all at one place'
-    if not measured:
-        return 'noise not known yet'
-    if not firm:
-        return 'markers too close together for their noise'
-    return 'window not full' if few else ''
+    mean = (points * here[..., None]).sum(axis=-2) / number[..., None]
+    return np.asarray(((points - mean[..., None, :]) ** 2).sum(axis=-1))

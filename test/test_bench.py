@@ -26,7 +26,7 @@ from kinpole_ros.bench._record import (
     rms,
 )
 from kinpole_ros.bench._report import _read_csv, _write_csv
-from kinpole_ros.frame import MarkerFrame
+from kinpole_ros.frame import MarkerFrames
 from kinpole_ros.tracker import Tracker
 
 STEP = 1e-5
@@ -165,10 +165,10 @@ def test_pendulum_of_exact_motion_has_its_poles_at_pivot_and_joint() -> None:
 class Turning(Tracker):
     """Its bodies' frames turn on and on, and move."""
 
-    def add(self, frame: MarkerFrame, order: int | None) -> list[Any]:
-        found = super().add(frame, order)
-        self._shapes.points *= np.exp(1e-7j)
-        self._shapes.points += 1e-9
+    def add(self, frames: MarkerFrames, order: int | None) -> list[Any]:
+        found = super().add(frames, order)
+        self._shapes.points *= np.exp(1e-7j * len(frames.stamps))
+        self._shapes.points += 1e-9 * len(frames.stamps)
         return found
 
 

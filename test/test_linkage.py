@@ -8,11 +8,13 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from kinpole_ros.mechanism import _mechanism, rotation_derivatives
+from kinpole_ros.mechanism import _mechanism, _solution, rotation_derivatives
 from kinpole_ros.mechanism._assembly import Joint, Revolute, Rolling, Slot, Strut, assemble
 from kinpole_ros.mechanism._drive import constant_rate, sine, smooth_step, table
 from kinpole_ros.mechanism._loops import LinkageError
 from kinpole_ros.mechanism._mechanism import Driver, Mechanism
+from kinpole_ros.mechanism._path import unit_input
+from kinpole_ros.mechanism._solution import solve
 from kinpole_ros.mechanism._start import mobility
 
 G = 'ground'
@@ -175,11 +177,18 @@ def test_six_bar_derivatives_are_those_of_50_digit_positions(
     agree(mechanism(joints, constant_rate(2.0, 0.3), 'crank', **start), t)
 
 
+def lifted_boom() -> list[Joint]:
+    """A boom on its cylinder."""
+    return [
+        Revolute('O', G, 0j, 'boom', 0j),
+        Strut('cylinder', G, 0.3 - 0.2j, 'boom', 0.5 + 0.1j),
+    ]
+
+
 @pytest.mark.parametrize('t', [0.0, 0.4])
 def test_a_cylinder_a_planet_and_a_guide_are_as_exact(t: float) -> None:
-    boom = [Revolute('O', G, 0j, 'boom', 0j), Strut('cylinder', G, 0.3 - 0.2j, 'boom', 0.5 + 0.1j)]
     start = {'boom': 0.9, 'cylinder.angle': 1.8}
-    agree(mechanism(boom, constant_rate(0.1, 0.7), 'cylinder', **start), t)
+    agree(mechanism(lifted_boom(), constant_rate(0.1, 0.7), 'cylinder', **start), t)
     # The planet's rolling as a loop of its own, with an arm.
     planet: list[Joint] = [
         Revolute('O', G, 0j, 'arm', 0j),
@@ -199,6 +208,115 @@ def test_a_cylinder_a_planet_and_a_guide_are_as_exact(t: float) -> None:
         Slot('guide', G, 0.05j, 0.1, 'block', 0.02 + 0j, turned=0.5),
     ]
     agree(mechanism(guided, constant_rate(2.0, 0.3), 'crank', guide=0.4, block=0.6), t)
+
+
+# Dyads in closed form
+
+
+def following_cylinder() -> list[Joint]:
+    """A crank whose cylinder just follows: an angle and a length that turns with it."""
+    return [
+        Revolute('O', G, 0j, 'crank', 0j),
+        Strut('cylinder', G, 0.5 + 0.1j, 'crank', 0.2 + 0.02j),
+    ]
+
+
+def quick_return(offset: float) -> list[Joint]:
+    """The crank's pin in a slot of the lever."""
+    return [
+        Revolute('O', G, 0j, 'crank', 0j),
+        Revolute('C', G, -0.3j, 'lever', 0j),
+        Slot('slide', 'lever', 1j * offset, 0.1, 'crank', 0.1 + 0j),
+    ]
+
+
+@pytest.mark.parametrize(
+    ('joints', 'drive', 'start', 'low', 'high', 'kinds'),
+    [
+        (four_bar(0.4, 0.12, 0.36, 0.28), 'crank', {'coupler': 0.8, 'rocker': 1.7}, -9, 9, 'RRR'),
+        (four_bar(0.4, 0.12, 0.36, 0.28), 'crank', {'coupler': -1, 'rocker': -2}, -9, 9, 'RRR'),
+        (four_bar(0.3, 0.4, 0.35, 0.38), 'crank', {'coupler': 0.2, 'rocker': 1.5}, 0, 6, 'RRR'),
+        (slider_crank(0.1, 0.3, 0.02), 'crank', {'piston': 0.4}, -9, 9, 'RRP'),
+        (slider_crank(0.1, 0.3), 'crank', {'piston': -0.3, 'rod': np.pi}, 0, 7, 'RRP'),
+        (quick_return(0.0), 'crank', {'lever': 1.5, 'slide': 0.3}, -9, 9, 'RPR'),
+        (quick_return(0.03), 'crank', {'lever': 1.5, 'slide': 0.3}, 0, 7, 'RPR'),
+        (quick_return(0.03), 'crank', {'lever': 4.6, 'slide': -0.3}, 0, 7, 'RPR'),
+        (following_cylinder(), 'crank', {'cylinder': 0.4, 'cylinder.angle': 2.5}, 0, 7, 'RPR'),
+        (lifted_boom(), 'cylinder', {'boom': 0.9, 'cylinder.angle': 1.8}, 0.45, 0.8, 'RRR'),
+        (
+            six_bar(0.3, 0.32, 0.15 + 0.1j, 0.5 + 0.15j),
+            'crank',
+            {'coupler': 0.8, 'rocker': 1.8, 'rod': 0.5, 'lever': 1.9},
+            0,
+            7,
+            'RRR RRR',
+        ),
+    ],
+)
+def test_dyads_close_where_newton_does(
+    joints: list[Joint],
+    drive: str,
+    start: dict,
+    low: float,
+    high: float,
+    kinds: str,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    middle = (low + high) / 2
+    motion = mechanism(joints, constant_rate(1.0, middle), drive, **start)
+    at = np.linspace(low, high, 500)
+    found = motion.sweep(at)
+    linkage = motion.linkage
+    assert ' '.join(block.dyad for block in linkage.blocks) == kinds
+    # From a guess as far away as guesses may be.
+    rows = list(linkage.unknown)
+    guess = found.values[0, rows] + np.random.default_rng(1).normal(0, 1e-3, (len(rows), len(at)))
+    inputs = np.stack([at, np.ones_like(at), *np.zeros((3, len(at)))])[:, None]
+    plain = linkage._replace(blocks=tuple(b._replace(dyad='') for b in linkage.blocks))
+    other = solve(plain, inputs, guess)
+    monkeypatch.delattr(_solution, '_newton')
+    one = solve(linkage, inputs, guess)
+    assert one.closed.all() and one.regular.all()
+    for a, b in ((one.values, other.values), (one.turns, other.turns), (one.slides, other.slides)):
+        scale = np.abs(b).max(axis=(1, 2), keepdims=True, initial=1.0)
+        np.testing.assert_allclose(a / scale, b / scale, atol=2e-12)
+    np.testing.assert_allclose(one.determinant, other.determinant, atol=1e-12)
+    np.testing.assert_allclose(one.values[0], found.values[0], atol=1e-12)
+
+
+def test_a_dyad_keeps_to_the_side_and_the_turns_of_the_guess() -> None:
+    motion = turning_four_bar()
+    open_side = np.array([0.9, 1.7])
+    inputs = unit_input(np.full(4, 0.3))
+    turns = 2 * np.pi * np.array([0, 3, -2, 0])
+    # The unknowns in the order of the linkage's variables: coupler, rocker.
+    guess = np.stack([open_side[0] + turns, open_side[1] - turns])
+    guess[:, 3] = -0.9, -1.7
+    found = solve(motion.linkage, inputs, guess)
+    assert found.closed.all()
+    _, coupler, rocker = found.values[0]
+    np.testing.assert_allclose(coupler[:3] - turns[:3], coupler[0], atol=1e-13)
+    np.testing.assert_allclose(rocker[:3] + turns[:3], rocker[0], atol=1e-13)
+    # Mirrored at the diagonal from crank pin to rocker pivot.
+    diagonal = np.angle(0.4 - 0.12 * np.exp(0.3j))
+    assert coupler[3] == pytest.approx(2 * diagonal - coupler[0])
+
+
+def test_neither_a_far_guess_nor_an_open_loop_is_a_dyads_to_decide() -> None:
+    motion = turning_four_bar()
+    plain = motion.linkage._replace(
+        blocks=tuple(block._replace(dyad='') for block in motion.linkage.blocks)
+    )
+    guess = np.stack([np.linspace(0.9, 2.5, 9), np.full(9, 1.7)])
+    inputs = unit_input(np.full(9, 0.3))
+    one, other = solve(motion.linkage, inputs, guess), solve(plain, inputs, guess)
+    np.testing.assert_allclose(one.values, other.values, atol=1e-11)
+    reach = mechanism(
+        four_bar(0.4, 0.3, 0.3, 0.2), constant_rate(1.0, 0.5), 'crank', coupler=0.8, rocker=1.7
+    )
+    far = solve(reach.linkage, unit_input(np.array([0.5, np.pi])), np.array([[0.8], [1.7]]))
+    np.testing.assert_array_equal(far.closed, [True, False])
+    assert np.isnan(far.values[:, :, 1]).all()
 
 
 # Closed forms
@@ -269,6 +387,7 @@ def test_change_points_of_a_four_bar_are_found_and_passed() -> None:
     np.testing.assert_allclose(dead.values, [np.pi, 0.0, np.pi], atol=1e-9)
     assert not dead.turns_back
     assert set(dead.moving) == {'coupler', 'rocker'}
+    assert dead.loop == ('O', 'A', 'B', 'C')
     at = np.pi + np.array([-1e-3, -1e-5, 1e-5, 1e-3])
     found = motion.sweep(at)
     assert found.regular.all()
@@ -278,6 +397,51 @@ def test_change_points_of_a_four_bar_are_found_and_passed() -> None:
     # Smooth through it: the rates on both sides are those of one branch.
     rates = found.angle[1, 1:]
     np.testing.assert_allclose(rates[:, 1], rates[:, 2], rtol=1e-4)
+
+
+def test_right_in_a_change_point_there_are_no_rates() -> None:
+    motion = mechanism(
+        four_bar(0.4, 0.1, 0.3, 0.2), constant_rate(1.0, 1.0), 'crank', coupler=0.7, rocker=1.9
+    )
+    found = motion.sweep(np.pi + np.array([0.0, 1e-9, 1e-7]))
+    assert not found.regular.any()
+    assert np.isnan(found.angle[1:, 1:]).all()
+    np.testing.assert_allclose(found.values[0], [[np.pi], [0.0], [np.pi]] * np.ones(3), atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ('joints', 'drive', 'at', 'end', 'start', 'loop'),
+    [
+        (slider_crank(0.1, 0.3), 'piston', 0.4, 0.25, {}, 'piston, A, O'),
+        (four_bar(0.4, 0.1, 0.3, 0.2), 'crank', np.pi, 4.0, {'rocker': np.pi}, 'O, A, B, C'),
+        # Coupler and rocker in line: 0.3, 0.4, 0.5.
+        (
+            four_bar(0.4, 0.3, 0.3, 0.2),
+            'crank',
+            np.pi / 2,
+            1.0,
+            {'coupler': -0.6435, 'rocker': 2.4981},
+            'O, A, B, C',
+        ),
+    ],
+)
+def test_a_start_in_a_dead_point_is_refused_not_left(
+    joints: list[Joint], drive: str, at: float, end: float, start: dict, loop: str
+) -> None:
+    motion = mechanism(joints, smooth_step(at, end, 0.0, 1.0), drive, **start)
+    with pytest.raises(LinkageError, match=f'is a dead point of the loop {loop}, from which'):
+        motion.motion(np.linspace(0, 1, 5))
+
+
+def test_a_dead_point_names_the_loop_that_has_it() -> None:
+    # The lever is too short for the rod to pass.
+    joints = six_bar(0.1, 0.3, 0.15 + 0.1j, 0.5 + 0.15j)
+    start = {'coupler': 0.8, 'rocker': 1.8, 'rod': 0.5, 'lever': 1.9}
+    path = mechanism(joints, constant_rate(1.0, 0.3), 'crank', **start).path(-7.0, 7.0)
+    assert len(path.dead_points) == 2
+    for dead in path.dead_points:
+        assert dead.turns_back and {'D', 'E', 'F'} <= set(dead.loop)
+        assert set(dead.moving) == {'rod', 'lever'}
 
 
 @pytest.mark.parametrize(

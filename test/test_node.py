@@ -29,7 +29,7 @@ from visualization_msgs.msg import MarkerArray
 from kinpole_ros.bags import BagError, read_messages, replay
 from kinpole_ros.demo import live_run
 from kinpole_ros.estimate import Estimate
-from kinpole_ros.frame import MarkerFrame
+from kinpole_ros.frame import MarkerFrames
 from kinpole_ros.messages import MARKER_TYPES, read_markers, to_message
 from kinpole_ros.node import KinpoleNode
 from kinpole_ros.parameters import PARAMETERS, Settings
@@ -140,12 +140,12 @@ def peer() -> Iterator[Peer]:
 
 
 @contextmanager
-def process(*words: str | Path, log: Path) -> Iterator['subprocess.Popen[bytes]']:
+def process(*words: str | Path, log: Path, limit: int = 60) -> Iterator['subprocess.Popen[bytes]']:
     """A `kinpole` command beside the test, which ends with it at the latest."""
     command = [sys.executable, '-m', 'kinpole_ros.cli', *map(str, words)]
     with open(log, 'wb') as err:
         started = subprocess.Popen(
-            ['timeout', '--foreground', '-k', '2', '60', *command], stderr=err
+            ['timeout', '--foreground', '-k', '2', str(limit), *command], stderr=err
         )
     try:
         yield started
@@ -179,7 +179,7 @@ def endless(simulated: Bag, kind: str = 'marker_array') -> Iterator[Any]:
     start = next(_starts)
     for k in itertools.count():
         turn = np.exp(1j * 2 * np.pi * k / 100)
-        flat = turn * (first.points[:, 0] + 1j * first.points[:, 1])
+        flat = turn * (first.points[0, :, 0] + 1j * first.points[0, :, 1])
         points = np.stack((flat.real, flat.imag, 0 * flat.real), axis=-1)
         points[:, :2] += 1e-4 * generator.normal(size=(len(points), 2))
         yield to_message(kind, start + 10_000_000 * k, 'world', 'abcd', points)
@@ -495,9 +495,9 @@ def test_nothing_is_computed_that_nobody_subscribes_to(
     asked: list[int | None] = []
 
     class Watched(Tracker):
-        def add(self, frame: MarkerFrame, order: int | None) -> list[Estimate]:
+        def add(self, frames: MarkerFrames, order: int | None) -> list[Estimate]:
             asked.append(order)
-            return super().add(frame, order)
+            return super().add(frames, order)
 
     monkeypatch.setattr('kinpole_ros.node.Tracker', Watched)
     context = rclpy.get_default_context()

@@ -1,9 +1,12 @@
 """The noise level where frames go wild, and where a tracker rounds."""
 
+from collections import deque
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from stretches import fit_frames
 
 from kinpole_ros.planar import fit_pose
 from kinpole_ros.window import Noise, Shapes
@@ -34,8 +37,7 @@ def gone_wild(points: np.ndarray, share: float, jump: float, seed: int) -> np.nd
 def level(points: np.ndarray) -> tuple[float, Shapes]:
     """The noise level after all frames, over SIGMA, and the shape."""
     noise, shapes = Noise(1), Shapes(1, points.shape[1])
-    for row in points:
-        noise.add(shapes.fit(row[None])[0])
+    deque(fit_frames(points[:, None], shapes, noise), maxlen=0)
     return float(noise.level()[0]) / SIGMA, shapes
 
 
@@ -55,8 +57,9 @@ def test_wild_frames_are_told_apart_by_the_level_alone(count: int) -> None:
     """With fits to the true shape, none of them mended."""
     for seed in range(3):
         noise = Noise(1)
-        for row in gone_wild(markers(count, 600, seed), 0.25, 500, seed):
-            noise.add(fit_pose(row[None], SHAPE[None, :count], np.ones((1, count))))
+        wild = gone_wild(markers(count, 600, seed), 0.25, 500, seed)[:, None]
+        fit = fit_pose(wild, SHAPE[None, :count], np.ones(wild.shape))
+        noise.add(fit.residual, fit.freedom, np.ones(len(wild), bool))
         assert noise.level()[0] / SIGMA == pytest.approx(1, abs=0.2)
 
 

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from test_tracker import PINNED, START, STEP, follow, record
 
 from kinpole_ros.bench._motions import motions, still_turning
-from kinpole_ros.frame import MarkerFrame
+from kinpole_ros.frame import MarkerFrames, one_frame
 from kinpole_ros.mechanism import BodyMotion, marker_positions
 from kinpole_ros.window import Pins
 
@@ -20,13 +20,13 @@ MARKERS = np.array([(0.09, 0.02), (-0.03, 0.1), (-0.08, -0.05), (0.05, -0.06)])
 SIZE = 2 * np.sqrt((MARKERS**2).sum(axis=1).mean())
 
 
-def seen(motion: Any, count: int, noise: float = 0.0, seed: int = 0) -> list[MarkerFrame]:
+def seen(motion: Any, count: int, noise: float = 0.0, seed: int = 0) -> list[MarkerFrames]:
     """A body that moves by `motion`, seen at 200 Hz with noise, m."""
     points = marker_positions(motion(np.arange(count) / 200), MARKERS)
     points = points + noise * np.random.default_rng(seed).normal(size=points.shape)
     solid = np.concatenate((points, np.zeros((*points.shape[:2], 1))), axis=2)
     return [
-        MarkerFrame(START + k * STEP, 'world', ('a', 'b', 'c', 'd'), rows)
+        one_frame(START + k * STEP, 'world', ('a', 'b', 'c', 'd'), rows)
         for k, rows in enumerate(solid)
     ]
 
@@ -42,13 +42,13 @@ def about(center: complex, arm: complex, angle: Any) -> Any:
     return motion
 
 
-def recognized(frames: list[MarkerFrame], **values: Any) -> np.ndarray:
+def recognized(frames: list[MarkerFrames], **values: Any) -> np.ndarray:
     """Whether the body is called pinned, by estimate."""
     found = follow(frames, values, order=1, every=1)[1]
     return np.array([estimate.pinned[0] for estimate in found])
 
 
-def ever_taken(frames: list[MarkerFrame]) -> bool:
+def ever_taken(frames: list[MarkerFrames]) -> bool:
     """Whether the body is ever thought to be pinned."""
     tracker = follow(frames[:1], {})[0]
     for frame in frames:
@@ -92,7 +92,7 @@ def test_no_general_motion_is_taken_for_a_turn_about_a_pin(name: str, noise: flo
     points += noise * motion.size * np.random.default_rng(1).normal(size=points.shape)
     solid = np.concatenate((points, np.zeros((*points.shape[:2], 1))), axis=2)
     names = tuple('abcd'[: points.shape[1]])
-    frames = [MarkerFrame(START + k * STEP, 'world', names, rows) for k, rows in enumerate(solid)]
+    frames = [one_frame(START + k * STEP, 'world', names, rows) for k, rows in enumerate(solid)]
     assert not ever_taken(frames)
 
 
@@ -159,11 +159,11 @@ def poses(angle: np.ndarray, place: np.ndarray, noise: float, seed: int) -> Iter
     """What is made of poses (N,) of a body of size 0.2 whose markers have that noise."""
     rng = np.random.default_rng(seed)
     pins = Pins(1)
-    variance = np.array([[noise**2 / 4], [noise**2 / 0.04]])
+    variance = np.array([[[noise**2 / 4], [noise**2 / 0.04]]])
     for k, (turned, at) in enumerate(zip(angle, place, strict=True)):
         found = at + noise / 2 * (rng.normal(size=(1, 2)) @ (1, 1j))
         off = noise / 0.2 * rng.normal(size=1)
-        pins.add(k, found, turned + off, variance, np.array([0.2]))
+        pins.add(np.array([k]), found[None], (turned + off)[None], variance, np.array([0.2]))
         yield pins
 
 
@@ -189,14 +189,13 @@ def test_turning_moving_and_scaling_the_scene_does_the_same_to_its_pin(
     angle = np.cumsum(rng.uniform(0.02, 0.2, 60))
     exact = 0.4 - 0.1j - (0.2 + 0.1j) * np.exp(1j * angle)
     noisy = exact + 1e-4 * (rng.normal(size=(60, 2)) @ (1, 1j))
-    variance = np.array([[1e-8], [1e-6]])
+    variance = np.tile([[1e-8], [1e-6]], (60, 1, 1))
     size = np.array([0.2])
     plain, moved = Pins(1), Pins(1)
-    for k in range(60):
-        plain.add(k, noisy[k : k + 1], angle[k : k + 1], variance, size)
-        place = scale * np.exp(1j * turn) * noisy[k : k + 1] + shift
-        larger = variance * np.array([[scale**2], [1.0]])
-        moved.add(k, place, angle[k : k + 1] + turn, larger, scale * size)
+    stamps, noisy, angle = np.arange(60), noisy[:, None], angle[:, None]
+    plain.add(stamps, noisy, angle, variance, size)
+    place = scale * np.exp(1j * turn) * noisy + shift
+    moved.add(stamps, place, angle + turn, variance * [[scale**2], [1.0]], scale * size)
     assert np.isfinite(plain.center[0])
     expected = scale * np.exp(1j * turn) * plain.center[0] + shift
     close = 1e-9 * (scale + abs(shift))

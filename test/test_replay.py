@@ -60,7 +60,10 @@ def run(tmp_path: Path) -> Callable[..., Figures]:
 def frames(bag: Path) -> list[tuple[int, tuple[str, ...], np.ndarray]]:
     """Stamp, names and points (n, 3) of every frame of a simulated bag."""
     read = [read_markers(message) for message in decoded(bag, '/markers')['/markers']]
-    return [(f.stamp, tuple(n.partition('/')[0] for n in f.identities), f.points) for f in read]
+    return [
+        (int(f.stamps[0]), tuple(n.partition('/')[0] for n in f.identities), f.points[0])
+        for f in read
+    ]
 
 
 def write(path: Path, messages: list[Any], topic: str = '/markers') -> Path:
@@ -609,7 +612,7 @@ def test_the_diagnostics_after_a_bad_message_name_it(simulated: Bag, tmp_path: P
     assert result.unreadable == 1
     _, second, third = decoded(tmp_path / 'out.mcap')['/diagnostics']
     assert 'twin/1' in third.status[0].message
-    assert third.status[0].level == b'\x02'
+    assert third.status[0].level == b'\x01'
     assert second.status[0].level == b'\x00'
     assert {p.key: p.value for p in third.status[0].values}[
         'messages that could not be read'

@@ -1,6 +1,7 @@
 """Result messages: each says what the estimate holds, in every plane, and nothing that is not."""
 
-from collections.abc import Callable
+import itertools
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -9,10 +10,11 @@ from conftest import numbers, stamp_of
 from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import PointStamped, PoseWithCovarianceStamped, Vector3Stamped
 from nav_msgs.msg import Odometry, Path
+from rclpy.serialization import deserialize_message, serialize_message
 from visualization_msgs.msg import Marker, MarkerArray
 
 from kinpole_ros.estimate import POLE_NAMES, RATE_NAMES, Estimate
-from kinpole_ros.frame import MarkerFrame
+from kinpole_ros.frame import MarkerFrames
 from kinpole_ros.messages import DiagnosticsMaker, Output, result_outputs
 from kinpole_ros.parameters import Settings
 from kinpole_ros.tracker import Tracker
@@ -43,7 +45,7 @@ def estimate(
     position[:, gone] = angle[:, gone] = np.nan
     covariance[..., gone] = np.nan
     return Estimate(
-        stamp,
+        np.int64(stamp),
         FRAME,
         BODIES,
         position[: order + 1],
@@ -54,12 +56,50 @@ def estimate(
         np.where(gone, np.nan, [0.25, -0.125]),
         np.array([0.2, 0.2]),
         np.array([4.0, 4.0]),
-        missing,
+        np.array(missing),
     )
 
 
+def stacked(instants: Sequence[Estimate]) -> Estimate:
+    """The instants of one estimate, from each as an estimate of its own."""
+
+    def over(name: str, axis: int) -> np.ndarray:
+        return np.stack([getattr(now, name) for now in instants], axis)
+
+    return Estimate(
+        over('stamp', 0),
+        instants[0].frame_id,
+        instants[0].bodies,
+        over('position', 1),
+        over('angle', 1),
+        over('position_covariance', 2),
+        over('angle_covariance', 2),
+        over('size', 0),
+        over('height', 0),
+        over('span', 0),
+        over('degree', 0),
+        over('missing', 0),
+        instants[0].since,
+    )
+
+
+def decoded(row: Output) -> Callable[[Estimate], Any]:
+    """What a row makes of one instant, as a message; None for nothing."""
+
+    def build(now: Estimate) -> Any:
+        made = row.build(stacked([now]))
+        if not made:
+            return None
+        [(instant, data)] = made
+        assert instant == 0
+        return deserialize_message(data, row.message_type)
+
+    return build
+
+
 def rows(plane: str = 'xy') -> dict[str, Output]:
-    return {row.topic: row for row in result_outputs(BODIES, plane)}
+    """The table, of which each row makes a message of an instant."""
+    return {row.topic: row._replace(build=decoded(row)) for row in result_outputs(BODIES, plane)}
 
 
 def placed(plane: str, value: complex, height: float = 0.0) -> np.ndarray:
@@ -337,6 +377,59 @@ def test_loci_start_anew_when_the_tracker_does(locus: str, stamp: int) -> None:
     assert [stamp_of(pose) for pose in build(anew).poses] == [stamp]
 
 
+# Bytes, and many instants at once
+
+
+@pytest.mark.parametrize('length', range(9))
+def test_bytes_are_those_of_rclpy_with_padding_zero(length: int) -> None:
+    # The lengths of names decide where padding is.
+    frame_id, bodies = 'e' * length, ('é' * (length // 2) or 'a', 'b' * (8 - length) or 'c')
+    instants = [estimate(5_000_000_000 + STEP * k) for k in range(3)]
+    for now in instants:
+        now.frame_id, now.bodies = frame_id, bodies
+    block = stacked(instants)
+    for row in result_outputs(bodies, 'xy'):
+        for _, data in row.build(block)[-1:]:
+            message = deserialize_message(data, row.message_type)
+            again = serialize_message(message)
+            assert len(data) == len(again), row.topic
+            assert deserialize_message(again, row.message_type) == message
+            for place in np.flatnonzero(np.frombuffer(data, 'u1') != np.frombuffer(again, 'u1')):
+                # What differs must be padding, which nobody reads.
+                assert data[place] == 0
+                other = data[:place] + b'\x55' + data[place + 1 :]
+                assert deserialize_message(other, row.message_type) == message, row.topic
+
+
+def told(instants: Sequence[Estimate], cuts: Sequence[int]) -> dict[str, list[tuple[int, Any]]]:
+    """All messages by topic, with the place of their instant, from the parts between cuts."""
+    table = result_outputs(BODIES, 'xy')
+    found: dict[str, list[tuple[int, Any]]] = {row.topic: [] for row in table}
+    for first, last in itertools.pairwise(cuts):
+        block = stacked(instants[first:last])
+        for row in table:
+            for k, data in row.build(block):
+                found[row.topic].append((first + k, deserialize_message(data, row.message_type)))
+    return found
+
+
+def test_many_instants_at_once_say_what_they_say_one_by_one() -> None:
+    ways: list[dict[str, Any]] = [{}, {}, {}, {'missing': ('', 'gone')}, {'spin': 0}]
+    stamps = np.random.default_rng(1).choice([STEP // 4, STEP, 3 * STEP], 300).cumsum()
+    instants = [
+        estimate(5_000_000_000 + int(stamp), **ways[k // 7 % len(ways)])
+        for k, stamp in enumerate(stamps)
+    ]
+    alone = told(instants, range(301))
+    blocks = told(instants, [0, 1, 2, 100, 235, 236, 300])
+    for topic, expected in alone.items():
+        found = blocks[topic]
+        assert len(found) > 20, topic
+        assert [k for k, _ in found] == [k for k, _ in expected], topic
+        for (_, one), (_, other) in zip(found, expected, strict=True):
+            np.testing.assert_allclose(list(numbers(one)), list(numbers(other)), 1e-12, 1e-15)
+
+
 # What is told of the tracking
 
 
@@ -351,7 +444,7 @@ def test_a_body_without_results_says_whether_markers_or_readers_are_missing() ->
     assert told() == [(DiagnosticStatus.STALE, 'no markers received')] * 2
     points = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0]])
     for k in range(20):
-        tracker.add(MarkerFrame(STEP * k, FRAME, ('0', '1'), points), None)
+        tracker.add(MarkerFrames(np.array([STEP * k]), FRAME, ('0', '1'), points[None]), None)
     markers, body = told()
     assert markers == (DiagnosticStatus.OK, 'receiving markers')
     assert body[0] == DiagnosticStatus.STALE

@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from kinpole_ros import cli
-from kinpole_ros.mechanism import scene_names
+from kinpole_ros import cli, solve, solve_plot
+from kinpole_ros.mechanism import load_scene, scene_names
 
 
 def told(capsys: pytest.CaptureFixture[str], *words: str) -> list[str]:
@@ -56,6 +56,16 @@ def test_centers_come_with_their_deduction(capsys: pytest.CaptureFixture[str]) -
     assert x == pytest.approx(y, rel=1e-5)
 
 
+def test_where_kennedy_does_not_suffice_the_chain_says_so(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    lines = told(capsys, 'eight_bar', '--centers')
+    assert len([line for line in lines if re.match(r'I\d\d  ', line)]) == 28
+    assert len([line for line in lines if re.match(r'I\d\d: pin', line)]) == 10
+    assert len([line for line in lines if 'from the rates: Kennedy has ' in line]) == 18
+    assert 'I26: from the rates: Kennedy has no line for it' in lines
+
+
 def test_a_sweep_tells_limits_and_dead_points(
     capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
@@ -63,13 +73,70 @@ def test_a_sweep_tells_limits_and_dead_points(
     dead = [line for line in lines if line.startswith('dead point')]
     assert len(dead) == 2
     assert all('change point' in line and 'follower' in line for line in dead)
-    at = [float(re.search(r'= ([\d.]+)', line)[1]) for line in dead]  # type: ignore[index]
-    assert at == pytest.approx([np.pi, 2 * np.pi], abs=1e-9)
+    assert all('can move, in the loop O, A, B, C' in line for line in dead)
+    at = [float(re.search(r'= ([\d.]+) deg', line)[1]) for line in dead]  # type: ignore[index]
+    assert np.deg2rad(at) == pytest.approx([np.pi, 2 * np.pi], abs=1e-9)
     table = columns(tmp_path / 'a.csv')
     assert len(table['crank']) > 300
     # At a change point there are no rates, and beside it there are.
     rates = table['follower_angle_velocity']
     assert 0 < np.isnan(rates).sum() <= 3
+
+
+@pytest.mark.parametrize('name', ['four_bar', 'rolling_wheel', 'loader_cylinder'])
+def test_all_that_is_drawn_lies_in_the_picture(name: str) -> None:
+    figures = pytest.importorskip('matplotlib.figure')
+    axis = figures.Figure().add_subplot()
+    scene = load_scene(name)
+    solved = solve._solve(scene, None, 19)
+    solve_plot._draw_linkage(axis, solved, 0, centers=False)
+    arrows = [text.xy for text in axis.texts if text.arrow_patch]
+    assert arrows
+    (left, right), (bottom, top) = axis.get_xlim(), axis.get_ylim()
+    assert all(left < x < right and bottom < y < top for x, y in arrows)
+    # Thick lines: bodies, turning vectors, the rim of a wheel.
+    lines = [line for line in axis.lines if line.get_zorder() == 3 and len(line.get_xdata()) > 1]
+    assert len(lines) == len(scene.mechanism.bodies)
+    for line in lines:
+        assert left < min(line.get_xdata()) and max(line.get_xdata()) < right
+        assert bottom < min(line.get_ydata()) and max(line.get_ydata()) < top
+
+
+def test_slides_are_in_the_tables(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    # Example 2 of seed 003: the other slide.
+    lines = told(capsys, 'trebuchet', '--csv', str(tmp_path / 'a.csv'))
+    (shift,) = [line.split() for line in lines if line.startswith('shift ')]
+    assert [100 * float(cell) for cell in shift[1:3]] == pytest.approx([173.2, -144.3], rel=1e-3)
+    assert columns(tmp_path / 'a.csv')['shift_velocity'][0] == pytest.approx(-1.4434, rel=1e-4)
+    lines = told(capsys, 'slider_crank', '--sweep')
+    head = next(line for line in lines if line.startswith('crank (deg)'))
+    assert head.endswith('piston m  piston m/s')
+
+
+@pytest.mark.parametrize(
+    ('scene', 'force', 'told_as'),
+    [
+        ('trebuchet', 485.303316, 'N at bar.P, along -120 deg, balance the loads, with drop free'),
+        ('exercise_machine', 0.451301, 'N at link_2.P, along 180 deg, balance the loads, with'),
+    ],
+)
+def test_statics_answer_the_questions_of_the_seed(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, scene: str, force: float, told_as: str
+) -> None:
+    lines = told(capsys, scene, '--statics', '--csv', str(tmp_path / 'a.csv'))
+    (line,) = [line for line in lines if told_as in line]
+    assert float(line.split()[0]) == pytest.approx(force, rel=1e-6)
+    table = columns(tmp_path / 'a.csv')
+    assert table['held_by'] == pytest.approx(force, rel=1e-6)
+    (effort,) = [column for name, column in table.items() if name.endswith('_effort')]
+    assert effort == pytest.approx(0.0, abs=1e-9)
+
+
+def test_right_in_a_dead_point_nothing_is_made_up(capsys: pytest.CaptureFixture[str]) -> None:
+    lines = told(capsys, 'antiparallelogram', '--at', '180 deg')
+    assert 'a dead point: the drivers do not tell how it moves on' in lines
+    (follower,) = [line for line in lines if line.startswith('follower ')]
+    assert follower.split()[1:] == ['180', '-', '-', '-', '-']
 
 
 @pytest.mark.parametrize('scene', scene_names())

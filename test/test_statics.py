@@ -18,17 +18,21 @@ from kinpole_ros.mechanism._assembly import (
 )
 from kinpole_ros.mechanism._loops import LinkageError
 from kinpole_ros.mechanism._mechanism import Driver, Mechanism
+from kinpole_ros.mechanism._reactions import (
+    Reactions,
+    freed_reactions,
+    reactions,
+    undetermined,
+)
 from kinpole_ros.mechanism._statics import (
     Force,
+    Holder,
     Load,
-    Reactions,
     Torque,
     advantage,
     balance,
     efforts,
-    freed_reactions,
-    reactions,
-    undetermined,
+    holding,
 )
 
 G = 9.80665
@@ -685,6 +689,8 @@ def test_seed_trebuchet() -> None:
     here = at_start(trebuchet)
     found = efforts(trebuchet, here, [port, load])
     assert -found.share[1, 0, 0] / found.share[0, 0, 0] == pytest.approx(float(force), rel=1e-9)
+    size, _ = holding(trebuchet, here, [load], Holder('bar', 5 + 0j, 90 * DEGREE, 'bar'))
+    assert size[0] == pytest.approx(float(force), rel=1e-9)
     # With it, the slider needs no drive at all.
     held = reactions(trebuchet, here, [port._replace(force=across * force), load])
     assert held.effort[0, 0] == pytest.approx(0, abs=1e-9)
@@ -714,6 +720,43 @@ def test_seed_exercise_machine() -> None:
     assert machine.unit_rates(here)[1][0, 2, 0] == pytest.approx(2.0, rel=1e-12)
     for way in (reactions, freed_reactions, efforts):
         assert way(machine, here, loads).effort[0, 0] == pytest.approx(0.0, abs=1e-9)
+
+
+@pytest.mark.parametrize(
+    'holder',
+    [
+        Holder('rocker'),
+        Holder('coupler', 0.1 + 0.2j, 0.7),
+        Holder('coupler', 0.1 + 0.2j, 0.7, 'crank'),
+    ],
+)
+def test_what_holds_the_loads_leaves_nothing_to_the_driver(holder: Holder) -> None:
+    mechanism = four_bar()
+    values = mechanism.sweep(np.linspace(0.1, 2 * np.pi, 50)).values[0]
+    loads = [Force('coupler', 0.2 * np.exp(2j), 3 - 50j), Torque('crank', 2.0)]
+    size, held = holding(mechanism, values, loads, holder)
+    assert np.isfinite(size).all()
+    found = reactions(mechanism, values, [*loads, held])
+    scale = np.abs(efforts(mechanism, values, loads).share).max()
+    np.testing.assert_allclose(found.effort, 0.0, atol=1e-9 * scale)
+    if isinstance(held, Force):
+        seen = values[mechanism.bodies.index('crank')] if holder.of == 'crank' else 0.0
+        np.testing.assert_allclose(held.force, size * np.exp(1j * (0.7 + seen)), rtol=1e-12)
+
+
+def test_nothing_holds_where_it_does_not_move() -> None:
+    mechanism = four_bar()
+    loads = [Torque('crank', 2.0)]
+    size, _ = holding(mechanism, at_start(mechanism), loads, Holder('crank', 0j, 0.0))
+    assert np.isnan(size).all()
+    two = driven(
+        ['arm', 'hand'],
+        [Revolute('O', GROUND, 0j, 'arm', 0j), Revolute('A', 'arm', 1j, 'hand', 0j)],
+        ['arm', 'hand'],
+        {},
+    )
+    with pytest.raises(LinkageError, match='2 drivers cannot be replaced by what holds hand'):
+        holding(two, at_start(two), [Torque('arm', 1.0)], Holder('hand'))
 
 
 def test_balance_of_velocities_knows_when_there_is_none() -> None:

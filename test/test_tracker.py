@@ -7,10 +7,11 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from stretches import instants
 
 from kinpole_ros import planar
 from kinpole_ros.estimate import POLE_NAMES, Estimate
-from kinpole_ros.frame import MarkerFrame
+from kinpole_ros.frame import MarkerFrames, one_frame
 from kinpole_ros.mechanism import BodyMotion, load_scene, marker_positions
 from kinpole_ros.parameters import settings_from
 from kinpole_ros.tracker import MOST_MARKERS, Tracker, find_marker
@@ -27,7 +28,7 @@ PINNED = ('crank', 'rocker')
 class Record(NamedTuple):
     """A scene as seen: the frames, what moves how at any stamp, and the settings."""
 
-    frames: list[MarkerFrame]
+    frames: list[MarkerFrames]
     truth: Any  # stamps -> {body: BodyMotion}
     values: dict[str, Any]
 
@@ -72,7 +73,7 @@ def record(
     frames = []
     for stamp, rows in zip(stamps, solid, strict=True):
         order = rng.permutation(len(names)) if shuffle else np.arange(len(names))
-        frames.append(MarkerFrame(stamp, 'world', tuple(names[order]), rows[order]))
+        frames.append(one_frame(stamp, 'world', tuple(names[order]), rows[order]))
     values: dict[str, Any] = {
         'bodies': list(scene.markers),
         'plane': plane,
@@ -85,13 +86,13 @@ def record(
 
 
 def follow(
-    frames: Sequence[MarkerFrame], values: dict[str, Any], order: int | None = 4, every: int = 9
+    frames: Sequence[MarkerFrames], values: dict[str, Any], order: int | None = 4, every: int = 9
 ) -> tuple[Tracker, list[Estimate]]:
     """Run a tracker; ask for estimates at every so manieth frame only, since they take time."""
     tracker = Tracker(settings_from(values))
     found: list[Estimate] = []
     for k, frame in enumerate(frames):
-        found += tracker.add(frame, order if k % every == 0 else None)
+        found += instants(tracker.add(frame, order if k % every == 0 else None))
     return tracker, found
 
 
@@ -155,7 +156,7 @@ def test_markers_may_be_missing_now_and_then(scene: str, method: str) -> None:
     tracker, found = follow(seen.frames, {**seen.values, 'method': method})
     # The very first windows hold too few samples of some markers.
     check(seen, found[2:])
-    holes = sum(int(np.isnan(frame.points[:, 0]).sum()) for frame in seen.frames)
+    holes = sum(int(np.isnan(frame.points[0, :, 0]).sum()) for frame in seen.frames)
     assert tracker.counts['markers_not_seen'] == holes
 
 
@@ -313,7 +314,7 @@ def test_a_still_body_does_not_turn_and_has_no_poles() -> None:
     exact = np.array([[0.1, 0, 0], [0, 0.2, 0], [-0.1, -0.1, 0]])
     for noise in (0.0, 1e-4):
         frames = [
-            MarkerFrame(
+            one_frame(
                 START + k * STEP, 'world', ('a', 'b', 'c'), exact + noise * rng.normal(size=(3, 3))
             )
             for k in range(200)
@@ -342,7 +343,7 @@ def enumerate_poles(estimate: Estimate) -> list[tuple[str, bool]]:
 def test_a_body_that_slides_has_no_icr() -> None:
     shape = np.array([[0.1, 0, 0], [0, 0.2, 0], [-0.1, -0.1, 0]])
     frames = [
-        MarkerFrame(START + k * STEP, 'world', ('a', 'b', 'c'), shape + [0.01 * k, 0, 0])
+        one_frame(START + k * STEP, 'world', ('a', 'b', 'c'), shape + [0.01 * k, 0, 0])
         for k in range(200)
     ]
     _, found = follow(frames, {})
@@ -366,15 +367,15 @@ def test_too_few_markers_are_told_apart_from_too_few_frames() -> None:
     seen = record('four_bar', count=40)
     names = seen.frames[0].identities
     for frame in seen.frames:
-        frame.points[[names.index('crank_1'), names.index('crank_2')]] = np.nan
-        if frame.stamp < seen.frames[30].stamp:
-            frame.points[[names.index(f'rocker_{k}') for k in (1, 2, 3)]] = np.nan
+        frame.points[0, [names.index('crank_1'), names.index('crank_2')]] = np.nan
+        if frame.stamps[0] < seen.frames[30].stamps[0]:
+            frame.points[0, [names.index(f'rocker_{k}') for k in (1, 2, 3)]] = np.nan
     tracker, found = follow(seen.frames, {**seen.values, 'lag': 0.0}, every=1)
     last = found[-1]
     assert last.reasons(0) == {'all': 'too few markers seen, or all at one place'}
     assert last.reasons(1) == {}
     assert not last.missing[2]
-    just_back = next(e for e in found if e.stamp == seen.frames[31].stamp)
+    just_back = next(e for e in found if e.stamp == seen.frames[31].stamps[0])
     assert just_back.missing[2] in ('window not full', 'noise not known yet')
     for order in range(1, 5):
         assert not last.pole(order).determined[0]
@@ -383,10 +384,10 @@ def test_too_few_markers_are_told_apart_from_too_few_frames() -> None:
 
 
 def test_markers_at_one_place_are_no_body() -> None:
-    frames = [MarkerFrame(START + k * STEP, 'w', ('a', 'b'), np.ones((2, 3))) for k in range(30)]
+    frames = [one_frame(START + k * STEP, 'w', ('a', 'b'), np.ones((2, 3))) for k in range(30)]
     _, found = follow(frames, {}, every=1)
-    assert {estimate.missing for estimate in found} == {
-        ('too few markers seen, or all at one place',)
+    assert {estimate.missing[0] for estimate in found} == {
+        'too few markers seen, or all at one place'
     }
 
 
@@ -396,7 +397,9 @@ def test_a_tracker_that_finds_its_markers_late_is_followed_from_then_on() -> Non
     for frame in seen.frames[:60]:
         frame.points[:] = 0
     _, found = follow(seen.frames, {**seen.values, 'window': 0.3})
-    late = [estimate for estimate in found if estimate.stamp > seen.frames[60].stamp + 10 * STEP]
+    late = [
+        estimate for estimate in found if estimate.stamp > seen.frames[60].stamps[0] + 10 * STEP
+    ]
     check(seen, late)
 
 
@@ -409,19 +412,19 @@ def test_every_stamp_is_answered_once_and_in_time(lag: float, jitter: float) -> 
     seen = record('cardan', count=120)
     rng = np.random.default_rng(2)
     moved = [
-        frame._replace(stamp=frame.stamp + round(jitter * STEP * rng.uniform(-1, 1)))
+        frame._replace(stamps=frame.stamps + round(jitter * STEP * rng.uniform(-1, 1)))
         for frame in seen.frames
     ]
     tracker = Tracker(settings_from({**seen.values, 'lag': lag}))
     answered: list[int] = []
     for k, frame in enumerate(moved):
-        for estimate in tracker.add(frame, 1):
+        for estimate in instants(tracker.add(frame, 1)):
             answered.append(estimate.stamp)
-            late = (frame.stamp - estimate.stamp) * 1e-9
+            late = (frame.stamps[0] - estimate.stamp) * 1e-9
             # Trails by the lag; a quarter of an interval, and what stamps jitter, either way.
             assert late <= lag + (0.25 + 2 * jitter) * STEP * 1e-9
             assert late >= lag - (0.75 + 2 * jitter) * STEP * 1e-9 or k < 20 + lag / 0.005
-    stamps = [frame.stamp for frame in moved]
+    stamps = [frame.stamps[0] for frame in moved]
     first = stamps.index(answered[0])
     assert answered == stamps[first : first + len(answered)]
     assert len(stamps) - first - len(answered) <= lag / 0.005 + 1
@@ -431,7 +434,8 @@ def test_frames_at_even_times_are_answered_exactly_lag_later() -> None:
     seen = record('cardan', count=60)
     tracker = Tracker(settings_from({**seen.values, 'lag': 0.05}))
     for frame in seen.frames:
-        assert all(frame.stamp - e.stamp == 50_000_000 for e in tracker.add(frame, 1))
+        found = instants(tracker.add(frame, 1))
+        assert all(frame.stamps[0] - e.stamp == 50_000_000 for e in found)
 
 
 def test_a_repeated_stamp_is_left_out() -> None:
@@ -458,8 +462,8 @@ def test_a_clock_that_jumps_starts_everything_anew(jump: int, method: str) -> No
     frames = seen.frames[:100]
     # Another place, another shape: nothing of before may be left.
     other = record('four_bar', turn=0.5j, shift=3.0)
-    last = frames[-1].stamp
-    late = [f._replace(stamp=f.stamp - START + last + jump) for f in other.frames]
+    last = frames[-1].stamps[0]
+    late = [f._replace(stamps=f.stamps - START + last + jump) for f in other.frames]
     tracker, found = follow([*frames, *late], {**seen.values, 'method': method})
     assert tracker.counts['resets'] == 1
     after = [estimate for estimate in found if estimate.stamp >= last + jump][-10:]
@@ -482,7 +486,7 @@ def test_the_rate_of_the_frames_does_not_matter(step: int) -> None:
     """The same frames at 10 kHz and at 1 Hz: all times scale."""
     seen = record('cardan')
     factor = step / STEP
-    frames = [f._replace(stamp=START + k * step) for k, f in enumerate(seen.frames)]
+    frames = [f._replace(stamps=np.array([START + k * step])) for k, f in enumerate(seen.frames)]
     values = {**seen.values, 'window': 0.5 * factor, 'lag': 0.1 * factor}
     _, found = follow(frames, values)
     _, plain = follow(seen.frames, seen.values)
@@ -503,7 +507,7 @@ def test_nothing_is_computed_when_nothing_is_asked() -> None:
     assert tracker.interval == pytest.approx(0.005)
     # From then on only what falls due, not what was missed.
     more = record('cardan', count=201).frames[-1]
-    assert len(tracker.add(more, 4)) == 1
+    assert len(instants(tracker.add(more, 4))) == 1
 
 
 @pytest.mark.parametrize('drop', [0.0, 0.3])
@@ -570,7 +574,9 @@ def test_a_body_of_all_markers_takes_in_what_it_meets(method: str) -> None:
     frames = []
     for k, frame in enumerate(seen.frames):
         met = 2 if k < 60 else 3 if k < 120 else 4
-        frames.append(frame._replace(identities=frame.identities[:met], points=frame.points[:met]))
+        frames.append(
+            frame._replace(identities=frame.identities[:met], points=frame.points[:, :met])
+        )
     tracker, found = follow(frames, {'method': method, 'window': 0.5})
     assert tracker.bodies == ('body',)
     assert tracker.counts['markers_unknown'] == 0
@@ -588,7 +594,8 @@ def test_a_marker_named_twice_counts_once() -> None:
     seen = record('cardan', count=120, noise=1e-4)
     doubled = [
         f._replace(
-            identities=(*f.identities, f.identities[0]), points=np.vstack((f.points, f.points[:1]))
+            identities=(*f.identities, f.identities[0]),
+            points=np.concatenate((f.points, f.points[:, :1]), axis=1),
         )
         for f in seen.frames
     ]
@@ -603,7 +610,7 @@ def test_markers_that_are_named_anew_in_every_frame_do_not_fill_the_memory() -> 
     tracker = Tracker(settings_from({}))
     for k, frame in enumerate(seen.frames):
         names = tuple(f'{k}_{n}' for n in range(300))
-        tracker.add(frame._replace(identities=names, points=np.ones((300, 3))), None)
+        tracker.add(frame._replace(identities=names, points=np.ones((1, 300, 3))), None)
     assert tracker.counts['markers_unknown'] == 300
     assert tracker._shapes.points.shape[1] <= MOST_MARKERS
 
@@ -616,7 +623,7 @@ def test_reset_forgets_what_was_learned() -> None:
     assert np.isnan(tracker.noise()).all()
     found = []
     for k, frame in enumerate(other.frames):
-        found += tracker.add(frame, 4 if k % 9 == 0 else None)
+        found += instants(tracker.add(frame, 4 if k % 9 == 0 else None))
     truth = other.truth(estimate.stamp for estimate in found)['wheel']
     for k, estimate in enumerate(found):
         exact = planar.pole(1, truth.position[:, k], truth.angle[:, k]).value
@@ -688,7 +695,7 @@ def test_whatever_comes_nothing_raises_and_nothing_unknown_is_called_known(
         stamp += step
         names = tuple(name for name, _ in message)
         points = np.array([row for _, row in message], float).reshape(-1, 3)
-        for estimate in tracker.add(MarkerFrame(stamp, 'world', names, points), order):
+        for estimate in instants(tracker.add(one_frame(stamp, 'world', names, points), order)):
             sound(estimate)
 
 
@@ -697,7 +704,7 @@ def test_whatever_comes_nothing_raises_and_nothing_unknown_is_called_known(
 def test_frames_gone_wild_amid_good_ones_do_no_harm(bad: float, method: str) -> None:
     seen = record('four_bar', count=80, noise=1e-4)
     for frame in seen.frames[30:36]:
-        frame.points[::2] = bad
+        frame.points[:, ::2] = bad
     for k in (40, 43):
         seen.frames[k].points[:] = bad
     tracker, found = follow(seen.frames, {**seen.values, 'method': method, 'lag': 0.02}, every=2)
@@ -716,6 +723,7 @@ def test_markers_lost_in_their_noise_make_no_body(count: int) -> None:
     found = []
     for k in range(300):
         rows = shape + 0.01 * rng.normal(size=(count, 3))
-        found += tracker.add(MarkerFrame(10**9 + k * 5_000_000, 'world', names, rows), 4)
+        frame = one_frame(10**9 + k * 5_000_000, 'world', names, rows)
+        found += instants(tracker.add(frame, 4))
     told = [estimate.missing[0] for estimate in found[50:]]
     assert told.count('markers too close together for their noise') > 0.95 * len(told)

@@ -1,14 +1,16 @@
 """A marker that jumps, two that change places, a mirrored body: mended, counted, and harmless."""
 
+from collections import deque
 from collections.abc import Callable
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from stretches import fit_frames, instants
 
 from kinpole_ros.estimate import Estimate
-from kinpole_ros.frame import MarkerFrame
+from kinpole_ros.frame import one_frame
 from kinpole_ros.mechanism import load_scene, marker_positions
 from kinpole_ros.parameters import settings_from
 from kinpole_ros.planar import Fit
@@ -36,7 +38,8 @@ def track(
     tracker = Tracker(settings_from({'bodies': list(SCENE.markers), **markers, **values}))
     found: list[Estimate] = []
     for k, rows in enumerate(points):
-        found += tracker.add(MarkerFrame(10**9 + k * (10**9 // RATE), 'world', NAMES, rows), 3)
+        frame = one_frame(10**9 + k * (10**9 // RATE), 'world', NAMES, rows)
+        found += instants(tracker.add(frame, 3))
     return tracker, found
 
 
@@ -131,7 +134,7 @@ def test_a_marker_that_was_moved_for_good_is_learned_anew() -> None:
 
     tracker, _ = track(knock)
     # Left out for a while, then taken at its new place.
-    assert tracker.counts['markers_left_out'] == 100
+    assert 100 <= tracker.counts['markers_left_out'] < 100 + 64
     assert tracker.noise()[1] < 4e-4
 
 
@@ -171,7 +174,7 @@ def test_in_noise_a_fault_hardly_changes_what_comes_after_the_window(
     assert (change[:, 1:] < 1e-3 * usual[:, 1:]).all()
 
 
-SETTLED = 1000  # frames from which on a shape is held
+SETTLED = 1150  # frames from which on a shape is held, a beat or two after 1,000
 RECTANGLE = np.array([0.1 + 0.06j, -0.1 + 0.06j, -0.1 - 0.06j, 0.1 - 0.06j])
 KITE = np.array([0.13 + 0.02j, -0.03 + 0.1j, -0.12 - 0.05j, 0.05 - 0.11j])
 
@@ -187,9 +190,8 @@ def markers(shape: np.ndarray, frames: int, turn: float = 0.03, noise: float = 1
 def fitted(points: np.ndarray) -> tuple[Shapes, list[Fit], np.ndarray]:
     """Shapes after all frames, the fits, and the noise after each frame."""
     shapes, noise, fits, levels = Shapes(1, points.shape[1]), Noise(1), [], []
-    for row in points:
-        fits.append(shapes.fit(row[None])[0])
-        noise.add(fits[-1])
+    for fit, _ in fit_frames(points[:, None], shapes, noise):
+        fits.append(fit)
         levels.append(noise.level()[0])
     return shapes, fits, np.array(levels)
 
@@ -201,7 +203,7 @@ def turns(fits: list[Fit]) -> np.ndarray:
 @pytest.mark.parametrize('fault', ['jump', 'mirror', 'scatter', 'hide'])
 def test_a_bad_frame_leaves_no_trace_in_the_poses_of_a_settled_body(fault: str) -> None:
     bad = SETTLED + 20
-    points = markers(KITE, bad + 520)
+    points = markers(KITE, bad + 700)
     spoiled = points.copy()
     if fault == 'jump':
         spoiled[bad, 1] += 0.05
@@ -217,10 +219,10 @@ def test_a_bad_frame_leaves_no_trace_in_the_poses_of_a_settled_body(fault: str) 
     for k in range(len(points)):
         same = found[k].angle == straight[k].angle and found[k].position == straight[k].position
         assert bool(same) == (k != bad)
-    # Of the noise it spoils three comparisons, of which the last leaves 512 frames later.
+    # Of the noise it spoils three comparisons, of which the last leaves at a beat 512 frames later.
     assert level[bad - 1] == other[bad - 1]
     assert (level[bad : bad + 513] != other[bad : bad + 513]).any()
-    assert np.array_equal(level[bad + 514 :], other[bad + 514 :])
+    assert np.array_equal(level[bad + 514 + 64 :], other[bad + 514 + 64 :])
 
 
 def test_figures_forget_a_bad_frame_of_a_settled_body() -> None:
@@ -235,7 +237,8 @@ def test_figures_forget_a_bad_frame_of_a_settled_body() -> None:
         for k, row in enumerate(rows):
             solid = np.stack((row.real, row.imag, 0 * row.real), axis=-1)
             order = 3 if k > bad - 60 else None
-            found += tracker.add(MarkerFrame(k * 5_000_000, 'w', tuple('abcd'), solid), order)
+            frame = one_frame(k * 5_000_000, 'w', tuple('abcd'), solid)
+            found += instants(tracker.add(frame, order))
         turning = 0.03 * RATE
         rates.append([estimate.angle[:, 0] / turning ** np.arange(4) for estimate in found])
     change = np.abs(np.subtract(*rates))
@@ -311,15 +314,13 @@ def test_nothing_is_expected_after_a_gap() -> None:
     first, later = points[:100], points[100 + 52 :]  # half a turn farther on
     shapes, _, _ = fitted(first)
     shapes.forget_motion()
-    for row in later:
-        shapes.fit(row[None])
+    deque(fit_frames(later[:, None], shapes), maxlen=0)
     assert not shapes.mended
 
 
 def test_a_body_lost_in_its_noise_is_not_turned_back() -> None:
     shapes = Shapes(1, 2)
-    for row in markers(KITE[:2], 1300, 0.0, noise=0.06):
-        shapes.fit(row[None])
+    deque(fit_frames(markers(KITE[:2], 1300, 0.0, noise=0.06)[:, None], shapes), maxlen=0)
     assert 'markers_exchanged' not in shapes.mended
 
 

@@ -1,5 +1,6 @@
 """From samples to derivatives: exact where exactness is due, and as good as its own variance."""
 
+from collections import deque
 from fractions import Fraction
 from math import factorial
 from typing import Any
@@ -8,7 +9,9 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from stretches import fit_frames
 
+from kinpole_ros import window
 from kinpole_ros.mechanism import load_scene
 from kinpole_ros.planar import Fit, fit_pose
 from kinpole_ros.window import (
@@ -19,7 +22,6 @@ from kinpole_ros.window import (
     Shapes,
     Spectrum,
     derivative_weights,
-    differentiate,
     stencil,
 )
 
@@ -161,6 +163,22 @@ def stamps(kind: str, step: int, count: int = 101, ahead: int = 30) -> np.ndarra
         times = np.delete(times, [20, 21, 22, 23, 50, 51, 80, 81, 82])
     times = times.round().astype(np.int64)
     return times - times[len(times) - 1 - ahead]
+
+
+def differentiate(
+    times: np.ndarray,
+    signals: np.ndarray,
+    weights: np.ndarray | None,
+    noise: np.ndarray,
+    dimensions: np.ndarray,
+    order: int,
+    spectrum: Spectrum | None = None,
+) -> Derivatives:
+    """As of the package, at the one instant about which the samples (N, G, 2) are."""
+    signals = signals[:, None]
+    found = window.differentiate(times, signals, weights, noise, dimensions, order, spectrum)
+    values, covariance, span, degree = found
+    return Derivatives(values[:, 0], covariance[:, :, 0], span[0], degree[0])
 
 
 def scalars(columns: np.ndarray) -> np.ndarray:
@@ -486,15 +504,24 @@ def test_where_motion_sets_in_the_stated_errors_grow_with_the_true_ones() -> Non
 def test_each_window_forgets_at_its_own_pace() -> None:
     spectrum = Spectrum()
     memory = np.array([[5.0], [50.0]])
-    known = np.ones((2, 1), bool)
-    for k in range(60):
-        square = float(k < 30)
-        energy, left = np.full((2, 1, 1), square), np.full((2, 1), square)
-        mean, mean_left, instants = spectrum.follow(energy, left, known, memory)
+    squares = np.broadcast_to((np.arange(60.0) < 30)[:, None], (2, 1, 60, 1)).astype(float)
+    mean, instants = spectrum.follow(squares, np.ones((2, 60, 1), bool), memory)
     # Of 60 instants the first 30 held 1: means of the last 5 or so, or of all up to 50.
-    assert mean[:, 0, 0] == pytest.approx([0.8**30, 0.5], rel=0.2)
-    assert np.array_equal(mean[:, 0], mean_left)
-    assert instants.ravel().tolist() == [5, 50]
+    assert mean[:, 0, -1, 0] == pytest.approx([0.8**30, 0.5], rel=0.2)
+    assert instants[:, -1, 0].tolist() == [5, 50]
+
+
+def test_averages_go_on_alike_over_many_instants_and_one_by_one() -> None:
+    rng = np.random.default_rng(0)
+    squares, known = rng.random((2, 3, 40, 2)), rng.random((2, 40, 2)) < 0.8
+    memory = np.array([[5.0], [50.0]])
+    at_once = Spectrum().follow(squares, known, memory)
+    spectrum = Spectrum()
+    for k in range(40):
+        one = slice(k, k + 1)
+        mean, instants = spectrum.follow(squares[:, :, one], known[:, one], memory)
+        assert np.array_equal(mean, at_once[0][:, :, one])
+        assert np.array_equal(instants, at_once[1][:, one])
 
 
 def test_the_covariance_between_orders_is_one() -> None:
@@ -519,11 +546,10 @@ def test_the_buffer_is_a_queue(actions: list[int | float]) -> None:
     put = 0
     for action in actions:
         if isinstance(action, int):
-            for _ in range(action):
-                put += 1
-                row = (float(put), -float(put))
-                buffer.append(row)
-                model.append(row)
+            rows = [(float(put + k), -float(put + k)) for k in range(1, action + 1)]
+            put += action
+            buffer.extend(np.reshape(rows, (-1, 2)))
+            model += rows
         else:
             count = int(action * len(model))
             buffer.drop(count)
@@ -536,7 +562,7 @@ def test_the_buffer_is_a_queue(actions: list[int | float]) -> None:
 def test_the_buffer_does_not_grow_with_what_goes_through() -> None:
     buffer = Samples((), np.int64)
     for k in range(10_000):
-        buffer.append(k)
+        buffer.extend(np.array([k]))
         if len(buffer) > 60:
             buffer.drop(1)
     assert buffer.view().tolist() == list(range(9940, 10_000))
@@ -569,8 +595,7 @@ def tracked(markers: int, frames: int, seed: int) -> np.ndarray:
 def measured(points: np.ndarray) -> float:
     """The noise level found, over the true one."""
     noise, shapes = Noise(1), Shapes(1, points.shape[1])
-    for row in points:
-        noise.add(shapes.fit(row[None])[0])
+    deque(fit_frames(points[:, None], shapes, noise), maxlen=0)
     return float(noise.level()[0]) / SIGMA
 
 
@@ -609,8 +634,8 @@ def test_the_noise_is_unknown_without_residuals() -> None:
     noise, shapes = Noise(2), Shapes(2, 3)
     assert np.isnan(noise.level()).all()
     points = tracked(3, 20, 0)
-    for row in points:
-        noise.add(shapes.fit(np.stack((row, [row[0], np.nan, np.nan])))[0])
+    both = np.stack([np.stack((row, [row[0], np.nan, np.nan])) for row in points])
+    deque(fit_frames(both, shapes, noise), maxlen=0)
     assert np.isfinite(noise.level()).tolist() == [True, False]
 
 
@@ -620,21 +645,17 @@ def test_bodies_have_noise_of_their_own() -> None:
     exact = position[:, None] + np.exp(1j * angle)[:, None] * SHAPE[:4]
     loud = exact + 100 * (loud - exact)
     noise, shapes = Noise(2), Shapes(2, 4)
-    for row in np.stack((quiet, loud), axis=1):
-        noise.add(shapes.fit(row)[0])
+    deque(fit_frames(np.stack((quiet, loud), axis=1), shapes, noise), maxlen=0)
     assert noise.level() / SIGMA == pytest.approx([1, 100], rel=0.15)
 
 
 def test_residuals_across_a_gap_are_not_compared() -> None:
     def level(forget: bool) -> float:
-        noise = Noise(1)
-        for k, row in enumerate(tracked(4, 60, 2)):
-            # Each third frame comes after a gap in which the distortion changed.
-            bent = row + (k // 3 % 2) * 1e-2 * np.arange(4)
-            fit = fit_pose(bent[None], SHAPE[None, :4], np.ones((1, 4)))
-            if forget and k % 3 == 0:
-                noise.forget_neighbors()
-            noise.add(fit)
+        noise, k = Noise(1), np.arange(60)
+        # Each third frame comes after a gap in which the distortion changed.
+        bent = tracked(4, 60, 2) + (k // 3 % 2)[:, None] * 1e-2 * np.arange(4)
+        fit = fit_pose(bent[:, None], SHAPE[None, :4], np.ones((60, 1, 4)))
+        noise.add(fit.residual, fit.freedom, (k % 3 != 0) | (not forget))
         return float(noise.level()[0]) / SIGMA
 
     assert level(True) == pytest.approx(1, abs=0.35)
@@ -643,7 +664,7 @@ def test_residuals_across_a_gap_are_not_compared() -> None:
 
 def learned(points: np.ndarray) -> tuple[Shapes, list[Fit]]:
     shapes = Shapes(1, points.shape[1])
-    return shapes, [shapes.fit(row[None])[0] for row in points]
+    return shapes, [fit for fit, _ in fit_frames(points[:, None], shapes)]
 
 
 def shape_error(shapes: Shapes, markers: int) -> float:
@@ -712,12 +733,12 @@ def test_markers_at_one_place_at_first_do_not_spoil_the_shape(place: complex) ->
 def test_room_for_more_markers_keeps_what_is_known() -> None:
     points = tracked(6, 200, 9)
     shapes, _ = learned(points[:100, :4])
+    shapes.learn()
     before = shapes.points.copy()
     shapes.widen(6)
     assert np.array_equal(shapes.points[:, :4], before)
     assert shapes.known.tolist() == [4]
-    for row in points[100:]:
-        shapes.fit(row[None])
+    deque(fit_frames(points[100:, None], shapes), maxlen=0)
     assert shapes.known.tolist() == [6]
     assert shape_error(shapes, 6) < 0.6
 

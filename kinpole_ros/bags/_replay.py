@@ -1,24 +1,24 @@
 """A bag of markers through the same tracker as the live node, to a bag or a table of results."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
-from rclpy.serialization import deserialize_message
 
-from kinpole_ros.bags._reader import BagError, Truncated, bag_files, read_messages, topics
+from kinpole_ros.bags._reader import BagError, Truncated, bag_files, read_blocks, topics
 from kinpole_ros.bags._table import CsvTable, ParquetTable
 from kinpole_ros.bags._writer import BagWriter
 from kinpole_ros.estimate import POLE_NAMES, Estimate
+from kinpole_ros.frame import MarkerFrames, part_of
 from kinpole_ros.messages import (
-    MARKER_TYPES,
     ROS_TYPE_NAMES,
     DiagnosticsMaker,
+    MarkerReader,
     MessageError,
-    read_markers,
+    Output,
     result_outputs,
 )
 from kinpole_ros.parameters import Settings
@@ -81,18 +81,20 @@ def replay(
         taken[path] = 'the bag of results' if target is output else 'the CSV table'
     theory = load_theory(settings)
     tracker = Tracker(settings)
-    rows = [
+    reader = MarkerReader(kind, settings.marker_identity)
+    order = settings.derivative_order or 4
+    outputs = [
         row
         for row in result_outputs(tuple(settings.bodies), settings.plane, theory)
-        if row.order <= (settings.derivative_order or 4)
+        if row.order <= order
     ]
-    order = settings.derivative_order or 4
     diagnostics = DiagnosticsMaker(NODE_NAME, theory)
     found = {body: dict.fromkeys(POLE_NAMES[:order], 0) for body in tracker.bodies}
     estimates = 0
     problem = ''
     trouble: dict[str, str] = {}
-    told = first = last = 0
+    first = last = 0
+    told: int | None = None
     latest: Estimate | None = None
     truncated: Truncated | None = None
     with ExitStack() as stack:
@@ -102,45 +104,39 @@ def replay(
             for kind, target in ((CsvTable, csv), (ParquetTable, parquet))
             if target is not None
         ]
-        messages = read_messages(bag, [name], progress)
-        while True:
-            try:
-                message = next(messages, None)
-            except Truncated as error:
+        for frames, log_times, error in _frames(bag, name, reader, progress):
+            if isinstance(error, Truncated):
                 truncated = error
-                break
-            if message is None:
-                break
-            try:
-                frame = read_markers(_decoded(message.data, kind), settings.marker_identity)
-            except MessageError as error:
+            elif error is not None:
                 tracker.counts['unreadable'] += 1
                 problem = problem or str(error)
                 trouble['message'] = str(error)
+            if frames is None:
                 continue
-            first, last = first or frame.stamp, frame.stamp
-            for estimate in tracker.add(frame, order):
-                latest = estimate
-                estimates += 1
-                _count(found, estimate)
-                if writer is not None:
-                    for row in rows:
-                        result = row.build(estimate)
-                        if result is not None:
-                            topic_name = f'/{NODE_NAME}/{row.topic}'
-                            writer.write(topic_name, result, message.log_time)
-                for table in tables:
-                    table.add(estimate)
-            since = frame.stamp - told
-            if writer is not None and (told == 0 or not 0 <= since < _SECOND):
-                seconds = since / _SECOND if told else 0.0
-                array = diagnostics.make(frame.stamp, tracker, latest, seconds, trouble)
-                writer.write('/diagnostics', array, message.log_time)
-                told = frame.stamp
-                trouble = {}
+            first, last = first or int(frames.stamps[0]), int(frames.stamps[-1])
+            for part in _seconds(frames.stamps, told):
+                for estimate in tracker.add(part_of(frames, part), order):
+                    latest = estimate
+                    estimates += len(estimate)
+                    _count(found, estimate)
+                    if writer is not None:
+                        # Known as soon as the frames came that they fell due with.
+                        times = log_times[part][estimate.due]
+                        made = result_columns(outputs, estimate, f'/{NODE_NAME}', times)
+                        writer.write_many(made)
+                    for table in tables:
+                        table.add(estimate)
+                stamp = int(frames.stamps[part][-1])
+                since = stamp - (told or 0)
+                if told is None or not 0 <= since < _SECOND:
+                    if writer is not None:
+                        seconds = since / _SECOND if told is not None else 0.0
+                        array = diagnostics.make(stamp, tracker, latest, seconds, trouble)
+                        writer.write('/diagnostics', array, int(log_times[part][-1]))
+                    told, trouble = stamp, {}
         if writer is not None:
             # A topic that never had anything to say is still there to be asked for.
-            for row in rows:
+            for row in outputs:
                 writer.add_topic(f'/{NODE_NAME}/{row.topic}', row.message_type)
             writer.add_topic('/diagnostics', DiagnosticArray)
     counts = tracker.counts
@@ -165,20 +161,67 @@ def replay(
     )
 
 
+def _frames(
+    bag: str | Path,
+    topic: str,
+    reader: MarkerReader,
+    progress: Callable[[float], None] | None,
+) -> Iterator[tuple[MarkerFrames | None, np.ndarray, BagError | MessageError | None]]:
+    """The frames of a bag with the log times of their messages, or what is wrong, in order."""
+    blocks = read_blocks(bag, [topic], progress)
+    nothing = np.zeros(0, np.int64)
+    while True:
+        try:
+            block = next(blocks, None)
+        except Truncated as error:
+            yield None, nothing, error
+            return
+        if block is None:
+            return
+        log_times = np.array([message.log_time for message in block], np.int64)
+        done = 0
+        for part in reader.read([message.data for message in block]):
+            if isinstance(part, MessageError):
+                yield None, nothing, part
+                done += 1
+                continue
+            count = len(part.stamps)
+            yield part, log_times[done : done + count], None
+            done += count
+
+
+def _seconds(stamps: np.ndarray, told: int | None) -> Iterator[slice]:
+    """Parts of frames (T,) that end where a second has passed since diagnostics were `told`."""
+    first = 0
+    while first < len(stamps):
+        since = stamps[first:] - (stamps[first] - _SECOND if told is None else told)
+        over = (since < 0) | (since >= _SECOND)
+        end = first + int(over.argmax()) + 1 if over.any() else len(stamps)
+        yield slice(first, end)
+        told = int(stamps[end - 1]) if over.any() else told
+        first = end
+
+
+def result_columns(
+    outputs: list[Output], estimate: Estimate, prefix: str, log_times: np.ndarray
+) -> Iterator[tuple[str, type, list[int], Sequence[bytes]]]:
+    """
+    All there is to say of T instants, as `BagWriter.write_many` takes it.
+
+    On topics under `prefix`, logged at `log_times` (T,), ns.
+    """
+    times = log_times.tolist()
+    for row in outputs:
+        made = row.build(estimate)
+        if made:
+            at, data = zip(*made, strict=True)
+            yield f'{prefix}/{row.topic}', row.message_type, [times[t] for t in at], data
+
+
 def _count(found: dict[str, dict[str, int]], estimate: Estimate) -> None:
-    for k, poles in enumerate(found.values()):
+    for b, poles in enumerate(found.values()):
         for order, pole in enumerate(poles, 1):
-            poles[pole] += int(np.asarray(estimate.pole(order).determined)[k])
-
-
-def _decoded(data: bytes, kind: str) -> Any:
-    try:
-        return deserialize_message(data, MARKER_TYPES[kind])
-    except Exception as error:  # rclpy raises what its middleware makes of it
-        raise MessageError(
-            f'{len(data)} bytes are no {ROS_TYPE_NAMES[kind]} '
-            f'({str(error).splitlines()[0]}); see that the bag is not damaged'
-        ) from None
+            poles[pole] += int(estimate.pole(order).determined[:, b].sum())
 
 
 def _marker_topic(bag: str | Path, settings: Settings, topic: str | None) -> tuple[str, str]:

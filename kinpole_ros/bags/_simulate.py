@@ -6,9 +6,10 @@ from pathlib import Path
 import numpy as np
 from geometry_msgs.msg import PointStamped, Vector3Stamped
 from nav_msgs.msg import Odometry
+from rclpy.serialization import serialize_message
 
 from kinpole_ros.bags._reader import BagError
-from kinpole_ros.bags._replay import NODE_NAME
+from kinpole_ros.bags._replay import NODE_NAME, result_columns
 from kinpole_ros.bags._writer import BagWriter
 from kinpole_ros.estimate import Estimate
 from kinpole_ros.mechanism import Scene, marker_positions
@@ -17,6 +18,8 @@ from kinpole_ros.messages import MARKER_TYPES, result_outputs, to_message
 # Exact to so many digits: below it the answers themselves are noise (a pinned body's centrode).
 _EXACT = 1e-12
 _FRAME = 'world'
+# Frames that are written together.
+_AT_ONCE = 1000
 # ROS stamps hold hardly more, in s.
 _LONGEST = 2e9
 # Loci and covariances of an exact motion say nothing more.
@@ -80,29 +83,33 @@ def simulate(
     angle_covariance = _diagonal((_EXACT * np.abs(angle).max(axis=1)) ** 2)
     outputs = [row for row in result_outputs(bodies, 'xy') if row.message_type in _EXACT_TYPES]
     with BagWriter(output) as writer:
-        for k, stamp in enumerate(stamps.tolist()):
-            markers = to_message(message, stamp, _FRAME, names, points[k])
-            writer.write('/markers', markers, stamp)
+        for first in range(0, count, _AT_ONCE):
+            part = slice(first, min(first + _AT_ONCE, count))
+            markers = [
+                serialize_message(to_message(message, stamp, _FRAME, names, seen))
+                for stamp, seen in zip(stamps[part].tolist(), points[part], strict=True)
+            ]
+            shape = (part.stop - part.start, len(bodies))
+            wide = (5, 5, *shape)
             truth = Estimate(
-                stamp,
+                stamps[part],
                 _FRAME,
                 bodies,
-                position[:, k],
-                angle[:, k],
-                position_covariance,
-                angle_covariance,
-                size,
-                np.zeros(len(bodies)),
-                np.zeros(len(bodies)),
-                np.zeros(len(bodies)),
-                ('',) * len(bodies),
+                position[:, part],
+                angle[:, part],
+                np.broadcast_to(position_covariance[:, :, None], wide),
+                np.broadcast_to(angle_covariance[:, :, None], wide),
+                np.broadcast_to(size, shape),
+                np.zeros(shape),
+                np.zeros(shape),
+                np.zeros(shape),
+                np.full(shape, '', object),
             )
-            for row in outputs:
-                result = row.build(truth)
-                if result is not None:
-                    writer.write(f'/{NODE_NAME}/truth/{row.topic}', result, stamp)
+            columns = result_columns(outputs, truth, f'/{NODE_NAME}/truth', stamps[part])
+            of_markers = '/markers', MARKER_TYPES[message], stamps[part].tolist(), markers
+            writer.write_many([of_markers, *columns])
             if progress is not None:
-                progress((k + 1) / count)
+                progress(part.stop / count)
     return count
 
 

@@ -15,6 +15,7 @@ from kinpole_ros.bench._motions import Motion, cusped, motions, still_turning, s
 from kinpole_ros.bench._peers import FixedTracker
 from kinpole_ros.bench._record import RATE, START, frames_of, quantities
 from kinpole_ros.estimate import Estimate, Numbers, Vectors
+from kinpole_ros.frame import part_of
 from kinpole_ros.mechanism import BodyMotion, marker_positions
 from kinpole_ros.parameters import Settings
 from kinpole_ros.tracker import Tracker
@@ -140,9 +141,10 @@ def _row(cell: Cell, name: str, kind: Callable[[Settings], Tracker]) -> dict[str
     found = []
     try:
         with np.errstate(all='ignore'):
-            for k, frame in enumerate(frames):
+            for k in range(count):
                 asked = 3 if k % every == 0 and k > count // 2 - 100 * every else None
-                found += tracker.add(frame, asked)
+                blocks = tracker.add(part_of(frames, slice(k, k + 1)), asked)
+                found += [instant for block in blocks for instant in block]
             first, last = int(stamps[count // 2]), int(stamps[-1])
             if cell.instant is not None:
                 first, last = (

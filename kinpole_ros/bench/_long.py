@@ -13,6 +13,7 @@ import numpy as np
 
 from kinpole_ros.bench._motions import motions
 from kinpole_ros.bench._record import NEAR, RATE, START, STEP, frames_of, observe, quantities, rms
+from kinpole_ros.frame import part_of
 from kinpole_ros.planar import fit_pose, to_complex
 from kinpole_ros.tracker import Tracker
 
@@ -48,9 +49,9 @@ def long_run(
         given, settings = frames_of((exact + noise)[:, None], START + STEP * index)
         tracker = tracker or Tracker(settings)
         begun = time.process_time()
-        for frame in given[:-ASKED]:
-            tracker.add(frame, None)
-        found = [estimate for frame in given[-ASKED:] for estimate in tracker.add(frame, 3)]
+        tracker.add(part_of(given, slice(-ASKED)), None)
+        blocks = tracker.add(part_of(given, slice(-ASKED, None)), 3)
+        found = [instant for block in blocks for instant in block]
         spent = time.process_time() - begun
 
         true = motion.motion(np.array([estimate.stamp - START for estimate in found]) * 1e-9)

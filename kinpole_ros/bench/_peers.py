@@ -42,6 +42,7 @@ from kinpole_ros.bench._record import (
     quantities,
     stamps_of,
 )
+from kinpole_ros.frame import part_of
 from kinpole_ros.parameters import Settings
 from kinpole_ros.planar import fit_pose
 from kinpole_ros.tracker import Tracker
@@ -320,24 +321,33 @@ class FixedTracker(Tracker):
     """The same pipeline with a fixed local polynomial (41 samples, degree 4) for the choice."""
 
     def _from_poses(
-        self, times: np.ndarray, now: int, noise: np.ndarray, order: int
+        self, now: np.ndarray, oldest: np.ndarray, newest: np.ndarray, noise: np.ndarray, order: int
+    ) -> tuple[np.ndarray, ...]:
+        found = [self._at(*frame, noise, order) for frame in zip(now, oldest, newest, strict=True)]
+        axes = (1, 1, 2, 2, 0, 0)
+        return tuple(map(np.stack, zip(*found, strict=True), axes))
+
+    def _at(
+        self, now: int, oldest: int, newest: int, noise: np.ndarray, order: int
     ) -> tuple[np.ndarray, ...]:
         count = len(self.bodies)
         samples, degree = _USUAL
-        last = min(now + (samples + 1) // 2, len(times))
-        first = max(last - samples, 0)
-        position, angle = self._positions.view(), np.unwrap(self._angles.view(), axis=0)
+        last = min(now + (samples + 1) // 2, newest + 1)
+        first = max(last - samples, oldest)
+        rows = slice(first, last)
         if last - first <= degree:
             bad = np.full((order + 1, count), np.nan)
             wide = np.full((order + 1, order + 1, count), np.nan)
-            return bad + 0j, bad, wide, wide.copy(), bad[0].copy(), bad[0].copy()
-        rows = _fixed_rows(times[first:last].tobytes(), degree)[: order + 1]
-        z = rows @ (position[first:last] - position[now])
+            return bad + 0j, bad, wide, wide, bad[0], bad[0]
+        times = self._stamps.view()[rows] - self._stamps.view()[now]
+        position, angle = self._positions.view(), np.unwrap(self._angles.view()[rows], axis=0)
+        weights = _fixed_rows(times.tobytes(), degree)[: order + 1]
+        z = weights @ (position[rows] - position[now])
         z[0] += position[now]
-        turn = rows @ angle[first:last]
+        turn = weights @ angle
         information = self._information.view()[now]
-        spread = (rows @ rows.T)[..., None] * noise**2
-        span = np.full(count, (times[last - 1] - times[first]) * 1e-9)
+        spread = (weights @ weights.T)[..., None] * noise**2
+        span = np.full(count, (times[-1] - times[0]) * 1e-9)
         return (
             z,
             turn,
@@ -365,14 +375,14 @@ def costs(repeats: int) -> dict[str, float]:
     def trackers(kind: type[Tracker]) -> float:
         frames, chosen = frames_of(points, stamps_of(len(points)))
         tracker = kind(Settings(**vars(chosen)))
-        for frame in frames[:200]:
-            tracker.add(frame, 3)
+        tracker.add(part_of(frames, slice(200)), 3)
+        rest = [part_of(frames, slice(k, k + 1)) for k in range(200, len(frames.stamps))]
         start = time.process_time()
-        for frame in frames[200:]:
+        for frame in rest:
             for estimate in tracker.add(frame, 3):
                 [estimate.pole(k) for k in (1, 2, 3)]
                 estimate.centrode_curvature  # noqa: B018 - computed when asked for
-        return (time.process_time() - start) / len(frames[200:])
+        return (time.process_time() - start) / len(rest)
 
     def markers(weights: np.ndarray) -> float:
         samples = weights.shape[1]

@@ -14,7 +14,7 @@ from kinpole_ros import planar
 from kinpole_ros.bench._hindsight import apply_weights
 from kinpole_ros.bench._record import START
 from kinpole_ros.estimate import Estimate
-from kinpole_ros.frame import MarkerFrame
+from kinpole_ros.frame import MarkerFrames
 from kinpole_ros.parameters import Settings
 from kinpole_ros.tracker import Tracker
 from kinpole_ros.window import derivative_weights
@@ -147,10 +147,9 @@ def _track(seen: np.ndarray, frames: np.ndarray) -> list[Estimate]:
     names = ('red', 'green', 'blue')
     step = 10**9 // _RATE
     tracker = Tracker(LINKS)
-    found = []
-    for k, rows in enumerate(points):
-        found += tracker.add(MarkerFrame(START + step * k, 'world', names, rows), 3)
-    by_stamp = {estimate.stamp: estimate for estimate in found}
+    stamps = START + step * np.arange(len(points))
+    found = tracker.add(MarkerFrames(stamps, 'world', names, points), 3)
+    by_stamp = {int(instant.stamp): instant for block in found for instant in block}
     return [by_stamp[START + step * int(frame)] for frame in frames]
 
 

@@ -5,6 +5,7 @@ Many recordings are made at once and given to one real `Tracker` as so many bodi
 by itself, and a minute does what would take an hour one by one.
 """
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -12,7 +13,7 @@ import numpy as np
 
 from kinpole_ros import planar
 from kinpole_ros.bench._motions import Motion, motions
-from kinpole_ros.frame import MarkerFrame
+from kinpole_ros.frame import MarkerFrames
 from kinpole_ros.mechanism import BodyMotion, marker_positions
 from kinpole_ros.mechanism._motions import rotation_derivatives
 from kinpole_ros.parameters import Settings
@@ -142,7 +143,7 @@ def quantities(position: np.ndarray, angle: np.ndarray) -> dict[str, np.ndarray]
     return result
 
 
-def frames_of(points: np.ndarray, stamps: np.ndarray) -> tuple[list[MarkerFrame], Settings]:
+def frames_of(points: np.ndarray, stamps: np.ndarray) -> tuple[MarkerFrames, Settings]:
     """Frames of bodies seen at `points` (N, C, n), and settings that tell the bodies apart."""
     count, bodies, markers = points.shape
     names = {f'b{b}': tuple(f'm{b}_{k}' for k in range(markers)) for b in range(bodies)}
@@ -150,10 +151,7 @@ def frames_of(points: np.ndarray, stamps: np.ndarray) -> tuple[list[MarkerFrame]
     solid = np.zeros((count, bodies * markers, 3))
     flat = points.reshape(count, -1)
     solid[..., 0], solid[..., 1] = flat.real, flat.imag
-    frames = [
-        MarkerFrame(int(stamp), 'world', identities, rows)
-        for stamp, rows in zip(stamps, solid, strict=True)
-    ]
+    frames = MarkerFrames(np.asarray(stamps, np.int64), 'world', identities, solid)
     return frames, Settings(bodies=names, window=WINDOW, lag=LAG)
 
 
@@ -173,28 +171,29 @@ def measure(recording: Recording, tracker_type: type[Tracker] = Tracker, **chang
     """Run the tracker over a recording; `changes` are settings other than those above."""
     frames, settings = frames_of(recording.points, stamps_of(len(recording.points)))
     tracker = tracker_type(Settings(**{**vars(settings), **changes}))
-    found = [estimate for frame in frames for estimate in tracker.add(frame, 3)]
-    index = np.array([(estimate.stamp - START) // STEP for estimate in found])
+    found = tracker.add(frames, 3)
+    index = np.concatenate([(estimate.stamp - START) // STEP for estimate in found])
     kept = index >= WARM_UP * RATE
-    found = [estimate for estimate, keep in zip(found, kept, strict=True) if keep]
     index = index[kept]
+
+    def joined(figures: list[Any]) -> Iterator[np.ndarray]:
+        """Values, their variances or covariances, and where determined, of all blocks as one."""
+        return (np.concatenate(part)[kept] for part in zip(*figures, strict=True))
+
     truth = {name: values[index] for name, values in recording.truth.items()}
     values: dict[str, np.ndarray] = {}
     deviations: dict[str, np.ndarray] = {}
     squares: dict[str, np.ndarray] = {}
     determined: dict[str, np.ndarray] = {}
-    for k, name in enumerate(RATES):
-        _numbers(
-            [e.rate(k + 1) for e in found], name, truth, values, deviations, squares, determined
-        )
-    _numbers(
-        [e.centrode_curvature for e in found], 'κ', truth, values, deviations, squares, determined
-    )
+    numbers = {name: [e.rate(k + 1) for e in found] for k, name in enumerate(RATES)}
+    numbers['κ'] = [e.centrode_curvature for e in found]
+    for name, figures in numbers.items():
+        values[name], variance, determined[name] = joined(figures)
+        with np.errstate(all='ignore'):
+            deviations[name] = np.sqrt(variance)
+            squares[name] = (values[name] - truth[name]) ** 2 / variance
     for k, name in enumerate(POLES):
-        poles = [e.pole(k + 1) for e in found]
-        values[name] = np.stack([pole.value for pole in poles])
-        spread = np.stack([pole.covariance for pole in poles])
-        determined[name] = np.stack([pole.determined for pole in poles])
+        values[name], spread, determined[name] = joined([e.pole(k + 1) for e in found])
         error = planar.to_plane(values[name] - truth[name])
         a, b, d = spread[..., 0, 0], spread[..., 0, 1], spread[..., 1, 1]
         x, y = error[..., 0], error[..., 1]
@@ -202,18 +201,6 @@ def measure(recording: Recording, tracker_type: type[Tracker] = Tracker, **chang
             deviations[name] = np.sqrt(a + d)
             squares[name] = (d * x**2 - 2 * b * x * y + a * y**2) / (a * d - b**2)
     return Figures(index, values, deviations, squares, determined)
-
-
-def _numbers(
-    found: list[Any], name: str, truth: dict[str, np.ndarray], *into: dict[str, np.ndarray]
-) -> None:
-    values, deviations, squares, determined = into
-    values[name] = np.stack([number.value for number in found])
-    variance = np.stack([number.variance for number in found])
-    determined[name] = np.stack([number.determined for number in found])
-    with np.errstate(all='ignore'):
-        deviations[name] = np.sqrt(variance)
-        squares[name] = (values[name] - truth[name]) ** 2 / variance
 
 
 def rms(error: np.ndarray, where: np.ndarray) -> np.ndarray:

@@ -1,24 +1,16 @@
 """Mechanisms whose motion is known exactly: the truth that measured kinematics is held against."""
 
-from kinpole_ros.mechanism._assembly import Revolute
+from kinpole_ros.mechanism._assembly import Revolute, Rolling
 from kinpole_ros.mechanism._centers import Centers, explain, instant_centers
 from kinpole_ros.mechanism._centrodes import Centrodes, centrodes, write_pitch_curves
 from kinpole_ros.mechanism._loops import LinkageError
 from kinpole_ros.mechanism._mechanism import Mechanism, Motion
 from kinpole_ros.mechanism._motions import BodyMotion, marker_positions, rotation_derivatives
+from kinpole_ros.mechanism._reactions import freed_reactions, reactions, undetermined
 from kinpole_ros.mechanism._scene import Scene, load_scene, scene_names, scenes_folder
 from kinpole_ros.mechanism._share import share_folder
 from kinpole_ros.mechanism._start import mobility
-from kinpole_ros.mechanism._statics import (
-    Force,
-    Load,
-    Torque,
-    advantage,
-    efforts,
-    freed_reactions,
-    reactions,
-    undetermined,
-)
+from kinpole_ros.mechanism._statics import Force, Holder, Load, Torque, advantage, efforts, holding
 from kinpole_ros.mechanism._units import SceneError, quantity
 
 __all__ = [
@@ -26,11 +18,13 @@ __all__ = [
     'Centers',
     'Centrodes',
     'Force',
+    'Holder',
     'LinkageError',
     'Load',
     'Mechanism',
     'Motion',
     'Revolute',
+    'Rolling',
     'Scene',
     'SceneError',
     'Torque',
@@ -39,6 +33,7 @@ __all__ = [
     'efforts',
     'explain',
     'freed_reactions',
+    'holding',
     'instant_centers',
     'load_scene',
     'marker_positions',

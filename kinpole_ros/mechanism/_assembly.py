@@ -155,6 +155,8 @@ def assemble(bodies: Sequence[str], joints: Sequence[Joint]) -> Assembly:
     terms = _Terms(variables)
     sides = [_sides(terms, joint) for joint in joints]
     places: dict[str, Chain] = {GROUND: {}}
+    # The joints on the way from the ground.
+    way: dict[str, tuple[str, ...]] = {GROUND: ()}
     used: set[int] = set()
     # Through joints that hold something first: a strut only places what nothing else does.
     for through_struts in (False, True):
@@ -170,6 +172,7 @@ def assemble(bodies: Sequence[str], joints: Sequence[Joint]) -> Assembly:
                 here, there = sides[k] if known[0] == joint.one else sides[k][::-1]
                 reached = joint.other if known[0] == joint.one else joint.one
                 places[reached] = _sum(places[known[0]], here, there)
+                way[reached] = (*way[known[0]], joint.name)
                 used.add(k)
                 grown = True
                 if through_struts:
@@ -181,9 +184,10 @@ def assemble(bodies: Sequence[str], joints: Sequence[Joint]) -> Assembly:
         raise LinkageError(
             f'no joint connects {", ".join(lost)} with the ground: add one, or leave it out'
         )
-    chains = []
+    chains, around = [], []
     for k, joint in enumerate(joints):
         if k not in used:
+            around.append(_around(way[joint.one], joint.name, way[joint.other]))
             one = _sum(places[joint.one], sides[k][0], {})
             chains.append(_sum(one, {}, _sum(places[joint.other], sides[k][1], {})))
     count = len(terms.length0)
@@ -198,6 +202,7 @@ def assemble(bodies: Sequence[str], joints: Sequence[Joint]) -> Assembly:
         ties,
         tie0,
         np.zeros((0, len(variables))),
+        tuple(around),
     )
     return Assembly(
         loops,
@@ -206,6 +211,16 @@ def assemble(bodies: Sequence[str], joints: Sequence[Joint]) -> Assembly:
         np.eye(len(bodies), len(variables)),
         tuple(joints),
     )
+
+
+def _around(there: Sequence[str], closing: str, back: Sequence[str]) -> tuple[str, ...]:
+    """The joints of a loop: from where two ways part to the joint where they meet, and back."""
+    shared = 0
+    for one, other in zip(there, back, strict=False):
+        if one != other:
+            break
+        shared += 1
+    return (*there[shared:], closing, *reversed(back[shared:]))
 
 
 def _sides(terms: _Terms, joint: Joint) -> tuple[Chain, Chain]:

@@ -15,14 +15,15 @@ import numpy as np
 import numpy.typing as npt
 
 from kinpole_ros.mechanism._assembly import Assembly
-from kinpole_ros.mechanism._loops import Linkage, LinkageError, Solution, reduce, solve, sums, weigh
+from kinpole_ros.mechanism._loops import Linkage, LinkageError, reduce, sums, weigh
 from kinpole_ros.mechanism._motions import rotation_derivatives
 from kinpole_ros.mechanism._path import Path, Table, foretell, tabulate, trace, unit_input
+from kinpole_ros.mechanism._solution import Solution, solve
 from kinpole_ros.planar._plane import Complex, Real
 
 ORDERS = 5
-# Positions at a time: fewer cost more calls, more leave the cache (57 ms for 1e5 of a four-bar with
-# 2048, 38 with 8192, 150 all at once).
+# Positions at a time: fewer cost more calls, more leave the cache (1e5 of a four-bar to its
+# accelerations: 9.2 ms with 6144, 8.6 with 8192, 14.7 with 12500).
 _CHUNK = 8192
 
 
@@ -97,7 +98,10 @@ class Mechanism:
 
     def sweep(self, at: Real, orders: int = ORDERS) -> Motion:
         """How all bodies move at the inputs `at` (T,) of the one driver, by that input."""
-        return self.at_inputs(unit_input(np.asarray(at, dtype=float)), None, orders)
+        at = np.asarray(at, dtype=float)
+        if len(self.drivers) != 1:
+            raise LinkageError('a sweep is over one driver: hold the others')
+        return self._at(lambda part: unit_input(at[part], orders), len(at), at, None, orders)
 
     def unit_rates(self, values: Real) -> tuple[Complex, Real]:
         """
@@ -120,48 +124,65 @@ class Mechanism:
 
         `times` (T,) are those of the inputs, which tell the way of several drivers.
         """
-        count = inputs.shape[-1]
-        table = None
         along = inputs[0, 0] if len(self.drivers) == 1 else times
+        return self._at(lambda part: inputs[:, :, part], inputs.shape[-1], along, times, orders)
+
+    def _at(
+        self,
+        inputs: Callable[[slice], Real],
+        count: int,
+        along: Real | None,
+        times: Real | None,
+        orders: int,
+    ) -> Motion:
+        """The same at `inputs(part)` for parts of all positions; `along` tells their way."""
+        table = None
         if self.linkage.blocks and count:
             if along is None:
                 raise LinkageError('a sweep is over one driver: hold the others')
             self.path(float(along.min()), float(along.max()))
             table = self._table
-        bodies, variables = len(self.bodies), len(self.start)
-        position = np.empty((orders, bodies, count), complex)
-        angle, values = np.empty((orders, bodies, count)), np.empty((orders, variables, count))
-        regular = np.empty(count, bool)
+        # Much of it stays zero: memory that nobody writes to costs nothing.
+        position = np.zeros((orders, len(self.bodies), count), complex)
+        values, regular = np.empty((orders, len(self.start), count)), np.empty(count, bool)
         for first in range(0, count, _CHUNK):
             part = slice(first, first + _CHUNK)
+            here = inputs(part)
             if table is None or along is None:
-                guess = np.zeros((variables, len(regular[part])))
+                guess = np.zeros((len(self.start), here.shape[-1]))
             else:
                 guess = foretell(table, along[part])
-            found = solve(self.linkage, inputs[:, :, part], guess, orders)
+            found = solve(self.linkage, here, guess, orders, out=values[:, :, part])
             if not found.closed.all():
                 when = None if times is None else times[part]
-                raise LinkageError(self._out_of_reach(inputs[:, :, part], when, found.closed))
-            values[:, :, part], regular[part] = found.values, found.regular
-            angle[:, :, part] = weigh(self.assembly.turns, found.values)
-            position[:, :, part] = self._positions(found)
-        return Motion(position, angle, values, regular)
+                raise LinkageError(self._out_of_reach(here, when, found.closed))
+            regular[part] = found.regular
+            self._place(found, position[:, :, part])
+        return Motion(position, self._angles(values), values, regular)
+
+    def _angles(self, values: Real) -> Real:
+        """The angles (orders, B, T) of all bodies, without a copy where they are variables."""
+        turns = self.assembly.turns
+        if np.array_equal(turns, np.eye(*turns.shape)):
+            return values[:, : len(turns)]
+        return weigh(turns, values)
 
     @cached_property
     def _places(self) -> tuple[Complex, Complex]:
         return sums(self.linkage, self.assembly.places)
 
-    def _positions(self, found: Solution) -> Complex:
-        """Origins of all bodies (orders, B, T), from the angles and lengths that `solve` has."""
+    def _place(self, found: Solution, position: Complex) -> None:
+        """Fill in origins of all bodies (orders, B, T), from the angles and lengths of `solve`."""
         constant, sliding = self._places
-        position: Complex = weigh(constant, found.turns)
+        weigh(constant, found.turns[0], out=position[0])
+        moving = constant * self.linkage.turns.any(axis=1)
+        weigh(moving, found.turns[1:], out=position[1:])
         for v, coefficients in enumerate(sliding):
             if coefficients.any():
                 turned = weigh(coefficients, found.turns)
                 for k in range(len(position)):
                     for j in range(k + 1):
                         position[k] += comb(k, j) * found.slides[j, v] * turned[k - j]
-        return position
 
     def path(self, low: float, high: float) -> Path:
         """The branch over the inputs from `low` to `high`, or as far as it goes."""
@@ -185,15 +206,16 @@ class Mechanism:
         first = int(np.argmin(closed))
         when = '' if times is None else f' at {times[first]:.6g} s'
         at = ', '.join(
-            f'{driver.name} = {value:.6g}'
+            f'{driver.name} = {value:.12g}'
             for driver, value in zip(self.drivers, inputs[0, :, first], strict=True)
         )
-        path = self._path
-        limits = (
-            ''
-            if path is None or len(self.drivers) > 1
-            else (f', it reaches from {path.inputs[0]:.6g} to {path.inputs[-1]:.6g}')
-        )
+        limits = ''
+        if self._path is not None and len(self.drivers) == 1:
+            ends = [self._path.inputs[0], self._path.inputs[-1]]
+            for dead in self._path.dead_points:
+                if dead.turns_back:
+                    ends[int(dead.at > self._path.inputs[0])] = dead.at
+            limits = f', it reaches from {ends[0]:.12g} to {ends[1]:.12g}'
         return f'the linkage cannot follow its drivers{when}, to {at}{limits}: drive it less far'
 
 

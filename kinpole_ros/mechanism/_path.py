@@ -14,12 +14,17 @@ from typing import NamedTuple
 
 import numpy as np
 
-from kinpole_ros.mechanism._loops import Linkage, LinkageError, Solution, reduce, solve
+from kinpole_ros.mechanism._loops import Linkage, LinkageError, reduce
+from kinpole_ros.mechanism._solution import Solution, solve
 from kinpole_ros.planar._plane import Real
 
 # The largest error of a foretold variable, rad or lengths over the largest, and the longest step.
 _FORETOLD, _LONGEST, _SHORTEST = 1e-3, 0.25, 1e-7
 _MOST_NODES = 20_000
+# Right in a dead point, where a step is a rounding error's root, or next to it.
+_AT_REST = 1e-5
+# Determinants above this are far from dead points.
+_EASY = 0.05
 
 
 class DeadPoint(NamedTuple):
@@ -27,13 +32,15 @@ class DeadPoint(NamedTuple):
     Where the loops do not determine the motion: at the input `at`, with all variables `values`.
 
     `values` is (n,). `turns_back` tells whether the input ends here (a limit, a dead point) or goes
-    on (a change point); `moving` names the variables that move while the input stands still.
+    on (a change point); `moving` names the variables that move while the input stands still, and
+    `loop` the joints, or vectors, of the loops that let them.
     """
 
     at: float
     values: Real
     turns_back: bool
     moving: tuple[str, ...]
+    loop: tuple[str, ...]
 
 
 class Path(NamedTuple):
@@ -62,9 +69,9 @@ class Path(NamedTuple):
 Inputs = Callable[[Real], Real]
 
 
-def unit_input(at: Real) -> Real:
-    """An input (5, 1, T) that is its own parameter: the values `at` (T,), rate 1, no more."""
-    inputs = np.zeros((5, 1, len(at)))
+def unit_input(at: Real, orders: int = 5) -> Real:
+    """An input (orders, 1, T) that is its own parameter: the values `at` (T,), rate 1, no more."""
+    inputs = np.zeros((max(2, orders), 1, len(at)))
     inputs[0, 0], inputs[1] = at, 1.0
     return inputs
 
@@ -90,9 +97,11 @@ def trace(
         raise LinkageError(
             f'the loops do not close at {start:.6g}: check lengths, and the angles it starts from'
         )
-    if not first.regular[0]:
+    if not (np.abs(first.determinant[:, 0]) > _AT_REST).all():
+        loop = ', '.join(_loop(linkage, _flattest(first)))
         raise LinkageError(
-            f'{start:.6g} is a dead point, from which it is not known where to go: start beside it'
+            f'{start:.6g} is a dead point of the loop {loop}, from which it is not known where to '
+            'go: start beside it'
         )
     scale = _scales(linkage, first.values[0, :, 0])
     period, winding = 0.0, np.zeros(len(guess))
@@ -128,10 +137,11 @@ def trace(
 
 class Table(NamedTuple):
     """
-    Where Newton's method starts from: nodes of a path so close together that one step is left.
+    Guesses for `solve`: nodes of a path so close together that one step of Newton's method is left.
 
-    `inputs` (K,) between the nodes, and in `values` (4, unknowns, K) the unknowns and their
-    derivatives; `period` and `winding` as in Path.
+    `inputs` (K,), `between` the nodes, and in `values` (orders, unknowns, K) the unknowns and their
+    derivatives: three, or one where all loops are dyads, which need but a rough guess, and far from
+    dead points. `period` and `winding` as in Path.
     """
 
     between: Real
@@ -155,10 +165,12 @@ def tabulate(linkage: Linkage, path: Path, inputs: Inputs = unit_input) -> Table
     found = solve(linkage, inputs(at), np.asarray(guess), 4)
     good, rows = found.regular, list(linkage.unknown)
     at = at[good]
+    easy = all(block.dyad for block in linkage.blocks)
+    easy &= bool((np.abs(found.determinant) > _EASY).all())
     return Table(
         (at[1:] + at[:-1]) / 2,
         at,
-        np.ascontiguousarray(found.values[:, rows][:, :, good]),
+        np.ascontiguousarray(found.values[: 2 if easy else 4, rows][:, :, good]),
         path.period,
         path.winding[rows],
     )
@@ -173,8 +185,8 @@ def foretell(table: Table, at: Real) -> Real:
     node = np.searchsorted(table.between, at)
     # No farther than the nodes go: a value beyond a limit does not close, and is found out.
     step = np.clip(at - table.inputs[node], -_LONGEST, _LONGEST)
-    found = table.values[3].take(node, axis=1)
-    for k in (2, 1, 0):
+    found = table.values[-1].take(node, axis=1)
+    for k in reversed(range(len(table.values) - 1)):
         found *= step * (1 / (k + 1))
         found += table.values[k].take(node, axis=1)
     if turns is not None and table.winding.any():
@@ -231,9 +243,11 @@ def _locate(on: _Way, at: float, here: Solution) -> DeadPoint:
     There the input's derivative vanishes, by that variable, and Newton's method finds it.
     """
     linkage = on.linkage
+    loop = _loop(linkage, _flattest(here))
     fast = int(np.abs(here.values[1, :, 0]).argmax())
+    near = DeadPoint(at, here.values[0, :, 0], True, (linkage.loops.variables[fast],), loop)
     if on.inputs is not unit_input:
-        return DeadPoint(at, here.values[0, :, 0], True, (linkage.loops.variables[fast],))
+        return near
     other, place = _driven_by(linkage, fast)
     x, values = here.values[0, fast, 0], here.values[0, :, 0]
     for _ in range(50):
@@ -249,8 +263,8 @@ def _locate(on: _Way, at: float, here: Solution) -> DeadPoint:
     found = solve(other, unit_input(np.array([x])), values[:, None])
     if found.regular[0]:
         values = found.values[0, :, 0]
-        return DeadPoint(float(place @ values), values, True, _moving(linkage, found))
-    return DeadPoint(at, here.values[0, :, 0], True, (linkage.loops.variables[fast],))
+        return DeadPoint(float(place @ values), values, True, _moving(linkage, found), loop)
+    return near
 
 
 def _crossing(on: _Way, low: float, here: Solution, high: float) -> DeadPoint:
@@ -263,6 +277,7 @@ def _crossing(on: _Way, low: float, here: Solution, high: float) -> DeadPoint:
     linkage = on.linkage
     after = on.at(high, _taylor(here, high - low))
     block = int(np.argmax(here.determinant[:, 0] * after.determinant[:, 0] < 0))
+    moving, loop = _names(linkage, block), _loop(linkage, block)
     share = here.determinant[block, 0] / (here.determinant[block, 0] - after.determinant[block, 0])
     middle = low + share * (high - low)
     # An even number of them: none at the middle.
@@ -284,10 +299,8 @@ def _crossing(on: _Way, low: float, here: Solution, high: float) -> DeadPoint:
         values = np.polynomial.chebyshev.chebfit(x, found.values[0].T, 13)
         middle, place = middle + reach * root, np.polynomial.chebyshev.chebval(root, values)
     else:
-        return DeadPoint(float(middle), place, False, tuple(_names(linkage, block)))
-    return DeadPoint(
-        float(middle), _taylor(here, middle - low), False, tuple(_names(linkage, block))
-    )
+        return DeadPoint(float(middle), place, False, moving, loop)
+    return DeadPoint(float(middle), _taylor(here, middle - low), False, moving, loop)
 
 
 def _driven_by(linkage: Linkage, variable: int) -> tuple[Linkage, Real]:
@@ -304,9 +317,20 @@ def _moving(linkage: Linkage, found: Solution) -> tuple[str, ...]:
 
 
 def _names(linkage: Linkage, block: int) -> tuple[str, ...]:
-    unknown = linkage.blocks[block][1]
+    unknown = linkage.blocks[block].unknown
     rows = linkage.free[:, list(unknown)]
     return tuple(n for n, row in zip(linkage.loops.variables, rows, strict=True) if row.any())
+
+
+def _loop(linkage: Linkage, block: int) -> tuple[str, ...]:
+    """The joints, or vectors, of a block's loops, each once."""
+    around = [linkage.loops.around[loop] for loop in linkage.blocks[block].loops]
+    return tuple(dict.fromkeys(name for names in around for name in names))
+
+
+def _flattest(here: Solution) -> int:
+    """The block next to a dead point."""
+    return int(np.abs(here.determinant[:, 0]).argmin())
 
 
 def _taylor(here: Solution, step: float) -> Real:

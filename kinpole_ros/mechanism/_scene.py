@@ -30,12 +30,12 @@ from kinpole_ros.mechanism._mechanism import Driver, Mechanism
 from kinpole_ros.mechanism._motions import BodyMotion
 from kinpole_ros.mechanism._share import share_folder
 from kinpole_ros.mechanism._start import close_near, mobility, start_near
-from kinpole_ros.mechanism._statics import Force, Load, Torque
+from kinpole_ros.mechanism._statics import Force, Holder, Load, Torque
 from kinpole_ros.mechanism._units import SceneError, quantity, vector
 from kinpole_ros.mechanism._vectors import read_vectors
 
 _GRAVITY = 9.80665
-_EITHER = ('drivers', 'start', 'loads', 'markers')
+_EITHER = ('drivers', 'start', 'loads', 'held_by', 'markers')
 _RATE_EXAMPLE = '{drive: crank, rate: 1 rev/s, start: 0 deg}'
 
 
@@ -48,7 +48,8 @@ class Scene:
     `motion(t)` takes times of any shape (...), in s, and returns the BodyMotion of every body by
     name, arrays (5, ...) in the ground's frame; it raises SceneError for a time at which the
     mechanism cannot follow its drivers. `points` maps names ('coupler.P', or of the loop form 'P')
-    to the body and the place in its frame (complex, m); `loads` are those on it (N, N m).
+    to the body and the place in its frame (complex, m); `loads` are those on it (N, N m), and
+    `held_by` what is asked to balance them, if that is not the drivers.
     """
 
     name: str
@@ -58,6 +59,7 @@ class Scene:
     mechanism: Mechanism
     points: Points
     loads: tuple[Load, ...]
+    held_by: Holder | None
 
 
 class _Driven(NamedTuple):
@@ -123,6 +125,11 @@ def _scene(path: Path, data: Any) -> Scene:
     mechanism = Mechanism(assembly, drivers, start)
     _check_range(mechanism, driven)
     loads = _loads(data.get('loads'), points, assembly.bodies)
+    held_by = _held_by(data['held_by'], points, assembly.bodies) if 'held_by' in data else None
+    if held_by and (not loads or len(drivers) != 1):
+        raise SceneError(
+            "'held_by' holds the loads instead of the one driver: give loads, and one driver"
+        )
     markers = _markers(data.get('markers'), assembly.bodies)
     return Scene(
         name=path.stem,
@@ -135,6 +142,7 @@ def _scene(path: Path, data: Any) -> Scene:
         mechanism=mechanism,
         points=points,
         loads=loads,
+        held_by=held_by,
     )
 
 
@@ -300,7 +308,7 @@ def _check_range(mechanism: Mechanism, driven: list[_Driven]) -> None:
     if path.period or (reach[0] <= low + slack and reach[1] >= high - slack):
         return
     dead = next((dead for dead in path.dead_points if dead.turns_back), None)
-    why = '' if dead is None else f', a dead point where only {", ".join(dead.moving)} can move'
+    why = '' if dead is None else f', a dead point of the loop {", ".join(dead.loop)}'
     raise SceneError(
         f"'drivers' ask for {unit}{low:.6g} to {high:.6g}, but the linkage goes from "
         f'{reach[0]:.6g} to {reach[1]:.6g}{why}: drive it less far, or change lengths'
@@ -343,6 +351,26 @@ def _loads(said: Any, points: Points, bodies: tuple[str, ...]) -> tuple[Load, ..
             force = vector(f'{where}: force', one['force'], 'force')
         loads.append(Force(body, place, force))
     return tuple(loads)
+
+
+def _held_by(said: Any, points: Points, bodies: tuple[str, ...]) -> Holder:
+    where, example = "'held_by'", '{at: bar.P, along: 90 deg, of: bar} or {on: bar}'
+    mapping(where, said, example)
+    for key in ('on', 'of'):
+        if key in said and said[key] not in (*bodies, *([GROUND] if key == 'of' else [])):
+            raise SceneError(
+                f'{where}: {key} is {said[key]!r}: give a moving body, one of {", ".join(bodies)}'
+            )
+    if 'on' in said:
+        refuse_unknown(f'{where}, a torque', said, ('on',))
+        return Holder(said['on'])
+    refuse_unknown(where, said, ('at', 'along', 'of'))
+    need(where, said, ('at', 'along'), example)
+    body, place = named_point(f'{where}: at', said['at'], points)
+    if body == GROUND:
+        raise SceneError(f'{where}: at is {said["at"]!r} on the ground: hold a moving body')
+    along = quantity(f'{where}: along', said['along'], 'angle')
+    return Holder(body, place, along, said.get('of', GROUND))
 
 
 def _markers(said: Any, bodies: tuple[str, ...]) -> dict[str, dict[str, complex]]:

@@ -1,11 +1,8 @@
 """
-Forces in a linkage that moves slowly: efforts that balance its loads, and what its joints bear.
+Efforts that balance the loads of a linkage that moves slowly, by virtual work.
 
 No power is made or lost: loads and drivers together do no work in any motion the joints allow (seed
-003, virtual work), which gives the efforts without a word on the joints. What a joint bears follows
-in two ways that share the position only: from the multipliers of the constraints in absolute
-coordinates (x, y, θ of each body), and by giving way in one constraint at a time and asking for the
-work done in the motion so freed.
+003), which gives the efforts without a word on what the joints bear (`_reactions`).
 """
 
 from collections.abc import Sequence
@@ -14,24 +11,15 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from kinpole_ros.mechanism._assembly import (
-    GROUND,
-    Assembly,
-    Joint,
-    Revolute,
-    Rolling,
-    Slot,
-    Strut,
-    assemble,
-)
-from kinpole_ros.mechanism._loops import Linkage, LinkageError, reduce
+from kinpole_ros.mechanism._assembly import GROUND, Assembly
+from kinpole_ros.mechanism._loops import Linkage, LinkageError
 from kinpole_ros.mechanism._mechanism import Mechanism
 from kinpole_ros.planar._plane import ROUNDING, Complex, Real
 
 # Next to a dead point positions are off by rounding over the least singular value, and so is that
 # value: below the root of rounding it cannot be told from zero.
-_LOST = np.sqrt(ROUNDING)
-# A constraint with less than this share in a state of self-stress has none.
+LOST = np.sqrt(ROUNDING)
+# What could move by less than this share does not.
 _NO_SHARE = 1e-6
 
 
@@ -55,6 +43,18 @@ Load = Force | Torque
 Port = Force | Torque | str
 
 
+class Holder(NamedTuple):
+    """
+    What holds the loads instead of a driver: a force on `body` at `point` of its frame (m) in the
+    direction `along` (rad) as seen from the body `of`; or, if `point` is None, a torque on `body`.
+    """
+
+    body: str
+    point: complex | None = None
+    along: float = 0.0
+    of: str = GROUND
+
+
 class Efforts(NamedTuple):
     """
     What the drivers exert to balance the loads.
@@ -66,43 +66,6 @@ class Efforts(NamedTuple):
     effort: Real
     share: Real
     determined: np.ndarray
-
-
-class Reactions(NamedTuple):
-    """
-    What the joints (J) bear and the drivers (d) exert, at T positions.
-
-    All forces, N, are those that the joint's body `one` exerts on its body `other`, acting at `at`
-    (J, T) complex, m: the pin, or the point of contact. `axis` (J, T) is the joint's own direction,
-    complex of length 1: of the slot, the strut or the tangent, with the wheel to its left. `along`
-    it (J, T) there is the friction of a wheel or the thrust of a strut, `across`, 90 degrees to the
-    left, the normal force, of a wheel positive if it is pressed on. `moment` (J, T), N m, about
-    `at` is borne by prismatic joints only. What a driver exerts is in `effort` (d, T) alone, as in
-    Efforts, but for struts, whose force it is.
-
-    NaN where `determined` (T,) is not, and where joints share a load in a way that statics alone
-    does not tell; `undetermined` says why. A pin's axis is the ground's x, or that of what cannot
-    be told, so that its `across` can.
-    """
-
-    joints: tuple[str, ...]
-    along: Real
-    across: Real
-    moment: Real
-    at: Complex
-    axis: Complex
-    effort: Real
-    determined: np.ndarray
-
-    @property
-    def force(self) -> Complex:
-        """The whole force (J, T), complex, in the ground's axes; NaN if a part of it is."""
-        return np.asarray((self.along + 1j * self.across) * self.axis)
-
-    @property
-    def unique(self) -> np.ndarray:
-        """Where (J, T) statics alone tells all that a joint bears."""
-        return np.isfinite(self.along + self.across + self.moment)
 
 
 def balance(
@@ -126,7 +89,7 @@ def efforts(mechanism: Mechanism, values: Real, loads: Sequence[Load]) -> Effort
 
     Raises LinkageError for a load on a body that is not there.
     """
-    _check(mechanism, loads)
+    check_loads(mechanism, loads)
     drivers, count = len(mechanism.drivers), values.shape[1]
     share = np.zeros((len(loads), drivers, count))
     determined = np.zeros((drivers, count), bool)
@@ -134,9 +97,37 @@ def efforts(mechanism: Mechanism, values: Real, loads: Sequence[Load]) -> Effort
         moving = _driven(mechanism, values, k)
         determined[k] = moving.known
         for share_of, load in zip(share, loads, strict=True):
-            share_of[k] = np.where(moving.known, -_power(mechanism, load, moving), np.nan)
+            share_of[k] = np.where(moving.known, -power_of(mechanism, load, moving), np.nan)
     effort = np.where(determined, share.sum(axis=0), np.nan)
     return Efforts(effort, share, determined)
+
+
+def holding(
+    mechanism: Mechanism, values: Real, loads: Sequence[Load], holder: Holder
+) -> tuple[Real, Load]:
+    """
+    What `holder` exerts (T,), N or N m, to balance `loads` with the one driver free; and as a load.
+
+    By virtual work in the motion of the driver. NaN at dead points, and where the holder does not
+    move along itself. Raises LinkageError for another number of drivers, or a body not there.
+    """
+    if len(mechanism.drivers) != 1:
+        raise LinkageError(
+            f'{len(mechanism.drivers)} drivers cannot be replaced by what holds {holder.body}: '
+            'leave one of them'
+        )
+    unit: Load = Torque(holder.body, 1.0)
+    if holder.point is not None:
+        turns = dict(zip(mechanism.bodies, mechanism.assembly.turns @ values, strict=True))
+        way = np.exp(1j * (holder.along + turns.get(holder.of, np.zeros(values.shape[1]))))
+        unit = Force(holder.body, holder.point, way)
+    share = efforts(mechanism, values, [unit, *loads]).share[:, 0]
+    with np.errstate(divide='ignore', invalid='ignore'):
+        size = -share[1:].sum(axis=0) / share[0]
+    size = np.where(np.isfinite(size), size, np.nan)
+    if isinstance(unit, Force):
+        return size, unit._replace(force=size * unit.force)
+    return size, unit._replace(torque=size)
 
 
 def advantage(mechanism: Mechanism, values: Real, into: Port, out: Port) -> Real:
@@ -159,7 +150,7 @@ def advantage(mechanism: Mechanism, values: Real, into: Port, out: Port) -> Real
         )
     k = names.index(into) if isinstance(into, str) and into in names else 0
     moving = _driven(mechanism, values, k)
-    length = _length(mechanism.assembly, values)
+    length = largest_length(mechanism.assembly, values)
     fastest = np.maximum(np.abs(moving.velocity), np.abs(moving.omega) * length).max(axis=0)
     rates = []
     for port in (into, out):
@@ -168,7 +159,7 @@ def advantage(mechanism: Mechanism, values: Real, into: Port, out: Port) -> Real
                 raise LinkageError(f'no driver {port}: there are {", ".join(names)}')
             rates.append(np.full(len(moving.known), float(names.index(port) == k)))
             continue
-        _check(mechanism, [port])
+        check_loads(mechanism, [port])
         if isinstance(port, Force):
             size = np.abs(port.force)
             if not np.all(size > 0):
@@ -176,335 +167,12 @@ def advantage(mechanism: Mechanism, values: Real, into: Port, out: Port) -> Real
             port, least = port._replace(force=port.force / size), fastest
         else:
             port, least = port._replace(torque=1.0), fastest / length
-        rate = _power(mechanism, port, moving)
+        rate = power_of(mechanism, port, moving)
         rates.append(np.where(np.abs(rate) > ROUNDING * least, rate, 0.0))
     with np.errstate(divide='ignore', invalid='ignore'):
         ratio = rates[0] / rates[1]
     # The sign of an infinite advantage is that of a rounding error: there is none.
     return np.where(moving.known, np.where(np.isinf(ratio), np.inf, ratio), np.nan)
-
-
-def reactions(mechanism: Mechanism, values: Real, loads: Sequence[Load]) -> Reactions:
-    """
-    What each joint bears at variables (n, T): the multipliers λ of the constraint Jacobian A.
-
-    With the loads Q in absolute coordinates, A^T λ = -Q: one row of A for each direction in which a
-    joint holds, and one for each driver. Raises LinkageError for a linkage given by vectors alone,
-    which has no joints, or a load on a body that is not there.
-    """
-    _check(mechanism, loads)
-    system = _system(mechanism, values)
-    u, s, vt = system.svd
-    applied = system.pull(loads, mechanism) / system.column[:, None]
-    determined = system.rank == len(system.column)
-    along = _inverse(s) * (vt @ applied.T[..., None])[..., 0][:, : s.shape[1]]
-    found = -(u[:, :, : s.shape[1]] @ along[..., None])[..., 0].T / system.size
-    for first in system.pins:
-        pin = (found[first] + 1j * found[first + 1]) * system.axis[system.rows[first][0]].conj()
-        found[first], found[first + 1] = pin.real, pin.imag
-    found[system.stress > _NO_SHARE] = np.nan
-    found[:, ~determined] = np.nan
-    parts = np.zeros((3, len(system.at), values.shape[1]))
-    parts[:, :, ~determined] = np.nan
-    for (k, part), row in zip(system.rows, found, strict=False):
-        parts[part, k] = row
-    return _reactions(mechanism, values, system, parts, found[len(system.rows) :], determined)
-
-
-def freed_reactions(mechanism: Mechanism, values: Real, loads: Sequence[Load]) -> Reactions:
-    """
-    The same as `reactions`, found by freeing one constraint at a time (seed 003).
-
-    Each joint is put on a carriage that can slide on the body `one`; at unit rate of that slide,
-    all drivers held, the loads do work that only the freed reaction balances. The motion is that of
-    the loops of the linkage so changed. Takes a solution for each constraint.
-    """
-    _check(mechanism, loads)
-    system = _system(mechanism, values)
-    total = efforts(mechanism, values, loads)
-    parts = np.zeros((3, len(system.at), values.shape[1]))
-    for k, part in system.rows:
-        way = None if part == 2 else 1j**part * system.axis[k]
-        parts[part, k] = _freed(mechanism, values, loads, system, k, way)
-    held = _held(mechanism, values).known
-    parts[:, :, ~held] = np.nan
-    return _reactions(mechanism, values, system, parts, total.effort, held)
-
-
-def undetermined(mechanism: Mechanism, values: Real) -> tuple[str, ...]:
-    """Why efforts or reactions are NaN at one position (n,): a line each, none if they are not."""
-    here = np.asarray(values, float)[:, None]
-    if not np.isfinite(here).all():
-        return ('the loops do not close here: no forces without a position',)
-    loose = _held(mechanism, here).loose[:, 0]
-    variables = mechanism.assembly.loops.variables
-    names = ', '.join(name for name, is_so in zip(variables, loose, strict=True) if is_so)
-    dead = f'dead point of the loop of {names}' if names else 'dead point'
-    drivers = ', '.join(driver.name for driver in mechanism.drivers) or 'nothing'
-    open_ended = f'{drivers} cannot hold it there, and no effort balances every load'
-    joints = mechanism.assembly.joints
-    if not joints:
-        return (f'{dead}: {open_ended}',) if names else ()
-    system = _system(mechanism, here)
-    stressed = system.stress[:, 0] > _NO_SHARE
-    rows = zip(system.rows, stressed, strict=False)
-    shared = ', '.join(dict.fromkeys(joints[k].name for (k, _), is_so in rows if is_so))
-    if names or system.rank[0] < len(system.column):
-        where = f', in the joints {shared}' if shared else ''
-        return (f'{dead}{where}: {open_ended}',)
-    if not stressed.any():
-        return ()
-    held = [
-        driver.name
-        for driver, is_so in zip(mechanism.drivers, stressed[len(system.rows) :], strict=True)
-        if is_so
-    ]
-    more = f', nor are the efforts of {", ".join(held)}' if held else ', the efforts are'
-    return (
-        f'overconstrained: the reactions in the joints {shared} are not unique{more}; how they '
-        'share a load is a matter of stiffness and fit',
-    )
-
-
-class _Frame(NamedTuple):
-    """Poses of all bodies, the ground among them: origin and angle (T,) by name."""
-
-    origin: dict[str, Complex]
-    angle: dict[str, Real]
-
-    def at(self, body: str, point: complex) -> Complex:
-        return np.asarray(self.origin[body] + point * np.exp(1j * self.angle[body]))
-
-
-class _System(NamedTuple):
-    """
-    The constraint Jacobian at T positions, made dimensionless, and its singular values.
-
-    `rows` are (joint, part), 0 for along, 1 for across, 2 for the moment, before those of the
-    drivers; the two rows of `pins`, by their first, are along the ground's axes. `size` (R, T) and
-    `column` (3B,) are what rows and columns were divided by; `svd` is that of the stack (T, R, 3B).
-    `stress` (R, T) is the share of each reaction, with pins in their axes as in Reactions, in what
-    the joints can bear with no load at all.
-    """
-
-    frame: _Frame
-    rows: list[tuple[int, int]]
-    pins: list[int]
-    at: Complex
-    axis: Complex
-    size: Real
-    column: Real
-    svd: tuple[Real, Real, Real]
-    rank: np.ndarray
-    stress: Real
-
-    def pull(self, loads: Sequence[Load], mechanism: Mechanism) -> Real:
-        """The loads in absolute coordinates (3B, T)."""
-        total = np.zeros((len(self.column), self.at.shape[1]))
-        for load in loads:
-            if isinstance(load, Force):
-                at, force = self.frame.at(load.body, load.point), np.asarray(load.force, complex)
-                total += _row(mechanism.bodies, self.frame, GROUND, load.body, at, force)
-            else:
-                total += _turn_row(
-                    mechanism.bodies, GROUND, load.body, total.shape[1]
-                ) * np.asarray(load.torque)
-        return total
-
-
-def _system(mechanism: Mechanism, values: Real) -> _System:
-    """The rows of all joints and drivers, and what they determine."""
-    joints, bodies = _joints(mechanism), mechanism.bodies
-    frame = _frame(mechanism.assembly, values)
-    count = values.shape[1]
-    at = np.zeros((len(joints), count), complex)
-    axis = np.ones((len(joints), count), complex)
-    rows: list[tuple[int, int]] = []
-    matrix: list[Real] = []
-    for k, joint in enumerate(joints):
-        at[k], axis[k] = _place(mechanism, frame, values, joint)
-        for part in {Revolute: (0, 1), Slot: (1,), Rolling: (0, 1), Strut: ()}[type(joint)]:
-            rows.append((k, part))
-            way = 1j**part * axis[k]
-            matrix.append(_row(bodies, frame, joint.one, joint.other, at[k], way))
-        if isinstance(joint, Slot) and joint.turned is not None:
-            rows.append((k, 2))
-            matrix.append(_turn_row(bodies, joint.one, joint.other, count))
-    names = mechanism.assembly.loops.variables
-    variables = {
-        name: _variable(mechanism, frame, values, name, at, axis)
-        for name, used in zip(names, _rows(mechanism).any(axis=0), strict=True)
-        if used
-    }
-    for driver in mechanism.drivers:
-        parts = [driver.row[names.index(name)] * row for name, row in variables.items()]
-        matrix.append(np.asarray(sum(parts)))
-    column = np.ones(3 * len(bodies))
-    column[2 * len(bodies) :] = _length(mechanism.assembly, values)
-    scaled = np.array(matrix) / column[:, None]
-    size = np.sqrt((scaled**2).sum(axis=1))
-    u, s, vt = _svd(scaled / size[:, None])
-    rank = (s > _LOST * s[:, :1]).sum(axis=1)
-    beyond = np.arange(u.shape[2]) >= rank[:, None]
-    free = np.moveaxis(np.where(beyond[:, None, :], u, 0.0), 0, -1)
-    stress = np.sqrt((free**2).sum(axis=1))
-    pins = [r for r, (k, part) in enumerate(rows) if isinstance(joints[k], Revolute) and not part]
-    for first in pins:
-        # The main axis of the forces a pin can bear with no load, and what is left across it.
-        with np.errstate(invalid='ignore'):
-            bears = free[first] / size[first] + 1j * free[first + 1] / size[first + 1]
-        main = (bears**2).sum(axis=0)
-        way = np.where(np.abs(main) > _NO_SHARE**2, np.exp(0.5j * np.angle(main)), 1.0)
-        axis[rows[first][0]] = way
-        turned = bears * way.conj()
-        stress[first] = np.sqrt((turned.real**2).sum(axis=0))
-        stress[first + 1] = np.sqrt((turned.imag**2).sum(axis=0))
-    return _System(frame, rows, pins, at, axis, size, column, (u, s, vt), rank, stress)
-
-
-def _place(
-    mechanism: Mechanism, frame: _Frame, values: Real, joint: Joint
-) -> tuple[Complex, Complex]:
-    """Where the joint's force acts, and the joint's own direction (T,)."""
-    pin = frame.at(joint.other, joint.b)
-    if isinstance(joint, Revolute):
-        return pin, np.ones_like(pin)
-    if isinstance(joint, Strut):
-        return pin, np.exp(1j * _value(mechanism, values, f'{joint.name}.angle'))
-    if isinstance(joint, Rolling) and joint.circle:
-        normal = np.exp(1j * _value(mechanism, values, joint.name))
-        return pin - joint.radius * normal, -1j * normal
-    along = np.exp(1j * (frame.angle[joint.one] + joint.along))
-    return (pin - 1j * joint.radius * along if isinstance(joint, Rolling) else pin), along
-
-
-def _variable(
-    mechanism: Mechanism, frame: _Frame, values: Real, name: str, at: Complex, axis: Complex
-) -> Real:
-    """The rate of a variable, as a row (3B, T) times the rates of the absolute coordinates."""
-    bodies, count = mechanism.bodies, values.shape[1]
-    if name in bodies:
-        return _turn_row(bodies, GROUND, name, count)
-    for k, joint in enumerate(mechanism.assembly.joints):
-        if isinstance(joint, Revolute) or name not in (joint.name, f'{joint.name}.angle'):
-            continue
-        hub = frame.at(joint.other, joint.b)
-        if isinstance(joint, Rolling) and joint.circle:
-            across, arm = -axis[k], np.full(count, joint.circle + joint.radius)
-        elif name != joint.name:
-            across, arm = 1j * axis[k], _value(mechanism, values, joint.name)
-        else:
-            return _row(bodies, frame, joint.one, joint.other, hub, axis[k])
-        # What an arm on `one` turns, as seen from `one`, and with it.
-        seen = _row(bodies, frame, joint.one, joint.other, hub, across) / arm
-        return seen + _turn_row(bodies, GROUND, joint.one, count)
-    raise LinkageError(f'{name} belongs to no body or joint: what drives it has no reaction')
-
-
-def _row(
-    bodies: Sequence[str], frame: _Frame, one: str, other: str, at: Complex, along: Complex
-) -> Real:
-    """Rate (3B, T) at which the point `at` of `other` leaves that of `one` in a direction."""
-    count = len(at)
-    row = np.zeros((3, len(bodies), count))
-    for body, sign in ((one, -1.0), (other, 1.0)):
-        if body != GROUND:
-            b = bodies.index(body)
-            arm = at - frame.origin[body]
-            row[:, b] += sign * np.stack(
-                np.broadcast_arrays(along.real, along.imag, (arm.conj() * along).imag)
-            )
-    return row.reshape(3 * len(bodies), count)
-
-
-def _turn_row(bodies: Sequence[str], one: str, other: str, count: int) -> Real:
-    """Rate (3B, T) at which `other` turns as seen from `one`."""
-    row = np.zeros((3, len(bodies), count))
-    for body, sign in ((one, -1.0), (other, 1.0)):
-        if body != GROUND:
-            row[2, bodies.index(body)] += sign
-    return row.reshape(3 * len(bodies), count)
-
-
-def _reactions(
-    mechanism: Mechanism,
-    values: Real,
-    system: _System,
-    parts: Real,
-    effort: Real,
-    determined: np.ndarray,
-) -> Reactions:
-    """Put together what joints bear (3, J, T), and what drivers exert through struts."""
-    joints = mechanism.assembly.joints
-    names, rows = mechanism.assembly.loops.variables, _rows(mechanism)
-    for k, joint in enumerate(joints):
-        if isinstance(joint, Strut):
-            length = _value(mechanism, values, joint.name)
-            for part, name, arm in ((0, joint.name, 1.0), (1, f'{joint.name}.angle', length)):
-                weight = rows[:, names.index(name)]
-                if weight.any():
-                    parts[part, k] += weight[weight != 0] @ effort[weight != 0] / arm
-    return Reactions(
-        tuple(joint.name for joint in joints),
-        parts[0],
-        parts[1],
-        parts[2],
-        system.at,
-        system.axis,
-        effort,
-        determined,
-    )
-
-
-def _freed(
-    mechanism: Mechanism,
-    values: Real,
-    loads: Sequence[Load],
-    system: _System,
-    k: int,
-    way: Complex | None,
-) -> Real:
-    """What joint k bears (T,) along `way` (T,), in the ground's axes, or as a moment for None."""
-    old, count, drivers = mechanism.assembly, values.shape[1], len(mechanism.drivers)
-    joint, joints, bodies = old.joints[k], list(old.joints), list(old.bodies)
-    # What is driven beside the drivers: at which rate, and variables with their weights.
-    freed: list[tuple[Real, dict[str, float]]]
-    slides, carriages = (f'{k} x', f'{k} y'), (f'{k} carriage x', f'{k} carriage y')
-    if way is None:
-        assert isinstance(joint, Slot)
-        joints[k] = joint._replace(turned=None)
-        freed = [(np.ones(count), {joint.other: 1.0, joint.one: -1.0})]
-    else:
-        joints[k] = joint._replace(one=carriages[1])
-        bodies += carriages
-        below = (joint.one, carriages[0])
-        for slide, one, other, turn in zip(slides, below, carriages, (0.0, np.pi / 2), strict=True):
-            joints.append(Slot(slide, one, 0j, turn, other, 0j, 0.0))
-        seen = way * np.exp(-1j * system.frame.angle[joint.one])
-        freed = [(seen.real, {slides[0]: 1.0}), (seen.imag, {slides[1]: 1.0})]
-    new = assemble(bodies, joints)
-    names = new.loops.variables
-    kept = [names.index(name) for name in old.loops.variables]
-    here = np.zeros((len(names), count))
-    here[kept] = values
-    here[[names.index(name) for name in bodies[len(old.bodies) :]]] = system.frame.angle[joint.one]
-    rows = np.zeros((drivers + len(freed), len(names)))
-    rows[:drivers, kept] = _rows(mechanism)
-    rates = np.zeros((len(rows), count))
-    for row, (rate, weights) in enumerate(freed, start=drivers):
-        rates[row] = rate
-        for name in set(weights) - {GROUND}:
-            rows[row, names.index(name)] = weights[name]
-    if way is not None and not isinstance(joint, Revolute):
-        # A slide is now that on the carriage; drivers hold the whole.
-        slid = (way * system.axis[k].conj()).real
-        if isinstance(joint, Rolling) and joint.circle:
-            slid = -slid / (joint.circle + joint.radius)
-        rates[:drivers] = -rows[:drivers, [names.index(joint.name)]] * slid
-    moving = _move(reduce(new.loops._replace(drives=rows)), new, here, rates)
-    # The carriages come last, and bear no load.
-    powers = [_power(mechanism, load, moving) for load in loads]
-    return np.where(moving.known, -np.asarray(sum(powers, start=np.zeros(count))), np.nan)
 
 
 class _Moving(NamedTuple):
@@ -522,14 +190,14 @@ class _Moving(NamedTuple):
     loose: np.ndarray
 
 
-def _move(linkage: Linkage, assembly: Assembly, values: Real, rates: Real) -> _Moving:
+def let_move(linkage: Linkage, assembly: Assembly, values: Real, rates: Real) -> _Moving:
     """
     Let the drivers move at `rates` (d, T), at variables (n, T) that close the loops.
 
     Linear in the rates, so nothing is searched for: dead points stay where they are.
     """
     loops, unknowns = linkage.loops, linkage.free.shape[1]
-    length, turn = _terms(assembly, values)
+    length, turn = vectors_at(assembly, values)
     arm = 1j * length * turn
     # The terms' derivatives by what is unknown, and all that does not hold it.
     by = (loops.lengths @ linkage.free)[:, :, None] * turn[:, None]
@@ -545,12 +213,12 @@ def _move(linkage: Linkage, assembly: Assembly, values: Real, rates: Real) -> _M
         matrix = np.concatenate((columns.real, columns.imag))
         size = np.sqrt((matrix**2).sum(axis=0))
         size[~(size > 0)] = 1.0
-        u, s, vt = _svd(matrix / size)
+        u, s, vt = stacked_svd(matrix / size)
         along = u.swapaxes(1, 2) @ np.concatenate((gap.real, gap.imag)).T[..., None]
         most = s.shape[1]
-        across = _inverse(s)[..., None] * along[:, :most]
+        across = inverse_values(s)[..., None] * along[:, :most]
         found = -(vt[:, :most].swapaxes(1, 2) @ across)[..., 0].T / size
-        rank = (s > _LOST * s[:, :1]).sum(axis=1)
+        rank = (s > LOST * s[:, :1]).sum(axis=1)
         known &= rank == unknowns
         free = np.where(np.arange(unknowns)[:, None] >= rank[:, None, None], vt, 0.0)
         moves = linkage.free @ (np.moveaxis(free, 0, -1) / size)
@@ -559,7 +227,7 @@ def _move(linkage: Linkage, assembly: Assembly, values: Real, rates: Real) -> _M
     with np.errstate(invalid='ignore'):
         # As the rates of least squares need not where constraints are too many.
         left = np.abs(loops.loops @ terms).max(axis=0, initial=0.0)
-        known &= left <= _LOST * np.abs(terms).max(axis=0, initial=0.0)
+        known &= left <= LOST * np.abs(terms).max(axis=0, initial=0.0)
     rate = linkage.free @ found + given
     return _Moving(
         assembly.turns @ values, assembly.places @ terms, assembly.turns @ rate, known, loose
@@ -570,29 +238,16 @@ def _driven(mechanism: Mechanism, values: Real, k: int) -> _Moving:
     """All bodies at unit rate of driver k, the others held."""
     rates = np.zeros((len(mechanism.drivers), values.shape[1]))
     rates[k] = 1.0
-    return _move(mechanism.linkage, mechanism.assembly, values, rates)
+    return let_move(mechanism.linkage, mechanism.assembly, values, rates)
 
 
-def _held(mechanism: Mechanism, values: Real) -> _Moving:
+def at_rest(mechanism: Mechanism, values: Real) -> _Moving:
     """No motion at all, and what could move even so."""
     rates = np.zeros((len(mechanism.drivers), values.shape[1]))
-    return _move(mechanism.linkage, mechanism.assembly, values, rates)
+    return let_move(mechanism.linkage, mechanism.assembly, values, rates)
 
 
-def _svd(matrix: Real) -> tuple[Real, Real, Real]:
-    """Singular values of (R, C, T), T first; all zero where a position is none."""
-    none = ~np.isfinite(matrix).all(axis=(0, 1))
-    u, s, vt = np.linalg.svd(np.moveaxis(np.where(none, 0.0, matrix), -1, 0))
-    return u, s, vt
-
-
-def _inverse(s: Real) -> Real:
-    """Inverses of singular values (T, K), zero for those that are zero but for rounding."""
-    with np.errstate(divide='ignore'):
-        return np.where(s > _LOST * s[:, :1], 1 / s, 0.0)
-
-
-def _power(mechanism: Mechanism, load: Load, moving: _Moving) -> Real:
+def power_of(mechanism: Mechanism, load: Load, moving: _Moving) -> Real:
     """Power (T,) of a load on bodies that move so."""
     if load.body == GROUND:
         return np.zeros(moving.omega.shape[1:])
@@ -605,49 +260,39 @@ def _power(mechanism: Mechanism, load: Load, moving: _Moving) -> Real:
     )
 
 
-def _terms(assembly: Assembly, values: Real) -> tuple[Real, Complex]:
+def stacked_svd(matrix: Real) -> tuple[Real, Real, Real]:
+    """Singular values of (R, C, T), T first; all zero where a position is none."""
+    none = ~np.isfinite(matrix).all(axis=(0, 1))
+    u, s, vt = np.linalg.svd(np.moveaxis(np.where(none, 0.0, matrix), -1, 0))
+    return u, s, vt
+
+
+def inverse_values(s: Real) -> Real:
+    """Inverses of singular values (T, K), zero for those that are zero but for rounding."""
+    with np.errstate(divide='ignore'):
+        return np.where(s > LOST * s[:, :1], 1 / s, 0.0)
+
+
+def vectors_at(assembly: Assembly, values: Real) -> tuple[Real, Complex]:
     """Lengths (terms, T) of the terms and their directions e^{iθ}."""
     loops = assembly.loops
     length = loops.lengths @ values + loops.length0[:, None]
     return length, np.exp(1j * (loops.angles @ values + loops.angle0[:, None]))
 
 
-def _frame(assembly: Assembly, values: Real) -> _Frame:
-    length, turn = _terms(assembly, values)
-    position, angle = assembly.places @ (length * turn), assembly.turns @ values
-    still = np.zeros(values.shape[1])
-    return _Frame(
-        {GROUND: still + 0j} | dict(zip(assembly.bodies, position, strict=True)),
-        {GROUND: still} | dict(zip(assembly.bodies, angle, strict=True)),
-    )
-
-
-def _length(assembly: Assembly, values: Real) -> float:
+def largest_length(assembly: Assembly, values: Real) -> float:
     """The linkage's largest length (m), to hold angles against."""
-    length = np.abs(_terms(assembly, values)[0])
+    length = np.abs(vectors_at(assembly, values)[0])
     return float(np.max(length, where=np.isfinite(length), initial=0.0)) or 1.0
 
 
-def _rows(mechanism: Mechanism) -> Real:
+def driver_rows(mechanism: Mechanism) -> Real:
     """The drivers' rows (d, n)."""
     rows = np.array([driver.row for driver in mechanism.drivers])
     return rows.reshape(-1, len(mechanism.start))
 
 
-def _value(mechanism: Mechanism, values: Real, name: str) -> Real:
-    return np.asarray(values[mechanism.assembly.loops.variables.index(name)])
-
-
-def _joints(mechanism: Mechanism) -> tuple[Joint, ...]:
-    if not mechanism.assembly.joints:
-        raise LinkageError(
-            'a linkage of vectors alone has no joints to bear anything: for reactions write it as '
-            'bodies and joints'
-        )
-    return mechanism.assembly.joints
-
-
-def _check(mechanism: Mechanism, loads: Sequence[Load]) -> None:
+def check_loads(mechanism: Mechanism, loads: Sequence[Load]) -> None:
     for load in loads:
         if load.body not in (*mechanism.bodies, GROUND):
             raise LinkageError(

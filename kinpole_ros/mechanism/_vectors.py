@@ -77,6 +77,7 @@ def read_vectors(
             np.zeros((0, count)),
             np.zeros(0),
             np.zeros((0, count)),
+            tuple(tuple(chain) for chain in sums),
         ),
         tuple(bodies),
         np.array([dense(tails[body]) for body in bodies]).reshape(-1, len(read)),

@@ -10,12 +10,14 @@ from kinpole_ros.messages._markers import (
     stamp_to_ns,
     to_message,
 )
+from kinpole_ros.messages._reader import MarkerReader
 from kinpole_ros.messages._results import Output, result_outputs
 
 __all__ = [
     'MARKER_TYPES',
     'ROS_TYPE_NAMES',
     'DiagnosticsMaker',
+    'MarkerReader',
     'MessageError',
     'Output',
     'ns_to_stamp',

@@ -4,6 +4,8 @@ A message comes from anywhere, so every size and offset is checked against the d
 before an array is made.
 """
 
+from typing import Any, NamedTuple
+
 import numpy as np
 from sensor_msgs.msg import PointCloud2, PointField
 from std_msgs.msg import Header
@@ -23,35 +25,86 @@ class MessageError(ValueError):
     """A message that cannot be read; the text names the field and says how to mend it."""
 
 
-def cloud_points(cloud: PointCloud2) -> np.ndarray:
-    """Positions in a cloud, row after row, as a new float64 array (n, 3), in m; no z reads as 0.
+class CloudPlaces(NamedTuple):
+    """
+    Where x, y and z are in the data of clouds of one layout.
+
+    `shape` is height and width, `strides` the bytes from row to row and point to point; `axes` the
+    type and offset of each coordinate, None for no z; `spacing` the bytes from one coordinate to
+    the next where they follow one another, else 0.
+    """
+
+    shape: tuple[int, int]
+    strides: tuple[int, int]
+    axes: tuple[tuple[str, int] | None, ...]
+    spacing: int
+
+    def points(self, data: Any, first: int = 0, count: int = 1, stride: int = 0) -> np.ndarray:
+        """
+        Positions (count, n, 3) in `count` clouds, row after row, as a new array.
+
+        The data of the clouds are `stride` bytes apart in the buffer `data`, from `first` on.
+        """
+        shape, strides = (count, *self.shape), (stride, *self.strides)
+        if not self.shape[0]:
+            return np.zeros((count, 0, 3))
+        if self.spacing:
+            assert self.axes[0] is not None
+            code, offset = self.axes[0]
+            steps = (*strides, self.spacing)
+            view = np.ndarray((*shape, 3), code, data, first + offset, steps)
+            if code.endswith('8'):
+                return view.astype(np.float64).reshape(count, -1, 3)
+            # A signaling NaN in the data is a marker not seen, not worth a warning.
+            with np.errstate(invalid='ignore'):
+                return view.astype(np.float64).reshape(count, -1, 3)
+        found = np.zeros((*shape, 3))
+        with np.errstate(invalid='ignore'):
+            for axis, place in enumerate(self.axes):
+                if place is not None:
+                    code, offset = place
+                    found[..., axis] = np.ndarray(shape, code, data, first + offset, strides)
+        return found.reshape(count, -1, 3)
+
+
+def cloud_places(cloud: PointCloud2) -> CloudPlaces:
+    """Where the coordinates of a cloud are; a cloud without z has 0 there.
 
     `is_dense` is not looked at, since some drivers set it wrongly. Raises MessageError when x or y
     is missing, when a field or size contradicts another, or when the data is too short.
     """
-    x, y, z = (_column(cloud, name, _FLOATS) for name in 'xyz')
+    x, y, z = (_place(cloud, name, _FLOATS) for name in 'xyz')
     if x is None or y is None:
         missing = 'x' if x is None else 'y'
         raise MessageError(f"PointCloud2 has no field '{missing}': publish x and y (and z)")
-    points = np.zeros((*x.shape, 3))
-    # A signaling NaN in the data is a marker not seen, not worth a warning.
-    with np.errstate(invalid='ignore'):
-        points[..., 0] = x
-        points[..., 1] = y
-        if z is not None:
-            points[..., 2] = z
-    return points.reshape(-1, 3)
+    spacing = y[1] - x[1]
+    if spacing <= 0 or y != (x[0], x[1] + spacing) or z != (x[0], y[1] + spacing):
+        spacing = 0
+    return CloudPlaces(_shape(cloud), (cloud.row_step, cloud.point_step), (x, y, z), spacing)
 
 
-def cloud_ids(cloud: PointCloud2) -> tuple[str, ...]:
-    """Integers of the field `id`, row after row, as strings. Raises MessageError without it."""
-    column = _column(cloud, 'id', _INTEGERS)
-    if column is None:
+def id_column(cloud: PointCloud2, data: Any, first: int = 0) -> np.ndarray:
+    """
+    View (height, width) of the integer field `id` in the data of a cloud of this layout.
+
+    They begin at `first` in the buffer `data`. Raises MessageError when there is no such field.
+    """
+    place = _place(cloud, 'id', _INTEGERS)
+    if place is None:
         raise MessageError(
             "PointCloud2 has no field 'id', so no identities but the index: "
             'set marker_identity to auto or index'
         )
-    return tuple(map(str, column.ravel().tolist()))
+    code, offset = place
+    shape = _shape(cloud)
+    if not shape[0]:
+        return np.empty(shape, code)
+    return np.ndarray(shape, code, data, first + offset, (cloud.row_step, cloud.point_step))
+
+
+def cloud_ids(cloud: PointCloud2) -> tuple[str, ...]:
+    """Integers of the field `id`, row after row, as strings. Raises MessageError without it."""
+    return tuple(map(str, id_column(cloud, cloud.data).ravel().tolist()))
 
 
 def make_cloud(header: Header, points: np.ndarray) -> PointCloud2:
@@ -67,8 +120,8 @@ def make_cloud(header: Header, points: np.ndarray) -> PointCloud2:
     return cloud
 
 
-def _column(cloud: PointCloud2, name: str, datatypes: dict[int, str]) -> np.ndarray | None:
-    """View of one field, (height, width), or None when the cloud has no such field."""
+def _place(cloud: PointCloud2, name: str, datatypes: dict[int, str]) -> tuple[str, int] | None:
+    """Type and offset of one field, or None when the cloud has no such field."""
     fields = [field for field in cloud.fields if field.name == name]
     if not fields:
         return None
@@ -89,9 +142,15 @@ def _column(cloud: PointCloud2, name: str, datatypes: dict[int, str]) -> np.ndar
             f"PointCloud2 field '{name}' at offset {offset} ends beyond point_step {step}: "
             'correct its offset or point_step'
         )
+    return ('>' if cloud.is_bigendian else '<') + code, offset
+
+
+def _shape(cloud: PointCloud2) -> tuple[int, int]:
+    """Height and width, checked against the data that is there."""
     height, width, row_step, data = cloud.height, cloud.width, cloud.row_step, cloud.data
+    step = cloud.point_step
     if not height * width:
-        return np.empty((0, 0))
+        return 0, 0
     if row_step < width * step:
         raise MessageError(
             f'PointCloud2 row_step {row_step} is less than width {width} x point_step {step}: '
@@ -102,5 +161,4 @@ def _column(cloud: PointCloud2, name: str, datatypes: dict[int, str]) -> np.ndar
             f'PointCloud2 data has {len(data)} bytes, fewer than height {height} x '
             f'row_step {row_step}: publish all rows or correct the height'
         )
-    order = '>' if cloud.is_bigendian else '<'
-    return np.ndarray((height, width), order + code, data, offset, (row_step, step))
+    return height, width

@@ -1,13 +1,14 @@
 """How the tracking is going, in the words of diagnostic_msgs, for people who watch a rig."""
 
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 
 from kinpole_ros.estimate import Estimate
 from kinpole_ros.messages._markers import ns_to_stamp
+from kinpole_ros.messages._stamps import stamp_faults
 from kinpole_ros.theory import Theory, joint_offsets, rate_differences
 from kinpole_ros.tracker import Tracker
 from kinpole_ros.window import FEWEST_SAMPLES
@@ -16,6 +17,7 @@ _WORDS = {
     'frames': 'frames received',
     'repeated': 'frames with the stamp of the one before, left out',
     'resets': 'starts anew after a jump of the stamps',
+    'restarts': 'starts anew with another publisher of the markers',
     'markers_not_seen': 'markers not seen, summed over frames',
     'markers_unknown': 'markers in the last new layout that no body names',
     'markers_exchanged': 'markers exchanged with one another, put back',
@@ -23,6 +25,8 @@ _WORDS = {
     'markers_mirrored': 'markers left out, since their body was seen mirrored',
     'markers_of_misfits': 'markers left out, since their body did not fit its shape',
     'unreadable': 'messages that could not be read',
+    'dropped': 'messages dropped, since the node or the network could not keep up',
+    'failures': 'failures of the node itself',
 }
 
 
@@ -45,42 +49,47 @@ class DiagnosticsMaker:
         latest: Estimate | None,
         seconds: float,
         trouble: Mapping[str, str],
+        stamps: Sequence[int] = (),
     ) -> DiagnosticArray:
         """
         Diagnostics stamped `stamp` (ns), of the `seconds` since the last ones.
 
-        `latest` is the newest estimate, if any; `trouble` names what else is wrong, by topic.
+        `latest` holds the newest estimates, if any, of which the last counts; `trouble` names what
+        else is wrong, by topic; `stamps` are those of the frames since.
         """
+        now = None if latest is None else latest[-1]
         counts = tracker.counts
         since = {key: counts[key] - self._before[key] for key in counts}
         self._before = counts.copy()
         array = DiagnosticArray()
         array.header.stamp = ns_to_stamp(stamp)
-        array.status = [self._input(tracker, since, seconds, trouble)]
+        faults = _faults(tracker, since, trouble)
+        faults += stamp_faults(stamps, seconds, tracker.settings.window)
+        array.status = [self._input(tracker, since, seconds, faults)]
         noise = tracker.noise()
         for b, body in enumerate(tracker.bodies):
-            array.status.append(self._body(b, body, latest, noise, bool(since.get('frames'))))
-        if latest is not None and (len(tracker.bodies) > 1 or self._theory is not None):
-            array.status.append(self._linkage(latest))
+            array.status.append(self._body(b, body, now, noise, bool(since.get('frames'))))
+        if now is not None and (len(tracker.bodies) > 1 or self._theory is not None):
+            array.status.append(self._linkage(now))
         return array
 
-    def _linkage(self, latest: Estimate) -> DiagnosticStatus:
+    def _linkage(self, now: Estimate) -> DiagnosticStatus:
         """What the bodies say of each other: Kennedy's theorem, and the scene if one is given."""
         values: dict[str, object] = {}
-        for k, (j, i) in enumerate(zip(*latest.pairs, strict=True)):
-            distance, deviations = (part[k] for part in latest.kennedy)
+        for k, (j, i) in enumerate(zip(*now.pairs, strict=True)):
+            distance, deviations = (part[k] for part in now.kennedy)
             if np.isfinite(distance):
-                pair = f'{latest.bodies[j]} wrt {latest.bodies[i]}'
+                pair = f'{now.bodies[j]} wrt {now.bodies[i]}'
                 values[f'{pair}: center off the line of the pins (m)'] = float(distance)
                 values[f'{pair}: the same in deviations'] = float(deviations)
         if self._theory is None:
             return _status(f'{self._name}: linkage', DiagnosticStatus.OK, 'no scene given', values)
         message = f'beside the scene {self._theory.scene.name}'
-        found = rate_differences(self._theory, latest)
+        found = rate_differences(self._theory, now)
         for body, off in found.items():
             values[f'{body}: angular velocity less theory (rad/s)'] = off.value
             values[f'{body}: deviation of that (rad/s)'] = off.deviation
-        for joint, off in joint_offsets(self._theory, latest).items():
+        for joint, off in joint_offsets(self._theory, now).items():
             values[f'{joint}: relative center off the pin (m)'] = off.value
             values[f'{joint}: deviation of that (m)'] = off.deviation
         if not found:
@@ -88,26 +97,16 @@ class DiagnosticsMaker:
         return _status(f'{self._name}: linkage', DiagnosticStatus.OK, message, values)
 
     def _input(
-        self, tracker: Tracker, since: Mapping[str, int], seconds: float, trouble: Mapping[str, str]
+        self,
+        tracker: Tracker,
+        since: Mapping[str, int],
+        seconds: float,
+        faults: list[tuple[bytes, str]],
     ) -> DiagnosticStatus:
-        level, message = DiagnosticStatus.OK, 'receiving markers'
-        if trouble:
-            level, message = DiagnosticStatus.ERROR, next(iter(trouble.values()))
-        elif not since.get('frames'):
-            level, message = DiagnosticStatus.STALE, 'no markers received'
-        elif since.get('resets'):
-            level, message = DiagnosticStatus.WARN, 'stamps jumped: the window starts anew'
-        elif since.get('repeated'):
-            level, message = (
-                DiagnosticStatus.WARN,
-                'stamps repeat: see that the driver sets header.stamp to the time of capture',
-            )
-        elif tracker.samples < FEWEST_SAMPLES:
-            level, message = (
-                DiagnosticStatus.WARN,
-                f'the window holds {tracker.samples} frames and needs {FEWEST_SAMPLES}; '
-                'wait, or raise the parameter window',
-            )
+        # The worst first, and each with its words.
+        faults = sorted(faults, key=lambda fault: fault[0], reverse=True)
+        level = faults[0][0] if faults else DiagnosticStatus.OK
+        message = '; '.join(text for _, text in faults) or 'receiving markers'
         values = {
             'rate (Hz)': since.get('frames', 0) / seconds if seconds > 0 else 0.0,
             'frames in the window': tracker.samples,
@@ -118,7 +117,7 @@ class DiagnosticsMaker:
         return _status(f'{self._name}: markers', level, message, values)
 
     def _body(
-        self, b: int, body: str, latest: Estimate | None, noise: np.ndarray, receiving: bool
+        self, b: int, body: str, now: Estimate | None, noise: np.ndarray, receiving: bool
     ) -> DiagnosticStatus:
         name = f'{self._name}: {body}'
         values: dict[str, object] = {}
@@ -126,26 +125,65 @@ class DiagnosticsMaker:
             values['noise of a marker per axis (m)'] = float(noise[b])
         if not receiving:
             return _status(name, DiagnosticStatus.STALE, 'no markers received', values)
-        if latest is None:
+        if now is None:
             reason = 'nothing known: too few frames yet, or nobody subscribes to a result'
             return _status(name, DiagnosticStatus.STALE, reason, values)
-        values['size (m)'] = float(latest.size[b])
-        if np.isfinite(latest.span[b]):
-            values['time used for the angular velocity (s)'] = float(latest.span[b])
-            values['degree used for the angular velocity'] = float(latest.degree[b])
-        reasons = latest.reasons(b)
+        values['size (m)'] = float(now.size[b])
+        if np.isfinite(now.span[b]):
+            values['time used for the angular velocity (s)'] = float(now.span[b])
+            values['degree used for the angular velocity'] = float(now.degree[b])
+        reasons = now.reasons(b)
         if 'all' in reasons:
             return _status(name, DiagnosticStatus.WARN, reasons['all'], values)
-        motion = latest.motion(b)
+        motion = now.motion(b)
         values['motion'] = motion
         if motion == 'pinned':
-            values['pin (m)'] = f'{latest.pin[b].real:.6g}, {latest.pin[b].imag:.6g}'
+            values['pin (m)'] = f'{now.pin[b].real:.6g}, {now.pin[b].imag:.6g}'
         for quantity, reason in reasons.items():
             values[f'{quantity} undetermined'] = reason
         message = 'tracking'
         if reasons:
             message += '; undetermined: ' + ', '.join(reasons)
         return _status(name, DiagnosticStatus.OK, message, values)
+
+
+def _faults(
+    tracker: Tracker, since: Mapping[str, int], trouble: Mapping[str, str]
+) -> list[tuple[bytes, str]]:
+    """
+    Levels and words of what is wrong with the input.
+
+    As REP-107 has them: with WARN figures still come and may suffer, with ERROR they cannot be
+    relied upon. STALE is when nothing came.
+    """
+    mostly_good = since.get('frames', 0) > since.get('unreadable', 0)
+    faults = []
+    for topic, text in trouble.items():
+        mild = topic == 'message' and mostly_good
+        faults.append((DiagnosticStatus.WARN if mild else DiagnosticStatus.ERROR, text))
+    if not since.get('frames') and not faults:
+        return [(DiagnosticStatus.STALE, 'no markers received')]
+    if dropped := since.get('dropped'):
+        text = (
+            f'{dropped} messages dropped: the node or the network cannot keep up; send fewer '
+            'frames, or read fewer results'
+        )
+        faults.append((DiagnosticStatus.WARN, text))
+    if since.get('restarts'):
+        text = 'another publisher sends the markers: the window starts anew'
+        faults.append((DiagnosticStatus.WARN, text))
+    if since.get('resets'):
+        faults.append((DiagnosticStatus.WARN, 'stamps jumped: the window starts anew'))
+    elif since.get('repeated'):
+        text = 'stamps repeat: see that the driver sets header.stamp to the time of capture'
+        faults.append((DiagnosticStatus.WARN, text))
+    elif since.get('frames') and tracker.samples < FEWEST_SAMPLES:
+        text = (
+            f'the window holds {tracker.samples} frames and needs {FEWEST_SAMPLES}; wait, or '
+            'raise the parameter window'
+        )
+        faults.append((DiagnosticStatus.WARN, text))
+    return faults
 
 
 def _status(

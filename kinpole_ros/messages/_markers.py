@@ -1,4 +1,4 @@
-"""Four message types carry markers; here each becomes a MarkerFrame, so only one form goes on."""
+"""Four message types carry markers; here each becomes MarkerFrames, so only one form goes on."""
 
 import math
 from collections import Counter
@@ -15,8 +15,8 @@ from sensor_msgs.msg import PointCloud2
 from std_msgs.msg import ColorRGBA, Header
 from visualization_msgs.msg import Marker, MarkerArray
 
-from kinpole_ros.frame import MarkerFrame
-from kinpole_ros.messages._cloud import MessageError, cloud_ids, cloud_points, make_cloud
+from kinpole_ros.frame import MarkerFrames
+from kinpole_ros.messages._cloud import MessageError, cloud_ids, cloud_places, make_cloud
 
 MARKER_TYPES: dict[str, type] = {
     'marker_array': MarkerArray,
@@ -30,14 +30,17 @@ ROS_TYPE_NAMES: dict[str, str] = {
     'pose_array': 'geometry_msgs/msg/PoseArray',
     'point_cloud2': 'sensor_msgs/msg/PointCloud2',
 }
+# Where stamps end, in ns.
+END_OF_TIME = 2**31 * 1_000_000_000
 _IDENTITIES = ('auto', 'index', 'id', 'ns', 'ns_id')
 _xyz = attrgetter('x', 'y', 'z')
 
 
-def read_markers(message: Any, identity: str = 'auto') -> MarkerFrame:
+def read_markers(message: Any, identity: str = 'auto') -> MarkerFrames:
     """Markers of a MarkerArray, Marker, PoseArray or PointCloud2, in m in the header's frame.
 
-    A row with a coordinate that is not finite becomes NaN as a whole and keeps its place.
+    One frame is returned (T = 1). A row with a coordinate that is not finite becomes NaN as a whole
+    and keeps its place.
     `identity` is auto, index, id, ns or ns_id. A MarkerArray offers all of them, auto meaning
     ns_id ('ns/id', or 'id' where ns is empty), and its index counts every entry of the array, so
     that one deleted marker does not rename the rest. The other types have only the index, except
@@ -55,7 +58,7 @@ def read_markers(message: Any, identity: str = 'auto') -> MarkerFrame:
         header, identities, points = _read_marker_array(message, identity)
     else:
         if isinstance(message, PointCloud2):
-            points = cloud_points(message)
+            points = cloud_places(message).points(message.data)[0]
         elif isinstance(message, Marker):
             points = _marker_points(message)
         elif isinstance(message, PoseArray):
@@ -72,8 +75,15 @@ def read_markers(message: Any, identity: str = 'auto') -> MarkerFrame:
             f'header.stamp is {header.stamp.sec} s; see that the driver sets it to the time of '
             'capture, counted from 1970 or from its start'
         )
-    _blank_unseen(points)
-    return MarkerFrame(stamp_to_ns(header.stamp), header.frame_id, identities, points)
+    stamp = stamp_to_ns(header.stamp)
+    if stamp >= END_OF_TIME:
+        raise MessageError(
+            f'header.stamp has {header.stamp.nanosec} ns after {header.stamp.sec} s, more than a '
+            'ROS time holds; see that the driver sets nanosec to less than 1e9'
+        )
+    blank_unseen(points)
+    stamps = np.array([stamp])
+    return MarkerFrames(stamps, header.frame_id, identities, points[None])
 
 
 def to_message(
@@ -90,7 +100,7 @@ def to_message(
     points = np.array(points, dtype=np.float64)
     if points.shape != (len(names), 3):
         raise ValueError(f'points have shape {points.shape}, expected ({len(names)}, 3)')
-    _blank_unseen(points)
+    blank_unseen(points)
     header = Header(stamp=ns_to_stamp(stamp_ns), frame_id=frame_id)
     if kind == 'point_cloud2':
         return make_cloud(header, points)
@@ -119,7 +129,7 @@ def stamp_to_ns(stamp: Time) -> int:
 def ns_to_stamp(ns: int) -> Time:
     """Make a builtin_interfaces Time of ns; ValueError outside what it holds (years 1970-2038)."""
     sec, nanosec = divmod(int(ns), 1_000_000_000)
-    if not 0 <= sec < 2**31:
+    if not 0 <= ns < END_OF_TIME:
         raise ValueError(f'stamp {ns} ns is out of range: a ROS time holds 0 to 2^31 s')
     return Time(sec=sec, nanosec=nanosec)
 
@@ -128,24 +138,28 @@ def _read_marker_array(
     message: MarkerArray, identity: str
 ) -> tuple[Header, tuple[str, ...], np.ndarray]:
     markers = message.markers
-    kept = _remaining(markers)
+    kept = remaining(markers)
     points = _positions(markers[k].pose.position for k in kept)
     first = kept[0] if kept else 0
     header = markers[first].header if markers else Header()
     if identity == 'index':
         return header, tuple(map(str, kept)), points
+    return header, marker_names([(markers[k].ns, markers[k].id) for k in kept], identity), points
+
+
+def marker_names(keys: Sequence[tuple[str, int]], identity: str) -> tuple[str, ...]:
+    """Identities of markers from their ns and id; raises MessageError for one that comes twice."""
     if identity == 'id':
-        identities = tuple(str(markers[k].id) for k in kept)
+        identities = tuple([str(number) for _, number in keys])
     elif identity == 'ns':
-        identities = tuple(markers[k].ns for k in kept)
+        identities = tuple([ns for ns, _ in keys])
     else:
-        keys = [(markers[k].ns, markers[k].id) for k in kept]
-        identities = tuple(f'{ns}/{number}' if ns else str(number) for ns, number in keys)
-    _check_unique(identities, message, identity)
-    return header, identities, points
+        identities = tuple([f'{ns}/{number}' if ns else str(number) for ns, number in keys])
+    _check_unique(identities, 'MarkerArray', identity)
+    return identities
 
 
-def _remaining(markers: Sequence[Marker]) -> Sequence[int]:
+def remaining(markers: Sequence[Marker]) -> Sequence[int]:
     """Places of the markers that a viewer would show once it has worked through the array."""
     if all(marker.action < Marker.DELETE for marker in markers):
         return range(len(markers))
@@ -167,27 +181,37 @@ def _marker_points(marker: Marker) -> np.ndarray:
     """Points of a Marker, (n, 3), taken from its local frame to that of its header."""
     if marker.action in (Marker.DELETE, Marker.DELETEALL):
         return np.empty((0, 3))
-    points = _positions(marker.points)
-    q = marker.pose.orientation
+    q, place = marker.pose.orientation, marker.pose.position
+    pose = np.array([[place.x, place.y, place.z, q.x, q.y, q.z, q.w]])
+    return moved(_positions(marker.points)[None], pose)[0]
+
+
+def moved(points: np.ndarray, poses: np.ndarray) -> np.ndarray:
+    """
+    Points (T, n, 3) of local frames in the frame these are in.
+
+    `poses` (T, 7) are x, y and z of the place and x, y, z and w of the turn, of any length.
+    """
+    x, y, z, w = poses.T[3:]
+    # RViz too takes the quaternion of a message nobody filled in, all zeros, as identity.
+    turned = (x != 0) | (y != 0) | (z != 0) | ~np.isfinite(w)
     # A pose that is not finite makes every row NaN by itself; numpy need not warn of it.
     with np.errstate(invalid='ignore', over='ignore'):
-        # RViz too takes the quaternion of a message nobody filled in, all zeros, as identity.
-        if q.x or q.y or q.z or not math.isfinite(q.w):
-            points = points @ _rotation(q.x, q.y, q.z, q.w).T
-        points += _xyz(marker.pose.position)
-    return points
-
-
-def _rotation(x: float, y: float, z: float, w: float) -> np.ndarray:
-    norm = math.hypot(x, y, z, w)
-    x, y, z, w = x / norm, y / norm, z / norm, w / norm
-    return np.array(
-        [
-            [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
-            [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
-            [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
-        ]
-    )
+        if turned.any():
+            norm = np.where(turned, np.hypot(np.hypot(x, y), np.hypot(z, w)), 1.0)
+            x, y, z, w = x / norm, y / norm, z / norm, w / norm
+            rows = (
+                (1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)),
+                (2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)),
+                (2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)),
+            )
+            # Written out, since a matrix product rounds otherwise when there are more instants.
+            columns = points[..., 0], points[..., 1], points[..., 2]
+            points = np.stack(
+                [sum(a[:, None] * c for a, c in zip(row, columns, strict=True)) for row in rows],
+                axis=-1,
+            )
+        return points + poses[:, None, :3]
 
 
 def _identities(message: Any, identity: str, n: int) -> tuple[str, ...]:
@@ -196,7 +220,7 @@ def _identities(message: Any, identity: str, n: int) -> tuple[str, ...]:
         return _indices(n)
     if identity == 'id' and isinstance(message, PointCloud2):
         identities = cloud_ids(message)
-        _check_unique(identities, message, identity)
+        _check_unique(identities, 'PointCloud2', identity)
         return identities
     raise MessageError(
         f"{type(message).__name__} has no identities but the index, so none by '{identity}': "
@@ -210,11 +234,11 @@ def _indices(n: int) -> tuple[str, ...]:
     return tuple(map(str, range(n)))
 
 
-def _check_unique(identities: tuple[str, ...], message: Any, identity: str) -> None:
+def _check_unique(identities: tuple[str, ...], kind: str, identity: str) -> None:
     if len(set(identities)) < len(identities):
         name, times = Counter(identities).most_common(1)[0]
         raise MessageError(
-            f"{type(message).__name__} has the identity '{name}' {times} times by '{identity}': "
+            f"{kind} has the identity '{name}' {times} times by '{identity}': "
             'set another marker_identity (index always works)'
         )
 
@@ -225,11 +249,11 @@ def _positions(positions: Iterable[Any]) -> np.ndarray:
     return np.fromiter(flat, np.float64).reshape(-1, 3)
 
 
-def _blank_unseen(points: np.ndarray) -> None:
-    """Make NaN of every row of `points` (n, 3) that is not finite, in place."""
+def blank_unseen(points: np.ndarray) -> None:
+    """Make NaN of every row of `points` (..., 3) that is not finite, in place."""
     finite = np.isfinite(points)
     if not finite.all():
-        points[~finite.all(axis=1)] = np.nan
+        points[~finite.all(axis=-1)] = np.nan
 
 
 def _sphere(header: Header, ns: str, number: int, **fields: Any) -> Marker:

@@ -7,13 +7,14 @@ their noise go in at true time stamps, derivatives with covariances come out.
 
 from kinpole_ros.window._choice import FEWEST_SAMPLES, Derivatives, Spectrum, differentiate
 from kinpole_ros.window._noise import Noise
-from kinpole_ros.window._pin import Pins
+from kinpole_ros.window._pin import STRIKES, Pins
 from kinpole_ros.window._polynomial import derivative_weights, stencil
 from kinpole_ros.window._samples import Samples
 from kinpole_ros.window._shape import Shapes
 
 __all__ = [
     'FEWEST_SAMPLES',
+    'STRIKES',
     'Derivatives',
     'Noise',
     'Pins',

@@ -14,7 +14,6 @@ from statistics import NormalDist
 
 import numpy as np
 
-from kinpole_ros.planar import Fit
 from kinpole_ros.planar._plane import Complex, Real
 
 # How many frames the level is taken from, and which share of what is left may be wild.
@@ -35,37 +34,50 @@ class Noise:
         self._most = np.full((bodies, _KEPT), np.nan)
         self._freedom = np.ones(bodies)
         self._count = 0
-        self._before: list[tuple[Fit, Real]] = []
+        self._before: tuple[Complex, Real, Real, np.ndarray] | None = None
+        self._level = np.full(bodies, np.nan)
 
-    def add(self, fit: Fit) -> None:
-        """Take the fits of one frame: residuals (B, n), NaN for a marker that was not seen."""
-        self._before.append((fit, mean_square(fit.residual, fit.freedom)[0]))
-        if len(self._before) < 3:
+    def add(self, residual: Complex, freedom: Real, goes_on: np.ndarray) -> None:
+        """
+        Take the fits of some frames, and measure anew.
+
+        `residual` and `freedom` (T, B, n) as of `Fit`; `goes_on` (T,) is False for a frame that
+        comes after a gap.
+        """
+        rows = residual, freedom, mean_square(residual, freedom)[0], goes_on
+        if self._before is not None and self._before[0].shape[1:] == residual.shape[1:]:
+            rows = tuple(np.concatenate(pair) for pair in zip(self._before, rows, strict=True))
+        residual, freedom, left, goes_on = rows
+        self._before = tuple(part[-2:] for part in rows)
+        middle = np.flatnonzero(goes_on[1:-1] & goes_on[2:]) + 1
+        if not len(middle):
             return
-        (first, left), (middle, own), (last, right) = self._before
-        self._before = self._before[1:]
-        bend = middle.residual - (first.residual + last.residual) / 2
+        before, after = middle - 1, middle + 1
+        bend = residual[middle] - (residual[before] + residual[after]) / 2
         # White residuals add up to 1 + 1/4 + 1/4 of what each frame has to expect.
-        expected = middle.freedom + (first.freedom + last.freedom) / 4
-        row, freedom = mean_square(bend, expected)
-        self._freedom = np.where(np.isnan(row), self._freedom, freedom / 1.5)
-        place = self._count % _KEPT
-        self._squares[:, place] = row
-        self._own[:, place] = own
-        self._most[:, place] = np.maximum(own, np.maximum(left, right))
-        self._count += 1
-
-    def forget_neighbors(self) -> None:
-        """Do not compare the next residual with those before a gap."""
-        self._before = []
+        expected = freedom[middle] + (freedom[before] + freedom[after]) / 4
+        squares, degrees = mean_square(bend, expected)
+        known = ~np.isnan(squares)
+        mean = np.where(known, degrees, 0).sum(axis=0) / np.maximum(known.sum(axis=0), 1) / 1.5
+        self._freedom = np.where(known.any(axis=0), mean, self._freedom)
+        place = (self._count + np.arange(len(middle))) % _KEPT
+        self._squares[:, place] = squares.T
+        self._own[:, place] = left[middle].T
+        most = np.maximum(left[middle], np.maximum(left[before], left[after]))
+        self._most[:, place] = most.T
+        self._count += len(middle)
+        self._measure()
 
     def level(self) -> Real:
-        """
-        Standard deviation (B,) of one coordinate of one marker; NaN while not known.
+        """Standard deviation (B,) of one coordinate of one marker; NaN while not known."""
+        return self._level
 
-        From the mean of the squares without those of wild frames, less the largest tenth: a median
-        would call a tracker that rounds its coordinates free of noise, and a plain mean believes
-        every jump.
+    def _measure(self) -> None:
+        """
+        From the mean of the squares without those of wild frames, less the largest tenth.
+
+        A median would call a tracker that rounds its coordinates free of noise, and a plain mean
+        believes every jump.
         """
         filled = slice(max(1, min(self._count, _KEPT)))
         usual = tame_part(self._own[:, filled])
@@ -74,9 +86,10 @@ class Noise:
         counts = (~np.isnan(known)).sum(axis=-1)
         kept = np.ceil(counts * (1 - _WILD))
         lowest = np.where(np.arange(known.shape[1]) < kept[:, None], known, 0.0).sum(axis=-1)
-        share = [_share_of_lowest(round(float(f), 1)) for f in self._freedom]
+        freedoms, which = np.unique(np.round(self._freedom, 1), return_inverse=True)
+        share = np.array([_share_of_lowest(float(f)) for f in freedoms])[which]
         with np.errstate(divide='ignore', invalid='ignore'):
-            return np.sqrt(np.where(counts > 0, lowest / kept / share, np.nan))
+            self._level = np.sqrt(np.where(counts > 0, lowest / kept / share, np.nan))
 
 
 def tame_part(values: Real) -> Real:
@@ -87,7 +100,7 @@ def tame_part(values: Real) -> Real:
 
 
 def mean_square(residual: Complex, expected: Real) -> tuple[Real, Real]:
-    """Squares (B,) of residuals (B, n) per degree of freedom, NaN for none, and the degrees."""
+    """Squares (...) of residuals (..., n) per degree of freedom, NaN for none, and the degrees."""
     seen = ~np.isnan(residual)
     squares = np.where(seen, residual.real**2 + residual.imag**2, 0).sum(axis=-1)
     freedom = np.where(seen, expected, 0).sum(axis=-1)

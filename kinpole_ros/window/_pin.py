@@ -22,7 +22,7 @@ _ENOUGH, _SOME, _WARY = 32, 12, 512
 # which it is dropped. Apart, so that nothing flaps.
 _TAKEN, _DROPPED = 1.5, 2.5
 # Off by so many deviations so many frames running, a body has left its pin.
-_OFF, _STRIKES = 5.0, 3
+_OFF, STRIKES = 5.0, 3
 # A misfit is alike from pose to pose when the product of neighbors stands so many deviations out of
 # chance; an arc bent by it has its center off by this many times its square over the spread of the
 # angles (a centrode of constant speed, seen over a small arc).
@@ -52,34 +52,55 @@ class Pins:
         self._last = np.full(bodies, np.nan)
         self._strikes = np.zeros(bodies, int)
 
-    def add(self, stamp: int, position: Complex, angle: Real, variance: Real, size: Real) -> None:
-        """
-        Take the poses (B,) of one frame, NaN where not known.
-
-        `variance` (2, B) is that of one coordinate of the position, m^2, and of the angle, rad^2,
-        as the misfit of the rigid bodies has it; `size` (B,), m, is theirs.
-        """
-        known = np.isfinite(angle) & np.isfinite(variance).all(axis=0)
-        turn = np.exp(1j * np.where(known, angle, 0.0))
+    def strayed(self, position: Complex, angle: Real, variance: Real) -> np.ndarray:
+        """Where (T, B) a body is off its pin by more than it can be; poses as in `add`."""
         with np.errstate(invalid='ignore'):
-            off = np.abs(position + turn * self.arm - self.center) ** 2
-            spread = variance[0] + np.abs(self.arm) ** 2 * variance[1]
-            strayed = known & (off > _OFF**2 * spread)
-            moved = np.abs(np.angle(turn * np.exp(-1j * self._last))) > _STEP
-        self._strikes = np.where(strayed, self._strikes + 1, 0)
-        self._forget(self._strikes >= _STRIKES)
-        new = known & ~strayed & (moved | (self._count == 0))
-        if not new.any():
-            return
-        self.since[new & (self._count == 0)] = stamp
-        row = self._count[new] % _KEPT
-        self._positions[row, new] = position[new]
-        self._turns[row, new] = turn[new]
-        self._last[new] = angle[new]
-        self._count[new] += 1
-        ready = np.flatnonzero(new & (self._count >= _SOME))
+            off = np.abs(position + np.exp(1j * angle) * self.arm - self.center) ** 2
+            spread = variance[:, 0] + np.abs(self.arm) ** 2 * variance[:, 1]
+            return np.asarray(off > _OFF**2 * spread)
+
+    def add(
+        self, stamps: np.ndarray, position: Complex, angle: Real, variance: Real, size: Real
+    ) -> None:
+        """
+        Take the poses (T, B) of some frames of `stamps` (T,), NaN where not known, and judge.
+
+        `variance` (T, 2, B) is that of one coordinate of the position, m^2, and of the angle,
+        rad^2, as the misfit of the rigid bodies has it; `size` (B,), m, is theirs.
+        """
+        known = np.isfinite(angle) & np.isfinite(variance).all(axis=1)
+        strayed = known & self.strayed(position, angle, variance)
+        frame = np.arange(len(stamps))[:, None]
+        # How many frames running, at each, a body has been off.
+        back = np.maximum.accumulate(np.where(strayed, -1, frame), axis=0)
+        running = np.where(back < 0, frame + 1 + self._strikes, frame - back)
+        self._strikes = running[-1]
+        gone = (running >= STRIKES).any(axis=0)
+        self._forget(gone)
+        fresh = np.zeros(len(gone), bool)
+        usable = known & ~strayed & ~gone
+        body = np.arange(len(gone))
+        while True:
+            # The next pose of each body that is turned by a step from the last one kept.
+            with np.errstate(invalid='ignore'):
+                turned = np.abs((angle - self._last + np.pi) % (2 * np.pi) - np.pi) > _STEP
+            new = usable & (turned | (self._count == 0))
+            first = new.argmax(axis=0)
+            some = np.flatnonzero(new[first, body])
+            if not len(some):
+                break
+            row, at = self._count[some] % _KEPT, first[some]
+            self.since[some] = np.where(self._count[some] == 0, stamps[at], self.since[some])
+            self._positions[row, some] = position[at, some]
+            self._turns[row, some] = np.exp(1j * angle[at, some])
+            self._last[some] = angle[at, some]
+            self._count[some] += 1
+            fresh[some] = True
+            usable &= frame > np.where(new[first, body], first, -1)
+        ready = np.flatnonzero(fresh & (self._count >= _SOME))
         if len(ready):
-            self._judge(ready, variance[:, ready], size[ready])
+            last = len(known) - 1 - known[::-1, ready].argmax(axis=0)
+            self._judge(ready, variance[last, :, ready].T, size[ready])
 
     def _judge(self, which: np.ndarray, variance: Real, size: Real) -> None:
         """Fit a pin to the poses of the bodies `which` (b,) and see whether it may stand."""

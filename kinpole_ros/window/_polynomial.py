@@ -49,14 +49,17 @@ def stencil(times: ArrayLike, orders: int) -> Real:
     return derivative_weights(times, np.size(times) - 1, orders)
 
 
-def orthonormal_basis(times: Real, root: Real, degree: int, orders: int) -> tuple[Real, Real]:
+def orthonormal_basis(
+    times: Real, root: Real, degree: int, orders: int, each: int = 1
+) -> tuple[Real, Real]:
     """
     Polynomials orthonormal on weighted samples, and their derivatives at time 0.
 
     `times` (..., n) in s; `root` (..., n) are square roots of weights, 0 for a sample outside.
     Returns the basis at the samples times `root`, (..., n, degree + 1), and the derivatives
     (..., orders + 1, degree + 1) of its members at time 0. Members beyond the number of samples
-    mean nothing: the caller leaves them out.
+    mean nothing: the caller leaves them out. With `each` the samples are means of so many
+    neighbors, and so are the members (..., n / each, degree + 1), so that polynomials stay exact.
     """
     inside = root > 0
     first = np.min(times, axis=-1, where=inside, initial=np.max(times))
@@ -65,6 +68,11 @@ def orthonormal_basis(times: Real, root: Real, degree: int, orders: int) -> tupl
     half = np.where(half > 0, half, 1.0)
     scaled = np.where(inside, (times - center[..., None]) / half[..., None], 0.0)
     raw = legendre.legvander(scaled, degree) * root[..., None]
+    if each > 1:
+        together = (*root.shape[:-1], -1, each)
+        weight = (root**2).reshape(together).sum(axis=-1)[..., None]
+        raw = (raw * root[..., None]).reshape(*together, degree + 1).sum(axis=-2)
+        raw /= np.sqrt(np.where(weight > 0, weight, 1.0))
     basis, triangle = np.linalg.qr(raw)
     # Rank is lost in the last columns alone where samples are too few; keep the solve finite.
     diagonal = np.einsum('...ii->...i', triangle)

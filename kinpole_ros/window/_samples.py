@@ -19,21 +19,25 @@ class Samples:
     def __len__(self) -> int:
         return self._end - self._first
 
-    def append(self, row: object) -> None:
-        """Put one row at the end."""
-        if self._end == len(self._buffer):
+    def extend(self, rows: np.ndarray) -> None:
+        """Put rows (T, ...) at the end."""
+        count = len(rows)
+        if self._end + count > len(self._buffer):
             kept = self.view().copy()
-            if 2 * len(kept) > len(self._buffer):
-                self._buffer = np.empty((2 * len(self._buffer), *kept.shape[1:]), kept.dtype)
+            room = len(self._buffer)
+            while room < 2 * len(kept) + count:
+                room *= 2
+            if room > len(self._buffer):
+                self._buffer = np.empty((room, *kept.shape[1:]), kept.dtype)
             self._buffer[: len(kept)] = kept
             self._first, self._end = 0, len(kept)
-        self._buffer[self._end] = row
-        self._end += 1
+        self._buffer[self._end : self._end + count] = rows
+        self._end += count
 
     def drop(self, count: int) -> None:
         """Take `count` rows from the start."""
         self._first += count
 
     def view(self) -> np.ndarray:
-        """All rows, oldest first; valid until the next `append`."""
+        """All rows, oldest first; valid until the next `extend`."""
         return self._buffer[self._first : self._end]

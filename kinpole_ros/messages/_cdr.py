@@ -1,0 +1,107 @@
+"""
+Result messages as bytes: what rclpy would send, made without its objects.
+
+All results but the drawings are a header and then doubles, so those of many instants are rows of
+one array. The bytes are plain CDR, little endian, padding zero: equal results are equal bytes.
+"""
+
+import struct
+from functools import lru_cache
+
+import numpy as np
+
+from kinpole_ros.messages._walk import HEAD, LITTLE
+
+_SECOND = 1_000_000_000
+_TIME = struct.Struct('<iI')
+
+
+class Writer:
+    """Fields one after the other, each aligned to its size, in `data`."""
+
+    def __init__(self) -> None:
+        self.data = bytearray(LITTLE.ljust(HEAD, b'\0'))
+
+    def align(self, size: int) -> None:
+        self.data += bytes((HEAD - len(self.data)) % size)
+
+    def pack(self, form: str, *values: float) -> None:
+        """Fields of 4 bytes or less, as `struct` names them."""
+        self.align(4)
+        self.data += struct.pack(f'<{form}', *values)
+
+    def string(self, text: str) -> None:
+        raw = text.encode() + b'\0'
+        self.pack('I', len(raw))
+        self.data += raw
+
+    def header(self, stamp: int, frame_id: str) -> None:
+        self.align(4)
+        self.data += _TIME.pack(*divmod(stamp, _SECOND))
+        self.string(frame_id)
+
+    def doubles(self, values: np.ndarray) -> None:
+        if values.size:
+            self.align(8)
+            self.data += values.astype('<f8').tobytes()
+
+
+def stamped_doubles(
+    stamps: np.ndarray, frame_id: str, figures: np.ndarray, child: str | None = None
+) -> list[bytes]:
+    """
+    Messages of a header and doubles, one of each row of `figures` (T, n); `stamps` (T,) in ns.
+
+    `child` is the second string of those that have one: Odometry's child_frame_id.
+    """
+    head = _head(frame_id, child)
+    doubles = figures.astype('<f8', copy=False)
+    if len(doubles) == 1:
+        # As the live node needs it: without the rows, a third of the time.
+        time = _TIME.pack(*divmod(int(stamps[0]), _SECOND))
+        return [head[:HEAD] + time + head[HEAD + _TIME.size :] + doubles.tobytes()]
+    size = len(head) + doubles.strides[0]
+    rows = np.empty((len(doubles), size), np.uint8)
+    rows[:, : len(head)] = np.frombuffer(head, np.uint8)
+    rows[:, HEAD : HEAD + _TIME.size] = _times(stamps)
+    rows[:, len(head) :] = doubles.view(np.uint8)
+    data = rows.tobytes()
+    return [data[first : first + size] for first in range(0, len(data), size)]
+
+
+def path(stamp: int, frame_id: str, stamps: np.ndarray, positions: np.ndarray) -> bytes:
+    """A nav_msgs/Path of poses at `stamps` (n,) and positions (n, 3), not turned."""
+    writer = Writer()
+    writer.header(stamp, frame_id)
+    writer.pack('I', len(stamps))
+    poses = np.zeros((len(stamps), 7))
+    poses[:, :3] = positions
+    poses[:, 6] = 1.0
+    # The first pose may begin amid eight bytes, all others follow on doubles.
+    writer.header(int(stamps[0]), frame_id)
+    writer.doubles(poses[0])
+    head = _head(frame_id, None)[HEAD:]
+    rows = np.empty((len(stamps) - 1, len(head) + 56), np.uint8)
+    rows[:, : len(head)] = np.frombuffer(head, np.uint8)
+    rows[:, : _TIME.size] = _times(stamps[1:])
+    rows[:, len(head) :] = poses[1:].astype('<f8').view(np.uint8)
+    return bytes(writer.data + rows.tobytes())
+
+
+def _times(stamps: np.ndarray) -> np.ndarray:
+    """The bytes (T, 8) of stamps in ns."""
+    times = np.empty((len(stamps), 2), '<u4')
+    times[:, 0], times[:, 1] = np.divmod(stamps, _SECOND)
+    return times.view(np.uint8)
+
+
+# As many as there are frames of bodies, and of what moves them.
+@lru_cache(maxsize=256)
+def _head(frame_id: str, child: str | None) -> bytes:
+    """All before the doubles, with the stamp 0."""
+    writer = Writer()
+    writer.header(0, frame_id)
+    if child is not None:
+        writer.string(child)
+    writer.align(8)
+    return bytes(writer.data)

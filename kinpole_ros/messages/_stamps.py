@@ -1,0 +1,46 @@
+"""What is wrong with the stamps of a driver, told by how they go beside the rate of arrival."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from diagnostic_msgs.msg import DiagnosticStatus
+
+# Steps of the stamps over those of the arrivals; a bag played at ten times its pace is in order.
+_ODD_PACE = 100.0
+# Of frames in bunches most follow the one before within this share of the mean step.
+_BUNCHED = 0.25
+_FEWEST = 5
+_MEND = 'see that the driver sets header.stamp to the time of capture, in s and ns'
+
+
+def stamp_faults(stamps: Sequence[int], seconds: float, window: float) -> list[tuple[bytes, str]]:
+    """
+    Levels and words of what is wrong with header stamps (ns) that came within `seconds`.
+
+    Found are stamps that stand still, that advance in another unit than time does, and that come
+    in bunches; single jumps and repetitions, which the tracker counts, are not. `window` is the
+    parameter, in s: longer steps are jumps.
+    """
+    steps = np.diff(np.array(stamps, dtype=np.int64)) * 1e-9
+    if len(stamps) < _FEWEST or seconds <= 0:
+        return []
+    if not steps.any():
+        text = f'the stamps stand still at {stamps[-1] * 1e-9:.9g} s: {_MEND}'
+        return [(DiagnosticStatus.ERROR, text)]
+    ahead = steps[steps > 0]
+    if len(ahead) < _FEWEST - 1:
+        return []
+    arrivals = seconds / len(stamps)
+    fast, slow = np.median(ahead) / arrivals, ahead.mean() / arrivals
+    if fast > _ODD_PACE or slow < 1 / _ODD_PACE:
+        pace = fast if fast > _ODD_PACE else slow
+        text = f'the stamps advance {pace:.2g} times as fast as the messages come: {_MEND}'
+        return [(DiagnosticStatus.ERROR, text)]
+    regular = ahead[ahead <= window]
+    if len(regular) and np.median(regular) < _BUNCHED * regular.mean():
+        text = (
+            f'the stamps come in bunches, mostly {np.median(regular):.2g} s apart where the mean '
+            f'is {regular.mean():.2g} s: {_MEND}'
+        )
+        return [(DiagnosticStatus.WARN, text)]
+    return []

@@ -1,0 +1,139 @@
+"""
+Where things are in the serialized bytes of the four marker messages.
+
+A message comes from anywhere, so its sizes are followed through the bytes before anyone takes
+memory for what they claim. The encoding is the plain CDR of ROS 2: four bytes that tell it and the
+byte order, then the fields one after another, each aligned to its size from there on. Places are
+counted from the start of the message; padding holds whatever was in memory.
+"""
+
+import struct
+from typing import NamedTuple
+
+from kinpole_ros.messages._cloud import MessageError
+from kinpole_ros.messages._markers import ROS_TYPE_NAMES
+
+# The four bytes before the fields; of these the last two say nothing.
+HEAD = 4
+LITTLE = b'\x00\x01'
+_ORDERS = {b'\x00\x00': '>', LITTLE: '<'}
+
+
+class Items(NamedTuple):
+    """A sequence or string: where its first item is, and how many there are."""
+
+    start: int
+    number: int
+
+
+class MarkerPlaces(NamedTuple):
+    """Where the parts of a Marker are; at `number` are its id, type and action."""
+
+    stamp: int
+    frame_id: Items
+    ns: Items
+    number: int
+    pose: int
+    points: Items
+
+
+class Walk:
+    """
+    The places in one message of markers of the type `kind`; raises MessageError when cut short.
+
+    `size` is that of the message, `little` whether it is little endian, `sizes` where each sequence
+    and string tells its length. `markers` has the places in a Marker or MarkerArray; the others
+    have a `stamp` and `frame_id`, and what they hold, `items`: poses or the data of a cloud.
+    `layout` are spans of a cloud, from place to place, that tell what its data means.
+    """
+
+    def __init__(self, kind: str, data: bytes) -> None:
+        self.sizes: list[int] = []
+        self.markers: list[MarkerPlaces] = []
+        self.stamp = 0
+        self.frame_id = self.items = Items(0, 0)
+        self.layout: list[tuple[int, int]] = []
+        order = _ORDERS.get(data[:2])
+        if order is None or len(data) < HEAD:
+            raise MessageError(
+                f'{len(data)} bytes are no {ROS_TYPE_NAMES[kind]}: they do not start as plain CDR; '
+                'see that the sender sends that and that nothing is damaged'
+            )
+        self.little = order == '<'
+        self.size = len(data)
+        self._data = data
+        self._size = struct.Struct(f'{order}I').unpack_from
+        self._at = HEAD
+        try:
+            getattr(self, f'_{kind}')()
+        except struct.error:
+            self._at = len(data) + 1
+        if self._at > len(data):
+            raise MessageError(
+                f'{len(data)} bytes are no {ROS_TYPE_NAMES[kind]}: the sizes in them claim more; '
+                'see that the sender sends whole messages and that nothing is damaged'
+            )
+
+    def _marker_array(self) -> None:
+        for _ in range(self._length()):
+            self._marker()
+
+    def _marker(self) -> None:
+        """Field after field, as visualization_msgs/msg/Marker has them."""
+        stamp, frame_id = self._header()
+        ns = self._sequence(1)
+        number = self._skip(12, 4)  # id, type, action
+        pose = self._skip(56, 8)
+        self._skip(24 + 16 + 8 + 1)  # scale, color, lifetime, frame_locked
+        points = self._sequence(24, 8)
+        self._sequence(16, 4)  # colors
+        self._sequence(1)  # texture_resource
+        self._header()  # texture: its header, format and data
+        self._sequence(1)
+        self._sequence(1)
+        self._sequence(8, 4)  # uv_coordinates
+        self._sequence(1)  # text
+        self._sequence(1)  # mesh_resource
+        self._sequence(1)  # mesh_file: filename and data
+        self._sequence(1)
+        self._skip(1)  # mesh_use_embedded_materials
+        self.markers.append(MarkerPlaces(stamp, frame_id, ns, number, pose, points))
+
+    def _pose_array(self) -> None:
+        self.stamp, self.frame_id = self._header()
+        self.items = self._sequence(56, 8)
+
+    def _point_cloud2(self) -> None:
+        self.stamp, self.frame_id = self._header()
+        self._keep(8, 4)  # height, width
+        for _ in range(self._length()):
+            name = self._sequence(1)
+            self.layout.append((name.start, name.start + name.number))
+            self._keep(5, 4)  # offset, datatype
+            self._keep(4, 4)  # count
+        self._keep(1)  # is_bigendian
+        self._keep(8, 4)  # point_step, row_step
+        self.items = self._sequence(1)
+        self._skip(1)  # is_dense
+
+    def _header(self) -> tuple[int, Items]:
+        return self._skip(8, 4), self._sequence(1)
+
+    def _keep(self, size: int, align: int = 1) -> None:
+        start = self._skip(size, align)
+        self.layout.append((start, start + size))
+
+    def _skip(self, size: int, align: int = 1) -> int:
+        start = self._at + (HEAD - self._at) % align
+        self._at = start + size
+        return start
+
+    def _length(self) -> int:
+        start = self._skip(4, 4)
+        self.sizes.append(start)
+        return int(self._size(self._data, start)[0])
+
+    def _sequence(self, size: int, align: int = 1) -> Items:
+        """Skip a sequence of items of that size; an empty one is not aligned to its items."""
+        count = self._length()
+        return Items(self._skip(count * size, align if count else 1), count)

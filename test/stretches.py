@@ -1,0 +1,32 @@
+"""Frames one by one through the learned shapes and noise of the bodies, as the tracker does it."""
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from kinpole_ros.estimate import Estimate
+from kinpole_ros.planar import Fit
+from kinpole_ros.window import Noise, Shapes
+
+
+def fit_frames(
+    points: np.ndarray, shapes: Shapes, noise: Noise | None = None
+) -> Iterator[tuple[Fit, np.ndarray]]:
+    """Fits (B,) of frames (T, B, n) and the markers they are of, as each frame is taken."""
+    news: list[tuple[np.ndarray, ...]] = []
+    for row in points[:, None]:
+        if not shapes.unseen(row):
+            shapes.begin(row[0])
+        fit, mended = shapes.fit(row)
+        news.append((fit.residual, fit.freedom, np.ones(1, bool)))
+        if len(news) >= shapes.beat:
+            if noise is not None:
+                noise.add(*map(np.concatenate, zip(*news, strict=True)))
+            shapes.learn()
+            news = []
+        yield Fit(*(field[0] for field in fit)), mended[0]
+
+
+def instants(found: list[Estimate]) -> list[Estimate]:
+    """Every instant of some estimates as an estimate of its own."""
+    return [one for estimate in found for one in estimate]

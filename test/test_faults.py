@@ -1,0 +1,558 @@
+"""
+What knocks nodes over on real rigs, done to the real node in its own process over real DDS.
+
+After each fault: the node still runs, no number it sent is anything but finite, it is right again
+within one window, and its diagnostics named the fault.
+"""
+
+import itertools
+import os
+import signal
+import time
+from array import array
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path as FilePath
+from typing import Any
+
+import numpy as np
+import pytest
+import rclpy
+from conftest import numbers, stamp_of, write_config
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from lifecycle_msgs.srv import ChangeState, GetState
+from nav_msgs.msg import Path
+from rcl_interfaces.srv import SetParameters
+from rclpy.parameter import Parameter
+from rclpy.qos import QoSProfile, ReliabilityPolicy
+from rclpy.serialization import serialize_message
+from test_node import LIMIT, RELIABLE, Peer, node_words, process
+from visualization_msgs.msg import MarkerArray
+
+from kinpole_ros.messages import MARKER_TYPES, result_outputs, to_message
+from kinpole_ros.parameters import Settings
+
+OK, WARN = DiagnosticStatus.OK, DiagnosticStatus.WARN
+ERROR, STALE = DiagnosticStatus.ERROR, DiagnosticStatus.STALE
+SETTINGS = Settings(bodies={'rod': ('0', '1', '2', '3')}, marker_identity='index')
+WINDOW, LAG = round(SETTINGS.window * 1e9), round(SETTINGS.lag * 1e9)
+STEP = 5_000_000
+PACE = 0.004
+TURN = 2 * np.pi
+PIVOT = 0.3 - 0.2j
+ARMS = np.array([0.10 + 0.02j, 0.25 - 0.03j, 0.18 + 0.08j, 0.05 - 0.06j])
+_noise = np.random.default_rng(3)
+
+
+def rod(k: float, arms: np.ndarray = ARMS) -> np.ndarray:
+    """Markers (4, 3) of a rod that turns evenly about PIVOT, in its frame k."""
+    flat = PIVOT + arms * np.exp(1j * TURN * k * STEP * 1e-9)
+    points = np.stack((flat.real, flat.imag, 0 * flat.real), axis=-1)
+    points[:, :2] += 1e-4 * _noise.normal(size=(4, 2))
+    return points
+
+
+def message(stamp: int, points: np.ndarray, kind: str = 'marker_array') -> Any:
+    return to_message(kind, stamp, 'world', 'abcd', points)
+
+
+CHECKED: dict[str, tuple[Callable[[Any], complex], complex, float]] = {
+    'angular_velocity': (lambda m: m.vector.z, TURN, 0.02 * TURN),
+    'icr': (lambda m: m.point.x + 1j * m.point.y, PIVOT, 0.003),
+}
+
+
+class Rig(Peer):
+    """A tracker that can do wrong, and ears for all the node says."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.frame = 0.0
+        self.stamp = 1_000_000_000_000
+        self._next = 0.0
+        self._ears: dict[str, Any] = {}
+        self._heard_so_far: dict[str, list[Any]] = {}
+
+    def listen(self) -> None:
+        """
+        Hear all results.
+
+        No executor has to wait for them: the middleware keeps them until they are looked at.
+        """
+        ears = rclpy.create_node('ears', context=self.node.context)
+        topics = {f'/kinpole/{o.topic}': o.message_type for o in result_outputs(('rod',), 'xy')}
+        for topic, kind in {**topics, '/diagnostics': DiagnosticArray}.items():
+            qos = QoSProfile(depth=2000)
+            self._ears[topic] = ears.create_subscription(kind, topic, lambda _: None, qos)
+            self._heard_so_far[topic] = []
+        heard = lambda: all(self.node.count_publishers(topic) for topic in self._ears)  # noqa: E731
+        self.until(heard, 'all publishers')
+
+    def heard(self, topic: str) -> list[Any]:
+        """All messages of a topic since the last time that what was heard was forgotten."""
+        ear, listed = self._ears[topic], self._heard_so_far[topic]
+        with ear.handle:
+            while (taken := ear.handle.take_message(ear.msg_type, False)) is not None:
+                listed.append(taken[0])
+        return listed
+
+    def forget_heard(self, *topics: str) -> None:
+        for topic in topics or self._ears:
+            self.heard(topic).clear()
+
+    def until(self, condition: Callable[[], Any], what: str) -> None:
+        deadline = time.monotonic() + LIMIT
+        while not condition():
+            assert time.monotonic() < deadline, f'{what}: not within {LIMIT:g} s'
+            self._executor.spin_once(timeout_sec=0.002)
+
+    @contextmanager
+    def publisher(self, message_type: type, topic: str = '/markers') -> Iterator[Any]:
+        """A publisher that the node has found, gone whatever happens meanwhile."""
+        made = self.node.create_publisher(message_type, topic, QoSProfile(depth=1000))
+        try:
+            self.until(made.get_subscription_count, f'the node on {topic}')
+            yield made
+        finally:
+            self.node.destroy_publisher(made)
+
+    def send(self, publisher: Any, sent: Any) -> None:
+        """Publish at the pace of a tracker."""
+        publisher.publish(sent)
+        self._next = max(self._next + PACE, time.monotonic())
+        self._executor.spin_once(timeout_sec=max(0, self._next - time.monotonic()))
+
+    def good(
+        self, publisher: Any, count: int, kind: str = 'marker_array', step: int = STEP
+    ) -> None:
+        """Frames as they should be, until their results are there."""
+        for _ in range(count):
+            self.send_next(publisher, kind, step)
+        self.until(lambda: self.newest() >= self.stamp - LAG - step, 'the results')
+
+    def begin(self, publisher: Any, kind: str = 'marker_array') -> None:
+        """Good frames until results come; the node may yet begin anew, with this publisher."""
+        enough = self.stamp + WINDOW // 2
+
+        def send_and_look() -> bool:
+            self.send_next(publisher, kind)
+            return self.newest() >= enough
+
+        self.until(send_and_look, 'the first results')
+
+    def send_next(self, publisher: Any, kind: str = 'marker_array', step: int = STEP) -> None:
+        self.frame += step / STEP
+        self.stamp += step
+        self.send(publisher, message(self.stamp, rod(self.frame), kind))
+
+    def newest(self) -> int:
+        """The last instant that all the results are there of that are checked."""
+        last = [self.heard(f'/kinpole/rod/{topic}')[-1:] for topic in CHECKED]
+        return min(stamp_of(found[0]) for found in last) if all(last) else 0
+
+    def check_right(self, since: int) -> None:
+        """All that holds for instants from `since` on is right, and there is enough of it."""
+        for topic, (read, expected, tolerance) in CHECKED.items():
+            found = [m for m in self.heard(f'/kinpole/rod/{topic}') if stamp_of(m) >= since]
+            assert len(found) >= 5, topic
+            off = max(abs(read(m) - expected) for m in found)
+            assert off < tolerance, f'{topic} {off} off'
+
+    def check_finite(self) -> None:
+        for topic, ear in self._ears.items():
+            # A path holds again what the one before did.
+            most = 2 if ear.msg_type in (Path, MarkerArray) else 0
+            for heard in self.heard(topic)[-most:]:
+                assert np.isfinite(list(numbers(heard))).all(), topic
+        for told in self.heard('/diagnostics'):
+            for pair in itertools.chain.from_iterable(s.values for s in told.status):
+                assert pair.value.strip('-') not in ('nan', 'inf'), pair.key
+
+    def named(self, level: bytes | None, words: str, counted: str | None, status: int = 0) -> bool:
+        """Whether diagnostics were heard of this level, with these words and a count."""
+        for told in (heard.status[status] for heard in self.heard('/diagnostics')):
+            if words in told.message and level in (None, told.level):
+                values = {pair.key: pair.value for pair in told.values}
+                if counted is None or int(values[counted]) > 0:
+                    return True
+        return False
+
+    def fault(
+        self,
+        publisher: Any,
+        faulty: Callable[[int], Any],
+        level: bytes | None,
+        words: str,
+        counted: str | None,
+        kind: str = 'marker_array',
+        status: int = 0,
+    ) -> None:
+        """Good frames, then faulty ones until diagnostics name the fault, then good ones again."""
+        self.begin(publisher, kind)
+        frames = itertools.count(1)
+        act = lambda: self.send(publisher, faulty(next(frames)))  # noqa: E731
+        self.diagnosed(act, level, words, counted, status)
+        self.forget_heard()
+        self.stamp += 1_000_000_000_000
+        self.good(publisher, 100, kind)
+        # The first good frame begins a new window.
+        self.check_right(self.stamp - 100 * STEP + WINDOW - LAG)
+        self.check_finite()
+
+    def diagnosed(
+        self,
+        act: Callable[[], None],
+        level: bytes | None,
+        words: str,
+        counted: str | None,
+        status: int = 0,
+    ) -> None:
+        """Do something until diagnostics tell of it."""
+        self.forget_heard('/diagnostics')
+
+        def act_and_look() -> bool:
+            if self.named(level, words, counted, status):
+                return True
+            act()
+            return False
+
+        self.until(act_and_look, f'diagnostics of level {level!r} that say: {words}')
+        self.check_finite()
+
+
+@pytest.fixture(scope='module')
+def running(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Rig]:
+    folder = tmp_path_factory.mktemp('faults')
+    config = write_config(folder / 'rod.yaml', SETTINGS, marker_identity='index', **RELIABLE)
+    made = Rig()
+    with process(*node_words(config), log=folder / 'stderr', limit=180) as node:
+        made.listen()
+        yield made
+        assert node.poll() is None
+    assert 'Traceback' not in (folder / 'stderr').read_text()
+    made.close()
+
+
+@pytest.fixture
+def rig(running: Rig) -> Rig:
+    running.forget_heard()
+    return running
+
+
+RESETS = 'starts anew after a jump of the stamps'
+REPEATED = 'frames with the stamp of the one before, left out'
+HOUR = 3600 * 10**9
+# Stamps of faulty frames after the last good one, by how many frames ago that was.
+WRONG_STAMPS: dict[str, tuple[Callable[[int], int], bytes, str, str | None]] = {
+    'clock jumps back': (lambda k: k * STEP - k // 40 * HOUR, WARN, 'stamps jumped', RESETS),
+    'clock jumps ahead': (lambda k: k * STEP + k // 40 * HOUR, WARN, 'stamps jumped', RESETS),
+    'a bag loops': (lambda k: k % 100 * STEP, WARN, 'stamps jumped', RESETS),
+    'a bag shorter than the window loops': (lambda k: k % 20 * STEP, WARN, 'stamps jumped', RESETS),
+    'all stamps run backwards': (lambda k: -k * STEP, WARN, 'stamps jumped', RESETS),
+    'frames overtake one another': (lambda k: (k ^ 1) * STEP, WARN, 'stamps jumped', RESETS),
+    'every stamp comes twice': (lambda k: k // 2 * STEP, WARN, 'stamps repeat', REPEATED),
+    'all stamps are the same': (lambda k: 0, ERROR, 'the stamps stand still at', REPEATED),
+    'time of receipt, in bunches': (
+        lambda k: k // 10 * 10 * STEP + k % 10 * 100_000,
+        WARN,
+        'the stamps come in bunches',
+        None,
+    ),
+    'ns taken for s': (lambda k: k * STEP * 10**9, ERROR, 'times as fast as the messages', None),
+    'ms taken for s': (lambda k: k * STEP * 1000, ERROR, 'times as fast as the messages', None),
+    'ms taken for ns': (lambda k: 5 * k, ERROR, 'times as fast as the messages', None),
+}
+
+
+@pytest.mark.parametrize('fault', WRONG_STAMPS)
+def test_wrong_stamps(rig: Rig, fault: str) -> None:
+    offset, *expected = WRONG_STAMPS[fault]
+
+    def faulty(k: int) -> Any:
+        # As far as the 32 bits of s go round.
+        return message((rig.stamp + offset(k)) % (2**31 * 10**9), rod(rig.frame + k))
+
+    with rig.publisher(MARKER_TYPES['marker_array']) as publisher:
+        rig.fault(publisher, faulty, *expected)
+
+
+def with_nothing_finite(k: int, points: np.ndarray) -> None:
+    points[:] = (np.nan, np.inf, -np.inf)[k % 3]
+
+
+def with_one_marker_gone(k: int, points: np.ndarray) -> None:
+    points[k % 4] = np.nan
+
+
+def with_absurd_numbers(k: int, points: np.ndarray) -> None:
+    points[k % 4] = (1e300, -1e300, 1.7e308)
+
+
+def with_a_marker_that_jumps(k: int, points: np.ndarray) -> None:
+    points[2, :2] += (k % 10 == 0) * 0.7
+
+
+LEFT_OUT = 'markers left out, since they did not fit their body'
+
+
+@pytest.mark.parametrize(
+    'spoil, status, level, words, counted',
+    [
+        (with_nothing_finite, 1, WARN, 'too few markers seen', None),
+        (with_one_marker_gone, 0, OK, 'receiving markers', 'markers not seen, summed over frames'),
+        (with_absurd_numbers, 0, OK, 'receiving markers', 'markers not seen, summed over frames'),
+        (with_a_marker_that_jumps, 0, OK, 'receiving markers', LEFT_OUT),
+    ],
+)
+def test_wrong_coordinates(
+    rig: Rig,
+    spoil: Callable[[int, np.ndarray], None],
+    status: int,
+    level: bytes,
+    words: str,
+    counted: str | None,
+) -> None:
+    def faulty(k: int) -> Any:
+        points = rod(rig.frame + k)
+        spoil(k, points)
+        cloud = message(rig.stamp + k * STEP, np.zeros((4, 3)), 'point_cloud2')
+        cloud.data[:] = array('B', points.tobytes())
+        return cloud
+
+    with rig.publisher(MARKER_TYPES['point_cloud2']) as publisher:
+        rig.fault(publisher, faulty, level, words, counted, 'point_cloud2', status)
+
+
+def test_changes_of_rate(rig: Rig) -> None:
+    with rig.publisher(MARKER_TYPES['marker_array']) as publisher:
+        rig.begin(publisher)
+        for rate in (200, 50, 500, 200):
+            rig.forget_heard()
+            start = rig.stamp
+            rig.good(publisher, round(0.8 * rate), step=10**9 // rate)
+            rig.check_right(start + WINDOW)
+    rig.check_finite()
+
+
+@pytest.mark.parametrize('kind', ['marker', 'pose_array', 'point_cloud2', 'marker_array'])
+def test_a_publisher_that_comes_back_with_other_markers_in_other_messages(
+    rig: Rig, kind: str
+) -> None:
+    """The rod's markers sit elsewhere on it, and one more is in the message."""
+    moved = 1.3 * ARMS * np.exp(0.4j)
+    extra = np.array([[3.0, 3.0, 0.0]])
+    with rig.publisher(MARKER_TYPES['marker_array']) as publisher:
+        rig.begin(publisher)
+    rig.forget_heard()
+    start = rig.stamp
+    with rig.publisher(MARKER_TYPES[kind]) as publisher:
+        for _ in range(100):
+            rig.frame += 1
+            rig.stamp += STEP
+            points = np.concatenate((rod(rig.frame, moved), extra))
+            rig.send(publisher, to_message(kind, rig.stamp, 'world', 'abcde', points))
+        rig.until(lambda: rig.newest() >= rig.stamp - LAG - STEP, 'the results')
+        rig.check_right(start + WINDOW)
+        rig.diagnosed(
+            lambda: None,
+            STALE,
+            'no markers received',
+            'markers in the last new layout that no body names',
+        )
+    rig.check_finite()
+
+
+def mutilated(good: bytes) -> Iterator[bytes]:
+    """What bad memory, bad drivers and bad will make of a message."""
+    generator = np.random.default_rng(11)
+    yield from (b'\x00', good[:4], good[:-1], good + good, bytes(len(good)))
+    while True:
+        data = bytearray(good)
+        place = int(generator.integers(4, len(data) - 4))
+        match generator.integers(5):
+            case 0:
+                yield generator.bytes(int(generator.integers(1, 400)))
+            case 1:
+                yield bytes(data[:place])
+            case 2:
+                data[place : place + 4] = b'\xff\xff\xff\x7f'
+                yield bytes(data)
+            case 3:
+                data[place] ^= 1 << int(generator.integers(8))
+                yield bytes(data)
+            case _:
+                # No text in UTF-8, and no end to it.
+                yield bytes(data).replace(b'world\0', b'\xff\xfe\xc0\x80\x01\x02')
+
+
+@pytest.mark.parametrize('kind', MARKER_TYPES)
+def test_mutilated_messages(rig: Rig, kind: str) -> None:
+    good = serialize_message(message(rig.stamp, rod(1), kind))
+    faulty = mutilated(good)
+    with rig.publisher(MARKER_TYPES[kind]) as publisher:
+        rig.fault(
+            publisher,
+            lambda _: next(faulty),
+            None,
+            'nothing is damaged',
+            'messages that could not be read',
+            kind,
+        )
+
+
+# Parameters, transitions, signals
+
+
+def test_parameters_set_while_markers_come(rig: Rig) -> None:
+    """Every parameter: bad values are refused in one line, good ones taken, and results go on."""
+    refused = {
+        'window': ('wide', -1.0, float('nan'), 1e300, [0.1], True),
+        'lag': (SETTINGS.window, -0.1, float('inf'), 'late', [b'\xff']),
+        'noise': (-1e-9, float('nan'), 'loud', False),
+        'derivative_order': (0, 5, 'high', 2.5, [1]),
+        'plane': ('xz', '', 1, ['xy']),
+        'method': ('poses', 0, ''),
+        'marker_identity': ('name', 7),
+        'marker_type': ('marker', 0),
+        'marker_topic': ('/other', '../../etc'),
+        'bodies': (['other'], [], 'rod'),
+        'rod.markers': (['0'], ['5', '6']),
+        'autostart': (False, 'yes'),
+        'scene': ('four_bar', '/etc/passwd', '../secrets.yaml'),
+        'qos_overrides./markers.subscription.depth': (-1, 'deep', 10**12),
+        'no_such_parameter': (0.3, ''),
+    }
+    taken = {
+        'noise': (1e-4, 0.0),
+        'window': (0.25, SETTINGS.window),
+        'lag': (0.05, SETTINGS.lag),
+        'derivative_order': (1, '2', 'auto'),
+        'method': ('landmarks', 'pose'),
+        'marker_identity': ('auto', 'index'),
+        'plane': ('zx', 'xy'),
+    }
+    with rig.publisher(MARKER_TYPES['point_cloud2']) as publisher:
+        rig.begin(publisher, 'point_cloud2')
+        given = [Parameter(name, value=v) for name, values in refused.items() for v in values]
+        request = SetParameters.Request(parameters=[p.to_parameter_msg() for p in given])
+        results = rig.call('/kinpole/set_parameters', SetParameters, request).results
+        for parameter, result in zip(given, results, strict=True):
+            assert not result.successful, parameter
+            assert result.reason and '\n' not in result.reason
+            assert 'root:' not in result.reason
+        # A value taken away, as rclpy understands a parameter without one.
+        for name in ('window', 'plane', 'bodies', 'rod.markers'):
+            assert not rig.set(**{name: None})[0].successful
+        for name, values in taken.items():
+            for value in values:
+                assert [r.successful for r in rig.set(**{name: value})] == [True], (name, value)
+                for _ in range(3):
+                    rig.send_next(publisher, 'point_cloud2')
+        rig.forget_heard()
+        start = rig.stamp
+        for _ in range(100):
+            rig.send_next(publisher, 'point_cloud2')
+        rig.until(lambda: rig.newest() >= rig.stamp - LAG - STEP, 'the results')
+        rig.check_right(start + WINDOW)
+    rig.check_finite()
+
+
+def test_impossible_transitions_are_refused_and_the_node_stays(rig: Rig) -> None:
+    for number in (*range(12), 60, 97, 99, 255):
+        if number not in (4, 7):  # deactivate and shutdown are possible
+            request = ChangeState.Request()
+            request.transition.id = number
+            assert not rig.call('/kinpole/change_state', ChangeState, request).success, number
+    assert not rig.change('no such transition')
+    assert rig.state() == 'active'
+
+
+STATES = {
+    'unconfigured': (),
+    'inactive': ('configure',),
+    'active': ('configure', 'activate'),
+    'active again': ('configure', 'activate', 'deactivate', 'activate'),
+    'configured again': ('configure', 'cleanup', 'configure'),
+    'finalized': ('configure', 'activate', 'shutdown'),
+}
+
+
+@pytest.mark.parametrize('state', STATES)
+def test_told_to_stop_in_any_state_the_node_ends_at_once(state: str, tmp_path: FilePath) -> None:
+    sign = (signal.SIGINT, signal.SIGTERM)[len(STATES[state]) % 2]
+    config = write_config(tmp_path / 'rod.yaml', SETTINGS, marker_identity='index')
+    asker = Peer()
+    words = node_words(config, autostart=False)
+    try:
+        with process(*words, '-r', '__node:=k', log=tmp_path / 'stderr') as node:
+            for transition in STATES[state]:
+                request = ChangeState.Request()
+                request.transition.label = transition
+                assert asker.call('/k/change_state', ChangeState, request).success, transition
+            found = asker.call('/k/get_state', GetState, GetState.Request()).current_state.label
+            assert found == {'active again': 'active', 'configured again': 'inactive'}.get(
+                state, state
+            )
+            node.send_signal(sign)
+            assert node.wait(LIMIT) == 0
+        assert (tmp_path / 'stderr').read_text() == ''
+    finally:
+        asker.close()
+
+
+DROPPED = 'messages dropped, since the node or the network could not keep up'
+
+
+def crowd(count: int = 100) -> Callable[[int, int], bytes]:
+    """Frames k of `count` markers on one turning body as bytes, with a stamp: cheap to make."""
+    marks = np.arange(3.0 * count).reshape(count, 3) + 0.123
+    data = serialize_message(to_message('marker_array', 0, 'world', ['m'] * count, marks))
+    places = np.array([data.index(row.tobytes()) for row in marks])[:, None] + np.arange(24)
+    flat = 0.2 * np.exp(1j * np.arange(count)) * np.linspace(0.2, 1, count)
+
+    def frame(k: int, stamp: int) -> bytes:
+        turned = PIVOT + flat * np.exp(1j * TURN * k / 1000)
+        points = np.stack((turned.real, turned.imag, 0 * turned.real), axis=-1)
+        made = np.frombuffer(data, np.uint8).copy()
+        made[places] = points.view(np.uint8).reshape(count, 24)
+        made[8:16] = np.array(divmod(stamp, 10**9), '<u4').view(np.uint8)
+        return made.tobytes()
+
+    return frame
+
+
+def test_a_flood_is_told_of_and_the_newest_wins(tmp_path: FilePath) -> None:
+    """100 markers at 1 kHz and more, for a node with one core that it shares with the sender."""
+    frame = crowd()
+    rig = Rig()
+    cores = os.sched_getaffinity(0)
+    os.sched_setaffinity(0, {min(cores)})
+    config = write_config(tmp_path / 'rod.yaml', Settings(bodies={'rod': ()}))
+    try:
+        with process(*node_words(config), log=tmp_path / 'stderr') as node:
+            rig.listen()
+            qos = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
+            publisher = rig.node.create_publisher(MarkerArray, '/markers', qos)
+            rig.until(publisher.get_subscription_count, 'the node')
+
+            def send() -> None:
+                for _ in range(20):
+                    rig.frame += 1
+                    rig.stamp += 1_000_000
+                    publisher.publish(frame(int(rig.frame), rig.stamp))
+
+            rig.diagnosed(send, WARN, 'cannot keep up', DROPPED)
+            rig.forget_heard()
+            # At a pace that can be borne it is right at once.
+            start = rig.stamp
+            for _ in range(100):
+                rig.frame += 5
+                rig.stamp += 5_000_000
+                rig.send(publisher, frame(int(rig.frame), rig.stamp))
+            rig.until(lambda: rig.newest() >= rig.stamp - LAG - 10 * STEP, 'the newest results')
+            rig.check_right(start + WINDOW)
+            rig.check_finite()
+            assert node.poll() is None
+    finally:
+        os.sched_setaffinity(0, cores)
+        rig.close()
