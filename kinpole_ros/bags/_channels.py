@@ -20,6 +20,7 @@ _MESSAGE_RECORD = int(Opcode.MESSAGE)
 LARGEST = 1 << 30
 _ALWAYS = 1 << 24
 _RATIO = 1000
+_LONGEST_NAME = 1000
 
 
 class BagMessage(NamedTuple):
@@ -43,6 +44,10 @@ class Channels:
         self._refused: dict[int, str] = {}
 
     def add(self, record: Schema | Channel) -> None:
+        """Take note of a description; raises ValueError for names that no user should be shown."""
+        name = record.name if isinstance(record, Schema) else record.topic
+        if not name.isprintable() or len(name) > _LONGEST_NAME:
+            raise ValueError('a name that is none')
         if isinstance(record, Schema):
             self._schemas[record.id] = record.name
             return
@@ -55,7 +60,7 @@ class Channels:
         elif asked_for:
             self._refused[record.id] = (
                 f"{self._path}: topic '{record.topic}' has messages in "
-                f"'{record.message_encoding}' of type '{name}'; mend: give a topic of ROS 2 "
+                f"{record.message_encoding!r} of type '{name}'; mend: give a topic of ROS 2 "
                 'messages (cdr)'
             )
         else:

@@ -146,6 +146,7 @@ class Unpacked(io.RawIOBase):
     """
 
     def __init__(self, file: BinaryIO) -> None:
+        self.name = file.name
         self.trouble = ''
         self._file = file
         self._begin()

@@ -190,7 +190,7 @@ def records(file: BinaryIO, span: Span, layout: Layout) -> bytes:
         content = chunk.data
     else:
         raise BagError(
-            f"{file.name}: chunks are compressed with '{chunk.compression}'; "
+            f'{file.name}: chunks are compressed with {chunk.compression!r}; '
             f'mend: `mcap compress {file.name} -o NEW.mcap`'
         )
     if len(record) == span.length:

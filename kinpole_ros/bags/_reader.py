@@ -25,6 +25,7 @@ from kinpole_ros.bags._files import (
 )
 from kinpole_ros.bags._layout import NEVER, lay_out, records
 
+_LATEST = 2**63 - 1  # ns; ROS has no later time
 _LOG_TIME = attrgetter('log_time')
 # What a block holds at most, but for single messages and chunks larger than that.
 _BLOCK_MESSAGES = 1000
@@ -152,6 +153,10 @@ def _read_file(
         found: list[BagMessage] = []
         try:
             channels.read(records(file, span, layout), found)
+            found.sort(key=_LOG_TIME)
+            if found and found[-1].log_time > _LATEST:
+                del found[bisect_right(found, _LATEST, key=_LOG_TIME) :]
+                raise ValueError('a log time after the year 2262')
         except (BagError, OSError):
             raise
         except Exception as error:  # mcap and each decompressor have their own for bad bytes
@@ -190,7 +195,7 @@ class _Waiting:
         self.size = 0
 
     def add(self, place: int, found: list[BagMessage]) -> None:
-        found.sort(key=_LOG_TIME)
+        found.sort(key=_LOG_TIME)  # what is sorted already costs next to nothing
         self._sizes[place] = sum([len(message.data) for message in found])
         self.size += self._sizes[place]
         heappush(self._runs, (found[0].log_time, place, 0, found))
