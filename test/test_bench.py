@@ -183,7 +183,7 @@ def test_a_long_run_tells_a_frame_that_drifts_from_one_that_stays(monkeypatch: A
         assert row['icr_determined'] > 0.9
     monkeypatch.setattr(_long, 'Tracker', Turning)
     drifting = _long.long_run(600)
-    assert drifting[-1]['turned'] == pytest.approx(4e-5, rel=0.05)
+    assert drifting[-1]['turned'] == pytest.approx(4e-5, rel=0.2)
     assert drifting[-1]['shifted'] > 1e-7
 
 

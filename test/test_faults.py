@@ -8,6 +8,8 @@ within one window, and its diagnostics named the fault.
 import itertools
 import os
 import signal
+import subprocess
+import sys
 import time
 from array import array
 from collections.abc import Callable, Iterator
@@ -398,6 +400,41 @@ def test_mutilated_messages(rig: Rig, kind: str) -> None:
             'messages that could not be read',
             kind,
         )
+
+
+FAILING = """
+import sys
+from kinpole_ros.node import main
+from kinpole_ros.tracker import Tracker
+add = Tracker.add
+def failing(self, frames, order):
+    if int(frames.stamps[0]) % 1000 == 7:
+        raise IndexError('what nobody thought of')
+    return add(self, frames, order)
+Tracker.add = failing
+sys.exit(main(['kinpole', *sys.argv[1:]]))
+"""
+
+
+def test_a_failure_of_its_own_is_told_of_and_ridden_out(tmp_path: FilePath) -> None:
+    config = write_config(tmp_path / 'rod.yaml', SETTINGS, marker_identity='index', **RELIABLE)
+    rig = Rig()
+    words = ['timeout', '--foreground', '-k', '2', '60', sys.executable, '-c', FAILING]
+    with subprocess.Popen([*words, *node_words(config)[1:]]) as node:
+        try:
+            rig.listen()
+            with rig.publisher(MARKER_TYPES['marker_array']) as publisher:
+                rig.fault(
+                    publisher,
+                    lambda k: message(rig.stamp + k * STEP + 7, rod(rig.frame + k)),
+                    ERROR,
+                    'the node failed (IndexError: what nobody thought of) and starts anew',
+                    'failures of the node itself',
+                )
+        finally:
+            node.send_signal(signal.SIGINT)
+            assert node.wait(LIMIT) == 0
+            rig.close()
 
 
 # Parameters, transitions, signals

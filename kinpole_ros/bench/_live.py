@@ -25,6 +25,7 @@ from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.serialization import deserialize_message, serialize_message
 from sensor_msgs.msg import PointCloud2
 
+from kinpole_ros.bench._speed import compared
 from kinpole_ros.messages import stamp_to_ns, to_message
 
 RELAY = 'relay'
@@ -371,23 +372,16 @@ def _help() -> float:
     return time.monotonic() - start
 
 
-def live_rows(live: Live) -> list[tuple[str, str, str]]:
-    """What was measured, the figure and the bar, as words."""
+def live_rows(live: Live) -> list[dict[str, Any]]:
+    """One row by comparison, as of `_speed.speed_rows`; a time alone is compared with 1 s."""
     node, other = live.latency[NODE], live.latency[RELAY]
     rows = []
-    for share, bar in ((50, '1.5'), (99, '2')):
-        ours, theirs = node.percentile(share), other.percentile(share)
-        rows.append(
-            (
-                f'latency p{share}, node {ours * 1e6:.0f} us, relay {theirs * 1e6:.0f} us',
-                f'{ours / theirs:.2f}',
-                f'<= {bar}',
-            )
-        )
-    ours, theirs = live.rate[NODE], live.rate[RELAY]
-    rows.append(
-        (f'rate held, node {ours:.0f} Hz, relay {theirs:.0f} Hz', f'{ours / theirs:.2f}', '>= 0.5')
-    )
-    rows.append(('start to first answer, s', f'{live.first_answer:.2f}', '<= 2'))
-    rows.append(('kinpole --help, s', f'{live.help:.2f}', '<= 0.3'))
+    for share, bar in ((50, 1.5), (99, 2.0)):
+        ours, theirs = (1e6 * each.percentile(share) for each in (node, other))
+        rows.append(compared(f'latency, p{share}, against a relay', ours, theirs, 'µs', bar))
+    rates = live.rate[NODE], live.rate[RELAY]
+    held = compared('rate held without a drop, against the relay', *rates, 'Hz', 0.5)
+    rows.append(held | {'least': True})
+    rows.append(compared('node from start to first answer', live.first_answer, 1.0, 's', 2.0))
+    rows.append(compared('kinpole --help', live.help, 1.0, 's', 0.3))
     return rows

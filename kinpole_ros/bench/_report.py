@@ -22,6 +22,7 @@ from kinpole_ros.bench._hindsight import (
     own_errors,
     pooled_rms,
 )
+from kinpole_ros.bench._live import live_rows, measure_live
 from kinpole_ros.bench._long import long_run
 from kinpole_ros.bench._motions import motions
 from kinpole_ros.bench._page import Results, make_page
@@ -36,9 +37,11 @@ from kinpole_ros.bench._peers import (
 )
 from kinpole_ros.bench._pendulum import TABLE, pendulum
 from kinpole_ros.bench._record import NOISES, QUANTITIES, RATE, UNITS, make_recording, measure
+from kinpole_ros.bench._soak import soak, soak_rows
+from kinpole_ros.bench._speed import speed_rows
 
 Rows = list[dict[str, Any]]
-_LONG = 'long.csv'
+_LONG, _SOAK = 'long.csv', 'soak.csv'
 
 
 def hindsight_table(
@@ -101,7 +104,10 @@ def bench(
             written.append(path.with_suffix('.png'))
 
     spent = costs(1 if quick else 5)
-    tell(0.05)
+    tell(0.02)
+    fast = [*speed_rows(quick), *live_rows(measure_live(300 if quick else 2000))]
+    write('speed', fast, None)
+    tell(0.2)
     ratios, covered, bounded = hindsight_table(names, NOISES, *((1, 3.0) if quick else (9, 6.0)))
     write('hindsight', ratios, charts.hindsight)
     write('coverage', covered, None)
@@ -145,7 +151,9 @@ def bench(
         swung,
         spent,
         cells,
+        fast,
         _read_csv(folder / 'charts' / _LONG),
+        _read_csv(folder / 'charts' / _SOAK),
     )
     page.write_text(make_page(results), encoding='utf-8')
     return [page, *written]
@@ -155,12 +163,27 @@ def bench_long(output: str | Path, progress: Callable[[float], None] | None = No
     """
     Run ten million frames through one tracker and write `charts/long.csv` in the folder `output`.
 
-    An hour or two. The page quotes it from the next `bench` on. Raises OSError where it cannot be
+    Some minutes. The page quotes it from the next `bench` on. Raises OSError where it cannot be
     written.
     """
     path = Path(output) / 'charts' / _LONG
     path.parent.mkdir(parents=True, exist_ok=True)
     _write_csv(path, long_run(progress=progress))
+    return [path]
+
+
+def bench_soak(
+    output: str | Path, minutes: float, progress: Callable[[float], None] | None = None
+) -> list[Path]:
+    """
+    Run the live node for so long and write `charts/soak.csv` in the folder `output`.
+
+    The page quotes it from the next `bench` on. Raises OSError where it cannot be written,
+    RuntimeError if the node ends.
+    """
+    path = Path(output) / 'charts' / _SOAK
+    path.parent.mkdir(parents=True, exist_ok=True)
+    _write_csv(path, soak_rows(soak(minutes, progress)))
     return [path]
 
 

@@ -39,16 +39,13 @@ def covariance(linear: Linear, position_covariance: Real, angle_covariance: Real
     """
     isotropic = _quadratic(linear.by_position, position_covariance)
     result = np.empty((*np.shape(isotropic + np.abs(linear.value)), 2, 2))
-    parts = {k: (g.real, g.imag) for k, g in linear.by_angle.items()}
-    for row in range(2):
-        for column in range(row, 2):
-            with np.errstate(invalid='ignore', over='ignore'):
-                shared = sum(
-                    angle_covariance[k, m] * parts[k][row] * parts[m][column]
-                    for k in parts
-                    for m in parts
-                )
-            result[..., row, column] = shared + (isotropic if row == column else 0.0)
+    with np.errstate(invalid='ignore', over='ignore'):
+        factors, applied = _applied(linear.by_angle, angle_covariance)
+        for row, part in enumerate((factors.real, factors.imag)):
+            for column, other in enumerate((applied.real, applied.imag)):
+                if row <= column:
+                    shared = (part * other).sum(axis=0)
+                    result[..., row, column] = shared + (isotropic if row == column else 0.0)
     result[..., 1, 0] = result[..., 0, 1]
     return result
 
@@ -61,10 +58,19 @@ def variance(linear: Linear, position_covariance: Real, angle_covariance: Real) 
 
 def _quadratic(factors: Mapping[int, Complex], matrix: Real) -> Real:
     """Sum of Re(f_k conj(f_m)) matrix[k, m]."""
-    total: Real = np.zeros(())
+    if not factors:
+        return np.zeros(())
     # Where a quantity is not finite its factors are not either; that is the caller's to see.
     with np.errstate(invalid='ignore', over='ignore'):
-        for k, f in factors.items():
-            for m, g in factors.items():
-                total = total + (f * np.conj(g)).real * matrix[k, m]
-    return total
+        f, applied = _applied(factors, matrix)
+        return np.asarray((f.real * applied.real + f.imag * applied.imag).sum(axis=0))
+
+
+def _applied(factors: Mapping[int, Complex], matrix: Real) -> tuple[Complex, Complex]:
+    """Factors (n, ...) by order, and the sums over m of matrix[k, m] times f_m (n, ...)."""
+    orders = list(factors)
+    shape = np.broadcast_shapes(*map(np.shape, factors.values()))
+    f = np.empty((len(orders), *shape), complex)
+    for k, factor in enumerate(factors.values()):
+        f[k] = factor
+    return f, (matrix[orders][:, orders] * f).sum(axis=1)
