@@ -20,6 +20,7 @@ from typing import Any
 import numpy as np
 import pytest
 import rclpy
+from builtin_interfaces.msg import Time
 from conftest import numbers, stamp_of, write_config
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from lifecycle_msgs.srv import ChangeState, GetState
@@ -28,6 +29,7 @@ from rcl_interfaces.srv import SetParameters
 from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.serialization import serialize_message
+from rosgraph_msgs.msg import Clock
 from test_node import LIMIT, RELIABLE, Peer, node_words, process
 from visualization_msgs.msg import MarkerArray
 
@@ -364,6 +366,21 @@ def test_a_publisher_that_comes_back_with_other_markers_in_other_messages(
     rig.check_finite()
 
 
+def test_a_publisher_that_offers_less_than_the_node_asks_for(rig: Rig) -> None:
+    kind = MARKER_TYPES['marker_array']
+    qos = QoSProfile(depth=5, reliability=ReliabilityPolicy.BEST_EFFORT)
+    unreliable = rig.node.create_publisher(kind, '/markers', qos)
+    words = 'offers less than this node asks for in the QoS policy reliability'
+    try:
+        rig.diagnosed(lambda: rig.send_next(unreliable), ERROR, words, None)
+    finally:
+        rig.node.destroy_publisher(unreliable)
+    with rig.publisher(kind) as publisher:
+        rig.begin(publisher)
+        send = lambda: rig.send_next(publisher)  # noqa: E731
+        rig.diagnosed(send, OK, 'receiving markers', None)
+
+
 def mutilated(good: bytes) -> Iterator[bytes]:
     """What bad memory, bad drivers and bad will make of a message."""
     generator = np.random.default_rng(11)
@@ -400,6 +417,27 @@ def test_mutilated_messages(rig: Rig, kind: str) -> None:
             'messages that could not be read',
             kind,
         )
+
+
+def test_a_simulated_clock_may_tell_any_time(tmp_path: FilePath) -> None:
+    config = write_config(tmp_path / 'rod.yaml', SETTINGS, marker_identity='index', **RELIABLE)
+    rig = Rig()
+    try:
+        with process(*node_words(config, use_sim_time=True), log=tmp_path / 'stderr') as node:
+            rig.listen()
+            clock = rig.node.create_publisher(Clock, '/clock', 1)
+            rig.until(clock.get_subscription_count, 'the clock of the node')
+            for time_told in (Time(sec=-5), Time(sec=2**31 - 1, nanosec=2**32 - 1)):
+                rig.forget_heard()
+                said = lambda: clock.publish(Clock(clock=time_told))  # noqa: B023, E731
+                rig.diagnosed(said, STALE, 'no markers received', None)
+            clock.publish(b'\x00\x01\x00\x00\xff')
+            with rig.publisher(MARKER_TYPES['marker_array']) as publisher:
+                rig.begin(publisher)
+            rig.check_finite()
+            assert node.poll() is None
+    finally:
+        rig.close()
 
 
 FAILING = """

@@ -431,3 +431,22 @@ def test_corrupted_bags_are_read_or_refused_soon_and_in_little_memory(tmp_path):
     outcomes = fuzz_bags(300, seed=3, folder=tmp_path)
     assert sum(outcomes.values()) == 300
     assert min(outcomes[name] for name in ('read', 'BagError', 'Truncated')) > 10
+
+
+@pytest.mark.parametrize('mode', ['FILE', 'MESSAGE'])
+def test_what_rosbags_compresses_is_read(tmp_path, mode):
+    rosbag2 = pytest.importorskip('rosbags.rosbag2')
+    typesys = pytest.importorskip('rosbags.typesys')
+    store = typesys.get_typestore(typesys.Stores.ROS2_JAZZY)
+    plain = [b'\x00\x01\x00\x00' + bytes([k]) * 24 for k in range(50)]
+    writer = rosbag2.Writer(tmp_path / 'bag', version=9, storage_plugin=rosbag2.StoragePlugin.MCAP)
+    writer.set_compression(getattr(rosbag2.CompressionMode, mode), rosbag2.CompressionFormat.ZSTD)
+    with writer:
+        connection = writer.add_connection('/p', POINT, typestore=store)
+        for k, data in enumerate(plain):
+            writer.write(connection, k, data)
+    assert read(tmp_path / 'bag') == (
+        [BagMessage('/p', POINT, d, k) for k, d in enumerate(plain)],
+        '',
+    )
+    assert topics(tmp_path / 'bag') == {'/p': POINT}
