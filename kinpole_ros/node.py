@@ -49,6 +49,9 @@ _LOOK_EVERY = 0.1
 _DEPTH = 50
 # With so many waiting the node is behind: all are taken into the window, the newest alone is told.
 _BEHIND = 25
+# Results kept for a reliable reader that is slow, such as a recorder on a busy machine: what waits
+# is taken at once, so they come in bunches. Those who asked for less do not get more.
+_KEPT = 1000
 # So many failures with nothing done between them are no weather to ride out.
 _MOST_FAILURES = 100
 # rclpy's own callbacks only log, and cost 6 us a publisher whenever it waits.
@@ -243,7 +246,7 @@ class KinpoleNode(LifecycleNode):
                 publisher = self.create_lifecycle_publisher(
                     output.message_type,
                     f'~/{output.topic}',
-                    _DEPTH,
+                    _KEPT,
                     event_callbacks=_NO_EVENTS,
                 )
                 if self.listening:
