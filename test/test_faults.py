@@ -330,15 +330,15 @@ def test_wrong_coordinates(
 def test_changes_of_rate(rig: Rig) -> None:
     with rig.publisher(MARKER_TYPES['marker_array']) as publisher:
         rig.begin(publisher)
-        for rate in (200, 50, 500, 200):
+        for rate in (200, 50, 500):
             rig.forget_heard()
             start = rig.stamp
-            rig.good(publisher, round(0.8 * rate), step=10**9 // rate)
+            rig.good(publisher, round(0.6 * rate), step=10**9 // rate)
             rig.check_right(start + WINDOW)
     rig.check_finite()
 
 
-@pytest.mark.parametrize('kind', ['marker', 'pose_array', 'point_cloud2', 'marker_array'])
+@pytest.mark.parametrize('kind', ['pose_array', 'marker_array'])
 def test_a_publisher_that_comes_back_with_other_markers_in_other_messages(
     rig: Rig, kind: str
 ) -> None:
@@ -427,10 +427,9 @@ def test_a_simulated_clock_may_tell_any_time(tmp_path: FilePath) -> None:
             rig.listen()
             clock = rig.node.create_publisher(Clock, '/clock', 1)
             rig.until(clock.get_subscription_count, 'the clock of the node')
-            for time_told in (Time(sec=-5), Time(sec=2**31 - 1, nanosec=2**32 - 1)):
-                rig.forget_heard()
-                said = lambda: clock.publish(Clock(clock=time_told))  # noqa: B023, E731
-                rig.diagnosed(said, STALE, 'no markers received', None)
+            told = itertools.cycle((Time(sec=-5), Time(sec=2**31 - 1, nanosec=2**32 - 1)))
+            say = lambda: clock.publish(Clock(clock=next(told)))  # noqa: E731
+            rig.diagnosed(say, STALE, 'no markers received', None)
             clock.publish(b'\x00\x01\x00\x00\xff')
             with rig.publisher(MARKER_TYPES['marker_array']) as publisher:
                 rig.begin(publisher)
@@ -545,9 +544,8 @@ def test_impossible_transitions_are_refused_and_the_node_stays(rig: Rig) -> None
 STATES = {
     'unconfigured': (),
     'inactive': ('configure',),
-    'active': ('configure', 'activate'),
     'active again': ('configure', 'activate', 'deactivate', 'activate'),
-    'configured again': ('configure', 'cleanup', 'configure'),
+    'unconfigured again': ('configure', 'cleanup'),
     'finalized': ('configure', 'activate', 'shutdown'),
 }
 
@@ -565,9 +563,7 @@ def test_told_to_stop_in_any_state_the_node_ends_at_once(state: str, tmp_path: F
                 request.transition.label = transition
                 assert asker.call('/k/change_state', ChangeState, request).success, transition
             found = asker.call('/k/get_state', GetState, GetState.Request()).current_state.label
-            assert found == {'active again': 'active', 'configured again': 'inactive'}.get(
-                state, state
-            )
+            assert found == state.removesuffix(' again')
             node.send_signal(sign)
             assert node.wait(LIMIT) == 0
         assert (tmp_path / 'stderr').read_text() == ''
