@@ -39,8 +39,8 @@ _ROUNDING = 4 * np.finfo(float).eps
 _FARTHEST = 1e15
 # rad. An angle noisier than this wanders round, and its errors are no longer small.
 _UNSTEADY = 0.15
-# Weights this near to 1 are not worth fits of their own.
-_ALIKE = 0.97
+# Weights are worth fits of their own where the variance without them is so many times as large.
+_WORTH = 1.1
 # Instants times signals that are differentiated at once: what a cache holds.
 _MOST_AT_ONCE = 512
 # Frames later than this many intervals of late come after a gap.
@@ -539,46 +539,34 @@ class Tracker:
         """
         now, oldest, newest = windows
         stamps = self._stamps.view()
-        least = information[oldest[0] : newest[-1] + 1].min(axis=0)
-        most = information[oldest[0] : newest[-1] + 1].max(axis=0)
-        # What is not seen at all is no reason to weigh the others.
-        alike = bool(((least > _ALIKE * most) | (most == 0)).all())
-        signals = np.where((most > 0)[:, None], signals, np.nan) if alike else signals
+        even, spread = _evenly(information, oldest, newest)
         size = newest - oldest
         found = []
         first = 0
         while first < len(now):
-            end = first + 1
-            rows = np.arange(oldest[first], newest[first] + 1)
-            times = stamps[rows] - stamps[now[first]]
-            if alike:
+            rows = np.arange(oldest[first], newest[first] + 1)[:, None]
+            times = stamps[rows[:, 0]] - stamps[now[first]]
+            weights = None
+            level = noise * spread[first : first + 1]
+            if even[first]:
                 # As many more as are the same.
-                same = (size[end:] == size[first]) & (
-                    oldest[end:] - now[end:] == rows[0] - now[first]
-                )
-                end += int(same.argmin()) if not same.all() else len(same)
-                end = min(end, first + max(1, _MOST_AT_ONCE // len(noise)))
-                rows = rows[:, None] + (oldest[first:end] - oldest[first])
+                end = min(len(now), first + max(1, _MOST_AT_ONCE // len(noise)))
+                ahead = now[first:end] - oldest[first:end]
+                same = even[first:end] & (size[first:end] == size[first]) & (ahead == ahead[0])
+                end = first + _run_of(same)
+                rows = rows + (oldest[first:end] - oldest[first])
                 others = stamps[rows] - stamps[now[first:end]]
-                same = (others == times[:, None]).all(axis=0)
-                end = first + (int(same.argmin()) if not same.all() else len(same))
-                rows = rows[:, : end - first]
+                end = first + _run_of((others == times[:, None]).all(axis=0))
+                rows, level = rows[:, : end - first], noise * spread[first:end]
             else:
-                rows = rows[:, None]
-            held = information[rows].max(axis=0)  # (m, G)
-            held = np.where(held > 0, held, 1.0)
-            weights = None if alike else information[rows[:, 0]] / held
-            if weights is not None and np.all(weights > _ALIKE):
-                weights = None
+                end = first + 1
+                most = information[rows[:, 0]].max(axis=0)
+                most = np.where(most > 0, most, 1.0)
+                weights = information[rows[:, 0]] / most
+                level = noise / np.sqrt(most)
             found.append(
                 differentiate(
-                    times,
-                    signals[rows],
-                    weights,
-                    noise / np.sqrt(held),
-                    dimensions,
-                    order,
-                    self._spectrum,
+                    times, signals[rows], weights, level, dimensions, order, self._spectrum
                 )
             )
             first = end
@@ -591,6 +579,36 @@ class Tracker:
             np.concatenate(span),
             np.concatenate(degree),
         )
+
+
+def _evenly(
+    information: np.ndarray, oldest: np.ndarray, newest: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """
+    In which windows (T,), of frames `oldest` to `newest` (T,), all frames may weigh the same.
+
+    That is where weights would gain next to nothing. Also the root (T, G) of the mean of the
+    inverse of `information` (frames, G): the deviation of a sample that is as good as the others.
+    """
+    part = information[oldest[0] : newest[-1] + 1]
+    with np.errstate(divide='ignore'):
+        inverse = np.where(part > 0, 1 / part, 0.0)
+    sums = np.stack((part, inverse, part <= 0))
+    count = (newest - oldest + 1)[:, None]
+    if len(oldest) == 1:
+        total = sums.sum(axis=1)[:, None]
+    else:
+        before = np.cumsum(np.pad(sums, ((0, 0), (1, 0), (0, 0))), axis=1)
+        total = before[:, newest + 1 - oldest[0]] - before[:, oldest - oldest[0]]
+    seen, spread, dark = total
+    # A signal that is not there at all is no reason to weigh the others.
+    even = (dark == count) | ((dark == 0) & (seen * spread < _WORTH * count**2))
+    return even.all(axis=1), np.sqrt(np.where(dark < count, spread / count, 1.0))
+
+
+def _run_of(same: np.ndarray) -> int:
+    """How many of the first are true."""
+    return len(same) if same.all() else int(same.argmin())
 
 
 def find_marker(marker: str, identities: Sequence[str]) -> int:
