@@ -14,7 +14,8 @@ from kinpole_ros.estimate import POLE_NAMES, Estimate
 from kinpole_ros.frame import MarkerFrames, one_frame
 from kinpole_ros.mechanism import BodyMotion, load_scene, marker_positions, scene_names
 from kinpole_ros.parameters import settings_from
-from kinpole_ros.tracker import MOST_MARKERS, Tracker, find_marker
+from kinpole_ros.roster import MOST_MARKERS, find_marker
+from kinpole_ros.tracker import Tracker
 
 pytestmark = pytest.mark.filterwarnings('error')
 
