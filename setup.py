@@ -17,6 +17,7 @@ setup(
         (SHARE, ['package.xml']),
         (f'{SHARE}/config', glob('config/*.yaml')),
         (f'{SHARE}/config/scenes', glob('config/scenes/*.yaml')),
+        (f'{SHARE}/config/security', glob('config/security/*.xml')),
         (f'{SHARE}/launch', glob('launch/*.launch.py')),
         (f'{SHARE}/bags', glob('bags/*.mcap')),
     ],

@@ -15,6 +15,7 @@ import signal
 import threading
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -61,6 +62,8 @@ def batch(
     """
     folder = Path(os.path.abspath(output))
     paths = {os.path.abspath(bag): None for bag in bags}
+    if settings.scene and Path(settings.scene).is_file():
+        settings = replace(settings, scene=os.path.abspath(settings.scene))
     kinds = [kind for kind in KINDS if kind in kinds]
     try:
         folder.mkdir(parents=True, exist_ok=True)

@@ -120,11 +120,11 @@ def _parser() -> argparse.ArgumentParser:
     batch = commands.add_parser(
         'batch',
         help='many bags, on all cores or a Dask cluster, and a table over all',
-        description='Replays every bag by itself and writes summary.csv, a line a bag: frames, '
-        'time span, noise, resets, share of instants with each pole, and what went wrong. A bag '
-        'that fails is reported, and the rest go on. Run again, it does what is not done yet: '
-        'results appear under their names only when whole, and stay as long as bag and settings '
-        "are the same. Needs Dask: pip install 'kinpole_ros[batch]'.",
+        description='Replays every bag by itself and writes summary.csv, a line a bag: frames,\n'
+        'time span, noise, resets, share of instants with each pole, and what went wrong.\n'
+        'A bag that fails is reported, and the rest go on. Run again, it does what is not done\n'
+        'yet: results appear under their names only when whole, and stay as long as bag and\n'
+        "settings are the same. Needs Dask: pip install 'kinpole_ros[batch]'.",
         epilog='examples:\n'
         '  kinpole batch runs/*.mcap --config rig.yaml --output results\n'
         '  kinpole batch runs/*/ --config rig.yaml --output results --parquet --workers 4\n'
@@ -286,7 +286,13 @@ def _parser() -> argparse.ArgumentParser:
     bench.add_argument('--output', metavar='FOLDER', default='docs', help='where to write (docs)')
     bench.add_argument('--quick', action='store_true', help='little data: shows that it works')
     bench.add_argument(
-        '--long', action='store_true', help='only the run of 1e7 frames: an hour or two'
+        '--long', action='store_true', help='only the run of 1e7 frames: some minutes'
+    )
+    bench.add_argument(
+        '--soak',
+        type=float,
+        metavar='MINUTES',
+        help='only the live node, for so long at 500 Hz with dropouts, outliers and clock jumps',
     )
     bench.set_defaults(run=_bench)
     return parser
@@ -478,11 +484,13 @@ def _demo(options: argparse.Namespace) -> int:
 
 
 def _bench(options: argparse.Namespace) -> int:
-    from kinpole_ros.bench import bench, bench_long
+    from kinpole_ros.bench import bench, bench_long, bench_soak
 
     with _progress('bench') as progress:
         if options.long:
             written = bench_long(options.output, progress)
+        elif options.soak is not None:
+            written = bench_soak(options.output, options.soak, progress)
         else:
             written = bench(options.output, options.quick, progress)
     for path in written:

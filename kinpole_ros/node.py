@@ -7,6 +7,7 @@ and publishes the rows of the results table that have subscribers.
 
 import re
 import sys
+import warnings
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import partial
 from typing import Any
@@ -28,6 +29,7 @@ from rclpy.qos_overriding_options import QoSOverridingOptions
 from rclpy.utilities import remove_ros_args
 
 from kinpole_ros.estimate import Estimate
+from kinpole_ros.frame import MarkerFrames, part_of
 from kinpole_ros.messages import (
     MARKER_TYPES,
     ROS_TYPE_NAMES,
@@ -45,8 +47,15 @@ _DIAGNOSTICS_EVERY = 1.0
 _LOOK_EVERY = 0.1
 # Messages that wait while others are worked on; beyond, the newest push out the oldest.
 _DEPTH = 50
+# With so many waiting the node is behind: all are taken into the window, the newest alone is told.
+_BEHIND = 25
+# Results kept for a reliable reader that is slow, such as a recorder on a busy machine: what waits
+# is taken at once, so they come in bunches. Those who asked for less do not get more.
+_KEPT = 1000
 # So many failures with nothing done between them are no weather to ride out.
 _MOST_FAILURES = 100
+# rclpy's own callbacks only log, and cost 6 us a publisher whenever it waits.
+_NO_EVENTS = PublisherEventCallbacks(use_default_callbacks=False)
 _LATEST_STAMP = 2**31 * 10**9 - 1
 
 
@@ -76,6 +85,7 @@ class KinpoleNode(LifecycleNode):
         # Where the markers come from, and the number of the last message of a sole source.
         self._sources: set[bytes] = set()
         self._number: int | None = None
+        self._lossless = False
         # Of the frames since the last diagnostics.
         self._stamps: list[int] = []
         self._timers_made: list[Any] = []
@@ -165,7 +175,9 @@ class KinpoleNode(LifecycleNode):
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Make the publishers."""
         self._make_outputs()
-        self._status = self.create_publisher(DiagnosticArray, '/diagnostics', 10)
+        self._status = self.create_publisher(
+            DiagnosticArray, '/diagnostics', 10, event_callbacks=_NO_EVENTS
+        )
         return super().on_configure(state)
 
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
@@ -214,6 +226,11 @@ class KinpoleNode(LifecycleNode):
         """After a transition that failed, be as before the first."""
         return self.on_shutdown(state)
 
+    @property
+    def listening(self) -> bool:
+        """Whether the node is active, with timers that beat."""
+        return bool(self._timers_made)
+
     def _make_outputs(self) -> None:
         highest = self.settings.derivative_order or 4
         bodies = tuple(self.settings.bodies)
@@ -226,14 +243,13 @@ class KinpoleNode(LifecycleNode):
         for output in outputs:
             publisher = self._publishers_made.get(output.topic)
             if publisher is None:
-                # rclpy's own callbacks only log, and cost 6 us a publisher whenever it waits.
                 publisher = self.create_lifecycle_publisher(
                     output.message_type,
                     f'~/{output.topic}',
-                    _DEPTH,
-                    event_callbacks=PublisherEventCallbacks(use_default_callbacks=False),
+                    _KEPT,
+                    event_callbacks=_NO_EVENTS,
                 )
-                if self._timers_made:
+                if self.listening:
                     publisher.on_activate(LifecycleState('active', 0))
                 self._publishers_made[output.topic] = publisher
             self._outputs.append((output, publisher))
@@ -274,10 +290,14 @@ class KinpoleNode(LifecycleNode):
                 topic,
                 self._on_markers,
                 qos,
-                event_callbacks=SubscriptionEventCallbacks(incompatible_qos=self._mismatched),
+                event_callbacks=SubscriptionEventCallbacks(
+                    incompatible_qos=self._mismatched, use_default_callbacks=False
+                ),
                 qos_overriding_options=QoSOverridingOptions.with_default_policies(),
                 raw=True,
             )
+            reliability = f'qos_overrides.{resolved}.subscription.reliability'
+            self._lossless = self.get_parameter(reliability).value == 'reliable'
         except Exception as error:  # rclpy raises many things, some without words
             raise ParameterError(
                 f'parameters qos_overrides.{resolved}.subscription cannot be used '
@@ -326,7 +346,10 @@ class KinpoleNode(LifecycleNode):
         order = max((output.order for output, _ in wanted), default=None)
         if order is None:
             self._latest = None
-        for frames in self._reader.read(data for data, _ in waiting):
+        read = self._reader.read(data for data, _ in waiting)
+        if len(waiting) >= _BEHIND and not self._lossless:
+            read = self._newest_last(read)
+        for frames in read:
             if isinstance(frames, MessageError):
                 self._tracker.counts['unreadable'] += 1
                 self._warn('message', str(frames))
@@ -337,6 +360,23 @@ class KinpoleNode(LifecycleNode):
                 for output, publisher in wanted:
                     for _, data in output.build(estimate):
                         publisher.publish(data)
+
+    def _newest_last(
+        self, read: list[MarkerFrames | MessageError]
+    ) -> list[MarkerFrames | MessageError]:
+        """Take all but the newest frame into the window, without results."""
+        *earlier, last = read
+        for frames in (f for f in earlier if not isinstance(f, MessageError)):
+            self._take_silently(frames)
+        if not isinstance(last, MessageError) and len(last.stamps) > 1:
+            self._take_silently(part_of(last, slice(-1)))
+            last = part_of(last, slice(-1, None))
+        return [*(f for f in earlier if isinstance(f, MessageError)), last]
+
+    def _take_silently(self, frames: MarkerFrames) -> None:
+        self._stamps.extend(frames.stamps.tolist())
+        self._tracker.add(frames, None)
+        self._tracker.counts['untold'] += len(frames.stamps)
 
     def _count_dropped(self, numbers: Iterable[int | None]) -> None:
         """Count what is missing between messages, where they have numbers and one source."""
@@ -390,7 +430,8 @@ def _spin(node: KinpoleNode) -> None:
     failures = 0
     while rclpy.ok():
         try:
-            executor.spin_once()
+            # A signal may shut rclpy down just after it woke us: without timers, look again.
+            executor.spin_once(None if node.listening else _LOOK_EVERY)
             failures = 0
         except (ParameterError, ExternalShutdownException):
             raise
@@ -412,6 +453,8 @@ def main(args: Sequence[str] | None = None) -> int:
         rclpy.init(args=words)
         set_logger_level('rcl', LoggingSeverity.UNSET)
         started = True
+        # It warns of what it also raises.
+        warnings.filterwarnings('ignore', 'Failed to fini', RuntimeWarning)
         if unknown := remove_ros_args(words)[1:]:
             return _refuse(f'unknown words {" ".join(unknown)}; those for ROS follow --ros-args')
         node = KinpoleNode()
@@ -421,10 +464,12 @@ def main(args: Sequence[str] | None = None) -> int:
     except (ParameterError, ParameterException) as error:
         return _refuse(str(error))
     except Exception as error:
+        # Less the places in rcl's source.
+        reason = re.sub(r', at \S+:\d+', '', str(error))
         if not started:
-            # Less the places in rcl's source.
-            reason = re.sub(r', at \S+:\d+', '', str(error))
             return _refuse(f'ROS cannot use the words after --ros-args: {reason}')
+        if node is None and isinstance(error, rclpy_implementation.RCLError):
+            return _refuse(f'ROS cannot make the node: {reason}')
         # Told to stop amid a call, rclpy raises whatever that call makes of it.
         if rclpy.ok():
             raise

@@ -15,7 +15,7 @@ from rclpy.serialization import deserialize_message
 
 from kinpole_ros.bags import BagError, Truncated, message_class, read_messages, topics
 from kinpole_ros.messages import stamp_to_ns
-from kinpole_ros.tracker import AXES
+from kinpole_ros.roster import AXES
 
 MOST_BODIES = 4
 _WIDTH, _ROW_HEIGHT, _DPI = 12.0, 4.1, 150  # inches; 1800 px across

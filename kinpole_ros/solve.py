@@ -113,11 +113,16 @@ def solve_scene(
 
 
 def _solve(scene: Scene, at: str | None, count: int | None) -> Solved:
-    """The scene at one position, or at `count` over the range of its one driver."""
+    """
+    The scene at one position, or at `count` over the range of its one driver.
+
+    Derivatives that rounding has drowned, next to change points, are NaN.
+    """
     mechanism = scene.mechanism
     now = np.stack([driver.motion(np.zeros(1)) for driver in scene.mechanism.drivers], axis=1)
     if at is None and count is None:
-        return Solved(scene, now[0], now[1, :, 0], mechanism.motion(np.zeros(1)), (None, None))
+        motion = _sound(mechanism.motion(np.zeros(1)))
+        return Solved(scene, now[0], now[1, :, 0], motion, (None, None))
     if len(mechanism.drivers) != 1:
         raise SceneError(
             f'{scene.name} has {len(mechanism.drivers)} drivers: --at, --sweep, --plot and --pitch '
@@ -133,7 +138,15 @@ def _solve(scene: Scene, at: str | None, count: int | None) -> Solved:
         values = np.linspace(low, high, count)
     inputs = np.zeros((5, 1, len(values)))
     inputs[0, 0], inputs[1] = values, rate
-    return Solved(scene, inputs[0], np.array([rate]), mechanism.at_inputs(inputs, None), limits)
+    motion = _sound(mechanism.at_inputs(inputs, None))
+    return Solved(scene, inputs[0], np.array([rate]), motion, limits)
+
+
+def _sound(motion: Motion) -> Motion:
+    for k in range(1, len(motion.values)):
+        for part in (motion.position, motion.angle, motion.values):
+            part[k][:, motion.sound <= k] = np.nan
+    return motion
 
 
 def _range(scene: Scene, start: float) -> tuple[float, float, tuple[float | None, float | None]]:
@@ -188,7 +201,10 @@ def _motion_lines(solved: Solved) -> list[str]:
     )
     lines = [f'at {at}']
     if not motion.regular[0]:
-        lines.append('a dead point: the drivers do not tell how it moves on')
+        loop = ', '.join(scene.mechanism.dead_loop(motion.values[0, :, 0]))
+        lines.append(f'a dead point of the loop {loop}: the drivers do not tell how it moves on')
+    elif motion.sound[0] < len(motion.values):
+        lines.append('next to a change point, where rounding leaves no digits of what is missing')
     rows = [
         [body, np.rad2deg(motion.angle[0, b, 0]), *motion.angle[1:, b, 0]]
         for b, body in enumerate(scene.mechanism.bodies)

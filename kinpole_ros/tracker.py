@@ -7,7 +7,7 @@ Header stamps drive it; it never asks for the time.
 """
 
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
@@ -16,6 +16,7 @@ from kinpole_ros.estimate import FARTHEST, Estimate, Poses
 from kinpole_ros.frame import MarkerFrames, part_of
 from kinpole_ros.parameters import Settings
 from kinpole_ros.planar import landmark_kinematics, rotation_coefficient, to_plane
+from kinpole_ros.roster import Roster
 from kinpole_ros.window import (
     FEWEST_SAMPLES,
     STRIKES,
@@ -30,19 +31,12 @@ from kinpole_ros.window import (
     weigh_together,
 )
 
-# Columns of a marker that span the plane, and the one along its normal.
-AXES = {'xy': (0, 1, 2), 'yz': (1, 2, 0), 'zx': (2, 0, 1)}
-# A body of all markers takes new ones up to this many: a driver that numbers its markers anew in
-# every frame must not fill the memory.
-MOST_MARKERS = 1024
 # Coordinates are known no better than a few units of their last place.
 _ROUNDING = 4 * np.finfo(float).eps
-# m. No marker is that far, and the squares of what is nearer do not overflow.
-_FARTHEST_MARKER = 1e15
 # rad. An angle noisier than this wanders round, and its errors are no longer small.
 _UNSTEADY = 0.15
-# Weights this near to 1 are not worth fits of their own.
-_ALIKE = 0.97
+# Weights are worth fits of their own where the variance without them is so many times as large.
+_WORTH = 1.1
 # Instants times signals that are differentiated at once: what a cache holds.
 _MOST_AT_ONCE = 512
 # Frames later than this many intervals of late come after a gap.
@@ -73,22 +67,18 @@ class Tracker:
         self.settings = settings
         self.bodies = tuple(settings.bodies)
         self.counts: Counter[str] = Counter()
-        self._all_markers = not any(settings.bodies.values())
-        self._axes = AXES[settings.plane]
         self._window = round(settings.window * 1e9)
         self.reset()
 
     def reset(self) -> None:
         """Forget all samples, and the shapes and noise learned from them."""
         count = len(self.bodies)
-        self._markers = [list(markers) for markers in self.settings.bodies.values()]
-        width = max(2, *(len(markers) for markers in self._markers))
-        self._shapes = Shapes(count, width)
+        self._roster = Roster(self.settings)
+        self._shapes = Shapes(count, self._roster.width)
         self._noise = Noise(count)
         self._pins = Pins(count)
         self._spectrum = Spectrum()
         self._spectrum_together = Spectrum()
-        self._places: dict[tuple[str, ...], np.ndarray] = {}
         self._stamps = Samples((), np.int64)
         self._positions = Samples((count,), complex)
         self._angles = Samples((count,), float)
@@ -101,7 +91,7 @@ class Tracker:
         self._strayed = Samples((count,), bool)
         self._points: Samples | None = None
         if self.settings.method == 'landmarks':
-            self._points = Samples((count, width), complex)
+            self._points = Samples((count, self._roster.width), complex)
         self._largest = 0.0
         self._since = 0
         self._due = 0
@@ -160,7 +150,12 @@ class Tracker:
 
     def _run(self, frames: MarkerFrames, order: int | None, numbers: np.ndarray) -> list[Estimate]:
         """Take frames whose stamps go on from those before; `numbers` (T,) are theirs."""
-        points, heights = self._sorted(frames)
+        points, heights = self._roster.sort(frames)
+        if self._roster.width > self._shapes.points.shape[1]:
+            self._widen()
+        self.counts['markers_unknown'] = self._roster.unknown
+        wanted = self._roster.wanted * len(points)
+        self.counts['markers_not_seen'] += wanted - int((~np.isnan(points)).sum())
         stamps = frames.stamps
         if not self.samples:
             self._since = int(stamps[0])
@@ -185,26 +180,6 @@ class Tracker:
             found += self._estimates(frames.frame_id, order, numbers[first:end])
             first = end
         return found
-
-    def _sorted(self, frames: MarkerFrames) -> tuple[np.ndarray, np.ndarray]:
-        """The markers (T, B, n) of each body, complex, NaN for none, and their heights."""
-        place = self._place(frames.identities)
-        rows = frames.points
-        if place.max(initial=0) == rows.shape[1]:
-            # One more row of NaN stands for every marker that is not in the message.
-            padded = np.full((len(rows), rows.shape[1] + 1, 3), np.nan)
-            padded[:, :-1] = rows
-            rows = padded
-        solid = rows[:, place]
-        with np.errstate(invalid='ignore'):
-            near = (np.abs(solid) < _FARTHEST_MARKER).all(axis=-1)
-        if not near.all():
-            solid[~near] = np.nan
-        flat = np.empty(solid.shape[:-1], complex)
-        flat.real, flat.imag = solid[..., self._axes[0]], solid[..., self._axes[1]]
-        wanted = sum(len(markers) for markers in self._markers)
-        self.counts['markers_not_seen'] += wanted * len(rows) - int((~np.isnan(flat)).sum())
-        return flat, solid[..., self._axes[2]]
 
     def _gaps(self, stamps: np.ndarray) -> np.ndarray:
         """Which frames (T,) come much later than the frames before them did."""
@@ -321,40 +296,17 @@ class Tracker:
                 buffer.drop(count)
         self._due = max(0, self._due - count)
 
-    def _place(self, identities: tuple[str, ...]) -> np.ndarray:
-        """Where (B, n) each body's markers are in a message; the last place + 1 for one not in."""
-        place = self._places.get(identities)
-        if place is None:
-            if self._all_markers:
-                self._take_new(identities)
-            place = np.full((len(self.bodies), self._shapes.points.shape[1]), len(identities))
-            used = set()
-            for body, markers in enumerate(self._markers):
-                for k, marker in enumerate(markers):
-                    place[body, k] = find_marker(marker, identities)
-                    used.add(place[body, k])
-            self.counts['markers_unknown'] = len(set(range(len(identities))) - used)
-            if len(self._places) > 64:
-                self._places.clear()
-            self._places[identities] = place
-        return place
-
-    def _take_new(self, identities: tuple[str, ...]) -> None:
-        """A body of all markers: add those not met before."""
-        markers = self._markers[0]
-        new = [name for name in dict.fromkeys(identities) if name not in set(markers)]
-        markers += new[: MOST_MARKERS - len(markers)]
-        if len(markers) > self._shapes.points.shape[1]:
-            self._learn()
-            self._shapes.widen(len(markers))
-            self._places.clear()
-            if self._points is not None:
-                # The landmarks of the new ones are not known in the frames before.
-                old = self._points.view()
-                wide = np.full((len(old), 1, len(markers)), complex(np.nan, np.nan))
-                wide[..., : old.shape[-1]] = old
-                self._points = Samples((1, len(markers)), complex)
-                self._points.extend(wide)
+    def _widen(self) -> None:
+        """A body of all markers has more of them."""
+        self._learn()
+        self._shapes.widen(self._roster.width)
+        if self._points is not None:
+            # The landmarks of the new ones are not known in the frames before.
+            old = self._points.view()
+            wide = np.full((len(old), 1, self._roster.width), complex(np.nan, np.nan))
+            wide[..., : old.shape[-1]] = old
+            self._points = Samples(wide.shape[1:], complex)
+            self._points.extend(wide)
 
     def _estimates(self, frame_id: str, order: int | None, numbers: np.ndarray) -> list[Estimate]:
         """
@@ -561,58 +513,62 @@ class Tracker:
         """
         now, oldest, newest = windows
         stamps = self._stamps.view()
-        least = information[oldest[0] : newest[-1] + 1].min(axis=0)
-        most = information[oldest[0] : newest[-1] + 1].max(axis=0)
-        # What is not seen at all is no reason to weigh the others.
-        alike = bool(((least > _ALIKE * most) | (most == 0)).all())
-        signals = np.where((most > 0)[:, None], signals, np.nan) if alike else signals
+        even, spread = _evenly(information, oldest, newest)
         size = newest - oldest
         first = 0
         while first < len(now):
-            end = first + 1
-            rows = np.arange(oldest[first], newest[first] + 1)
-            times = stamps[rows] - stamps[now[first]]
-            if alike:
+            rows = np.arange(oldest[first], newest[first] + 1)[:, None]
+            times = stamps[rows[:, 0]] - stamps[now[first]]
+            weights = None
+            level = noise * spread[first : first + 1]
+            if even[first]:
                 # As many more as are the same.
-                same = (size[end:] == size[first]) & (
-                    oldest[end:] - now[end:] == rows[0] - now[first]
-                )
-                end += int(same.argmin()) if not same.all() else len(same)
-                end = min(end, first + max(1, _MOST_AT_ONCE // len(noise)))
-                rows = rows[:, None] + (oldest[first:end] - oldest[first])
+                end = min(len(now), first + max(1, _MOST_AT_ONCE // len(noise)))
+                ahead = now[first:end] - oldest[first:end]
+                same = even[first:end] & (size[first:end] == size[first]) & (ahead == ahead[0])
+                end = first + _run_of(same)
+                rows = rows + (oldest[first:end] - oldest[first])
                 others = stamps[rows] - stamps[now[first:end]]
-                same = (others == times[:, None]).all(axis=0)
-                end = first + (int(same.argmin()) if not same.all() else len(same))
-                rows = rows[:, : end - first]
+                end = first + _run_of((others == times[:, None]).all(axis=0))
+                rows, level = rows[:, : end - first], noise * spread[first:end]
             else:
-                rows = rows[:, None]
-            held = information[rows].max(axis=0)  # (m, G)
-            held = np.where(held > 0, held, 1.0)
-            weights = None if alike else information[rows[:, 0]] / held
-            if weights is not None and np.all(weights > _ALIKE):
-                weights = None
-            yield times, signals[rows], weights, noise / np.sqrt(held)
+                end = first + 1
+                most = information[rows[:, 0]].max(axis=0)
+                most = np.where(most > 0, most, 1.0)
+                weights = information[rows[:, 0]] / most
+                level = (noise / np.sqrt(most))[None]
+            yield times, signals[rows], weights, level
             first = end
 
 
-def find_marker(marker: str, identities: Sequence[str]) -> int:
+def _evenly(
+    information: np.ndarray, oldest: np.ndarray, newest: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
     """
-    Place of a marker in a message, len(identities) if it is not there.
+    In which windows (T,), of frames `oldest` to `newest` (T,), all frames may weigh the same.
 
-    A name stands for the full identity, else for the one marker of that namespace, else for the
-    one of that id: 'tip/3', 'tip' or '3'.
+    That is where weights would gain next to nothing. Also the root (T, G) of the mean of the
+    inverse of `information` (frames, G): the deviation of a sample that is as good as the others.
     """
-    if marker in identities:
-        return list(identities).index(marker)
-    for part in (0, 2):
-        found = [
-            k
-            for k, name in enumerate(identities)
-            if '/' in name and name.rpartition('/')[part] == marker
-        ]
-        if len(found) == 1:
-            return found[0]
-    return len(identities)
+    part = information[oldest[0] : newest[-1] + 1]
+    with np.errstate(divide='ignore'):
+        inverse = np.where(part > 0, 1 / part, 0.0)
+    sums = np.stack((part, inverse, part <= 0))
+    count = (newest - oldest + 1)[:, None]
+    if len(oldest) == 1:
+        total = sums.sum(axis=1)[:, None]
+    else:
+        before = np.cumsum(np.pad(sums, ((0, 0), (1, 0), (0, 0))), axis=1)
+        total = before[:, newest + 1 - oldest[0]] - before[:, oldest - oldest[0]]
+    seen, spread, dark = total
+    # A signal that is not there at all is no reason to weigh the others.
+    even = (dark == count) | ((dark == 0) & (seen * spread < _WORTH * count**2))
+    return even.all(axis=1), np.sqrt(np.where(dark < count, spread / count, 1.0))
+
+
+def _run_of(same: np.ndarray) -> int:
+    """How many of the first are true."""
+    return len(same) if same.all() else int(same.argmin())
 
 
 def _squared_arms(points: np.ndarray, here: np.ndarray) -> np.ndarray:

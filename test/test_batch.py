@@ -169,7 +169,7 @@ def test_a_dask_cluster_is_used_by_its_address(
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    bag = simulated('cardan', rate=100, duration=0.6)
+    bag = simulated('four_bar', rate=100, duration=0.6)
     bags = link(bag, *(tmp_path / f'run_{k}.mcap' for k in range(3)))
     (tmp_path / 'broken.mcap').write_text('no bag')
     where = tmp_path / 'scheduler.json'
@@ -187,6 +187,14 @@ def test_a_dask_cluster_is_used_by_its_address(
         assert f'the Dask scheduler at {address} has no workers; mend' in capsys.readouterr().err
         worker = ['-m', 'dask', 'worker', '--scheduler-file', str(where), '--nthreads', '1']
         with process(*worker, '--no-dashboard', '--no-nanny'):
+            # A worker has a folder of its own to work in, and finds the scene all the same.
+            monkeypatch.chdir(tmp_path)
+            scene = (ROOT / 'config' / 'scenes' / 'four_bar.yaml').read_text()
+            Path('mine.yaml').write_text(scene)
+            config = write_config(
+                Path('rig.yaml'), replace(SETTINGS, bodies=bodies_of('four_bar')), scene='mine.yaml'
+            )
+            words[-1:-1] = ['--config', str(config)]
             assert main([*words, address]) == 2
         assert scheduler.poll() is None
     said = capsys.readouterr()

@@ -8,6 +8,8 @@ within one window, and its diagnostics named the fault.
 import itertools
 import os
 import signal
+import subprocess
+import sys
 import time
 from array import array
 from collections.abc import Callable, Iterator
@@ -18,6 +20,7 @@ from typing import Any
 import numpy as np
 import pytest
 import rclpy
+from builtin_interfaces.msg import Time
 from conftest import numbers, stamp_of, write_config
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from lifecycle_msgs.srv import ChangeState, GetState
@@ -26,6 +29,7 @@ from rcl_interfaces.srv import SetParameters
 from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.serialization import serialize_message
+from rosgraph_msgs.msg import Clock
 from test_node import LIMIT, RELIABLE, Peer, node_words, process
 from visualization_msgs.msg import MarkerArray
 
@@ -326,15 +330,15 @@ def test_wrong_coordinates(
 def test_changes_of_rate(rig: Rig) -> None:
     with rig.publisher(MARKER_TYPES['marker_array']) as publisher:
         rig.begin(publisher)
-        for rate in (200, 50, 500, 200):
+        for rate in (200, 50, 500):
             rig.forget_heard()
             start = rig.stamp
-            rig.good(publisher, round(0.8 * rate), step=10**9 // rate)
+            rig.good(publisher, round(0.6 * rate), step=10**9 // rate)
             rig.check_right(start + WINDOW)
     rig.check_finite()
 
 
-@pytest.mark.parametrize('kind', ['marker', 'pose_array', 'point_cloud2', 'marker_array'])
+@pytest.mark.parametrize('kind', ['pose_array', 'marker_array'])
 def test_a_publisher_that_comes_back_with_other_markers_in_other_messages(
     rig: Rig, kind: str
 ) -> None:
@@ -360,6 +364,21 @@ def test_a_publisher_that_comes_back_with_other_markers_in_other_messages(
             'markers in the last new layout that no body names',
         )
     rig.check_finite()
+
+
+def test_a_publisher_that_offers_less_than_the_node_asks_for(rig: Rig) -> None:
+    kind = MARKER_TYPES['marker_array']
+    qos = QoSProfile(depth=5, reliability=ReliabilityPolicy.BEST_EFFORT)
+    unreliable = rig.node.create_publisher(kind, '/markers', qos)
+    words = 'offers less than this node asks for in the QoS policy reliability'
+    try:
+        rig.diagnosed(lambda: rig.send_next(unreliable), ERROR, words, None)
+    finally:
+        rig.node.destroy_publisher(unreliable)
+    with rig.publisher(kind) as publisher:
+        rig.begin(publisher)
+        send = lambda: rig.send_next(publisher)  # noqa: E731
+        rig.diagnosed(send, OK, 'receiving markers', None)
 
 
 def mutilated(good: bytes) -> Iterator[bytes]:
@@ -398,6 +417,61 @@ def test_mutilated_messages(rig: Rig, kind: str) -> None:
             'messages that could not be read',
             kind,
         )
+
+
+def test_a_simulated_clock_may_tell_any_time(tmp_path: FilePath) -> None:
+    config = write_config(tmp_path / 'rod.yaml', SETTINGS, marker_identity='index', **RELIABLE)
+    rig = Rig()
+    try:
+        with process(*node_words(config, use_sim_time=True), log=tmp_path / 'stderr') as node:
+            rig.listen()
+            clock = rig.node.create_publisher(Clock, '/clock', 1)
+            rig.until(clock.get_subscription_count, 'the clock of the node')
+            told = itertools.cycle((Time(sec=-5), Time(sec=2**31 - 1, nanosec=2**32 - 1)))
+            say = lambda: clock.publish(Clock(clock=next(told)))  # noqa: E731
+            rig.diagnosed(say, STALE, 'no markers received', None)
+            clock.publish(b'\x00\x01\x00\x00\xff')
+            with rig.publisher(MARKER_TYPES['marker_array']) as publisher:
+                rig.begin(publisher)
+            rig.check_finite()
+            assert node.poll() is None
+    finally:
+        rig.close()
+
+
+FAILING = """
+import sys
+from kinpole_ros.node import main
+from kinpole_ros.tracker import Tracker
+add = Tracker.add
+def failing(self, frames, order):
+    if int(frames.stamps[0]) % 1000 == 7:
+        raise IndexError('what nobody thought of')
+    return add(self, frames, order)
+Tracker.add = failing
+sys.exit(main(['kinpole', *sys.argv[1:]]))
+"""
+
+
+def test_a_failure_of_its_own_is_told_of_and_ridden_out(tmp_path: FilePath) -> None:
+    config = write_config(tmp_path / 'rod.yaml', SETTINGS, marker_identity='index', **RELIABLE)
+    rig = Rig()
+    words = ['timeout', '--foreground', '-k', '2', '60', sys.executable, '-c', FAILING]
+    with subprocess.Popen([*words, *node_words(config)[1:]]) as node:
+        try:
+            rig.listen()
+            with rig.publisher(MARKER_TYPES['marker_array']) as publisher:
+                rig.fault(
+                    publisher,
+                    lambda k: message(rig.stamp + k * STEP + 7, rod(rig.frame + k)),
+                    ERROR,
+                    'the node failed (IndexError: what nobody thought of) and starts anew',
+                    'failures of the node itself',
+                )
+        finally:
+            node.send_signal(signal.SIGINT)
+            assert node.wait(LIMIT) == 0
+            rig.close()
 
 
 # Parameters, transitions, signals
@@ -470,9 +544,8 @@ def test_impossible_transitions_are_refused_and_the_node_stays(rig: Rig) -> None
 STATES = {
     'unconfigured': (),
     'inactive': ('configure',),
-    'active': ('configure', 'activate'),
     'active again': ('configure', 'activate', 'deactivate', 'activate'),
-    'configured again': ('configure', 'cleanup', 'configure'),
+    'unconfigured again': ('configure', 'cleanup'),
     'finalized': ('configure', 'activate', 'shutdown'),
 }
 
@@ -490,9 +563,7 @@ def test_told_to_stop_in_any_state_the_node_ends_at_once(state: str, tmp_path: F
                 request.transition.label = transition
                 assert asker.call('/k/change_state', ChangeState, request).success, transition
             found = asker.call('/k/get_state', GetState, GetState.Request()).current_state.label
-            assert found == {'active again': 'active', 'configured again': 'inactive'}.get(
-                state, state
-            )
+            assert found == state.removesuffix(' again')
             node.send_signal(sign)
             assert node.wait(LIMIT) == 0
         assert (tmp_path / 'stderr').read_text() == ''

@@ -409,6 +409,30 @@ def test_right_in_a_change_point_there_are_no_rates() -> None:
     np.testing.assert_allclose(found.values[0], [[np.pi], [0.0], [np.pi]] * np.ones(3), atol=1e-6)
 
 
+def test_derivatives_without_digits_are_told_from_those_with() -> None:
+    # Around a change point of the antiparallelogram all derivatives are moderate and smooth.
+    joints = four_bar(0.2, 0.4, 0.2, 0.4)
+    motion = mechanism(joints, constant_rate(1.0, 1.5), 'crank', coupler=3.78, rocker=2.5)
+    away = np.geomspace(1e-5, 0.3, 60)
+    found = motion.sweep(np.pi + away)
+    near = motion.sweep(np.pi + np.array([0.1]))
+    assert found.regular.all()
+    assert (np.diff(found.sound) >= 0).all()
+    assert set(found.sound) == {2, 3, 4, 5}
+    for k in range(1, 5):
+        kept = found.values[k, 1:][:, found.sound > k]
+        assert np.abs(kept).max() < 1.5 * np.abs(near.values[k, 1:]).max() + 0.05
+    # The nearest that is kept agrees with 50 digits.
+    first = float(away[found.sound > 4][0])
+    exact = by_differences(motion, np.pi + first - 1.5)
+    np.testing.assert_allclose(motion.motion(np.pi + first - 1.5).values, exact, atol=2e-3)
+    # Next to a limit all are large, and right.
+    limited = mechanism(slider_crank(0.1, 0.3), constant_rate(1.0, 0.21), 'piston', crank=1.2)
+    limited.start[limited.assembly.loops.variables.index('rod')] = -0.3
+    sweep = limited.sweep(0.4 - np.geomspace(1e-8, 1e-3, 20))
+    assert (sweep.sound == 5).all()
+
+
 @pytest.mark.parametrize(
     ('joints', 'drive', 'at', 'end', 'start', 'loop'),
     [

@@ -766,3 +766,18 @@ def test_residuals_have_the_freedom_they_are_said_to_have(count: int) -> None:
     off_center = np.abs(fit.mean) ** 2 / fit.spread
     variance = (np.abs(fit.position - fit.position.mean()) ** 2).mean() / 2
     assert variance == pytest.approx(1e-8 * (1 / fit.total + off_center / 2), rel=0.05)
+
+
+def test_one_covariance_serves_many_instants() -> None:
+    """Whatever axes poses and covariances have of their own, they go together as arrays do."""
+    rng = np.random.default_rng(7)
+    position = rng.normal(size=(3, 6, 2)) + 1j * rng.normal(size=(3, 6, 2))
+    angle = rng.normal(size=(3, 6, 2))
+    half = rng.normal(size=(3, 3, 2))
+    spread = np.einsum('kab,mab->kmb', half, half)
+    pole = planar.pole(2, position, angle)
+    wide = np.repeat(spread[:, :, None], 6, axis=2)
+    expected = planar.covariance(pole, wide, wide)
+    assert np.array_equal(planar.covariance(pole, spread, spread), expected)
+    one = planar.pole(2, position[:, 0, 0], angle[:, 0, 0])
+    assert np.allclose(planar.covariance(one, wide, wide)[0, 0], expected[0, 0])

@@ -134,9 +134,15 @@ def test_statics_answer_the_questions_of_the_seed(
 
 def test_right_in_a_dead_point_nothing_is_made_up(capsys: pytest.CaptureFixture[str]) -> None:
     lines = told(capsys, 'antiparallelogram', '--at', '180 deg')
-    assert 'a dead point: the drivers do not tell how it moves on' in lines
+    assert 'a dead point of the loop O, A, B, C: the drivers do not tell how it moves on' in lines
     (follower,) = [line for line in lines if line.startswith('follower ')]
     assert follower.split()[1:] == ['180', '-', '-', '-', '-']
+    # Beside it rounding leaves rates, but no snap: 1e5 of it would be noise.
+    lines = told(capsys, 'antiparallelogram', '--at', '180.006 deg')
+    assert 'next to a change point, where rounding leaves no digits of what is missing' in lines
+    (follower,) = [line for line in lines if line.startswith('follower ')]
+    assert float(follower.split()[2]) == pytest.approx(188.495559 / 180 * np.pi / 3, rel=1e-4)
+    assert follower.split()[-1] == '-'
 
 
 @pytest.mark.parametrize('scene', scene_names())

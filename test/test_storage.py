@@ -171,6 +171,14 @@ def test_a_compressed_file_cut_or_damaged_gives_what_can_be_unpacked(tmp_path):
     assert messages == expected[: len(messages)]
 
 
+def test_unknown_compression_in_a_compressed_file_is_refused_by_name(tmp_path):
+    path = tmp_path / 'run.mcap'
+    path.write_bytes(handmade(Chunk('bz\n2', b'...', 2, 1, 0, 3)))
+    packed = pack(path)
+    with pytest.raises(BagError, match=r"run\.mcap\.zstd: chunks are compressed with 'bz\\n2'"):
+        list(read_messages(packed))
+
+
 def test_what_is_packed_must_be_a_bag(tmp_path):
     path = tmp_path / 'table.mcap.zstd'
     path.write_bytes(zstandard.compress(b't,a_x,a_y\n' * 100))
@@ -270,6 +278,42 @@ def test_a_bomb_fills_neither_memory_nor_disk(tmp_path):
     path.write_bytes(packed + packer.flush())
     assert path.stat().st_size < 2**20
     assert f'a record that claims {size + 22} bytes' in bounded(path, 300)
+
+
+def test_many_small_bombs_are_one_bomb(tmp_path):
+    path = tmp_path / 'run.mcap'
+    # Each by itself could be true, not all of them in one chunk.
+    bomb = zstandard.compress(bytes(10 * 2**20))
+    messages = [Message(7, 9, bomb, 9, 0) for _ in range(100)]
+    together = handmade(*messages)[len(MCAP0_MAGIC) :]
+    path.write_bytes(handmade(*DESCRIBED, Chunk('', together, 9, 9, 0, len(together))))
+    assert 'a message that claims to be 10485760 bytes unpacked' in bounded(path, 300)
+    # Nor in many, when all must wait, since the last message of the file comes first.
+    inner = handmade(Message(7, 9, bytes(2**23), 9, 0))[len(MCAP0_MAGIC) :]
+    packed = zstandard.compress(inner)
+    chunks = [Chunk('zstd', packed, 9, 9, 0, len(inner)) for _ in range(200)]
+    path.write_bytes(handmade(*DESCRIBED, *chunks, SOUND))
+    assert 'so far out of order that more than' in bounded(path, 500)
+
+
+@pytest.mark.parametrize(
+    ('records', 'complaint'),
+    [
+        ((Channel(8, '/a\n\x1b[2J', 'cdr', {}, 1),), '(a name that is none)'),
+        ((Channel(8, '/' * 5000, 'cdr', {}, 1),), '(a name that is none)'),
+        ((Schema(2, b'', 'ros2msg', 'a\x00b'),), '(a name that is none)'),
+        ((Message(7, 2**63, b'late', 9, 0),), '(a log time after the year 2262)'),
+    ],
+)
+def test_names_and_times_that_cannot_be_are_damage(tmp_path, records, complaint):
+    path = tmp_path / 'run.mcap'
+    inner = handmade(*records)[len(MCAP0_MAGIC) :]
+    path.write_bytes(handmade(*DESCRIBED, SOUND, Chunk('', inner, 9, 9, 0, len(inner))))
+    messages, said = read(path)
+    assert [m.data for m in messages] == [b'sound']
+    assert complaint in said
+    assert said.isprintable()
+    assert topics(path) == {'/t': POINT}
 
 
 def test_a_message_that_unpacks_to_too_much_is_damage(tmp_path):
@@ -387,3 +431,22 @@ def test_corrupted_bags_are_read_or_refused_soon_and_in_little_memory(tmp_path):
     outcomes = fuzz_bags(300, seed=3, folder=tmp_path)
     assert sum(outcomes.values()) == 300
     assert min(outcomes[name] for name in ('read', 'BagError', 'Truncated')) > 10
+
+
+@pytest.mark.parametrize('mode', ['FILE', 'MESSAGE'])
+def test_what_rosbags_compresses_is_read(tmp_path, mode):
+    rosbag2 = pytest.importorskip('rosbags.rosbag2')
+    typesys = pytest.importorskip('rosbags.typesys')
+    store = typesys.get_typestore(typesys.Stores.ROS2_JAZZY)
+    plain = [b'\x00\x01\x00\x00' + bytes([k]) * 24 for k in range(50)]
+    writer = rosbag2.Writer(tmp_path / 'bag', version=9, storage_plugin=rosbag2.StoragePlugin.MCAP)
+    writer.set_compression(getattr(rosbag2.CompressionMode, mode), rosbag2.CompressionFormat.ZSTD)
+    with writer:
+        connection = writer.add_connection('/p', POINT, typestore=store)
+        for k, data in enumerate(plain):
+            writer.write(connection, k, data)
+    assert read(tmp_path / 'bag') == (
+        [BagMessage('/p', POINT, d, k) for k, d in enumerate(plain)],
+        '',
+    )
+    assert topics(tmp_path / 'bag') == {'/p': POINT}

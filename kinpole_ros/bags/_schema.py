@@ -6,6 +6,8 @@ The .msg files do not come with every installation of rclpy, the classes do.
 import re
 from functools import cache
 from importlib import import_module
+from importlib.util import find_spec
+from pathlib import Path
 from typing import Any
 
 from kinpole_ros.bags._reader import BagError
@@ -27,12 +29,22 @@ def message_class(name: str) -> type:
     """
     try:
         package, *_, short = name.split('/')
+        if not _has_messages(package):
+            raise ImportError(package)
         found = getattr(import_module(f'{package}.msg'), short)
     except (ImportError, AttributeError, ValueError) as error:
         raise BagError(
             f"message type '{name}' is not installed; mend: source the workspace that has it"
         ) from error
     return found
+
+
+@cache
+def _has_messages(package: str) -> bool:
+    """Whether it is a package of messages: names in bags must not have anything else imported."""
+    found = find_spec(package) if package.isidentifier() else None
+    places = found.submodule_search_locations if found is not None else None
+    return any((Path(place) / 'msg').is_dir() for place in places or ())
 
 
 @cache

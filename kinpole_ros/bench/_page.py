@@ -41,6 +41,7 @@ class Results(NamedTuple):
     atlas: Rows
     speed: Rows
     long: list[dict[str, float]]
+    soak: list[dict[str, float]]
 
 
 def make_page(results: Results) -> str:
@@ -58,6 +59,7 @@ def make_page(results: Results) -> str:
         _lag_part(),
         _atlas_part(results.atlas),
         _long_part(results.long),
+        _soak_part(results.soak),
     ]
     return '\n\n'.join(parts) + '\n'
 
@@ -544,8 +546,8 @@ def _long_part(rows: list[dict[str, float]]) -> str:
     if not rows:
         return f"""{title}
 
-Not measured: `kinpole bench --long` feeds 1e7 frames through one tracker, which takes an hour or
-two, and writes charts/long.csv, which the next page quotes."""
+Not measured: `kinpole bench --long` feeds 1e7 frames through one tracker and writes
+charts/long.csv, which the next page quotes."""
     tenth = max(len(rows) // 10, 1)
 
     def both(what: str, form: str) -> str:
@@ -566,3 +568,35 @@ two, and writes charts/long.csv, which the next page quotes."""
 - CPU time per frame, few of them asked for: {both('cpu', '.0f')}, µs
 
 Every stretch: [long.csv](charts/long.csv)."""
+
+
+def _soak_part(rows: list[dict[str, float]]) -> str:
+    title = '## The live node for a while'
+    if not rows:
+        return f"""{title}
+
+Not measured: `kinpole bench --soak 30` runs it for 30 minutes and writes charts/soak.csv, which the
+next page quotes."""
+    # The first minute is that of the start.
+    shown = [rows[k] for k in sorted({0, 1, len(rows) // 2, len(rows) - 1}) if k < len(rows)]
+    told = _table(
+        ('minute', 'memory, MB', 'p50, ms', 'p99, ms', 'worst, ms', 'sent', 'answered'),
+        (
+            (
+                f'{row["minute"]:.0f}',
+                f'{row["memory"]:.1f}',
+                *(f'{row[name]:.2f}' for name in ('p50', 'p99', 'worst')),
+                *(f'{row[name]:.0f}' for name in ('sent', 'answered')),
+            )
+            for row in shown
+        ),
+    )
+    return f"""{title}
+
+{len(rows)} minutes at 500 Hz (`kinpole bench --soak`): each marker of the body is hidden in 5% of
+the frames and 0.1 m off in 0.2%, 1% of the frames are never sent, and every 20 s the clock jumps.
+Latency is from sending a frame to the arrival of its angular velocity, less the lag.
+
+{told}
+
+Every minute: [soak.csv](charts/soak.csv)."""

@@ -37,10 +37,11 @@ from kinpole_ros.bench._peers import (
 )
 from kinpole_ros.bench._pendulum import TABLE, pendulum
 from kinpole_ros.bench._record import NOISES, QUANTITIES, RATE, UNITS, make_recording, measure
+from kinpole_ros.bench._soak import soak, soak_rows
 from kinpole_ros.bench._speed import speed_rows
 
 Rows = list[dict[str, Any]]
-_LONG = 'long.csv'
+_LONG, _SOAK = 'long.csv', 'soak.csv'
 
 
 def hindsight_table(
@@ -152,6 +153,7 @@ def bench(
         cells,
         fast,
         _read_csv(folder / 'charts' / _LONG),
+        _read_csv(folder / 'charts' / _SOAK),
     )
     page.write_text(make_page(results), encoding='utf-8')
     return [page, *written]
@@ -167,6 +169,21 @@ def bench_long(output: str | Path, progress: Callable[[float], None] | None = No
     path = Path(output) / 'charts' / _LONG
     path.parent.mkdir(parents=True, exist_ok=True)
     _write_csv(path, long_run(progress=progress))
+    return [path]
+
+
+def bench_soak(
+    output: str | Path, minutes: float, progress: Callable[[float], None] | None = None
+) -> list[Path]:
+    """
+    Run the live node for so long and write `charts/soak.csv` in the folder `output`.
+
+    The page quotes it from the next `bench` on. Raises OSError where it cannot be written,
+    RuntimeError if the node ends.
+    """
+    path = Path(output) / 'charts' / _SOAK
+    path.parent.mkdir(parents=True, exist_ok=True)
+    _write_csv(path, soak_rows(soak(minutes, progress)))
     return [path]
 
 

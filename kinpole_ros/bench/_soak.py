@@ -74,19 +74,10 @@ def soak(
                 before, counts = counts, _counts(told)
                 told.clear()
                 times = [answers[s] - sent for s, sent in run.sent.items() if s in answers]
-                half, most, worst = np.percentile(np.array(times) * 1e-9, (50, 99, 100)).tolist()
+                p50, p99, worst = np.percentile(np.array(times) * 1e-9, (50, 99, 100)).tolist()
                 since = {key: value - before.get(key, 0) for key, value in counts.items()}
-                found.append(
-                    Minute(
-                        _resident(running[NODE].pid),
-                        half,
-                        most,
-                        worst,
-                        len(run.sent),
-                        len(times),
-                        since,
-                    )
-                )
+                memory = _resident(running[NODE].pid)
+                found.append(Minute(memory, p50, p99, worst, len(run.sent), len(times), since))
             return found
         finally:
             asker.close()
@@ -140,17 +131,18 @@ def _resident(pid: int) -> float:
     return float('nan')
 
 
-def soak_lines(found: list[Minute]) -> list[str]:
-    """The figures as a table."""
-    lines = ['minute  RSS, MB  p50, ms  p99, ms  worst, ms  sent  answered']
-    for k, m in enumerate(found, 1):
-        lines.append(
-            f'{k:6d} {m.memory:8.1f} {m.p50 * 1e3:8.2f} {m.p99 * 1e3:8.2f} {m.worst * 1e3:10.1f} '
-            f'{m.sent:5d} {m.answered:9d}'
-        )
-    total: dict[str, int] = {}
-    for m in found:
-        for key, value in m.counts.items():
-            total[key] = total.get(key, 0) + value
-    lines += [f'{key}: {value}' for key, value in total.items() if value]
-    return lines
+def soak_rows(found: list[Minute]) -> list[dict[str, float]]:
+    """A row by minute: figures as of Minute, latencies in ms, counts under their words."""
+    return [
+        {
+            'minute': float(number),
+            'memory': one.memory,
+            'p50': 1e3 * one.p50,
+            'p99': 1e3 * one.p99,
+            'worst': 1e3 * one.worst,
+            'sent': float(one.sent),
+            'answered': float(one.answered),
+        }
+        | {word: float(count) for word, count in one.counts.items()}
+        for number, one in enumerate(found, 1)
+    ]

@@ -17,8 +17,17 @@ import numpy.typing as npt
 from kinpole_ros.mechanism._assembly import Assembly
 from kinpole_ros.mechanism._loops import Linkage, LinkageError, reduce, sums, weigh
 from kinpole_ros.mechanism._motions import rotation_derivatives
-from kinpole_ros.mechanism._path import Path, Table, foretell, tabulate, trace, unit_input
-from kinpole_ros.mechanism._solution import Solution, solve
+from kinpole_ros.mechanism._path import (
+    Path,
+    Table,
+    flattest,
+    foretell,
+    loop_of,
+    tabulate,
+    trace,
+    unit_input,
+)
+from kinpole_ros.mechanism._solution import Solution, solve, sound_orders
 from kinpole_ros.planar._plane import Complex, Real
 
 ORDERS = 5
@@ -46,13 +55,15 @@ class Motion(NamedTuple):
     """
     All bodies (B) of a linkage: `position` (5, B, ...) complex, m, of their origins, and `angle`
     (5, B, ...), rad, with the derivatives by time, or by the input; `values` (5, n, ...) the
-    variables; `regular` (...) where the derivatives are determined.
+    variables; `regular` (...) where the derivatives are determined, and `sound` (...) how many
+    orders have digits left, which next to change points are not all.
     """
 
     position: Complex
     angle: Real
     values: Real
     regular: np.ndarray
+    sound: np.ndarray
 
 
 @dataclass(eq=False)
@@ -94,7 +105,8 @@ class Mechanism:
             part.reshape(*part.shape[:2], *times.shape)
             for part in (found.position, found.angle, found.values)
         )
-        return Motion(position, angle, values, found.regular.reshape(times.shape))
+        regular, sound = (part.reshape(times.shape) for part in (found.regular, found.sound))
+        return Motion(position, angle, values, regular, sound)
 
     def sweep(self, at: Real, orders: int = ORDERS) -> Motion:
         """How all bodies move at the inputs `at` (T,) of the one driver, by that input."""
@@ -117,6 +129,13 @@ class Mechanism:
             rates.append(solve(self.linkage, inputs, values, 2, close=False).values)
         moved = [body_motion(self.assembly, found) for found in rates]
         return np.stack([z[1] for z, _ in moved]), np.stack([angle[1] for _, angle in moved])
+
+    def dead_loop(self, values: Real) -> tuple[str, ...]:
+        """The joints, or vectors, of the loops that are in a dead point at variables (n,)."""
+        here = values[:, None]
+        inputs = np.zeros((2, len(self.drivers), 1))
+        inputs[0] = np.stack([driver.row for driver in self.drivers]) @ here
+        return loop_of(self.linkage, flattest(solve(self.linkage, inputs, here, 2, close=False)))
 
     def at_inputs(self, inputs: Real, times: Real | None, orders: int = ORDERS) -> Motion:
         """
@@ -145,6 +164,7 @@ class Mechanism:
         # Much of it stays zero: memory that nobody writes to costs nothing.
         position = np.zeros((orders, len(self.bodies), count), complex)
         values, regular = np.empty((orders, len(self.start), count)), np.empty(count, bool)
+        sound = np.empty(count, np.int8)
         for first in range(0, count, _CHUNK):
             part = slice(first, first + _CHUNK)
             here = inputs(part)
@@ -157,8 +177,9 @@ class Mechanism:
                 when = None if times is None else times[part]
                 raise LinkageError(self._out_of_reach(here, when, found.closed))
             regular[part] = found.regular
+            sound[part] = sound_orders(self.linkage, here, found)
             self._place(found, position[:, :, part])
-        return Motion(position, self._angles(values), values, regular)
+        return Motion(position, self._angles(values), values, regular, sound)
 
     def _angles(self, values: Real) -> Real:
         """The angles (orders, B, T) of all bodies, without a copy where they are variables."""

@@ -98,7 +98,7 @@ def trace(
             f'the loops do not close at {start:.6g}: check lengths, and the angles it starts from'
         )
     if not (np.abs(first.determinant[:, 0]) > _AT_REST).all():
-        loop = ', '.join(_loop(linkage, _flattest(first)))
+        loop = ', '.join(loop_of(linkage, flattest(first)))
         raise LinkageError(
             f'{start:.6g} is a dead point of the loop {loop}, from which it is not known where to '
             'go: start beside it'
@@ -243,7 +243,7 @@ def _locate(on: _Way, at: float, here: Solution) -> DeadPoint:
     There the input's derivative vanishes, by that variable, and Newton's method finds it.
     """
     linkage = on.linkage
-    loop = _loop(linkage, _flattest(here))
+    loop = loop_of(linkage, flattest(here))
     fast = int(np.abs(here.values[1, :, 0]).argmax())
     near = DeadPoint(at, here.values[0, :, 0], True, (linkage.loops.variables[fast],), loop)
     if on.inputs is not unit_input:
@@ -277,7 +277,7 @@ def _crossing(on: _Way, low: float, here: Solution, high: float) -> DeadPoint:
     linkage = on.linkage
     after = on.at(high, _taylor(here, high - low))
     block = int(np.argmax(here.determinant[:, 0] * after.determinant[:, 0] < 0))
-    moving, loop = _names(linkage, block), _loop(linkage, block)
+    moving, loop = _names(linkage, block), loop_of(linkage, block)
     share = here.determinant[block, 0] / (here.determinant[block, 0] - after.determinant[block, 0])
     middle = low + share * (high - low)
     # An even number of them: none at the middle.
@@ -322,13 +322,13 @@ def _names(linkage: Linkage, block: int) -> tuple[str, ...]:
     return tuple(n for n, row in zip(linkage.loops.variables, rows, strict=True) if row.any())
 
 
-def _loop(linkage: Linkage, block: int) -> tuple[str, ...]:
+def loop_of(linkage: Linkage, block: int) -> tuple[str, ...]:
     """The joints, or vectors, of a block's loops, each once."""
     around = [linkage.loops.around[loop] for loop in linkage.blocks[block].loops]
     return tuple(dict.fromkeys(name for names in around for name in names))
 
 
-def _flattest(here: Solution) -> int:
+def flattest(here: Solution) -> int:
     """The block next to a dead point."""
     return int(np.abs(here.determinant[:, 0]).argmin())
 

@@ -152,10 +152,13 @@ def _motion(path: Path, mechanism: Mechanism, t: npt.ArrayLike) -> dict[str, Bod
     except LinkageError as error:
         raise SceneError(f'{path}: {error}') from None
     if not found.regular.all():
-        when = np.asarray(t, dtype=float)[~found.regular].min()
+        dead = np.flatnonzero(~found.regular)
+        first = dead[np.ravel(t)[dead].argmin()]
+        loop = mechanism.dead_loop(found.values[0].reshape(len(mechanism.start), -1)[:, first])
         raise SceneError(
-            f'{path}: at {when:.9g} s the mechanism is in a dead point, where its drivers do not '
-            'tell how it moves on: drive it otherwise, or take other times'
+            f'{path}: at {np.ravel(t)[first]:.9g} s the mechanism is in a dead point of the loop '
+            f'{", ".join(loop)}, where its drivers do not tell how it moves on: drive it '
+            'otherwise, or take other times'
         )
     return {
         body: BodyMotion(found.position[:, k], found.angle[:, k])

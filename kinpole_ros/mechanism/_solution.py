@@ -24,6 +24,8 @@ _MOST_STEPS = 60
 # With two columns this nearly parallel, positions are right to a rounding error over it and rates
 # to one over its square: to three digits. In a change point positions are off by up to 1e-7.
 SINGULAR = 1e-6
+# Farther from a dead point all derivatives have digits.
+_NEAR = 0.02
 _NONE = 0j
 
 
@@ -95,6 +97,38 @@ def solve(
     if not regular.all():
         values[1:, :, ~regular] = turns[1:, :, ~regular] = np.nan
     return Solution(values, closed, regular & closed, determinants, turns, slides)
+
+
+def sound_orders(linkage: Linkage, inputs: Real, found: Solution) -> np.ndarray:
+    """
+    How many orders (T,) of `found.values` have digits left: next to a change point, not all.
+
+    With columns that meet at an angle whose sine is s, the k-th derivatives are off by rounding
+    over s^(k+1). Next to a limit, as near to a dead point, they themselves grow faster than that.
+    """
+    orders = np.full(found.closed.shape, len(found.values))
+    least = np.abs(found.determinant).min(axis=0, initial=1.0)
+    some = np.flatnonzero(least < _NEAR)
+    if not len(some):
+        return orders
+    loops = linkage.loops
+    size = float(np.abs(loops.length0).max(initial=0.0)) or 1.0
+    unit = np.where((loops.lengths != 0).any(axis=0), size, 1.0)
+    by = np.array([unit[row != 0].max(initial=1e-300) for row in loops.drives])
+    # How fast things go, from all derivatives of the inputs.
+    fast = np.stack(
+        [
+            (np.abs(inputs[k][:, some]) / by[:, None]).max(axis=0) ** (1 / k)
+            for k in range(1, len(found.values))
+        ]
+    ).max(axis=0, initial=0.0)
+    for k in reversed(range(1, len(found.values))):
+        noise = _ROUNDING / 8 * fast**k / least[some] ** (k + 1)
+        most = (np.abs(found.values[k][:, some]) / unit[:, None]).max(axis=0)
+        # Not a number in what is irregular anyway.
+        drowned = ~(noise <= 1e-3 * np.maximum(most, fast**k)) & (fast > 0)
+        orders[some[drowned]] = k
+    return orders
 
 
 def _turn(row: Real, known: Real, turn: Complex) -> None:

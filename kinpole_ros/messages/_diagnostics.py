@@ -26,6 +26,7 @@ _WORDS = {
     'markers_of_misfits': 'markers left out, since their body did not fit its shape',
     'unreadable': 'messages that could not be read',
     'dropped': 'messages dropped, since the node or the network could not keep up',
+    'untold': 'results left out, since the node could not keep up',
     'failures': 'failures of the node itself',
 }
 
@@ -168,6 +169,9 @@ def _faults(
             f'{dropped} messages dropped: the node or the network cannot keep up; send fewer '
             'frames, or read fewer results'
         )
+        faults.append((DiagnosticStatus.WARN, text))
+    if untold := since.get('untold'):
+        text = f'{untold} results left out: the node cannot keep up; read fewer results'
         faults.append((DiagnosticStatus.WARN, text))
     if since.get('restarts'):
         text = 'another publisher sends the markers: the window starts anew'

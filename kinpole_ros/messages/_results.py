@@ -22,8 +22,8 @@ from visualization_msgs.msg import MarkerArray
 from kinpole_ros.estimate import POLE_NAMES, RATE_NAMES, Estimate, Numbers, Vectors
 from kinpole_ros.messages._cdr import stamped_doubles
 from kinpole_ros.messages._loci import Axes, Build, Trail, centrode, in_space, scene
+from kinpole_ros.roster import AXES
 from kinpole_ros.theory import Theory, balance
-from kinpole_ros.tracker import AXES
 
 # Instants, as an index of arrays.
 Chosen: TypeAlias = slice | np.ndarray

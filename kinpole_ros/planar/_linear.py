@@ -73,4 +73,11 @@ def _applied(factors: Mapping[int, Complex], matrix: Real) -> tuple[Complex, Com
     f = np.empty((len(orders), *shape), complex)
     for k, factor in enumerate(factors.values()):
         f[k] = factor
-    return f, (matrix[orders][:, orders] * f).sum(axis=1)
+    given = matrix[orders][:, orders]
+    # Axes that only one of them has come first, as numpy has it.
+    lacking = f.ndim - given.ndim + 1
+    if lacking > 0:
+        given = given.reshape(*given.shape[:2], *lacking * (1,), *given.shape[2:])
+    elif lacking < 0:
+        f = f.reshape(len(f), *-lacking * (1,), *f.shape[1:])
+    return f, (given * f).sum(axis=1)

@@ -1,0 +1,192 @@
+"""Which files make up a bag, and their bytes, unpacked where they are compressed as a whole.
+
+A file compressed by zstd is read forward as a stream and unpacked to nowhere, so that it takes
+neither disk nor memory, whatever it claims to hold.
+"""
+
+import io
+import re
+from pathlib import Path, PurePath
+from typing import BinaryIO, cast
+
+import yaml
+import zstandard
+from mcap.writer import MCAP0_MAGIC
+
+ZSTD_MAGIC = b'\x28\xb5\x2f\xfd'  # no CDR starts with it
+_FARTHEST = 2**62
+_PIECE = 1 << 20
+# Of YAML: dates and numbers that are none, other things than expected, nesting without end.
+_MALFORMED = (ValueError, LookupError, TypeError, AttributeError, RecursionError)
+_FOREIGN = {
+    b'SQLite f': 'is a bag in sqlite3',
+    b'#ROSBAG ': 'is a ROS 1 bag',
+}
+_CONVERT = 'mend: `rosbags-convert --src {} --dst NEW --dst-storage mcap` (pip install rosbags)'
+
+
+class BagError(ValueError):
+    """A bag or table that cannot be read or written: one line that names it and the mend."""
+
+
+class Truncated(BagError):
+    """The end of a bag is missing or damaged; all that comes before was handed out."""
+
+
+def bag_files(path: str | Path) -> list[Path]:
+    """The .mcap files of a bag, in order.
+
+    `path` is an .mcap file or a rosbag2 folder, whose metadata.yaml names the files; without
+    one, all *.mcap files of the folder by name, numbers in names counted as numbers.
+
+    Raises BagError when there is no bag, or one that is not MCAP.
+    """
+    path = Path(path)
+    try:
+        if path.is_dir():
+            files = _folder_files(path)
+        elif path.is_file():
+            files = [path]
+        else:
+            raise BagError(f'no such bag: {path}; mend: give an .mcap file or a rosbag2 folder')
+        check_magic(files[0])
+    except OSError as error:
+        raise unreadable(path, error) from error
+    return files
+
+
+def _folder_files(folder: Path) -> list[Path]:
+    metadata = folder / 'metadata.yaml'
+    if not metadata.exists():
+        plain = {file.name for file in folder.glob('*.mcap')}
+        # What was being compressed when its recorder died is there as both.
+        packed = {file.name for file in folder.glob('*.mcap.zstd')}
+        names = plain | {name for name in packed if name.removesuffix('.zstd') not in plain}
+        files = [folder / name for name in sorted(names, key=_by_number)]
+        if not files:
+            if any(folder.glob('*.db3')):
+                raise BagError(f'{folder} is a bag in sqlite3; {_CONVERT.format(folder)}')
+            raise BagError(
+                f'{folder} has neither metadata.yaml nor .mcap files; '
+                'mend: give an .mcap file or a rosbag2 folder'
+            )
+        return files
+    try:
+        about = yaml.safe_load(metadata.read_text('utf-8'))['rosbag2_bagfile_information']
+        storage, listed = about['storage_identifier'], about['relative_file_paths']
+        compressed = about.get('compression_format')
+        paths = [PurePath(name) for name in listed]
+    except (yaml.YAMLError, *_MALFORMED) as error:
+        raise BagError(
+            f'{metadata} is not the metadata of a rosbag2 bag; '
+            f'mend: `ros2 bag reindex {folder}`, or remove it to read all .mcap files there'
+        ) from error
+    if storage != 'mcap' or compressed not in (None, '', 'zstd'):
+        wrong = f'compressed by rosbag2 ({compressed})' if compressed else f'in {storage}'
+        raise BagError(f'{folder} is a bag {wrong}; {_CONVERT.format(folder)}')
+    if not paths:
+        raise BagError(f'{metadata} names no files; mend: `ros2 bag reindex {folder}`')
+    for name in paths:
+        # A bag from elsewhere must not make us read other files of this machine.
+        if name.is_absolute() or '..' in name.parts:
+            raise BagError(
+                f"{metadata}: '{name}' in relative_file_paths is outside of the folder; "
+                'mend: name files in the folder only'
+            )
+        if not (folder / name).is_file():
+            raise BagError(
+                f'{folder / name}, named by metadata.yaml, is not there; mend: put it back, '
+                'or `ros2 bag reindex`'
+            )
+    return [folder / name for name in paths]
+
+
+def _by_number(name: str) -> list[int | str]:
+    return [int(s) if s.isdecimal() else s for s in re.split(r'(\d+)', name)]
+
+
+def check_magic(path: Path) -> None:
+    with open(path, 'rb') as file:
+        magic = file.read(len(MCAP0_MAGIC))
+    if not magic:
+        raise BagError(f'{path} is empty (0 bytes); mend: record again')
+    if magic in _FOREIGN:
+        raise BagError(f'{path} {_FOREIGN[magic]}; {_CONVERT.format(path)}')
+    if magic.startswith(ZSTD_MAGIC):
+        with open_file(path) as unpacked:
+            if unpacked.read(len(MCAP0_MAGIC)) == MCAP0_MAGIC:
+                return
+        raise BagError(
+            f'{path} is compressed, and what is in it is not an MCAP file; '
+            f'mend: see what `zstd -d {path}` gives'
+        )
+    if not MCAP0_MAGIC.startswith(magic):
+        raise BagError(
+            f'{path} is not an MCAP file: it starts otherwise; '
+            'mend: give an .mcap file or a rosbag2 folder'
+        )
+
+
+def unreadable(path: Path, error: OSError) -> BagError:
+    return BagError(f'{path} cannot be read: {error.strerror}; mend: check the path and its rights')
+
+
+def open_file(path: Path) -> BinaryIO:
+    """A file of a bag, or the content of one that rosbag2 compressed as a whole."""
+    file = open(path, 'rb')  # noqa: SIM115 - whoever asks for it closes it
+    packed = file.read(len(ZSTD_MAGIC)) == ZSTD_MAGIC
+    file.seek(0)
+    return cast('BinaryIO', io.BufferedReader(Unpacked(file), _PIECE)) if packed else file
+
+
+class Unpacked(io.RawIOBase):
+    """The content of a file compressed by zstd, read forward; to go back is to begin anew.
+
+    It ends where zstd cannot go on, and `trouble` says why.
+    """
+
+    def __init__(self, file: BinaryIO) -> None:
+        self.name = file.name
+        self.trouble = ''
+        self._file = file
+        self._begin()
+
+    def _begin(self) -> None:
+        self._file.seek(0)
+        # rosbag2 writes one frame, other tools several.
+        self._content = zstandard.ZstdDecompressor().stream_reader(
+            self._file, read_across_frames=True, closefd=False
+        )
+        self._place = 0
+
+    def readable(self) -> bool:
+        return True
+
+    def seekable(self) -> bool:
+        return True
+
+    def readinto(self, buffer: 'bytearray | memoryview[int]') -> int:  # type: ignore[override]
+        try:
+            count = self._content.readinto(buffer)
+        except zstandard.ZstdError as error:
+            self.trouble = str(error)
+            return 0
+        self._place += count
+        return int(count)
+
+    def tell(self) -> int:
+        return self._place
+
+    def seek(self, offset: int, whence: int = io.SEEK_SET) -> int:
+        if whence == io.SEEK_END:
+            offset = _FARTHEST
+        if offset < self._place:
+            self._begin()
+        passed = memoryview(bytearray(min(_PIECE, offset - self._place)))
+        while self._place < offset and self.readinto(passed[: offset - self._place]):
+            pass
+        return self._place
+
+    def close(self) -> None:
+        self._file.close()
+        super().close()

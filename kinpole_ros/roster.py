@@ -1,0 +1,111 @@
+"""
+Which markers of a message belong to which body, and where they are in the plane.
+
+Messages name their markers in their own order, and markers come and go; bodies want theirs always
+in the same places. Most layouts come again and again, so each is looked up once.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from kinpole_ros.frame import MarkerFrames
+from kinpole_ros.parameters import Settings
+
+# Columns of a marker that span the plane, and the one along its normal.
+AXES = {'xy': (0, 1, 2), 'yz': (1, 2, 0), 'zx': (2, 0, 1)}
+# A body of all markers takes new ones up to this many: a driver that numbers its markers anew in
+# every frame must not fill the memory.
+MOST_MARKERS = 1024
+_MOST_LAYOUTS = 64
+# m. No marker is that far, and the squares of what is nearer do not overflow.
+_FARTHEST = 1e15
+
+
+class Roster:
+    """
+    The markers of the bodies of `settings`.
+
+    `width` is for how many markers a body there is room, `wanted` how many there are of all bodies,
+    and `unknown` how many of the last new layout no body names.
+    """
+
+    def __init__(self, settings: Settings) -> None:
+        self._markers = [list(markers) for markers in settings.bodies.values()]
+        self._all_markers = not any(self._markers)
+        self._axes = AXES[settings.plane]
+        self._places: dict[tuple[str, ...], np.ndarray] = {}
+        self.width = max(2, *(len(markers) for markers in self._markers))
+        self.unknown = 0
+
+    @property
+    def wanted(self) -> int:
+        """How many markers all bodies have."""
+        return sum(len(markers) for markers in self._markers)
+
+    def sort(self, frames: MarkerFrames) -> tuple[np.ndarray, np.ndarray]:
+        """
+        The markers (T, B, width) of each body, complex, NaN for none, and their heights, m.
+
+        A body of all markers takes those not met before; it may be wider afterwards.
+        """
+        place = self._place(frames.identities)
+        rows = frames.points
+        if place.max(initial=0) == rows.shape[1]:
+            # One more row of NaN stands for every marker that is not in the message.
+            padded = np.full((len(rows), rows.shape[1] + 1, 3), np.nan)
+            padded[:, :-1] = rows
+            rows = padded
+        solid = rows[:, place]
+        with np.errstate(invalid='ignore'):
+            near = (np.abs(solid) < _FARTHEST).all(axis=-1)
+        if not near.all():
+            solid[~near] = np.nan
+        flat = np.empty(solid.shape[:-1], complex)
+        flat.real, flat.imag = solid[..., self._axes[0]], solid[..., self._axes[1]]
+        return flat, solid[..., self._axes[2]]
+
+    def _place(self, identities: tuple[str, ...]) -> np.ndarray:
+        """Where (B, n) each body's markers are in a message; the last place + 1 for one not in."""
+        place = self._places.get(identities)
+        if place is None:
+            if self._all_markers:
+                self._take_new(identities)
+            place = np.full((len(self._markers), self.width), len(identities))
+            for body, markers in enumerate(self._markers):
+                for k, marker in enumerate(markers):
+                    place[body, k] = find_marker(marker, identities)
+            self.unknown = len(set(range(len(identities))) - set(place.ravel().tolist()))
+            if len(self._places) > _MOST_LAYOUTS:
+                self._places.clear()
+            self._places[identities] = place
+        return place
+
+    def _take_new(self, identities: tuple[str, ...]) -> None:
+        """A body of all markers: add those not met before."""
+        markers = self._markers[0]
+        new = [name for name in dict.fromkeys(identities) if name not in set(markers)]
+        markers += new[: MOST_MARKERS - len(markers)]
+        if len(markers) > self.width:
+            self.width = len(markers)
+            self._places.clear()
+
+
+def find_marker(marker: str, identities: Sequence[str]) -> int:
+    """
+    Place of a marker in a message, len(identities) if it is not there.
+
+    A name stands for the full identity, else for the one marker of that namespace, else for the
+    one of that id: 'tip/3', 'tip' or '3'.
+    """
+    if marker in identities:
+        return list(identities).index(marker)
+    for part in (0, 2):
+        found = [
+            k
+            for k, name in enumerate(identities)
+            if '/' in name and name.rpartition('/')[part] == marker
+        ]
+        if len(found) == 1:
+            return found[0]
+    return len(identities)
