@@ -352,7 +352,7 @@ class Tracker:
         with np.errstate(invalid='ignore'):
             firm = noise**2 < _UNSTEADY**2 * self._shapes.spread
         usable = seen & measured & firm
-        noise = np.where(measured, noise, 1.0)
+        noise = np.where(noise > 0, noise, 1.0)
         differentiated = self._from_poses if self._points is None else self._from_landmarks
         found, together = differentiated(now, oldest, newest, noise, order)
         position, angle, position_covariance, angle_covariance, span, degree = found

@@ -192,8 +192,7 @@ def weigh_together(
     members[:, :, 0] = fits.coefficients[:, :, 0, None, :, :count]
     members[:, :, 1] = cos * x + sin * y
     members[:, :, 2] = cos * y - sin * x
-    points = _at_arms(members, reach, scale)
-    energy = (points[:, :, 0] ** 2 + points[:, :, 1] ** 2) / 2
+    energy = members[:, :, 1] ** 2 + (scale * (members[:, :, 2] + reach * members[:, :, 0])) ** 2
     turned, xx = fits.squares[:, 0, None, :, :count], fits.squares[:, 0, None, :, count:]
     yy = fits.squares[:, 1, None, :, count:]
     with_x, with_y, xy = (fits.products[:, k, None] for k in range(3))
@@ -212,7 +211,7 @@ def weigh_together(
 
     weights = _weigh(
         by_position,
-        signals(energy),
+        signals(energy) / 2,
         signals(left),
         np.tile(fits.missing[:, :count] | fits.missing[:, count:], number),
         np.tile(even, number),
@@ -234,20 +233,12 @@ def weigh_together(
     mix = arms_of(weights.mix)
     result = (mix[:, :, None] * values).sum(axis=0)
     values -= result
-    covariance = arms_of(weights.covariance)
-    covariance += _disagreement(mix / 2, _at_arms(values, reach, scale))
     turning = (mix * values[:, :, 0] ** 2).sum(axis=0)
+    values[:, :, 2] = scale * (values[:, :, 2] + reach * values[:, :, 0])
+    covariance = arms_of(weights.covariance) + _disagreement(mix / 2, values[:, :, 1:])
     np.moveaxis(result, 1, -1)[arms_of(weights.unknown)] = np.nan
     position = along * (result[:, 1] + 1j * result[:, 2])
     return Together(position, result[:, 0], covariance, turning)
-
-
-def _at_arms(poses: Real, reach: Real, scale: Real) -> Real:
-    """Points (..., 2, A, M, B) along and across the arms, of poses (..., 3, A, M, B) in them."""
-    points = poses[:, :, 1:].copy()
-    points[:, :, 1] += reach * poses[:, :, 0]
-    points[:, :, 1] *= scale
-    return points
 
 
 class _Weights(NamedTuple):
