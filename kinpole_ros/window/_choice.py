@@ -310,12 +310,21 @@ def _evaluate(matrix: Real, members: Real) -> Real:
     return np.einsum('glrd,ld...g->lr...g', matrix, members)
 
 
-@lru_cache(maxsize=16)
 def _shared_models(times: bytes, now: int, orders: int) -> _Models:
     """The models of equally weighted samples: even sampling asks for the same ones every frame."""
+    kept = _kept_models(times, now, orders)
+    if len(kept) == 1:
+        # Uneven stamps never come again.
+        kept.append(kept[0])
+    elif not kept[1].shortcuts:
+        kept[1] = kept[0]._replace(shortcuts=tuple(map(_shortcut, kept[0].scales)))
+    return kept[1]
+
+
+@lru_cache(maxsize=16)
+def _kept_models(times: bytes, now: int, orders: int) -> list[_Models]:
     instants = np.frombuffer(times, np.int64)
-    models = _models(instants, now, np.ones((1, len(instants))), orders)
-    return models._replace(shortcuts=tuple(map(_shortcut, models.scales)))
+    return [_models(instants, now, np.ones((1, len(instants))), orders)]
 
 
 def _shortcut(scale: _Scale) -> _Shortcut:
