@@ -7,6 +7,8 @@ projection holds the fits of all degrees at once. A polynomial through all its s
 n - 1) is the finite-difference stencil on these nodes (Fornberg 1988).
 """
 
+from functools import cache
+
 import numpy as np
 from numpy.polynomial import legendre
 from numpy.typing import ArrayLike
@@ -85,15 +87,15 @@ def orthonormal_basis(
 
 def _legendre_derivatives(x: Real, degree: int, orders: int) -> Real:
     """Derivatives (..., orders + 1, degree + 1) of the Legendre polynomials at x (...)."""
-    result = np.zeros((*np.shape(x), orders + 1, degree + 1))
-    # (j + 1) P_{j+1} = (2 j + 1) x P_j - j P_{j-1}, differentiated m times.
-    result[..., 0, 0] = 1.0
-    order = np.arange(orders + 1)
-    for j in range(degree):
-        lower = np.zeros_like(result[..., 0])
-        lower[..., 1:] = order[1:] * result[..., :-1, j]
-        result[..., j + 1] = (2 * j + 1) * (x[..., None] * result[..., j] + lower)
-        if j > 0:
-            result[..., j + 1] -= j * result[..., j - 1]
-        result[..., j + 1] /= j + 1
+    values = legendre.legvander(x, degree)
+    return np.asarray(np.einsum('...k,mkj->...mj', values, _derived(degree, orders)))
+
+
+@cache
+def _derived(degree: int, orders: int) -> Real:
+    """Derivatives of the Legendre polynomials j as sums of those k, (orders + 1, k, j)."""
+    result = np.zeros((orders + 1, degree + 1, degree + 1))
+    for order in range(orders + 1):
+        kept = legendre.legder(np.eye(degree + 1), order) if order else np.eye(degree + 1)
+        result[order, : len(kept)] = kept if order <= degree else 0.0
     return result

@@ -124,27 +124,35 @@ def project(
         )
         # All signals at all instants are columns of one product.
         columns = centered.transpose(0, 3, 1, 2).reshape(count, 2 * instants * groups)
-        found = _by_shortcuts(models, columns, (2, instants, groups), bodies)
+        found = _by_shared(models, columns, (2, instants, groups), bodies)
     else:
         models = _models(times, now, weights.T, order + 1)
         # What is missing may hold anything.
         centered = np.where(weights[:, None, :, None] > 0, signals - base, 0.0)
         columns = centered.transpose(2, 0, 3, 1).reshape(groups, count, 2)
-        found = _by_scales(models, columns, weights, bodies)
+        found = _by_own(models, columns, weights, bodies)
     return Projection(models, *found, base, missing)
 
 
-def _by_shortcuts(
+def _by_shared(
     models: Models, columns: Real, shape: tuple[int, int, int], bodies: int
 ) -> tuple[Real, Real, Real]:
     """Coefficients and what the fits leave of signals (N, C), columns of `shape` (2, M, G)."""
     found, squares, products = [], [], []
-    for scale, (matrix, starts) in zip(models.scales, models.shortcuts, strict=True):
+    for k, scale in enumerate(models.scales):
         means = _means(columns[None], scale, None)[0] * scale.root[0, :, None]
-        both = matrix @ means
-        members = len(scale.inside) * scale.basis.shape[-1]
-        found.append(both[:members])
-        rest = both[members:].reshape(-1, *shape)
+        if models.shortcuts:
+            matrix, starts = models.shortcuts[k]
+            both = matrix @ means
+            members = len(scale.inside) * scale.basis.shape[-1]
+            of_window, rest = both[:members], both[members:]
+        else:
+            basis = scale.basis[0]
+            of_window = np.swapaxes(basis, -1, -2) @ means
+            rest = (means - basis @ of_window)[scale.inside]
+            starts = _starts(scale)
+        found.append(of_window.reshape(-1, means.shape[-1]))
+        rest = rest.reshape(-1, *shape)
         if bodies:
             products.append(np.add.reduceat(_products(rest, bodies), starts, axis=0))
         squares.append(np.add.reduceat(np.square(rest, out=rest), starts, axis=0))
@@ -153,9 +161,7 @@ def _by_shortcuts(
     return coefficients, squares, np.concatenate(products) if bodies else squares[:, :0]
 
 
-def _by_scales(
-    models: Models, columns: Real, weights: Real, bodies: int
-) -> tuple[Real, Real, Real]:
+def _by_own(models: Models, columns: Real, weights: Real, bodies: int) -> tuple[Real, Real, Real]:
     """The same for G signals (G, N, 2) at one instant, each with models of its own."""
     found, squares, products = [], [], []
     for scale in models.scales:
@@ -203,12 +209,21 @@ def evaluate(matrix: Real, members: Real) -> Real:
     return np.einsum('glrd,ld...g->lr...g', matrix, members)
 
 
-@lru_cache(maxsize=16)
 def _shared_models(times: bytes, now: int, orders: int) -> Models:
     """The models of equally weighted samples: even sampling asks for the same ones every frame."""
+    kept = _kept_models(times, now, orders)
+    if len(kept) == 1:
+        # Uneven stamps never come again.
+        kept.append(kept[0])
+    elif not kept[1].shortcuts:
+        kept[1] = kept[0]._replace(shortcuts=tuple(map(_shortcut, kept[0].scales)))
+    return kept[1]
+
+
+@lru_cache(maxsize=16)
+def _kept_models(times: bytes, now: int, orders: int) -> list[Models]:
     instants = np.frombuffer(times, np.int64)
-    models = _models(instants, now, np.ones((1, len(instants))), orders)
-    return models._replace(shortcuts=tuple(map(_shortcut, models.scales)))
+    return [_models(instants, now, np.ones((1, len(instants))), orders)]
 
 
 def _shortcut(scale: _Scale) -> _Shortcut:
@@ -216,10 +231,15 @@ def _shortcut(scale: _Scale) -> _Shortcut:
     basis = scale.basis[0]
     left = np.eye(basis.shape[1]) - basis @ np.swapaxes(basis, -1, -2)
     project = np.swapaxes(basis, -1, -2).reshape(-1, basis.shape[1])
-    rows = scale.inside.sum(axis=-1)
     # What lies outside of a window is none of what its fit leaves.
     rest = np.where(scale.inside[:, None], left, 0.0)[scale.inside]
-    return _Shortcut(np.concatenate((project, rest)), np.cumsum(rows) - rows)
+    return _Shortcut(np.concatenate((project, rest)), _starts(scale))
+
+
+def _starts(scale: _Scale) -> np.ndarray:
+    """Where (l,) each window begins if the means inside of all follow each other."""
+    rows = scale.inside.sum(axis=-1)
+    return np.asarray(np.cumsum(rows) - rows)
 
 
 def _ladder(count: int) -> list[tuple[int, int]]:
