@@ -319,8 +319,11 @@ class Estimate:
                 far = np.abs(pole.value[body] - self.position[0, body])
                 away = np.isfinite(far) and far > FARTHEST * self.size[body]
                 found[POLE_NAMES[order - 1]] = 'pole at infinity' if away else 'no rotation'
-        if self.order >= 3 and self.pole(1).determined[body] and not self.icr_moves[body]:
-            found['centrode_curvature'] = 'pinned: the ICR stands still'
+        if self.order >= 3 and self.pole(1).determined[body]:
+            if not self.icr_moves[body]:
+                found['centrode_curvature'] = 'pinned: the ICR stands still'
+            elif not self.centrode_curvature.determined[body]:
+                found['centrode_curvature'] = 'lost in its noise'
         return found
 
 

@@ -750,6 +750,8 @@ def sound(estimate: Estimate) -> None:
                 or 'all' in reasons
                 or (POLE_NAMES[order - 1] in reasons)
             )
+        told = estimate.order < 3 or estimate.centrode_curvature.determined[b]
+        assert told or {'all', 'icr', 'centrode_curvature'} & set(reasons)
 
 
 @settings(max_examples=60, deadline=None)
