@@ -593,6 +593,20 @@ def test_frames_all_at_once_give_what_they_give_one_by_one(method: str) -> None:
             alike(*(np.stack([figure[part] for figure in all_])[told] for all_ in (one, other)))
 
 
+def test_a_pole_does_not_depend_on_what_else_is_asked_for() -> None:
+    seen = record('four_bar', count=200, noise=1e-4)
+    points = np.concatenate([frame.points for frame in seen.frames])
+    stamps = START + STEP * np.arange(len(points))
+    frames = MarkerFrames(stamps, 'world', seen.frames[0].identities, points)
+    always, changing = Tracker(settings_from(seen.values)), Tracker(settings_from(seen.values))
+    for first, order in ((0, 1), (80, 4), (120, 2), (140, 3)):
+        part = part_of(frames, slice(first, first + 40 if first else 80))
+        full, some = (instants(t.add(part, o)) for t, o in ((always, 4), (changing, order)))
+        for one, other in zip(full, some, strict=True):
+            alike(one.pole(1).value, other.pole(1).value)
+            alike(one.pole(1).covariance, other.pole(1).covariance)
+
+
 QUANTITIES: tuple[Callable[[Estimate], Any], ...] = (
     *(lambda estimate, k=k: estimate.pole(k) for k in range(1, 5)),
     lambda estimate: estimate.icr_velocity,

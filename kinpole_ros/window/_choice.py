@@ -80,9 +80,14 @@ class Spectrum:
         many instants are in the means.
         """
         levels, degrees, instants, groups = squares.shape
-        if self._mean.shape[1:] != (degrees, groups):
+        if self._mean.shape[1] != degrees:
             self._mean = np.zeros((0, degrees, groups))
             self._count = np.zeros((0, groups))
+        # Signals asked for from now on come last, and those before them go on.
+        kept, more = min(self._mean.shape[2], groups), max(groups - self._mean.shape[2], 0)
+        if kept < groups or self._mean.shape[2] > groups:
+            self._mean = np.pad(self._mean[:, :, :kept], ((0, 0), (0, 0), (0, more)))
+            self._count = np.pad(self._count[:, :kept], ((0, 0), (0, more)))
         new = levels - len(self._count)
         if new > 0:
             self._mean = np.concatenate((self._mean, np.zeros((new, degrees, groups))))
