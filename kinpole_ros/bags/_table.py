@@ -1,6 +1,7 @@
 """Results as tables, CSV or Parquet: one row an instant, nothing where it is undetermined."""
 
 import csv
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator
 from itertools import combinations
 from pathlib import Path
@@ -82,7 +83,7 @@ def _vector(vectors: Vectors, shape: tuple[int, int]) -> np.ndarray:
     return np.where(vectors.determined[..., None], both, np.nan).reshape(*shape, 4)
 
 
-class _Table:
+class _Table(ABC):
     """
     A file that estimates are written to; use it in a `with` block.
 
@@ -115,14 +116,14 @@ class _Table:
         rows = figures(estimate, self._order)
         self._guard(lambda: self._write(np.atleast_1d(estimate.stamp), rows))
 
-    def _open(self) -> None:
-        raise NotImplementedError
+    @abstractmethod
+    def _open(self) -> None: ...
 
-    def _write(self, stamps: np.ndarray, rows: np.ndarray) -> None:
-        raise NotImplementedError
+    @abstractmethod
+    def _write(self, stamps: np.ndarray, rows: np.ndarray) -> None: ...
 
-    def _close(self) -> None:
-        raise NotImplementedError
+    @abstractmethod
+    def _close(self) -> None: ...
 
     def _guard(self, do: Callable[[], None]) -> None:
         try:
