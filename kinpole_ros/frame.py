@@ -20,13 +20,6 @@ class MarkerFrames(NamedTuple):
     points: np.ndarray
 
 
-def one_frame(
-    stamp: int, frame_id: str, identities: tuple[str, ...], points: np.ndarray
-) -> MarkerFrames:
-    """The frame of one instant, with points (n, 3)."""
-    return MarkerFrames(np.array([stamp], np.int64), frame_id, identities, points[None])
-
-
 def part_of(frames: MarkerFrames, part: slice) -> MarkerFrames:
     """Some of the frames."""
     return frames._replace(stamps=frames.stamps[part], points=frames.points[part])

@@ -1,10 +1,11 @@
-"""Frames one by one through the learned shapes and noise of the bodies, as the tracker does it."""
+"""Frames one by one, and through the learned shapes and noise as the tracker does it."""
 
 from collections.abc import Iterator
 
 import numpy as np
 
 from kinpole_ros.estimate import Estimate
+from kinpole_ros.frame import MarkerFrames
 from kinpole_ros.planar import Fit
 from kinpole_ros.window import Noise, Shapes
 
@@ -30,3 +31,10 @@ def fit_frames(
 def instants(found: list[Estimate]) -> list[Estimate]:
     """Every instant of some estimates as an estimate of its own."""
     return [one for estimate in found for one in estimate]
+
+
+def one_frame(
+    stamp: int, frame_id: str, identities: tuple[str, ...], points: np.ndarray
+) -> MarkerFrames:
+    """The frame of one instant, with points (n, 3)."""
+    return MarkerFrames(np.array([stamp], np.int64), frame_id, identities, points[None])

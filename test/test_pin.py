@@ -7,10 +7,11 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from stretches import one_frame
 from test_tracker import PINNED, START, STEP, follow, record
 
 from kinpole_ros.bench._motions import motions, still_turning
-from kinpole_ros.frame import MarkerFrames, one_frame
+from kinpole_ros.frame import MarkerFrames
 from kinpole_ros.mechanism import BodyMotion, marker_positions
 from kinpole_ros.window import Pins
 

@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from stretches import instants
+from stretches import instants, one_frame
 
 from kinpole_ros import planar
 from kinpole_ros.estimate import POLE_NAMES, Estimate
-from kinpole_ros.frame import MarkerFrames, one_frame, part_of
-from kinpole_ros.mechanism import BodyMotion, load_scene, marker_positions, scene_names
+from kinpole_ros.frame import MarkerFrames, part_of
+from kinpole_ros.mechanism import BodyMotion, load_scene, marker_positions
 from kinpole_ros.parameters import settings_from
 from kinpole_ros.roster import MOST_MARKERS, find_marker
 from kinpole_ros.tracker import Tracker
@@ -211,35 +211,6 @@ def test_the_plane_may_be_another(plane: str) -> None:
         assert np.array_equal(one.position, two.position)
         assert two.height == pytest.approx(0.7)
         assert two.frame_id == 'world'
-
-
-@pytest.mark.parametrize('name', scene_names())
-def test_exact_markers_of_every_scene_give_its_poles(name: str) -> None:
-    scene = load_scene(name)
-    times = np.arange(700) / 500
-    motion = scene.motion(times)
-    points = [marker_positions(motion[body], scene.markers[body]) for body in scene.markers]
-    solid = np.zeros((len(times), sum(part.shape[1] for part in points), 3))
-    solid[..., :2] = np.concatenate(points, axis=1)
-    bodies = {f'{body}.markers': list(scene.marker_names[body]) for body in scene.markers}
-    # A lag of half the window, as for analysis.
-    tracker = Tracker(settings_from({'bodies': list(scene.markers), 'lag': 0.15, **bodies}))
-    names = tuple(name for body in scene.markers for name in scene.marker_names[body])
-    stamps = START + 2_000_000 * np.arange(len(times))
-    told = 0
-    for estimate in tracker.add(MarkerFrames(stamps, 'world', names, solid), 4):
-        frames = (estimate.stamp - START) // 2_000_000
-        full = frames > 150
-        for b, body in enumerate(scene.markers):
-            position, angle = (part[:, frames] for part in motion[body])
-            for order, most in enumerate((1e-9, 1e-8, 1e-6, 1e-5), 1):
-                pole, true = estimate.pole(order), planar.pole(order, position, angle).value
-                near = np.abs(true - position[0]) < 10 * estimate.size[:, b]
-                here = full & near & pole.determined[:, b]
-                error = np.abs(pole.value[:, b] - true) / estimate.size[:, b]
-                assert (error[here] < most).all(), (body, POLE_NAMES[order - 1])
-                told += here.sum()
-    assert told > 400
 
 
 def centrodes(seen: Record, found: list[Estimate]) -> tuple[np.ndarray, np.ndarray]:

@@ -7,10 +7,9 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from stretches import fit_frames, instants
+from stretches import fit_frames, instants, one_frame
 
 from kinpole_ros.estimate import Estimate
-from kinpole_ros.frame import one_frame
 from kinpole_ros.mechanism import load_scene, marker_positions
 from kinpole_ros.parameters import settings_from
 from kinpole_ros.planar import Fit

@@ -21,6 +21,7 @@ from kinpole_ros.window import (
     Samples,
     Shapes,
     Spectrum,
+    _projection,
     derivative_weights,
     project,
     stencil,
@@ -743,6 +744,15 @@ def test_room_for_more_markers_keeps_what_is_known() -> None:
     deque(fit_frames(points[100:, None], shapes), maxlen=0)
     assert shapes.known.tolist() == [6]
     assert shape_error(shapes, 6) < 0.6
+
+
+@pytest.mark.parametrize('kind', ['even', 'jittered'])
+def test_figures_do_not_hang_on_what_was_asked_before(kind: str) -> None:
+    times = stamps(kind, 5_000_000)
+    _projection._shared_models.cache_clear()
+    first, second = (differentiate(times, noisy(), None, LEVEL, TWO, 4) for _ in range(2))
+    for one, other in zip(first, second, strict=True):
+        assert np.array_equal(one, other)
 
 
 def test_fewest_samples_hold_every_order() -> None:

@@ -20,6 +20,8 @@ _HIGHEST_DEGREE = 12
 _LADDER = 1.33
 # Windows of more samples are made of means: a polynomial of this degree is as well known by them.
 _FINEST = 128
+# ns. Steps of even sampling differ by no more, for stamps are whole ns.
+_UNEVEN = 1
 
 
 class _Scale(NamedTuple):
@@ -209,21 +211,16 @@ def evaluate(matrix: Real, members: Real) -> Real:
     return np.einsum('glrd,ld...g->lr...g', matrix, members)
 
 
+@lru_cache(maxsize=16)
 def _shared_models(times: bytes, now: int, orders: int) -> Models:
     """The models of equally weighted samples: even sampling asks for the same ones every frame."""
-    kept = _kept_models(times, now, orders)
-    if len(kept) == 1:
-        # Uneven stamps never come again.
-        kept.append(kept[0])
-    elif not kept[1].shortcuts:
-        kept[1] = kept[0]._replace(shortcuts=tuple(map(_shortcut, kept[0].scales)))
-    return kept[1]
-
-
-@lru_cache(maxsize=16)
-def _kept_models(times: bytes, now: int, orders: int) -> list[Models]:
     instants = np.frombuffer(times, np.int64)
-    return [_models(instants, now, np.ones((1, len(instants))), orders)]
+    models = _models(instants, now, np.ones((1, len(instants))), orders)
+    steps = np.diff(instants)
+    if len(steps) and np.ptp(steps) > _UNEVEN:
+        # They never come again. By the stamps alone: no figure may hang on what was asked before.
+        return models
+    return models._replace(shortcuts=tuple(map(_shortcut, models.scales)))
 
 
 def _shortcut(scale: _Scale) -> _Shortcut:
