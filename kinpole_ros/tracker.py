@@ -15,20 +15,18 @@ import numpy as np
 from kinpole_ros.estimate import FARTHEST, Estimate, Poses
 from kinpole_ros.frame import MarkerFrames, part_of
 from kinpole_ros.parameters import Settings
-from kinpole_ros.planar import landmark_kinematics, rotation_coefficient, to_plane
+from kinpole_ros.planar import landmark_kinematics, to_plane
 from kinpole_ros.roster import Roster
 from kinpole_ros.window import (
     FEWEST_SAMPLES,
     STRIKES,
     Noise,
     Pins,
+    PoseFilter,
     Samples,
     Shapes,
     Spectrum,
     differentiate,
-    project,
-    weigh_apart,
-    weigh_together,
 )
 
 # Coordinates are known no better than a few units of their last place.
@@ -77,8 +75,9 @@ class Tracker:
         self._shapes = Shapes(count, self._roster.width)
         self._noise = Noise(count)
         self._pins = Pins(count)
+        self._filter = PoseFilter()
+        # Of the landmarks, where these are differentiated.
         self._spectrum = Spectrum()
-        self._spectrum_together = Spectrum()
         self._stamps = Samples((), np.int64)
         self._positions = Samples((count,), complex)
         self._angles = Samples((count,), float)
@@ -95,6 +94,7 @@ class Tracker:
         self._largest = 0.0
         self._since = 0
         self._due = 0
+        self._dropped = 0
         # Frames since the last beat, at which the bodies' shapes, noise and pins are learned.
         self._news: list[_News] = []
         self._new = 0
@@ -295,6 +295,7 @@ class Tracker:
             if buffer is not None:
                 buffer.drop(count)
         self._due = max(0, self._due - count)
+        self._dropped += count
 
     def _widen(self) -> None:
         """A body of all markers has more of them."""
@@ -416,33 +417,16 @@ class Tracker:
         turns = self._turns.view()
         signals[:, :count, 0] = angles + 2 * np.pi * (turns - turns[0])
         signals[:, count:] = to_plane(self._positions.view())
-        dimensions = np.repeat((1, 2), count)
         reach = FARTHEST * self._size()
         found = []
-        for times, samples, weights, level in self._runs(
+        numbers = now + self._dropped
+        first = 0
+        for run in self._runs(
             (now, oldest, newest), signals, self._information.view(), np.tile(noise, 2)
         ):
-            fits = project(times, samples, weights, order, count)
-            own = weigh_apart(fits, level, dimensions, order, self._spectrum)
-            position = own.values[..., count:, 0] + 1j * own.values[..., count:, 1]
-            angle = own.values[..., :count, 0]
-            orders = range(1, order + 1)
-            with np.errstate(divide='ignore', invalid='ignore', over='ignore'):
-                arms = -position[1:] / [rotation_coefficient(k, angle) for k in orders]
-                arms = np.where(np.abs(arms) < reach, arms, 0.0)
-            both = weigh_together(fits, arms, level, order, self._spectrum_together)
-            of_angle = both.covariance * (level[:, :count] / level[:, count:]) ** 2
-            found.append(
-                (
-                    position,
-                    angle,
-                    own.covariance[..., count:],
-                    own.covariance[..., :count],
-                    own.span[:, :count],
-                    own.degree[:, :count],
-                    *Poses(both.position, both.angle, both.covariance, of_angle, both.turning),
-                )
-            )
+            end = first + run[1].shape[1]
+            found.append(self._filter.derivatives(numbers[first:end], *run, reach, order))
+            first = end
         parts = _joined(found)
         apart, together = parts[:6], Poses(*parts[6:])
         # Of all turns that are one, as it was measured.

@@ -15,6 +15,7 @@ from kinpole_ros.window._choice import (
 from kinpole_ros.window._noise import Noise
 from kinpole_ros.window._pin import STRIKES, Pins
 from kinpole_ros.window._polynomial import derivative_weights, stencil
+from kinpole_ros.window._poses import PoseFilter
 from kinpole_ros.window._projection import FEWEST_SAMPLES, project
 from kinpole_ros.window._samples import Samples
 from kinpole_ros.window._shape import Shapes
@@ -25,6 +26,7 @@ __all__ = [
     'Derivatives',
     'Noise',
     'Pins',
+    'PoseFilter',
     'Samples',
     'Shapes',
     'Spectrum',

@@ -64,6 +64,36 @@ class Derivatives(NamedTuple):
     degree: Real
 
 
+class Weights(NamedTuple):
+    """
+    What makes derivatives of G signals out of their coefficients, as judged at M instants.
+
+    `taps` (M, G, K, L D) are the weights of all coefficients in each derivative, NaN where the
+    samples are too few; the rest is as in `Derivatives`.
+    """
+
+    taps: Real
+    covariance: Real
+    span: Real
+    degree: Real
+
+
+class Together(NamedTuple):
+    """
+    What makes derivatives of B bodies' poses, the same for angle and position, for each of A arms.
+
+    `angle` and `position` (M, A, B, K, L D) are the weights of all coefficients; `covariance`
+    (K, K, A, M, B) is that of one component of the position, in whose ratio to the noise of
+    positions that of angles goes too; `turning` (K, A, M, B) is the variance by which the windows
+    differ in the angle.
+    """
+
+    angle: Real
+    position: Real
+    covariance: Real
+    turning: Real
+
+
 class Spectrum:
     """What the signals of late were made of: mean energies by window, coefficient and signal."""
 
@@ -105,22 +135,6 @@ class Spectrum:
         return means, among
 
 
-class Together(NamedTuple):
-    """
-    Derivatives of poses by the same weights for angle and position, for each of A arms.
-
-    `angle` (K, A, M, B) and `position` (K, A, M, B), complex; `covariance` (K, K, A, M, B) of one
-    component of the position, in whose ratio to the noise of positions that of angles goes too;
-    `turning` (K, A, M, B) is the variance by which the windows differ in the angle. What is of
-    order 0 is counted from the sample at time 0.
-    """
-
-    position: Complex
-    angle: Real
-    covariance: Real
-    turning: Real
-
-
 def differentiate(
     times: np.ndarray,
     signals: Real,
@@ -131,7 +145,22 @@ def differentiate(
     spectrum: Spectrum | None = None,
 ) -> Derivatives:
     """Derivatives of order 0 to `order` of G signals: see `project` and `weigh_apart`."""
-    return weigh_apart(project(times, signals, weights, order), noise, dimensions, order, spectrum)
+    fits = project(times, signals, weights, order)
+    found = weigh_apart(fits, noise, dimensions, order, spectrum or Spectrum())
+    values = apply(found.taps, members_of(fits.coefficients)).transpose(2, 0, 1, 3)
+    values[0] += fits.base
+    return Derivatives(values, *found[1:])
+
+
+def members_of(coefficients: Real) -> Real:
+    """Coefficients (L, D, 2, M, G) as (M, G, L D, 2), which weights can be applied to."""
+    levels, degrees, axes, *rest = coefficients.shape
+    return coefficients.transpose(3, 4, 0, 1, 2).reshape(*rest, levels * degrees, axes)
+
+
+def apply(taps: Real, members: Real) -> Real:
+    """Derivatives (..., K, 2) by weights (..., K, L D) of coefficients (..., L D, 2)."""
+    return np.asarray(taps @ members)
 
 
 def weigh_apart(
@@ -139,44 +168,49 @@ def weigh_apart(
     noise: Real,
     dimensions: np.ndarray,
     order: int,
-    spectrum: Spectrum | None = None,
-) -> Derivatives:
+    spectrum: Spectrum,
+    every: int = 1,
+) -> Weights:
     """
-    Derivatives of order 0 to `order` of G signals at M instants, each with weights of its own.
+    Weights for derivatives of order 0 to `order` of G signals, for each by itself.
 
-    `noise` (G,) or (M, G) is the standard deviation of one component of a sample of weight 1;
-    `dimensions` (G,) says how many components a signal has, 1 or 2. A signal that is missing or NaN
-    at time 0 comes out NaN. `spectrum` remembers the instants before; without it only these judge,
-    one after the other.
+    Judged at the M instants that `fits` tells the squares of. `noise` (G,) or (M, G) is the
+    standard deviation of one component of a sample of weight 1; `dimensions` (G,) says how many
+    components a signal has, 1 or 2. A signal that is missing or NaN at time 0 comes out NaN.
+    `spectrum` remembers the instants before, of which one in `every` samples is judged.
     """
-    energy = (fits.coefficients**2).sum(axis=2) / dimensions  # (L, D, M, G)
+    coefficients = fits.judged
+    energy = (coefficients**2).sum(axis=2) / dimensions  # (L, D, M, G)
     left = fits.squares.sum(axis=1) / dimensions  # (L, M, G)
-    memory = Spectrum() if spectrum is None else spectrum
-    weights = _weigh(fits.models, energy, left, fits.missing, noise, dimensions, order, memory)
+    missing = fits.missing
+    shares = _weigh(fits.models, energy, left, missing, noise, dimensions, order, spectrum, every)
     # (L, K, 2, M, G)
-    values = evaluate(fits.models.rows, weights.share[:, :, None] * fits.coefficients)
-    mix = weights.mix
-    result = (mix[:, :, None] * values).sum(axis=0)
-    covariance = weights.covariance + _disagreement(mix / dimensions, values - result)
-    result = result.transpose(0, 2, 3, 1)
-    result[0] += fits.base
-    result[weights.unknown] = np.nan
-    covariance[weights.unknown[:, None] | weights.unknown[None]] = np.nan
+    values = evaluate(fits.models.rows, shares.share[:, :, None] * coefficients)
+    mix = shares.mix
+    apart = values - (mix[:, :, None] * values).sum(axis=0)
+    covariance = shares.covariance + _disagreement(mix / dimensions, apart)
+    covariance[shares.unknown[:, None] | shares.unknown[None]] = np.nan
     first = mix[:, min(1, order)]
     span = (first * fits.models.spans).sum(axis=0)
-    return Derivatives(result, covariance, span, (first * weights.last).sum(axis=0))
+    taps = _taps(fits.models, shares)
+    return Weights(taps, covariance, span, (first * shares.last).sum(axis=0))
 
 
 def weigh_together(
-    fits: Projection, arms: Complex, noise: Real, order: int, spectrum: Spectrum
+    fits: Projection,
+    arms: Complex,
+    noise: Real,
+    order: int,
+    spectrum: Spectrum,
+    every: int = 1,
 ) -> Together:
     """
-    Derivatives of the angles and positions of B bodies at M instants, both by the same weights.
+    Weights for derivatives of the angles and positions of B bodies, the same for both.
 
     `fits` are those of poses. Where a motion sets in, all windows are off, but angle and position
     by one factor, which cancels in a pole if it is the same. The weights are those for the point of
     the body at `arms` (A, M, B), m from the reference point now, which should be near the pole of
-    order 1 to A: its error is that of the pole. `noise` (M, 2 B) as in `weigh_apart`.
+    order 1 to A: its error is that of the pole. The rest is as in `weigh_apart`.
     """
     number, instants, count = arms.shape
     reach = np.abs(arms)
@@ -192,9 +226,10 @@ def weigh_together(
         by_angle, by_position = by_angle.of(place), by_angle.of(count + place)
 
     # Angle, and position along and across the arms: (L, D, 3, A, M, B).
-    x, y = (fits.coefficients[:, :, k, None, :, count:] for k in (0, 1))
+    coefficients = fits.judged
+    x, y = (coefficients[:, :, k, None, :, count:] for k in (0, 1))
     members = np.empty((*x.shape[:2], 3, *arms.shape))
-    members[:, :, 0] = fits.coefficients[:, :, 0, None, :, :count]
+    members[:, :, 0] = coefficients[:, :, 0, None, :, :count]
     members[:, :, 1] = cos * x + sin * y
     members[:, :, 2] = cos * y - sin * x
     energy = members[:, :, 1] ** 2 + (scale * (members[:, :, 2] + reach * members[:, :, 0])) ** 2
@@ -214,7 +249,7 @@ def weigh_together(
         """The reverse, as a view."""
         return np.swapaxes(array.reshape(*array.shape[:-1], number, count), -3, -2)
 
-    weights = _weigh(
+    shares = _weigh(
         by_position,
         signals(energy) / 2,
         signals(left),
@@ -223,11 +258,12 @@ def weigh_together(
         2,
         order,
         spectrum,
+        every,
         _MEMORY_TOGETHER,
         # A pole's own order is not taken for small: its first coefficients count in full.
         np.repeat(np.arange(1, number + 1), count),
     )
-    members *= arms_of(weights.share)[:, :, None]
+    members *= arms_of(shares.share)[:, :, None]
     if by_angle is by_position:
         values = evaluate(by_angle.rows, members)  # (L, K, 3, A, M, B)
     else:
@@ -235,18 +271,18 @@ def weigh_together(
         values = np.concatenate(
             [arms_of(evaluate(rows, signals(part))) for rows, part in parts], axis=2
         )
-    mix = arms_of(weights.mix)
-    result = (mix[:, :, None] * values).sum(axis=0)
-    values -= result
+    mix = arms_of(shares.mix)
+    values -= (mix[:, :, None] * values).sum(axis=0)
     turning = (mix * values[:, :, 0] ** 2).sum(axis=0)
     values[:, :, 2] = scale * (values[:, :, 2] + reach * values[:, :, 0])
-    covariance = arms_of(weights.covariance) + _disagreement(mix / 2, values[:, :, 1:])
-    np.moveaxis(result, 1, -1)[arms_of(weights.unknown)] = np.nan
-    position = along * (result[:, 1] + 1j * result[:, 2])
-    return Together(position, result[:, 0], covariance, turning)
+    covariance = arms_of(shares.covariance) + _disagreement(mix / 2, values[:, :, 1:])
+    position = _taps(by_position, shares)
+    angle = position if by_angle is by_position else _taps(by_angle, shares)
+    shape = (instants, number, count, *position.shape[2:])
+    return Together(angle.reshape(shape), position.reshape(shape), covariance, turning)
 
 
-class _Weights(NamedTuple):
+class _Shares(NamedTuple):
     """
     Weights of coefficients `share` (L, D, M, G) and of windows `mix` (L, K, M, G).
 
@@ -270,9 +306,10 @@ def _weigh(
     dimensions: np.ndarray | int,
     order: int,
     spectrum: Spectrum,
+    every: int,
     back: float = _MEMORY,
     free: np.ndarray | None = None,
-) -> _Weights:
+) -> _Shares:
     """
     Judge the squares of coefficients (L, D, M, G) and what fits leave (L, M, G), by component.
 
@@ -284,11 +321,11 @@ def _weigh(
     known = np.broadcast_to((models.lengths > 0) & ~missing, left.shape)
     lengths = np.maximum(models.lengths, 1)
     mean, among = spectrum.follow(
-        np.concatenate((energy, left[:, None]), axis=1), known, back * lengths[:, 0]
+        np.concatenate((energy, left[:, None]), axis=1), known, back / every * lengths[:, 0]
     )
     mean, mean_left = mean[:, :-1], mean[:, -1]
     # Neighboring windows share samples; the number of squares that are new to each other:
-    apart = np.maximum(among / lengths, 1.0) * dimensions
+    apart = np.maximum(every * among / lengths, 1.0) * dimensions
     variance = _variance(mean_left, freedom * apart, noise)
 
     scatter = variance * np.sqrt(2 / apart)[:, None]
@@ -333,7 +370,16 @@ def _weigh(
     mix /= np.where(unknown, 1.0, mix.sum(axis=0))
     part = mix**_KINSHIP
     covariance = (part[:, :, None] * part[:, None] * errors).sum(axis=0)
-    return _Weights(share, mix, covariance, last[:, 0], unknown)
+    return _Shares(share, mix, covariance, last[:, 0], unknown)
+
+
+def _taps(models: Models, shares: _Shares) -> Real:
+    """Weights (M, G, K, L D) of all coefficients in each derivative."""
+    mix, share = shares.mix.transpose(2, 3, 1, 0), shares.share.transpose(2, 3, 0, 1)
+    rows = models.rows.transpose(0, 2, 1, 3)  # (groups, K, L, D)
+    taps = rows * mix[..., None] * share[:, :, None]
+    taps[shares.unknown.transpose(1, 2, 0)] = np.nan
+    return taps.reshape(*taps.shape[:3], -1)
 
 
 def _disagreement(mix: Real, apart: Real) -> Real:
