@@ -66,10 +66,10 @@ class Estimate:
     NaN marks a body of which nothing is known, for the reason in `missing` (T, B). `since` is the
     stamp of the frame that the tracker last began with: poses from before it are in other body
     frames. `pin` (T, B) is the fixed point a body was found to turn about, complex, m, with
-    `pin_variance` (T, B), m^2, of one coordinate; NaN for a body on no pin. `shape` (B, n) are the
-    markers in the bodies' frames, complex, m. `due` (T,) is which frame, of those the tracker was
-    given together, each instant fell due with. `together` are poses (K, A, T, B) whose angle and
-    position are found by the same weights, those that suit the pole of order 1 to A.
+    `pin_variance` (T, B), m^2, of one coordinate; NaN for a body on no pin. `shape` (T, B, n) are
+    the markers in the bodies' frames, complex, m. `due` (T,) is which frame, of those the tracker
+    was given together, each instant fell due with. `together` are poses (K, A, T, B) whose angle
+    and position are found by the same weights, those that suit the pole of order 1 to A.
 
     What follows is of shape (T, B) too, (T, pairs) for pairs of bodies. An index gives one instant
     as an estimate of its own, in which all arrays lack the axis of T.
@@ -113,7 +113,7 @@ class Estimate:
         self.pin = nowhere + 0j if pin is None else pin
         self.pin_variance = nowhere if pin_variance is None else pin_variance
         self.pinned = np.isfinite(self.pin)
-        self.shape = np.full((len(bodies), 0), complex(np.nan, np.nan)) if shape is None else shape
+        self.shape = nowhere[..., None][..., :0] + 0j if shape is None else shape
         self.due = np.arange(np.size(stamp)).reshape(np.shape(stamp)) if due is None else due
         self.together = together
         self.pole = cache(self._pole)
@@ -141,7 +141,7 @@ class Estimate:
             self.since,
             self.pin[instant],
             self.pin_variance[instant],
-            self.shape,
+            self.shape[instant],
             self.due[instant],
             self.together and Poses(*(part[..., instant, :] for part in self.together)),
         )

@@ -5,7 +5,7 @@ The scene's markers tell how its body frames lie in the measured bodies; its dri
 is tracked, so the scene can be put where the rig is, at its rates, and held against all else.
 """
 
-from typing import NamedTuple
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -97,6 +97,10 @@ def load_theory(settings: Settings) -> Theory | None:
     return Theory(scene, places, driven[0])
 
 
+# Origin (complex, m) and angle of the scene's body frames in those of the tracked bodies, (T,).
+Frames: TypeAlias = dict[str, tuple[np.ndarray, np.ndarray]]
+
+
 def rate_differences(theory: Theory, estimate: Estimate) -> dict[str, Difference]:
     """
     By body, its angular velocity less what the scene says it is (rad/s), the driver being as seen.
@@ -183,20 +187,19 @@ def balance(theory: Theory, estimate: Estimate) -> Numbers:
     )
 
 
-def _port(theory: Theory, load: Load, frames: dict[str, tuple[complex, float]]) -> Port:
+def _port(theory: Theory, load: Load, frames: Frames) -> Port:
     b = theory.places[load.body][0]
     if isinstance(load, Force):
         place, turn = frames[load.body]
-        return Port(b, complex(load.force), complex(place + load.point * np.exp(1j * turn)))  # type: ignore[arg-type]
+        return Port(b, complex(load.force), place + load.point * np.exp(1j * turn))  # type: ignore[arg-type]
     return Port(b, complex(load.torque))  # type: ignore[arg-type]
 
 
-def _frames(theory: Theory, estimate: Estimate) -> dict[str, tuple[complex, float]]:
-    """Origin (complex, m) and angle of the scene's body frames in those of the tracked bodies."""
+def _frames(theory: Theory, estimate: Estimate) -> Frames:
     found = {}
     for body, (b, _, markers, known) in theory.places.items():
-        shape = estimate.shape[b, markers]
+        shape = estimate.shape[..., b, markers]
         fit = fit_pose(shape, known, np.isfinite(shape).astype(float))
-        if np.isfinite(fit.angle):
-            found[body] = (complex(fit.position), float(fit.angle))
+        if np.isfinite(fit.angle).any():
+            found[body] = (fit.position, fit.angle)
     return found

@@ -7,7 +7,7 @@ Header stamps drive it; it never asks for the time.
 """
 
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -51,6 +51,18 @@ class _News(NamedTuple):
     residual: np.ndarray
     freedom: np.ndarray
     goes_on: np.ndarray
+
+
+class _Known(NamedTuple):
+    """What is known of the bodies when a frame comes, (B,) or (T, B) for some frames."""
+
+    noise: np.ndarray
+    size: np.ndarray
+    spread: np.ndarray
+    pin: np.ndarray
+    pin_variance: np.ndarray
+    pin_since: np.ndarray
+    shape: np.ndarray  # (B, n)
 
 
 class Tracker:
@@ -160,7 +172,7 @@ class Tracker:
         if not self.samples:
             self._since = int(stamps[0])
         gaps = self._gaps(stamps)
-        found = []
+        counts, known = [], []
         first = 0
         while first < len(stamps):
             if self._new >= self._shapes.beat:
@@ -177,9 +189,26 @@ class Tracker:
             if len(later):
                 end = first + 1 + int(later[0])
             self._take(stamps[first:end], points[first:end], heights[first:end], gaps[first])
-            found += self._estimates(frames.frame_id, order, numbers[first:end])
+            counts.append(end - first)
+            known.append(self._known())
             first = end
-        return found
+        if len(known) == 1:
+            each = _Known(*(np.broadcast_to(a, (len(stamps), *a.shape)) for a in known[0]))
+        else:
+            each = _Known(*(np.repeat(a, counts, axis=0) for a in zip(*known, strict=True)))
+        return self._estimates(frames.frame_id, order, numbers, each)
+
+    def _known(self) -> _Known:
+        pins = self._pins
+        return _Known(
+            self.noise(),
+            self._size(),
+            self._shapes.spread,
+            pins.center.copy(),
+            pins.variance.copy(),
+            pins.since.copy(),
+            self._shapes.markers(),
+        )
 
     def _gaps(self, stamps: np.ndarray) -> np.ndarray:
         """Which frames (T,) come much later than the frames before them did."""
@@ -309,11 +338,14 @@ class Tracker:
             self._points = Samples(wide.shape[1:], complex)
             self._points.extend(wide)
 
-    def _estimates(self, frame_id: str, order: int | None, numbers: np.ndarray) -> list[Estimate]:
+    def _estimates(
+        self, frame_id: str, order: int | None, numbers: np.ndarray, known: _Known
+    ) -> list[Estimate]:
         """
         What falls due with the latest frames: to wait for one more would trail beyond lag.
 
-        Each instant is seen as of the frame it falls due with, whatever has come since.
+        Each instant is seen as of the frame it falls due with, whatever has come since; `known` is
+        what was then.
         """
         stamps = self._stamps.view()
         frames = np.arange(len(stamps) - len(numbers), len(stamps))
@@ -332,7 +364,8 @@ class Tracker:
             if seen.any():
                 frame = frame[seen]
                 windows = due[seen], oldest[frame], frames[frame]
-                found.append(self._estimate(*windows, frame_id, order, numbers[frame]))
+                then = _Known(*(array[frame] for array in known))
+                found.append(self._estimate(*windows, frame_id, order, numbers[frame], then))
         self._trim(int(oldest[-1]))
         return found
 
@@ -344,18 +377,19 @@ class Tracker:
         frame_id: str,
         order: int,
         due: np.ndarray,
+        known: _Known,
     ) -> Estimate:
         """The frames `now` (T,), as the frames from `oldest` to `newest` (T,) tell of them."""
         count = len(self.bodies)
-        noise = self.noise()
+        noise = known.noise
         seen = self._information.view()[now, :count] > 0
         measured = np.isfinite(noise)
         with np.errstate(invalid='ignore'):
-            firm = noise**2 < _UNSTEADY**2 * self._shapes.spread
+            firm = noise**2 < _UNSTEADY**2 * known.spread
         usable = seen & measured & firm
         noise = np.where(noise > 0, noise, 1.0)
         differentiated = self._from_poses if self._points is None else self._from_landmarks
-        found, together = differentiated(now, oldest, newest, noise, order)
+        found, together = differentiated(now, oldest, newest, noise, known.size, order)
         position, angle, position_covariance, angle_covariance, span, degree = found
         if not usable.all():
             for array in (*found, *(together or ())):
@@ -369,7 +403,7 @@ class Tracker:
             ('too few markers seen, or all at one place', ~seen),
         ):
             if those.any():
-                missing[np.broadcast_to(those, seen.shape)] = why
+                missing[those] = why
         return Estimate(
             self._stamps.view()[now],
             frame_id,
@@ -378,37 +412,44 @@ class Tracker:
             angle,
             position_covariance,
             angle_covariance,
-            np.broadcast_to(self._size(), seen.shape),
+            known.size,
             self._heights.view()[now],
             span,
             degree,
             missing,
             self._since,
-            *self._pinned(oldest, newest),
-            self._shapes.markers(),
+            *self._pinned(oldest, newest, known),
+            known.shape,
             due,
             together,
         )
 
-    def _pinned(self, oldest: np.ndarray, newest: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def _pinned(
+        self, oldest: np.ndarray, newest: np.ndarray, known: _Known
+    ) -> tuple[np.ndarray, np.ndarray]:
         """
         Fixed pins (T, B) of the bodies, complex, NaN for none, and their variance.
 
         A pin holds for the whole window or not at all.
         """
-        since = self._pins.since <= self._stamps.view()[oldest][:, None]
-        held = np.isfinite(self._pins.center) & since
+        held = np.isfinite(known.pin) & (known.pin_since <= self._stamps.view()[oldest][:, None])
         strayed = self._strayed.view()
         if strayed.any():
             before = np.cumsum(np.pad(strayed, ((1, 0), (0, 0))), axis=0)
             held &= before[newest + 1] - before[oldest] < STRIKES
         return (
-            np.where(held, self._pins.center, complex(np.nan, np.nan)),
-            np.where(held, self._pins.variance, np.nan),
+            np.where(held, known.pin, complex(np.nan, np.nan)),
+            np.where(held, known.pin_variance, np.nan),
         )
 
     def _from_poses(
-        self, now: np.ndarray, oldest: np.ndarray, newest: np.ndarray, noise: np.ndarray, order: int
+        self,
+        now: np.ndarray,
+        oldest: np.ndarray,
+        newest: np.ndarray,
+        noise: np.ndarray,
+        size: np.ndarray,
+        order: int,
     ) -> tuple[tuple[np.ndarray, ...], Poses | None]:
         """Derivatives of the fitted poses, angle and position each by itself and together."""
         count = len(self.bodies)
@@ -417,7 +458,7 @@ class Tracker:
         turns = self._turns.view()
         signals[:, :count, 0] = angles + 2 * np.pi * (turns - turns[0])
         signals[:, count:] = to_plane(self._positions.view())
-        reach = FARTHEST * self._size()
+        reach = FARTHEST * size
         found = []
         numbers = now + self._dropped
         first = 0
@@ -425,7 +466,9 @@ class Tracker:
             (now, oldest, newest), signals, self._information.view(), np.tile(noise, 2)
         ):
             end = first + run[1].shape[1]
-            found.append(self._filter.derivatives(numbers[first:end], *run, reach, order))
+            found.append(
+                self._filter.derivatives(numbers[first:end], *run, reach[first:end], order)
+            )
             first = end
         parts = _joined(found)
         apart, together = parts[:6], Poses(*parts[6:])
@@ -439,7 +482,13 @@ class Tracker:
         return apart, together
 
     def _from_landmarks(
-        self, now: np.ndarray, oldest: np.ndarray, newest: np.ndarray, noise: np.ndarray, order: int
+        self,
+        now: np.ndarray,
+        oldest: np.ndarray,
+        newest: np.ndarray,
+        noise: np.ndarray,
+        size: np.ndarray,
+        order: int,
     ) -> tuple[tuple[np.ndarray, ...], Poses | None]:
         """Derivatives of each landmark, then the seeds' formulas (seed 000)."""
         assert self._points is not None
@@ -452,7 +501,7 @@ class Tracker:
             (now, oldest, newest),
             signals,
             np.where(np.isfinite(signals[..., 0]), 1.0, 0.0),
-            np.repeat(noise, width),
+            np.repeat(noise, width, axis=1),
         ):
             one = differentiate(*run, dimensions, order, self._spectrum)
             found.append((*np.moveaxis(one.values, -1, 0), *one[1:]))
@@ -492,7 +541,7 @@ class Tracker:
         What `differentiate` takes: times, samples, weights and noise (M, G), of runs of instants.
 
         The instants are the frames `windows` (now, oldest, newest) of signals (frames, G, 2);
-        `information` (frames, G) are inverse variances over that of `noise` (G,). Instants with
+        `information` (frames, G) are inverse variances over that of `noise` (T, G). Instants with
         the same stamps about them are done at once, as a rule all of them.
         """
         now, oldest, newest = windows
@@ -504,23 +553,23 @@ class Tracker:
             rows = np.arange(oldest[first], newest[first] + 1)[:, None]
             times = stamps[rows[:, 0]] - stamps[now[first]]
             weights = None
-            level = noise * spread[first : first + 1]
+            level = noise[first : first + 1] * spread[first : first + 1]
             if even[first]:
                 # As many more as are the same.
-                end = min(len(now), first + max(1, _MOST_AT_ONCE // len(noise)))
+                end = min(len(now), first + max(1, _MOST_AT_ONCE // noise.shape[1]))
                 ahead = now[first:end] - oldest[first:end]
                 same = even[first:end] & (size[first:end] == size[first]) & (ahead == ahead[0])
                 end = first + _run_of(same)
                 rows = rows + (oldest[first:end] - oldest[first])
                 others = stamps[rows] - stamps[now[first:end]]
                 end = first + _run_of((others == times[:, None]).all(axis=0))
-                rows, level = rows[:, : end - first], noise * spread[first:end]
+                rows, level = rows[:, : end - first], noise[first:end] * spread[first:end]
             else:
                 end = first + 1
                 most = information[rows[:, 0]].max(axis=0)
                 most = np.where(most > 0, most, 1.0)
                 weights = information[rows[:, 0]] / most
-                level = (noise / np.sqrt(most))[None]
+                level = noise[first : first + 1] / np.sqrt(most)
             yield times, signals[rows], weights, level
             first = end
 
@@ -562,7 +611,7 @@ def _squared_arms(points: np.ndarray, here: np.ndarray) -> np.ndarray:
     return np.asarray(((points - mean[..., None, :]) ** 2).sum(axis=-1))
 
 
-def _joined(found: list[tuple[np.ndarray, ...]]) -> tuple[np.ndarray, ...]:
+def _joined(found: Sequence[tuple[np.ndarray, ...]]) -> tuple[np.ndarray, ...]:
     """Arrays (..., T, B) of some runs of instants, as of one."""
     if len(found) == 1:
         return found[0]

@@ -27,6 +27,7 @@ from kinpole_ros.window import (
     stencil,
     weigh_together,
 )
+from kinpole_ros.window._choice import apply, members_of
 
 pytestmark = pytest.mark.filterwarnings('error')
 
@@ -787,9 +788,13 @@ def test_together_what_is_off_by_one_factor_in_angle_and_position_cancels(weight
     instants = 1 if weighted else 4
     fits = project(times, setting_in(instants), weights if weighted else None, 3, 1)
     arms = np.full((3, instants, 1), ARM)
-    found = weigh_together(fits, arms, np.full((instants, 2), 1e-9), 3, Spectrum())
+    found = weigh_together(fits, arms, np.full((instants, 2), 1e-9), 3, Spectrum().follow)
+    angle_taps, position_taps = found.taps[..., 0, :, :], found.taps[..., -1, :, :]
+    members = members_of(fits.coefficients)[:, None]
+    angles = apply(angle_taps, members[:, :, :1])[..., 0]
+    positions = apply(position_taps, members[:, :, 1:]) @ (1, 1j)
     for order in (1, 2, 3):
-        angle, position = (part[order, order - 1] for part in (found.angle, found.position))
+        angle, position = (part[:, order - 1, :, order] for part in (angles, positions))
         # The angle's derivative itself is off by percents.
         np.testing.assert_allclose(position, -1j * angle * ARM, atol=1e-5 * np.abs(angle).max())
 
@@ -804,12 +809,14 @@ def test_together_bodies_and_instants_do_not_mix() -> None:
     signals = np.stack((steady, setting_in(4)), axis=3).reshape(101, 4, 4, 2)
     arms = np.stack((np.full((3, 4), 0.5 + 0.1j), np.full((3, 4), ARM)), axis=-1)
     noise = np.full((4, 4), 1e-9)
-    both = weigh_together(project(times, signals, None, 3, 2), arms, noise, 3, Spectrum())
-    spectrum = Spectrum()
+    past = Spectrum().follow
+    both = weigh_together(project(times, signals, None, 3, 2), arms, noise, 3, past)
+    past = Spectrum().follow
     for m in range(4):
         now = slice(m, m + 1)
         fits = project(times, signals[:, now, 1::2], None, 3, 1)
-        alone = weigh_together(fits, arms[:, now, 1:], noise[now, 1::2], 3, spectrum)
-        for one, other in zip(alone, both, strict=True):
-            there = other[..., now, 1:]
+        alone = weigh_together(fits, arms[:, now, 1:], noise[now, 1::2], 3, past)
+        means = both.means.reshape(*both.means.shape[:3], 3, 2)[:, :, now, :, 1]
+        both_here = (both.taps[now, :, 1:], both.covariance[..., now, 1:], means)
+        for one, there in zip((alone.taps, alone.covariance, alone.means), both_here, strict=True):
             np.testing.assert_allclose(one, there, rtol=1e-9, atol=1e-9 * np.abs(there).max())

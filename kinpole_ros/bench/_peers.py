@@ -321,9 +321,16 @@ class FixedTracker(Tracker):
     """The same pipeline with a fixed local polynomial (41 samples, degree 4) for the choice."""
 
     def _from_poses(
-        self, now: np.ndarray, oldest: np.ndarray, newest: np.ndarray, noise: np.ndarray, order: int
+        self,
+        now: np.ndarray,
+        oldest: np.ndarray,
+        newest: np.ndarray,
+        noise: np.ndarray,
+        size: np.ndarray,
+        order: int,
     ) -> tuple[tuple[np.ndarray, ...], None]:
-        found = [self._at(*frame, noise, order) for frame in zip(now, oldest, newest, strict=True)]
+        frames = zip(now, oldest, newest, noise, strict=True)
+        found = [self._at(*frame, order) for frame in frames]
         axes = (1, 1, 2, 2, 0, 0)
         return tuple(map(np.stack, zip(*found, strict=True), axes)), None
 

@@ -18,16 +18,19 @@ class Port(NamedTuple):
     """
     Where power goes in or out of a body, the index `body`.
 
-    With a `point` (complex, m, of the body's frame) `effort` is a force there, N, complex in the
-    ground's axes; without, a torque, N m. Of an input only its direction counts, or its sign.
+    With a `point` (complex, m, of the body's frame, one or (...)) `effort` is a force there, N,
+    complex in the ground's axes; without, a torque, N m. Of an input only its direction counts, or
+    its sign.
     """
 
     body: int
     effort: complex
-    point: complex | None = None
+    point: complex | Complex | None = None
 
 
-def port_power(effort: complex, point: complex | None, position: Complex, angle: Real) -> Linear:
+def port_power(
+    effort: complex, point: complex | Complex | None, position: Complex, angle: Real
+) -> Linear:
     """
     Power (W) of a force at a point of a body, or of a torque where `point` is None, as in Port.
 

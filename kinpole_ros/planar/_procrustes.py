@@ -40,7 +40,7 @@ def fit_pose(points: Complex, shape: Complex, weights: Real) -> Fit:
     p = np.where(seen, points, 0)
     s = np.where(seen, shape, 0)
     total = weights.sum(axis=-1)
-    with np.errstate(divide='ignore', invalid='ignore'):
+    with np.errstate(divide='ignore', invalid='ignore', over='ignore'):
         point_mean = (weights * p).sum(axis=-1) / total
         shape_mean = (weights * s).sum(axis=-1) / total
         p = p - point_mean[..., None]
@@ -48,7 +48,8 @@ def fit_pose(points: Complex, shape: Complex, weights: Real) -> Fit:
         spread = (weights * (s.real**2 + s.imag**2)).sum(axis=-1)
         cross = (weights * p * s.conj()).sum(axis=-1)
         apart = _apart(p, point_mean, weights) & _apart(s, shape_mean, weights)
-        turn = np.where(apart & (np.abs(cross) > 0), cross / np.abs(cross), np.nan)
+        length = np.abs(cross)
+        turn = np.where(apart & (length > np.finfo(float).tiny), cross / length, np.nan)
         position = point_mean - turn * shape_mean
         taken = weights * (2 / total[..., None] + np.abs(s) ** 2 / spread[..., None])
         freedom = np.where(seen, np.maximum(2 - taken, 0), 0)

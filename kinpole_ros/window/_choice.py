@@ -16,7 +16,7 @@ Averages look back, so what happens only now has its own say: a coefficient that
 noise by itself counts, and a window whose richest fit leaves more than noise is charged for it.
 """
 
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 import numpy as np
 
@@ -64,34 +64,52 @@ class Derivatives(NamedTuple):
     degree: Real
 
 
+class Past(Protocol):
+    """
+    Takes squares of some instants (L, D + 1, M, G), of coefficients and of what fits leave.
+
+    `known` (L, M, G) says where they mean anything; `memory` (L, G) or (L, 1) is the number of
+    instants that an average goes back. Returns their means as of each instant, and (L, M, G) how
+    many instants are in these.
+    """
+
+    def __call__(self, squares: Real, known: np.ndarray, memory: Real) -> tuple[Real, Real]: ...
+
+
 class Weights(NamedTuple):
     """
     What makes derivatives of G signals out of their coefficients, as judged at M instants.
 
     `taps` (M, G, K, L D) are the weights of all coefficients in each derivative, NaN where the
-    samples are too few; the rest is as in `Derivatives`.
+    samples are too few; `covariance`, `span` and `degree` are as in `Derivatives`. Squares (L,
+    D + 1, M, G) beyond `limits` refute the judgment; `means` and `among` are what `Past` gave.
     """
 
     taps: Real
     covariance: Real
     span: Real
     degree: Real
+    limits: Real
+    means: Real
+    among: Real
 
 
 class Together(NamedTuple):
     """
     What makes derivatives of B bodies' poses, the same for angle and position, for each of A arms.
 
-    `angle` and `position` (M, A, B, K, L D) are the weights of all coefficients; `covariance`
-    (K, K, A, M, B) is that of one component of the position, in whose ratio to the noise of
-    positions that of angles goes too; `turning` (K, A, M, B) is the variance by which the windows
-    differ in the angle.
+    `taps` (M, A, B, 1, K, L D) are the weights of all coefficients, (M, A, B, 2, K, L D) where
+    angle and position have bases of their own; `covariance` (K, K, A, M, B) is that of one
+    component of the position, in whose ratio to the noise of positions that of angles goes too;
+    `turning` (K, A, M, B) is the variance by which the windows differ in the angle; `means` and
+    `among`, of A B signals, as in `Weights`.
     """
 
-    angle: Real
-    position: Real
+    taps: Real
     covariance: Real
     turning: Real
+    means: Real
+    among: Real
 
 
 class Spectrum:
@@ -102,13 +120,7 @@ class Spectrum:
         self._count = np.zeros((0, 0))
 
     def follow(self, squares: Real, known: np.ndarray, memory: Real) -> tuple[Real, Real]:
-        """
-        Take the squares of some instants one after the other; return their means as of each.
-
-        `squares` (L, D, M, G), `known` (L, M, G) where they mean anything; `memory` (L, G) or
-        (L, 1) is the number of instants that an average goes back. Also returned (L, M, G): how
-        many instants are in the means.
-        """
+        """Take the squares of some instants, one after the other: see `Past`."""
         levels, degrees, instants, groups = squares.shape
         if self._mean.shape[1] != degrees:
             self._mean = np.zeros((0, degrees, groups))
@@ -146,10 +158,27 @@ def differentiate(
 ) -> Derivatives:
     """Derivatives of order 0 to `order` of G signals: see `project` and `weigh_apart`."""
     fits = project(times, signals, weights, order)
-    found = weigh_apart(fits, noise, dimensions, order, spectrum or Spectrum())
+    squares = squares_of(fits, dimensions)
+    past = (spectrum or Spectrum()).follow
+    found = weigh_apart(fits, squares, noise, dimensions, order, past)
     values = apply(found.taps, members_of(fits.coefficients)).transpose(2, 0, 1, 3)
     values[0] += fits.base
-    return Derivatives(values, *found[1:])
+    return Derivatives(values, found.covariance, found.span, found.degree)
+
+
+def squares_of(fits: Projection, dimensions: np.ndarray) -> Real:
+    """
+    Mean squares (L, D + 1, M, G) by component: of coefficients, and of what the fits leave.
+
+    The latter by degree of freedom; `dimensions` (G,) says how many components a signal has.
+    """
+    levels, degrees, _, *rest = fits.coefficients.shape
+    result = np.empty((levels, degrees + 1, *rest))
+    np.sum(np.square(fits.coefficients), axis=2, out=result[:, :-1])
+    np.sum(fits.squares, axis=1, out=result[:, -1])
+    result[:, -1] /= np.maximum(fits.models.freedom, 1)
+    result /= dimensions
+    return result
 
 
 def members_of(coefficients: Real) -> Real:
@@ -165,44 +194,37 @@ def apply(taps: Real, members: Real) -> Real:
 
 def weigh_apart(
     fits: Projection,
+    squares: Real,
     noise: Real,
     dimensions: np.ndarray,
     order: int,
-    spectrum: Spectrum,
+    past: Past,
     every: int = 1,
 ) -> Weights:
     """
-    Weights for derivatives of order 0 to `order` of G signals, for each by itself.
+    Weights for derivatives of order 0 to `order` of G signals at M instants, each by itself.
 
-    Judged at the M instants that `fits` tells the squares of. `noise` (G,) or (M, G) is the
-    standard deviation of one component of a sample of weight 1; `dimensions` (G,) says how many
-    components a signal has, 1 or 2. A signal that is missing or NaN at time 0 comes out NaN.
-    `spectrum` remembers the instants before, of which one in `every` samples is judged.
+    `squares` are those of the `fits`; `noise` (G,) or (M, G) is the standard deviation of one
+    component of a sample of weight 1; `dimensions` (G,) says how many components a signal has, 1 or
+    2. A signal that is missing or NaN at time 0 comes out NaN. The `past` knows one in `every`
+    instants.
     """
-    coefficients = fits.judged
-    energy = (coefficients**2).sum(axis=2) / dimensions  # (L, D, M, G)
-    left = fits.squares.sum(axis=1) / dimensions  # (L, M, G)
-    missing = fits.missing
-    shares = _weigh(fits.models, energy, left, missing, noise, dimensions, order, spectrum, every)
+    shares = _weigh(fits.models, squares, fits.missing, noise, dimensions, order, past, every)
     # (L, K, 2, M, G)
-    values = evaluate(fits.models.rows, shares.share[:, :, None] * coefficients)
+    values = evaluate(fits.models.rows, shares.share[:, :, None] * fits.coefficients)
     mix = shares.mix
     apart = values - (mix[:, :, None] * values).sum(axis=0)
     covariance = shares.covariance + _disagreement(mix / dimensions, apart)
     covariance[shares.unknown[:, None] | shares.unknown[None]] = np.nan
     first = mix[:, min(1, order)]
     span = (first * fits.models.spans).sum(axis=0)
+    degree = (first * shares.last).sum(axis=0)
     taps = _taps(fits.models, shares)
-    return Weights(taps, covariance, span, (first * shares.last).sum(axis=0))
+    return Weights(taps, covariance, span, degree, shares.limits, shares.means, shares.among)
 
 
 def weigh_together(
-    fits: Projection,
-    arms: Complex,
-    noise: Real,
-    order: int,
-    spectrum: Spectrum,
-    every: int = 1,
+    fits: Projection, arms: Complex, noise: Real, order: int, past: Past, every: int = 1
 ) -> Together:
     """
     Weights for derivatives of the angles and positions of B bodies, the same for both.
@@ -226,10 +248,9 @@ def weigh_together(
         by_angle, by_position = by_angle.of(place), by_angle.of(count + place)
 
     # Angle, and position along and across the arms: (L, D, 3, A, M, B).
-    coefficients = fits.judged
-    x, y = (coefficients[:, :, k, None, :, count:] for k in (0, 1))
+    x, y = (fits.coefficients[:, :, k, None, :, count:] for k in (0, 1))
     members = np.empty((*x.shape[:2], 3, *arms.shape))
-    members[:, :, 0] = coefficients[:, :, 0, None, :, :count]
+    members[:, :, 0] = fits.coefficients[:, :, 0, None, :, :count]
     members[:, :, 1] = cos * x + sin * y
     members[:, :, 2] = cos * y - sin * x
     energy = members[:, :, 1] ** 2 + (scale * (members[:, :, 2] + reach * members[:, :, 0])) ** 2
@@ -249,15 +270,16 @@ def weigh_together(
         """The reverse, as a view."""
         return np.swapaxes(array.reshape(*array.shape[:-1], number, count), -3, -2)
 
+    squares = signals(np.concatenate((energy / 2, left[:, None]), axis=1))
+    squares[:, -1] /= np.maximum(by_position.freedom, 1)
     shares = _weigh(
         by_position,
-        signals(energy) / 2,
-        signals(left),
+        squares,
         np.tile(fits.missing[:, :count] | fits.missing[:, count:], number),
         np.tile(even, number),
         2,
         order,
-        spectrum,
+        past,
         every,
         _MEMORY_TOGETHER,
         # A pole's own order is not taken for small: its first coefficients count in full.
@@ -276,10 +298,10 @@ def weigh_together(
     turning = (mix * values[:, :, 0] ** 2).sum(axis=0)
     values[:, :, 2] = scale * (values[:, :, 2] + reach * values[:, :, 0])
     covariance = arms_of(shares.covariance) + _disagreement(mix / 2, values[:, :, 1:])
-    position = _taps(by_position, shares)
-    angle = position if by_angle is by_position else _taps(by_angle, shares)
-    shape = (instants, number, count, *position.shape[2:])
-    return Together(angle.reshape(shape), position.reshape(shape), covariance, turning)
+    models = (by_angle,) if by_angle is by_position else (by_angle, by_position)
+    taps = np.stack([_taps(one, shares) for one in models], axis=-3)
+    taps = taps.reshape(instants, number, count, *taps.shape[2:])
+    return Together(taps, covariance, turning, shares.means, shares.among)
 
 
 class _Shares(NamedTuple):
@@ -287,7 +309,8 @@ class _Shares(NamedTuple):
     Weights of coefficients `share` (L, D, M, G) and of windows `mix` (L, K, M, G).
 
     `covariance` (K, K, M, G) without what the windows disagree about; `last` (L, M, G) is the
-    degree of the last coefficient in use; `unknown` (K, M, G) says where no window will do.
+    degree of the last coefficient in use; `unknown` (K, M, G) says where no window will do; the
+    rest is as in `Weights`.
     """
 
     share: Real
@@ -295,41 +318,39 @@ class _Shares(NamedTuple):
     covariance: Real
     last: np.ndarray
     unknown: np.ndarray
+    limits: Real
+    means: Real
+    among: Real
 
 
 def _weigh(
     models: Models,
-    energy: Real,
-    left: Real,
+    squares: Real,
     missing: np.ndarray,
     noise: Real,
     dimensions: np.ndarray | int,
     order: int,
-    spectrum: Spectrum,
+    past: Past,
     every: int,
     back: float = _MEMORY,
     free: np.ndarray | None = None,
 ) -> _Shares:
-    """
-    Judge the squares of coefficients (L, D, M, G) and what fits leave (L, M, G), by component.
-
-    Coefficients of degree up to `free` are taken as they are.
-    """
+    """Judge squares; coefficients of degree up to `free` are taken as they are."""
     instants, groups = missing.shape
     freedom = models.freedom
-    left = left / np.maximum(freedom, 1)
+    energy, left = squares[:, :-1], squares[:, -1]
     known = np.broadcast_to((models.lengths > 0) & ~missing, left.shape)
     lengths = np.maximum(models.lengths, 1)
-    mean, among = spectrum.follow(
-        np.concatenate((energy, left[:, None]), axis=1), known, back / every * lengths[:, 0]
-    )
-    mean, mean_left = mean[:, :-1], mean[:, -1]
+    means, among = past(squares, known, back / every * lengths[:, 0])
+    mean, mean_left = means[:, :-1], means[:, -1]
     # Neighboring windows share samples; the number of squares that are new to each other:
     apart = np.maximum(every * among / lengths, 1.0) * dimensions
     variance = _variance(mean_left, freedom * apart, noise)
 
     scatter = variance * np.sqrt(2 / apart)[:, None]
-    sudden = energy > variance * (1 + _SUDDEN / np.sqrt(dimensions))
+    limits = np.empty_like(squares)
+    limits[:, :-1] = variance * (1 + _SUDDEN / np.sqrt(dimensions))
+    sudden = energy > limits[:, :-1]
     lasting = mean - variance > _LASTING * scatter
     signal = np.maximum(mean - variance, np.where(sudden, energy - variance, 0.0))
     signal = np.maximum(signal, 0.0)
@@ -338,6 +359,7 @@ def _weigh(
     if free is not None:
         last = np.maximum(last, free)
     used = degrees <= last
+    limits[:, :-1][used] = np.inf
     within = degrees <= models.highest[:, None]
     share = np.where(used, signal / (signal + variance), 0.0)
     if free is not None:
@@ -351,7 +373,8 @@ def _weigh(
     odds = np.sqrt(2 / np.maximum(freedom * apart, 1))
     lost = np.maximum(mean_left - variance * (_LEFT + _LEFT_LASTING * odds), 0.0)
     odds = np.sqrt(2 / np.maximum(freedom * dimensions, 1))
-    lost = np.maximum(lost, left - variance * (_LEFT + _LEFT_SUDDEN * odds)) * (freedom > 0)
+    limits[:, -1] = variance * (_LEFT + _LEFT_SUDDEN * odds)
+    lost = np.maximum(lost, left - limits[:, -1]) * (freedom > 0)
     top = np.where(used & (degrees >= models.highest[:, None] - 1), signal, 0.0).max(axis=1)
     charge = _LEFT_WEIGHT * lost * freedom + _BEYOND * top
     # An order above all coefficients in use still has its own first one to fear.
@@ -370,7 +393,9 @@ def _weigh(
     mix /= np.where(unknown, 1.0, mix.sum(axis=0))
     part = mix**_KINSHIP
     covariance = (part[:, :, None] * part[:, None] * errors).sum(axis=0)
-    return _Shares(share, mix, covariance, last[:, 0], unknown)
+    # What is charged for already is no news.
+    limits[:, -1][(left > limits[:, -1]) | (freedom == 0)] = np.inf
+    return _Shares(share, mix, covariance, last[:, 0], unknown, limits, means, among)
 
 
 def _taps(models: Models, shares: _Shares) -> Real:

@@ -30,9 +30,7 @@ class _Scale(NamedTuple):
 
     The B means start at the sample `start`; `root` (groups, B) are the square roots of their
     weights; `basis` (groups, l, B, D) are the members of the l windows, orthonormal on the weighted
-    means, and zero for means that are not `inside` (l, B). `flat` (l D, B) is the first of them as
-    one matrix that gives the coefficients. If the means inside of all windows follow each other,
-    those of each begin at `starts` (l,).
+    means, and zero for means that are not `inside` (l, B).
     """
 
     each: int
@@ -40,7 +38,17 @@ class _Scale(NamedTuple):
     root: Real
     basis: Real
     inside: np.ndarray
-    flat: Real
+
+
+class _Shortcut(NamedTuple):
+    """
+    A scale whose models are shared and used again and again, as one matrix.
+
+    `matrix` (l D + R, B) gives the coefficients of the l windows, and below what the fits leave of
+    each mean inside, window after window from the rows `starts` (l,) on.
+    """
+
+    matrix: Real
     starts: np.ndarray
 
 
@@ -48,9 +56,7 @@ class Models(NamedTuple):
     """All fits of one set of instants: `groups` is 1 where every signal shares them, else G."""
 
     scales: tuple[_Scale, ...]
-    # What the fits leave of the means inside each window, as one matrix (R, B) for each scale, where
-    # these models are used again and again.
-    shortcuts: tuple[Real, ...]
+    shortcuts: tuple[_Shortcut, ...]  # of the scales, where they pay
     rows: Real  # (groups, L, K, D), derivatives of order 0 to K - 1 of the members at time 0
     products: Real  # (groups, L, K * K, D), of the rows of any two orders
     rim: Real  # (L, K, 1, groups), the larger square of the last two members in each row
@@ -80,16 +86,14 @@ class Projection(NamedTuple):
     """
     G signals at M instants on L windows: see `project`.
 
-    `coefficients` (L, D, 2, M, G), and `base` (M, G, 2), the sample at time 0 which the others are
-    counted from. Of the J instants to be judged: their coefficients `judged` (L, D, 2, J, G), and
-    the sums of squares (L, 2, J, G) of what the fits leave; where the signals are poses of B
-    bodies, `products` (L, 3, J, B) are sums of those of angle and x, angle and y, x and y;
-    `missing` (J, G) says where there is no sample at time 0.
+    `coefficients` (L, D, 2, M, G) and the sums of squares (L, 2, M, G) of what the fits leave;
+    where the signals are poses of B bodies, `products` (L, 3, M, B) are sums of those of angle and
+    x, angle and y, x and y. `base` (M, G, 2) is the sample at time 0, which the others are counted
+    from; `missing` (M, G) says where there is none.
     """
 
     models: Models
     coefficients: Real
-    judged: Real
     squares: Real
     products: Real
     base: Real
@@ -97,12 +101,7 @@ class Projection(NamedTuple):
 
 
 def project(
-    times: np.ndarray,
-    signals: Real,
-    weights: Real | None,
-    order: int,
-    bodies: int = 0,
-    judged: np.ndarray | None = None,
+    times: np.ndarray, signals: Real, weights: Real | None, order: int, bodies: int = 0
 ) -> Projection:
     """
     G signals at M instants, on all windows about each.
@@ -112,8 +111,7 @@ def project(
     samples about each instant have them. `weights` (N, G), for one instant at a time, are the
     inverse variances of the samples relative to the noise; 0 is a sample that is missing, None
     means all are 1, or that a signal is NaN throughout. Derivatives are wanted up to `order`. If
-    `bodies` are given, the signals are their angles, then their positions. `judged` (J,) are the
-    instants of which it is to be told what the fits leave, None for all.
+    `bodies` are given, the signals are their angles, then their positions.
     """
     now = int(np.searchsorted(times, 0))
     count, instants, groups = signals.shape[:3]
@@ -121,65 +119,52 @@ def project(
     if weights is not None:
         missing |= ~(weights[now] > 0)
     base = np.where(missing[..., None], 0.0, signals[now])
-    if weights is not None:
+    if weights is None:
+        models = _shared_models(times.tobytes(), now, order + 1)
+        centered = (
+            np.where(missing[..., None], 0.0, signals - base) if missing.any() else signals - base
+        )
+        # All signals at all instants are columns of one product.
+        columns = centered.transpose(0, 3, 1, 2).reshape(count, 2 * instants * groups)
+        found = _by_shared(models, columns, (2, instants, groups), bodies)
+    else:
         models = _models(times, now, weights.T, order + 1)
         # What is missing may hold anything.
         centered = np.where(weights[:, None, :, None] > 0, signals - base, 0.0)
         columns = centered.transpose(2, 0, 3, 1).reshape(groups, count, 2)
-        coefficients, *left = _by_own(models, columns, weights, bodies)
-        return Projection(models, coefficients, coefficients, *left, base, missing)
-    models = _shared_models(times.tobytes(), now, order + 1)
-    centered = signals - base
-    if missing.any():
-        centered = np.where(missing[..., None], 0.0, centered)
-    # All signals at all instants are columns of one product.
-    columns = centered.transpose(0, 3, 1, 2).reshape(count, 2 * instants * groups)
-    means = [_means(columns[None], k, None)[0] * k.root[0, :, None] for k in models.scales]
-    degrees = models.rows.shape[-1]
-    coefficients = np.concatenate(
-        [
-            (scale.flat @ given).reshape(-1, degrees, 2, instants, groups)
-            for scale, given in zip(models.scales, means, strict=True)
-        ]
-    )
-    chosen = coefficients
-    if judged is not None and len(judged) < instants:
-        chosen = coefficients[..., judged, :]
-        missing = missing[judged]
-        means = [given.reshape(-1, 2, instants, groups)[:, :, judged] for given in means]
-    left = _by_shared(models, means, chosen, bodies)
-    return Projection(models, coefficients, chosen, *left, base, missing)
+        found = _by_own(models, columns, weights, bodies)
+    return Projection(models, *found, base, missing)
 
 
 def _by_shared(
-    models: Models, means: list[Real], coefficients: Real, bodies: int
-) -> tuple[Real, Real]:
-    """What the fits leave of means (B, 2, J, G) of each scale: sums of squares and products."""
-    shape = coefficients.shape[2:]
-    if not shape[1]:
-        nothing = np.zeros((len(coefficients), 3, 0, shape[2]))
-        return nothing[:, :2], nothing[..., :bodies]
-    squares, products = [], []
-    first = 0
+    models: Models, columns: Real, shape: tuple[int, int, int], bodies: int
+) -> tuple[Real, Real, Real]:
+    """Coefficients and what the fits leave of signals (N, C), columns of `shape` (2, M, G)."""
+    found, squares, products = [], [], []
     for k, scale in enumerate(models.scales):
-        given = means[k].reshape(len(means[k]), -1)
+        means = _means(columns[None], scale, None)[0] * scale.root[0, :, None]
         if models.shortcuts:
-            rest = models.shortcuts[k] @ given
+            matrix, starts = models.shortcuts[k]
+            both = matrix @ means
+            members = len(scale.inside) * scale.basis.shape[-1]
+            of_window, rest = both[:members], both[members:]
         else:
-            fits = coefficients[first : first + len(scale.inside)]
-            fits = scale.basis[0] @ fits.reshape(*fits.shape[:2], -1)
-            rest = (given - fits)[scale.inside]
-            first += len(scale.inside)
+            basis = scale.basis[0]
+            of_window = np.swapaxes(basis, -1, -2) @ means
+            rest = (means - basis @ of_window)[scale.inside]
+            starts = _starts(scale)
+        found.append(of_window.reshape(-1, means.shape[-1]))
         rest = rest.reshape(-1, *shape)
         if bodies:
-            products.append(np.add.reduceat(_products(rest, bodies), scale.starts, axis=0))
-        squares.append(np.add.reduceat(np.square(rest, out=rest), scale.starts, axis=0))
-    left = np.concatenate(squares)
-    return left, np.concatenate(products) if bodies else left[:, :0]
+            products.append(np.add.reduceat(_products(rest, bodies), starts, axis=0))
+        squares.append(np.add.reduceat(np.square(rest, out=rest), starts, axis=0))
+    coefficients = np.concatenate(found).reshape(-1, models.rows.shape[-1], *shape)
+    squares = np.concatenate(squares)
+    return coefficients, squares, np.concatenate(products) if bodies else squares[:, :0]
 
 
 def _by_own(models: Models, columns: Real, weights: Real, bodies: int) -> tuple[Real, Real, Real]:
-    """The same, and the coefficients, for G signals (G, N, 2) at one instant, each by its own models."""
+    """The same for G signals (G, N, 2) at one instant, each with models of its own."""
     found, squares, products = [], [], []
     for scale in models.scales:
         means = (_means(columns, scale, weights) * scale.root[..., None])[:, None]
@@ -238,12 +223,20 @@ def _shared_models(times: bytes, now: int, orders: int) -> Models:
     return models._replace(shortcuts=tuple(map(_shortcut, models.scales)))
 
 
-def _shortcut(scale: _Scale) -> Real:
+def _shortcut(scale: _Scale) -> _Shortcut:
     """One product instead of two for each window (of 61 samples, 10 us instead of 17)."""
     basis = scale.basis[0]
     left = np.eye(basis.shape[1]) - basis @ np.swapaxes(basis, -1, -2)
+    project = np.swapaxes(basis, -1, -2).reshape(-1, basis.shape[1])
     # What lies outside of a window is none of what its fit leaves.
-    return np.asarray(np.where(scale.inside[:, None], left, 0.0)[scale.inside])
+    rest = np.where(scale.inside[:, None], left, 0.0)[scale.inside]
+    return _Shortcut(np.concatenate((project, rest)), _starts(scale))
+
+
+def _starts(scale: _Scale) -> np.ndarray:
+    """Where (l,) each window begins if the means inside of all follow each other."""
+    rows = scale.inside.sum(axis=-1)
+    return np.asarray(np.cumsum(rows) - rows)
 
 
 def _ladder(count: int) -> list[tuple[int, int]]:
@@ -329,16 +322,12 @@ def _scale(
     highest = np.maximum(counts - 3, np.minimum(counts - 1, HIGHEST_ORDER))
     highest = np.minimum(highest, degree)
     member = np.arange(basis.shape[-1]) <= highest[..., None]
-    basis = basis * member[..., None, :]
-    rows_inside = inside.sum(axis=-1)
     scale = _Scale(
         each,
         start,
         np.sqrt(weights[:, taken].reshape(len(weights), blocks, each).sum(axis=-1)),
-        basis,
+        basis * member[..., None, :],
         inside,
-        np.swapaxes(basis[0], -1, -2).reshape(-1, blocks),
-        np.cumsum(rows_inside) - rows_inside,
     )
     spans = (times[(last + 1) * each - 1] - times[first * each]) * 1e-9
     lengths = (given > 0).sum(axis=-1)
