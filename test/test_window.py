@@ -27,7 +27,7 @@ from kinpole_ros.window import (
     stencil,
     weigh_together,
 )
-from kinpole_ros.window._choice import apply, members_of
+from kinpole_ros.window._choice import together
 
 pytestmark = pytest.mark.filterwarnings('error')
 
@@ -789,12 +789,10 @@ def test_together_what_is_off_by_one_factor_in_angle_and_position_cancels(weight
     fits = project(times, setting_in(instants), weights if weighted else None, 3, 1)
     arms = np.full((3, instants, 1), ARM)
     found = weigh_together(fits, arms, np.full((instants, 2), 1e-9), 3, Spectrum().follow)
-    angle_taps, position_taps = found.taps[..., 0, :, :], found.taps[..., -1, :, :]
-    members = members_of(fits.coefficients)[:, None]
-    angles = apply(angle_taps, members[:, :, :1])[..., 0]
-    positions = apply(position_taps, members[:, :, 1:]) @ (1, 1j)
+    values = together(fits, found.share, found.mix)
     for order in (1, 2, 3):
-        angle, position = (part[:, order - 1, :, order] for part in (angles, positions))
+        angle, x, y = values[order, :, order - 1]
+        position = x + 1j * y
         # The angle's derivative itself is off by percents.
         np.testing.assert_allclose(position, -1j * angle * ARM, atol=1e-5 * np.abs(angle).max())
 
@@ -817,6 +815,7 @@ def test_together_bodies_and_instants_do_not_mix() -> None:
         fits = project(times, signals[:, now, 1::2], None, 3, 1)
         alone = weigh_together(fits, arms[:, now, 1:], noise[now, 1::2], 3, past)
         means = both.means.reshape(*both.means.shape[:3], 3, 2)[:, :, now, :, 1]
-        both_here = (both.taps[now, :, 1:], both.covariance[..., now, 1:], means)
-        for one, there in zip((alone.taps, alone.covariance, alone.means), both_here, strict=True):
+        here = [part[..., now, 1:] for part in (both.share, both.mix, both.covariance)]
+        found = alone.share, alone.mix, alone.covariance, alone.means
+        for one, there in zip(found, (*here, means), strict=True):
             np.testing.assert_allclose(one, there, rtol=1e-9, atol=1e-9 * np.abs(there).max())

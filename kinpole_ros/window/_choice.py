@@ -80,12 +80,14 @@ class Weights(NamedTuple):
     """
     What makes derivatives of G signals out of their coefficients, as judged at M instants.
 
-    `taps` (M, G, K, L D) are the weights of all coefficients in each derivative, NaN where the
-    samples are too few; `covariance`, `span` and `degree` are as in `Derivatives`. Squares (L,
-    D + 1, M, G) beyond `limits` refute the judgment; `means` and `among` are what `Past` gave.
+    `share` (L, D, M, G) are the weights of coefficients, `mix` (L, K, M, G) those of windows, NaN
+    where the samples are too few; `covariance`, `span` and `degree` are as in `Derivatives`.
+    Squares (L, D + 1, M, G) beyond `limits` refute the judgment; `means` and `among` are what
+    `Past` gave.
     """
 
-    taps: Real
+    share: Real
+    mix: Real
     covariance: Real
     span: Real
     degree: Real
@@ -98,14 +100,14 @@ class Together(NamedTuple):
     """
     What makes derivatives of B bodies' poses, the same for angle and position, for each of A arms.
 
-    `taps` (M, A, B, 1, K, L D) are the weights of all coefficients, (M, A, B, 2, K, L D) where
-    angle and position have bases of their own; `covariance` (K, K, A, M, B) is that of one
-    component of the position, in whose ratio to the noise of positions that of angles goes too;
-    `turning` (K, A, M, B) is the variance by which the windows differ in the angle; `means` and
-    `among`, of A B signals, as in `Weights`.
+    `share` (L, D, A, M, B) and `mix` (L, K, A, M, B) are as in `Weights`; `covariance`
+    (K, K, A, M, B) is that of one component of the position, in whose ratio to the noise of
+    positions that of angles goes too; `turning` (K, A, M, B) is the variance by which the windows
+    differ in the angle; `means` and `among`, of A B signals, are as in `Weights`.
     """
 
-    taps: Real
+    share: Real
+    mix: Real
     covariance: Real
     turning: Real
     means: Real
@@ -161,7 +163,7 @@ def differentiate(
     squares = squares_of(fits, dimensions)
     past = (spectrum or Spectrum()).follow
     found = weigh_apart(fits, squares, noise, dimensions, order, past)
-    values = apply(found.taps, members_of(fits.coefficients)).transpose(2, 0, 1, 3)
+    values = apart(fits, found.share, found.mix).transpose(0, 2, 3, 1)
     values[0] += fits.base
     return Derivatives(values, found.covariance, found.span, found.degree)
 
@@ -181,15 +183,21 @@ def squares_of(fits: Projection, dimensions: np.ndarray) -> Real:
     return result
 
 
-def members_of(coefficients: Real) -> Real:
-    """Coefficients (L, D, 2, M, G) as (M, G, L D, 2), which weights can be applied to."""
-    levels, degrees, axes, *rest = coefficients.shape
-    return coefficients.transpose(3, 4, 0, 1, 2).reshape(*rest, levels * degrees, axes)
+def apart(fits: Projection, share: Real, mix: Real) -> Real:
+    """Derivatives (K, 2, M, G) by the weights of `Weights`, from the sample at time 0."""
+    values = evaluate(fits.models.rows, share[:, :, None] * fits.coefficients)
+    return np.asarray((mix[:, :, None] * values).sum(axis=0))
 
 
-def apply(taps: Real, members: Real) -> Real:
-    """Derivatives (..., K, 2) by weights (..., K, L D) of coefficients (..., L D, 2)."""
-    return np.asarray(taps @ members)
+def together(fits: Projection, share: Real, mix: Real) -> Real:
+    """Derivatives (K, 3, A, M, B) of angle, x and y by the weights of `Together`."""
+    bodies = share.shape[-1]
+    members = np.empty((*share.shape[:2], 3, *share.shape[2:]))
+    coefficients = fits.coefficients[..., None, :, :]
+    np.multiply(share, coefficients[:, :, 0, ..., :bodies], out=members[:, :, 0])
+    np.multiply(share[:, :, None], coefficients[..., bodies:], out=members[:, :, 1:])
+    values = _evaluated(fits.models, members)
+    return np.asarray((mix[:, :, None] * values).sum(axis=0))
 
 
 def weigh_apart(
@@ -213,14 +221,13 @@ def weigh_apart(
     # (L, K, 2, M, G)
     values = evaluate(fits.models.rows, shares.share[:, :, None] * fits.coefficients)
     mix = shares.mix
-    apart = values - (mix[:, :, None] * values).sum(axis=0)
-    covariance = shares.covariance + _disagreement(mix / dimensions, apart)
-    covariance[shares.unknown[:, None] | shares.unknown[None]] = np.nan
+    values -= (mix[:, :, None] * values).sum(axis=0)
+    covariance = shares.covariance + _disagreement(mix / dimensions, values)
     first = mix[:, min(1, order)]
     span = (first * fits.models.spans).sum(axis=0)
     degree = (first * shares.last).sum(axis=0)
-    taps = _taps(fits.models, shares)
-    return Weights(taps, covariance, span, degree, shares.limits, shares.means, shares.among)
+    mix[:, shares.unknown] = np.nan
+    return Weights(shares.share, mix, covariance, span, degree, *shares[-3:])
 
 
 def weigh_together(
@@ -242,10 +249,10 @@ def weigh_together(
     # Across the arm the angle's noise adds to that of the position: scaled back to the same.
     scale = even / np.sqrt(even**2 + (reach * of_angle) ** 2)
 
-    by_angle, by_position = fits.models, fits.models
-    if len(by_angle.rows) > 1:
-        place = np.tile(np.arange(count), number)
-        by_angle, by_position = by_angle.of(place), by_angle.of(count + place)
+    models = fits.models
+    if len(models.rows) > 1:
+        # Those of the positions, for each arm.
+        models = models.of(np.tile(np.arange(count, 2 * count), number))
 
     # Angle, and position along and across the arms: (L, D, 3, A, M, B).
     x, y = (fits.coefficients[:, :, k, None, :, count:] for k in (0, 1))
@@ -271,9 +278,9 @@ def weigh_together(
         return np.swapaxes(array.reshape(*array.shape[:-1], number, count), -3, -2)
 
     squares = signals(np.concatenate((energy / 2, left[:, None]), axis=1))
-    squares[:, -1] /= np.maximum(by_position.freedom, 1)
+    squares[:, -1] /= np.maximum(models.freedom, 1)
     shares = _weigh(
-        by_position,
+        models,
         squares,
         np.tile(fits.missing[:, :count] | fits.missing[:, count:], number),
         np.tile(even, number),
@@ -285,23 +292,25 @@ def weigh_together(
         # A pole's own order is not taken for small: its first coefficients count in full.
         np.repeat(np.arange(1, number + 1), count),
     )
-    members *= arms_of(shares.share)[:, :, None]
-    if by_angle is by_position:
-        values = evaluate(by_angle.rows, members)  # (L, K, 3, A, M, B)
-    else:
-        parts = (by_angle.rows, members[:, :, :1]), (by_position.rows, members[:, :, 1:])
-        values = np.concatenate(
-            [arms_of(evaluate(rows, signals(part))) for rows, part in parts], axis=2
-        )
-    mix = arms_of(shares.mix)
+    share, mix = arms_of(shares.share), arms_of(shares.mix)
+    members *= share[:, :, None]
+    values = _evaluated(fits.models, members)  # (L, K, 3, A, M, B)
     values -= (mix[:, :, None] * values).sum(axis=0)
     turning = (mix * values[:, :, 0] ** 2).sum(axis=0)
     values[:, :, 2] = scale * (values[:, :, 2] + reach * values[:, :, 0])
     covariance = arms_of(shares.covariance) + _disagreement(mix / 2, values[:, :, 1:])
-    models = (by_angle,) if by_angle is by_position else (by_angle, by_position)
-    taps = np.stack([_taps(one, shares) for one in models], axis=-3)
-    taps = taps.reshape(instants, number, count, *taps.shape[2:])
-    return Together(taps, covariance, turning, shares.means, shares.among)
+    mix[:, arms_of(shares.unknown)] = np.nan
+    return Together(share, mix, covariance, turning, shares.means, shares.among)
+
+
+def _evaluated(models: Models, members: Real) -> Real:
+    """Rows of angles and positions applied to members (L, D, 3, A, M, B): (L, K, 3, A, M, B)."""
+    if len(models.rows) == 1:
+        return evaluate(models.rows, members)
+    bodies = members.shape[-1]
+    angle = evaluate(models.rows[:bodies], members[:, :, :1])
+    position = evaluate(models.rows[bodies:], members[:, :, 1:])
+    return np.concatenate((angle, position), axis=2)
 
 
 class _Shares(NamedTuple):
@@ -393,18 +402,11 @@ def _weigh(
     mix /= np.where(unknown, 1.0, mix.sum(axis=0))
     part = mix**_KINSHIP
     covariance = (part[:, :, None] * part[:, None] * errors).sum(axis=0)
+    if unknown.any():
+        covariance[unknown[:, None] | unknown] = np.nan
     # What is charged for already is no news.
     limits[:, -1][(left > limits[:, -1]) | (freedom == 0)] = np.inf
     return _Shares(share, mix, covariance, last[:, 0], unknown, limits, means, among)
-
-
-def _taps(models: Models, shares: _Shares) -> Real:
-    """Weights (M, G, K, L D) of all coefficients in each derivative."""
-    mix, share = shares.mix.transpose(2, 3, 1, 0), shares.share.transpose(2, 3, 0, 1)
-    rows = models.rows.transpose(0, 2, 1, 3)  # (groups, K, L, D)
-    taps = rows * mix[..., None] * share[:, :, None]
-    taps[shares.unknown.transpose(1, 2, 0)] = np.nan
-    return taps.reshape(*taps.shape[:3], -1)
 
 
 def _disagreement(mix: Real, apart: Real) -> Real:

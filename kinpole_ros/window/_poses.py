@@ -15,9 +15,9 @@ from kinpole_ros.planar._plane import Complex, Real
 from kinpole_ros.window._choice import (
     Past,
     Spectrum,
-    apply,
-    members_of,
+    apart,
     squares_of,
+    together,
     weigh_apart,
     weigh_together,
 )
@@ -54,31 +54,34 @@ _AXES = ('K', 'K', 'KK', 'KK', '', '', 'KA', 'KA', 'KKA', 'KKA', 'KA')
 
 class _Judged(NamedTuple):
     """
-    How bodies at instants are derived: one row each, of the fields of `Weights` and `Together`.
+    How bodies at instants are derived, R in all: the fields of `Weights` and `Together`.
 
     Of two signals, angle and position, and A arms; also the covariance of the angle together.
     """
 
-    taps: Real  # (rows, 2, K, L D)
-    covariance: Real  # (rows, 2, K, K)
-    span: Real  # (rows,)
+    share: Real  # (L, D, 2, R)
+    mix: Real  # (L, K, 2, R)
+    covariance: Real  # (K, K, 2, R)
+    span: Real  # (R,)
     degree: Real
-    limits: Real  # (rows, 2, L, D + 1)
+    limits: Real  # (L, D + 1, 2, R)
     means: Real
-    among: Real  # (rows, 2, L)
-    taps_together: Real  # (rows, 1 or 2, A, K, L D)
-    covariance_together: Real  # (rows, A, K, K)
+    among: Real  # (L, 2, R)
+    share_together: Real  # (L, D, A, R)
+    mix_together: Real  # (L, K, A, R)
+    covariance_together: Real  # (K, K, A, R)
     angle_covariance: Real
-    turning: Real  # (rows, A, K)
-    means_together: Real  # (rows, A, L, D + 1)
-    among_together: Real  # (rows, A, L)
+    turning: Real  # (K, A, R)
+    means_together: Real  # (L, D + 1, A, R)
+    among_together: Real  # (L, A, R)
 
 
 class PoseFilter:
     """Finds the derivatives of the poses of B bodies, instant after instant."""
 
     def __init__(self) -> None:
-        self._spectra = Spectrum(), Spectrum()
+        self._spectrum = Spectrum()
+        self._spectrum_together = Spectrum()
         # What holds up to an order, for samples at these times about an instant, in this stretch.
         self._held: _Judged | None = None
         self._order = 0
@@ -149,21 +152,20 @@ class PoseFilter:
         begun = due.nonzero()[0]
         if len(begun):
             instants, those = np.broadcast_arrays(begun[:, None], np.arange(bodies))
-            apart, together = self._spectra
-            new = judge(instants, those, (apart.follow, together.follow))
+            new = judge(instants, those, (self._spectrum.follow, self._spectrum_together.follow))
             judged = new if due[0] or judged is None else _followed(judged, new)
-            self._held = _Judged(*(field[-bodies:] for field in new))
+            self._held = _Judged(*(field[..., -bodies:] for field in new))
             self._order = order
         assert judged is not None
-        off = _by_body(squares, bodies) > judged.limits[which]
-        refuted = off.any(axis=(2, 3, 4)) & ~due[:, None]
+        off = _by_signal(squares, bodies) > np.take(judged.limits, which, -1)
+        refuted = off.any(axis=(0, 1, 2)) & ~due[:, None]
         if refuted.any():
             rows = which[refuted]
             pasts = (
-                _known(judged.means[rows], judged.among[rows]),
-                _known(judged.means_together[rows], judged.among_together[rows]),
+                _known(judged.means[..., rows], judged.among[..., rows]),
+                _known(judged.means_together[..., rows], judged.among_together[..., rows]),
             )
-            which[refuted] = len(judged.taps) + np.arange(len(rows))
+            which[refuted] = len(judged.span) + np.arange(len(rows))
             instants, those = refuted.nonzero()
             new = judge(instants[:, None], those[:, None], pasts)
             judged = _followed(judged, new)
@@ -171,7 +173,7 @@ class PoseFilter:
 
 
 def _followed(judged: _Judged, new: _Judged) -> _Judged:
-    return _Judged(*map(np.concatenate, zip(judged, new, strict=True)))
+    return _Judged(*(np.concatenate(pair, axis=-1) for pair in zip(judged, new, strict=True)))
 
 
 def _judge(
@@ -185,88 +187,90 @@ def _judge(
     every: int,
 ) -> _Judged:
     """Judge bodies at instants (M, B), by what was known of them apart and together."""
-    instants, bodies = reach.shape
+    bodies = reach.shape[1]
     dimensions = np.repeat((1, 2), bodies)
-    apart = weigh_apart(fits, squares, noise, dimensions, order, past, every)
-    derivatives = apply(apart.taps, members_of(fits.coefficients)).transpose(2, 0, 1, 3)
-    angle = derivatives[:, :, :bodies, 0]
+    own = weigh_apart(fits, squares, noise, dimensions, order, past, every)
+    derivatives = apart(fits, own.share, own.mix)
+    angle = derivatives[:, 0, :, :bodies]
     orders = range(1, order + 1)
     with np.errstate(divide='ignore', invalid='ignore', over='ignore'):
-        arms = derivatives[1:, :, bodies:] @ (-1, -1j)
+        arms = -_complex(derivatives[1:, :, :, bodies:])
         arms /= [rotation_coefficient(k, angle) for k in orders]
         arms = np.where(np.abs(arms) < reach, arms, 0.0)
-        together = weigh_together(fits, arms, noise, order, past_together, every)
+        both = weigh_together(fits, arms, noise, order, past_together, every)
         of_angle = (noise[:, :bodies] / noise[:, bodies:]) ** 2
 
-    def rows(array: Real, *axes: int) -> Real:
-        """One row for each body at each instant, from its axes in the order given."""
-        array = array.transpose(axes)
-        return array.reshape(-1, *array.shape[2:])
+    def flat(array: Real) -> Real:
+        """Instants and bodies (..., M, B) as one axis."""
+        return array.reshape(*array.shape[:-2], -1)
 
-    def signals(array: Real) -> Real:
-        """The same of some signals of each body (..., M, signals B)."""
-        array = array.reshape(*array.shape[:-1], -1, bodies)
-        last = array.ndim - 1
-        return rows(array, last - 2, last, last - 1, *range(last - 2))
-
-    taps = apart.taps.reshape(instants, 2, bodies, *apart.taps.shape[2:])
+    fields = own.share, own.mix, own.covariance, own.limits, own.means, own.among
+    share, mix, covariance, limits, means, among = (flat(_by_signal(f, bodies)) for f in fields)
     return _Judged(
-        rows(taps, 0, 2, 1, 3, 4),
-        signals(apart.covariance),
-        apart.span[:, :bodies].reshape(-1),
-        apart.degree[:, :bodies].reshape(-1),
-        signals(apart.limits),
-        signals(apart.means),
-        signals(apart.among),
-        rows(together.taps, 0, 2, 3, 1, 4, 5),
-        rows(together.covariance, 3, 4, 2, 0, 1),
-        rows(together.covariance * of_angle, 3, 4, 2, 0, 1),
-        rows(together.turning, 2, 3, 1, 0),
-        signals(together.means),
-        signals(together.among),
+        share,
+        mix,
+        covariance,
+        flat(own.span[:, :bodies]),
+        flat(own.degree[:, :bodies]),
+        limits,
+        means,
+        among,
+        flat(both.share),
+        flat(both.mix),
+        flat(both.covariance),
+        flat(both.covariance * of_angle),
+        flat(both.turning),
+        flat(_by_signal(both.means, bodies)),
+        flat(_by_signal(both.among, bodies)),
     )
 
 
 def _known(means: Real, among: Real) -> Past:
-    """What was known when rows were judged, (rows, signals, L, D + 1), which is not added to."""
-    return lambda squares, known, memory: (means.transpose(2, 3, 0, 1), among.transpose(2, 0, 1))
+    """What was known when bodies at instants were judged, as in `_Judged`; nothing is added."""
+    return lambda squares, known, memory: (np.swapaxes(means, -1, -2), np.swapaxes(among, -1, -2))
 
 
-def _by_body(squares: Real, bodies: int) -> Real:
-    """Squares (L, D + 1, M, 2 B) as (M, B, 2, L, D + 1)."""
-    return squares.reshape(*squares.shape[:-1], 2, bodies).transpose(2, 4, 3, 0, 1)
+def _by_signal(array: Real, bodies: int) -> Real:
+    """Some signals S of B bodies, (..., M, S B), as (..., S, M, B)."""
+    return np.swapaxes(array.reshape(*array.shape[:-1], -1, bodies), -3, -2)
 
 
 def _applied(judged: _Judged, which: np.ndarray, fits: Projection) -> PoseDerivatives:
-    """Derivatives of bodies at instants by the rows `which` (M, B) of the judged."""
+    """Derivatives of bodies at instants as the items `which` (M, B) of the judged have it."""
     bodies = which.shape[1]
-    members = members_of(fits.coefficients)
-    members = np.swapaxes(members.reshape(len(members), 2, bodies, *members.shape[2:]), 1, 2)
-    apart = apply(judged.taps[which], members)  # (M, B, 2, K, 2)
-    together = apply(judged.taps_together[which], members[:, :, :, None])  # (M, B, 2, A, K, 2)
-    position = _complex(apart[:, :, 1]).transpose(2, 0, 1)
-    angle = apart[:, :, 0, :, 0].transpose(2, 0, 1)
-    position[0] += _complex(fits.base[:, bodies:])
+
+    def taken(array: Real) -> Real:
+        return np.take(array, which, -1)
+
+    def by_instant(array: Real) -> Real:
+        """The reverse of `_by_signal`."""
+        array = np.swapaxes(taken(array), -3, -2)
+        return array.reshape(*array.shape[:-2], -1)
+
+    own = apart(fits, by_instant(judged.share), by_instant(judged.mix))  # (K, 2, M, 2 B)
+    both = together(fits, taken(judged.share_together), taken(judged.mix_together))
+    position, angle = _complex(own[..., bodies:]), own[:, 0, :, :bodies]
+    position[0] += fits.base[:, bodies:] @ (1, 1j)
     angle[0] += fits.base[:, :bodies, 0]
-    covariance = judged.covariance[which].transpose(2, 3, 4, 0, 1)
+    covariance = taken(judged.covariance)
     return PoseDerivatives(
         position,
         angle,
-        covariance[1],
-        covariance[0],
-        judged.span[which],
-        judged.degree[which],
-        _complex(together[:, :, 1]).transpose(3, 2, 0, 1),
-        together[:, :, 0, :, :, 0].transpose(3, 2, 0, 1),
-        judged.covariance_together[which].transpose(3, 4, 2, 0, 1),
-        judged.angle_covariance[which].transpose(3, 4, 2, 0, 1),
-        judged.turning[which].transpose(3, 2, 0, 1),
+        covariance[:, :, 1],
+        covariance[:, :, 0],
+        taken(judged.span),
+        taken(judged.degree),
+        _complex(both[:, 1:]),
+        both[:, 0],
+        taken(judged.covariance_together),
+        taken(judged.angle_covariance),
+        taken(judged.turning),
     )
 
 
 def _complex(vectors: Real) -> Complex:
-    """Vectors (..., 2) as complex numbers, in place."""
-    return vectors.view(complex)[..., 0]
+    """Vectors (K, 2, ...) as complex numbers (K, ...)."""
+    return np.asarray(vectors[:, 0] + 1j * vectors[:, 1])
 
 
 def _of_order(found: PoseDerivatives, order: int) -> PoseDerivatives:
