@@ -96,7 +96,8 @@ def landmark_kinematics(
             poles.append(to_plane(missing))
             continue
         denominator = np.abs(rotation_coefficient(order, angle))
-        rounding = sum(np.abs(d) * error[k] for k, d in rotation_partials(order, angle).items())
+        partials = np.abs(rotation_partials(order, angle))
+        rounding = (partials * error[1 : order + 1]).sum(axis=0)
         poles.append(_where(denominator > rounding, pole(order, position, angle)))
     turning = np.abs(angle[1]) > error[1]
     velocity, curvature = to_plane(missing), missing.real
@@ -105,8 +106,8 @@ def landmark_kinematics(
         velocity = _where(turning, u)
         with np.errstate(invalid='ignore'):
             speed_rounding = ROUNDING * (
-                np.abs(position[1]) + np.abs(u.by_position[2] * position[2])
-            ) + sum(np.abs(g) * error[k] for k, g in u.by_angle.items())
+                np.abs(position[1]) + np.abs(u.by_position[1] * position[2])
+            ) + (np.abs(u.by_angle) * error[1:3]).sum(axis=0)
         if len(given) > 3:
             moves = turning & (np.abs(u.value) > speed_rounding)
             value = centrode_curvature(position, angle).value.real
