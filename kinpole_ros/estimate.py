@@ -179,21 +179,19 @@ class Estimate:
     def general_pole(self, order: int) -> Vectors:
         """The pole of order 1 to 4 (m) as it follows from the motion, whatever is known of pins."""
         position, angle, of_position, of_angle = self._poses(order)
-        poles = planar.pole(order, position, angle)
+        turn = denominator, by_angle = planar.rotation(order, angle)
+        poles = planar.pole(order, position, angle, turn)
         with np.errstate(divide='ignore', invalid='ignore', over='ignore'):
-            value, spread = _mean(poles.value, planar.covariance(poles, of_position, of_angle))
+            spread = planar.covariance(poles, of_position, of_angle)
+            value, spread, known = _mean(poles.value, spread)
             near = np.abs(value - self.position[0]) < FARTHEST * self.size
-            finite = np.isfinite(value) & np.isfinite(spread).all(axis=(-2, -1))
             # Whether the body turns is asked of the last: together, where that is known.
-            denominator = planar.rotation_coefficient(order, angle[:, -1])
-            by = planar.rotation_partials(order, angle[:, -1])
-            orders = slice(1, order + 1)
-            of_last = of_angle[orders, orders, -1]
-            noise = planar.mean_square(by, of_last)
+            orders = poles.angle_orders
+            noise = planar.mean_square(by_angle[:, -1], of_angle[orders, orders, -1])
             if self.together is not None:
-                noise = noise + self.together.turning[order, order - 1]
-            turning = np.abs(denominator) > SIGNIFICANT * np.sqrt(noise)
-        return Vectors(value, spread, turning & near & finite)
+                noise += self.together.turning[order, order - 1]
+            turning = np.abs(denominator[-1]) > SIGNIFICANT * np.sqrt(noise)
+        return Vectors(value, spread, turning & near & known)
 
     def pole(self, order: int) -> Vectors:
         """ICR, IAP, IJP or ISP (m) for order 1 to 4, on the pin where there is one."""
@@ -203,7 +201,7 @@ class Estimate:
 
     def _pole(self, order: int) -> Vectors:
         value, spread, determined = self.general_pole(order)
-        if self.pinned.any():
+        if np.count_nonzero(self.pinned):
             value = np.where(self.pinned, self.pin, value)
             even = self.pin_variance[..., None, None] * np.eye(2)
             spread = np.where(self.pinned[..., None, None], even, spread)
@@ -237,12 +235,12 @@ class Estimate:
         """Velocity of the ICR along both centrodes (m/s)."""
         u = self._velocities
         with np.errstate(divide='ignore', invalid='ignore', over='ignore'):
-            value, spread = _mean(u.value, planar.covariance(u, *self._poses(1)[2:]))
-        if self.pinned.any():
+            value, spread, known = _mean(u.value, planar.covariance(u, *self._poses(1)[2:]))
+        if np.count_nonzero(self.pinned):
             value = np.where(self.pinned, 0.0, value)
             spread = np.where(self.pinned[..., None, None], 0.0, spread)
-        finite = np.isfinite(value) & np.isfinite(spread).all(axis=(-2, -1))
-        return Vectors(value, spread, self.pole(1).determined & finite)
+            known = known | self.pinned
+        return Vectors(value, spread, self.pole(1).determined & known)
 
     @cached_property
     def centrode_curvature(self) -> Numbers:
@@ -250,9 +248,10 @@ class Estimate:
         position, angle, *covariances = self._poses(1)
         curvature = planar.centrode_curvature(position, angle, self._velocities)
         with np.errstate(divide='ignore', invalid='ignore', over='ignore'):
-            value, noise = _mean(curvature.value.real, planar.variance(curvature, *covariances))
+            noise = planar.variance(curvature, *covariances)
+            value, noise, known = _mean(curvature.value.real, noise)
             least = np.maximum(np.abs(value) / SIGNIFICANT, 1 / self.size)
-            known = np.isfinite(value) & (noise < least**2)
+            known = known & (noise < least**2)
         return Numbers(value, noise, self.icr_moves & known)
 
     @cached_property
@@ -287,23 +286,21 @@ class Estimate:
         From the velocities as measured, pins or no: what bends both alike cancels between them.
         """
         j, i = self.pairs
+        position, angle = self.position[:2], self.angle[:2]
+        covariances = self.position_covariance[:2, :2], self.angle_covariance[:2, :2]
         by_j, by_i = planar.relative_pole(
-            self.position[..., j], self.angle[..., j], self.position[..., i], self.angle[..., i]
+            position[..., j], angle[..., j], position[..., i], angle[..., i]
         )
         rate = self.relative_rate
         with np.errstate(invalid='ignore', over='ignore'):
-            spread = sum(
-                planar.covariance(
-                    part, self.position_covariance[..., k], self.angle_covariance[..., k]
-                )
-                for part, k in ((by_j, j), (by_i, i))
-            )
+            spread = planar.covariance(by_j, *(one[..., j] for one in covariances))
+            spread += planar.covariance(by_i, *(one[..., i] for one in covariances))
             turning = np.abs(rate.value) > SIGNIFICANT * np.sqrt(rate.variance)
             place, size = self.position[0], self.size
             apart = np.abs(by_j.value - (place[..., j] + place[..., i]) / 2)
             near = apart < FARTHEST * np.maximum(size[..., j], size[..., i])
         finite = np.isfinite(by_j.value) & np.isfinite(spread).all(axis=(-2, -1))
-        return Vectors(by_j.value, np.asarray(spread), turning & near & finite)
+        return Vectors(by_j.value, spread, turning & near & finite)
 
     @cached_property
     def kennedy(self) -> tuple[np.ndarray, np.ndarray]:
@@ -344,24 +341,25 @@ class Estimate:
 
 def _stands_out(values: np.ndarray, covariance: np.ndarray) -> np.ndarray:
     """Where (..., B) any of the derivatives (K, ..., B) of order 1 and up exceeds its noise."""
-    orders = np.arange(1, len(values))
+    variance = np.einsum('kk...->k...', covariance)
     with np.errstate(invalid='ignore'):
-        noise = np.sqrt(covariance[orders, orders])
-        return np.asarray((values[1:] > SIGNIFICANT * noise).any(axis=0))
+        return np.asarray((values > SIGNIFICANT * np.sqrt(variance))[1:].any(axis=0))
 
 
-def _mean(values: np.ndarray, spread: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _mean(values: np.ndarray, spread: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """
     Mean of one or two values (S, ...) and of their (co)variances, (S, ...) or (S, ..., 2, 2).
 
-    Weighted by the inverse squares of the latter; what the values differ by is error too.
+    Weighted by the inverse squares of the latter; what the values differ by is error too. Also
+    where (...) it is known.
     """
-    if len(values) == 1:
-        return values[0], spread[0]
     plane = spread.ndim > values.ndim
     variance = spread[..., 0, 0] + spread[..., 1, 1] if plane else spread
     known = np.isfinite(variance) & np.isfinite(values)
-    if not known.all():
+    if len(values) == 1:
+        return values[0], spread[0], known[0]
+    either = known[0] | known[1]
+    if np.count_nonzero(known) < known.size:
         # What is not known gives way to the other. Where neither is the first stands, to tell what
         # it would be.
         lost = ~known
@@ -369,11 +367,12 @@ def _mean(values: np.ndarray, spread: np.ndarray) -> tuple[np.ndarray, np.ndarra
         values = np.where(lost, values[::-1], values)
         spread = np.where(lost[..., None, None] if plane else lost, spread[::-1], spread)
         variance = np.where(lost.any(axis=0), 1.0, variance)
-    shares = 1 / (1 + (variance / variance[::-1]) ** 2)
+    squares = variance * variance
+    shares = squares[::-1] / (squares[0] + squares[1])
     value = np.einsum('s...,s...->...', shares, values)
     off, apart = values[1] - values[0], shares[0] * shares[1]
     if not plane:
-        return value, np.einsum('s...,s...->...', shares, spread) + apart * off**2
+        return value, np.einsum('s...,s...->...', shares, spread) + apart * off**2, either
     xy = np.array((off.real, off.imag))
     mixed = np.einsum('s...,s...xy->...xy', shares, spread)
-    return value, mixed + np.einsum('...,x...,y...->...xy', apart, xy, xy)
+    return value, mixed + np.einsum('...,x...,y...->...xy', apart, xy, xy), either

@@ -33,8 +33,8 @@ from kinpole_ros.planar._poisson import (
 from kinpole_ros.planar._poles import (
     body_point_derivative,
     pole,
+    rotation,
     rotation_coefficient,
-    rotation_partials,
 )
 from kinpole_ros.planar._procrustes import Fit, fit_pose
 from kinpole_ros.planar._relative import (
@@ -72,8 +72,8 @@ __all__ = [
     'relative_center',
     'relative_pole',
     'relative_velocity',
+    'rotation',
     'rotation_coefficient',
-    'rotation_partials',
     'to_complex',
     'to_plane',
     'transport',

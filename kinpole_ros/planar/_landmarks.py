@@ -11,8 +11,7 @@ from kinpole_ros.planar._plane import ROUNDING, Complex, Real, check_vectors, to
 from kinpole_ros.planar._poles import (
     body_point_derivative,
     pole,
-    rotation_coefficient,
-    rotation_partials,
+    rotation,
 )
 
 
@@ -95,10 +94,10 @@ def landmark_kinematics(
         if order >= len(given):
             poles.append(to_plane(missing))
             continue
-        denominator = np.abs(rotation_coefficient(order, angle))
-        partials = np.abs(rotation_partials(order, angle))
-        rounding = (partials * error[1 : order + 1]).sum(axis=0)
-        poles.append(_where(denominator > rounding, pole(order, position, angle)))
+        turn = denominator, partials = rotation(order, angle)
+        rounding = (np.abs(partials) * error[1 : order + 1]).sum(axis=0)
+        found = pole(order, position, angle, turn)
+        poles.append(_where(np.abs(denominator) > rounding, found))
     turning = np.abs(angle[1]) > error[1]
     velocity, curvature = to_plane(missing), missing.real
     if len(given) > 2:

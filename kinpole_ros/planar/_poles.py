@@ -37,34 +37,38 @@ def rotation_coefficient(order: int, angle: Real) -> Complex:
     raise ValueError(f'order must be 1 to 4, not {order}')
 
 
-def rotation_partials(order: int, angle: Real) -> Complex:
+def rotation(order: int, angle: Real) -> tuple[Complex, Complex]:
     """
-    Partial derivatives (n, ...) of `rotation_coefficient` by the 1st to n-th of the angle.
+    `rotation_coefficient` and its partial derivatives (n, ...) by the 1st to n-th of the angle.
 
-    By the k-th it is the coefficient of order n - k times i and n over k, that of order 0 being 1.
+    By the k-th it is i times n choose k times the coefficient of order n - k, of which a_0 is 1.
     """
-    partials = np.empty((order, *np.shape(angle[1])), complex)
+    a = rotation_coefficient(order, angle)
+    by_angle = np.empty((order, *a.shape), complex)
+    by_angle[-1] = 1j
     for k in range(1, order):
-        partials[k - 1] = comb(order, k) * 1j * rotation_coefficient(order - k, angle)
-    partials[-1] = 1j
-    return partials
+        by_angle[k - 1] = comb(order, k) * 1j * rotation_coefficient(order - k, angle)
+    return a, by_angle
 
 
-def pole(order: int, position: Complex, angle: Real) -> Linear:
+def pole(
+    order: int, position: Complex, angle: Real, turn: tuple[Complex, Complex] | None = None
+) -> Linear:
     """
     The point of the body whose n-th derivative vanishes: ICR, IAP, IJP or ISP for order 1 to 4.
 
     `position` (K, ...) complex and `angle` (K, ...) hold the reference point and the angle with
-    their derivatives, K > order. Value in m, in the frame of `position`; not finite where the body
-    does not turn. Seed 000: r - (wR)^-1 v and its like.
+    their derivatives, K > order; `turn` is what `rotation` gives, if it was asked before. Value in
+    m, in the frame of `position`; not finite where the body does not turn. Seed 000:
+    r - (wR)^-1 v and its like.
     """
-    a = rotation_coefficient(order, angle)
+    a, by_turn = rotation(order, angle) if turn is None else turn
     with np.errstate(divide='ignore', invalid='ignore', over='ignore'):
         by_position = np.empty((2, *a.shape), complex)
         by_position[0] = 1.0
         by_position[1] = inverse = -1 / a
         arm = position[order] * inverse
-        by_angle = arm * inverse * rotation_partials(order, angle)
+        by_angle = arm * inverse * by_turn
     orders = slice(0, order + 1, order), slice(1, order + 1)
     return Linear(position[0] + arm, by_position, by_angle, *orders)
 
