@@ -240,7 +240,7 @@ def _layout(
     row: np.ndarray,
 ) -> _Layout | None:
     """The layout of a message that was read the ordinary way; None where there is no such thing."""
-    if not walk.little or (kind == 'marker_array' and not walk.markers):
+    if not walk.little or (kind == 'marker_array' and not frames.identities):
         return None
     stamp, frame_id = walk.stamp, walk.frame_id
     spans = [(0, len(LITTLE)), *walk.layout]
@@ -251,7 +251,7 @@ def _layout(
     naming = np.zeros_like(mask)
     if kind == 'marker_array':
         kept = remaining(message.markers)
-        stamp, frame_id = (walk.markers[kept[0]] if kept else walk.markers[0])[:2]
+        stamp, frame_id = walk.markers[kept[0]][:2]
         words += [marker.number + 8 for marker in walk.markers]
         deleting = any(marker.action >= Marker.DELETE for marker in message.markers)
         for _, _, ns, number, *_ in walk.markers:
