@@ -534,7 +534,7 @@ def sifted(stamps: Sequence[int], window: int) -> tuple[list[int], Counter[str]]
     counts: Counter[str] = Counter(frames=len(stamps))
     for k, stamp in enumerate(stamps):
         newest, before = (max(kept), stamps[k - 1]) if kept else (stamp - 1, stamp - 1)
-        if abs(stamp - newest) > window or before < newest and before < stamp <= newest:
+        if abs(stamp - newest) > window or (before < newest and before < stamp <= newest):
             counts['resets'] += 1
             kept = [stamp]
         elif stamp > newest:

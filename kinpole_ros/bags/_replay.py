@@ -35,8 +35,9 @@ class Replayed(NamedTuple):
 
     `unreadable` counts messages that could not be read, `problem` is the first one's;
     `truncated` says where a damaged bag ended, None for a sound one. `repeated` and `late` count
-    frames left out, `resets` and `frame_changes` starts anew, as the tracker does. `noise` is that of a marker of each body at the end, per
-    axis, m, NaN where it is not known; `first` and `last` are the stamps of these frames, ns.
+    frames left out, `resets` and `frame_changes` starts anew, as the tracker does. `noise` is that
+    of a marker of each body at the end, per axis, m, NaN where it is not known; `first` and `last`
+    are the stamps of these frames, ns.
     """
 
     frames: int
@@ -154,7 +155,10 @@ def replay(
         share,
         counts['unreadable'],
         problem,
-        *(counts[key] for key in ('repeated', 'late', 'resets', 'frame_changes')),
+        counts['repeated'],
+        counts['late'],
+        counts['resets'],
+        counts['frame_changes'],
         truncated,
         dict(zip(tracker.bodies, tracker.noise().tolist(), strict=True)),
         first,
