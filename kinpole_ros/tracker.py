@@ -157,7 +157,7 @@ class Tracker:
         return found
 
     def _sift(self, stamps: np.ndarray) -> tuple[np.ndarray, int]:
-        """Which frames of `stamps` (T,) to take until one starts everything anew, and its place or T."""
+        """Which frames of `stamps` (T,) to take, and which starts everything anew, T for none."""
         last, newest = self._last, int(stamps[0]) - 1
         if self.samples:
             newest = int(self._stamps.view()[-1])

@@ -457,6 +457,14 @@ def test_array_of_deletions_keeps_the_first_header():
     assert frame.points.shape == (0, 3)
 
 
+@pytest.mark.parametrize('name', ['a\nb', '\x1b[2J', 'a' * 100_000])
+def test_a_name_in_an_error_neither_breaks_the_line_nor_fills_the_screen(name):
+    with pytest.raises(MessageError, match='2 times') as error:
+        read_one(MarkerArray(markers=[Marker(ns=name), Marker(ns=name)]), 'ns')
+    assert str(error.value).isprintable()
+    assert len(str(error.value)) < 250
+
+
 @pytest.mark.parametrize('markers', [[], [Marker(action=Marker.DELETEALL)]])
 def test_an_array_without_markers_and_so_without_time_is_refused(markers):
     """As a stamp of 0 it would be a jump of the clock, and all learned would be forgotten."""

@@ -32,6 +32,8 @@ ROS_TYPE_NAMES: dict[str, str] = {
 }
 # Where stamps end, in ns.
 END_OF_TIME = 2**31 * 1_000_000_000
+# Characters of a name that are told: it may be as long as the message.
+_MOST_TOLD = 80
 _IDENTITIES = ('auto', 'index', 'id', 'ns', 'ns_id')
 _xyz = attrgetter('x', 'y', 'z')
 
@@ -243,7 +245,7 @@ def _check_unique(identities: tuple[str, ...], kind: str, identity: str) -> None
     if len(set(identities)) < len(identities):
         name, times = Counter(identities).most_common(1)[0]
         raise MessageError(
-            f"{kind} has the identity '{name}' {times} times by '{identity}': "
+            f"{kind} has the identity {name[:_MOST_TOLD]!r} {times} times by '{identity}': "
             'set another marker_identity (index always works)'
         )
 

@@ -218,7 +218,7 @@ def _deserialized(kind: str, data: bytes) -> Any:
     except Exception as error:  # rclpy raises what its middleware makes of it
         raise MessageError(
             f'{len(data)} bytes are no {ROS_TYPE_NAMES[kind]} '
-            f'({str(error).splitlines()[0]}); see that nothing is damaged'
+            f'({" ".join(str(error).split()) or type(error).__name__}); see that nothing is damaged'
         ) from None
 
 
