@@ -130,7 +130,8 @@ class MarkerReader:
     def _read_anew(self, data: bytes, row: np.ndarray) -> MarkerFrames | MessageError:
         """Read a message the ordinary way, and remember its layout if that reads it as well."""
         frames, walk, message = self._read_ordinarily(data)
-        if isinstance(frames, MessageError):
+        # One that is too large to be remembered need not be worked out.
+        if isinstance(frames, MessageError) or row.nbytes > _MOST_BYTES:
             return frames
         layout = _layout(self._kind, self._identity, walk, message, frames, data, row)
         if layout is not None and _equal(layout.read(row), frames):
