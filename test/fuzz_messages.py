@@ -22,6 +22,7 @@ from geometry_msgs.msg import Point, Pose
 from rclpy.serialization import deserialize_message, serialize_message
 from sensor_msgs.msg import PointField
 from std_msgs.msg import ColorRGBA
+from test_marker_messages import one_by_one
 from visualization_msgs.msg import Marker, MarkerArray, UVCoordinate
 
 from kinpole_ros import messages as package
@@ -36,7 +37,7 @@ from kinpole_ros.messages._walk import Walk
 
 # Those of markers known by their place, and of an array.
 _IDENTITIES = ('auto', 'index', 'id'), ('auto', 'index', 'id', 'ns', 'ns_id')
-# How refusals begin that rclpy does not share: it goes on behind what is missing.
+# What refusals say that rclpy does not share: it goes on behind what is missing.
 _MISSING = ('the sizes in them claim more', 'they do not start as plain CDR')
 # A reader remembers what it has met; so many times it is used before another takes its place.
 _USES = 1000
@@ -75,7 +76,7 @@ def fuzz_messages(
         readers[kind, identity] = reader, uses + 1
         amid = generator.choice(_good(kind)).data
         try:
-            found = _one_by_one(reader.read([amid, data, data, amid]))
+            found = one_by_one(reader.read([amid, data, data, amid]))
             assert len(found) == 4
             for one, other in zip(found, found[::-1], strict=True):
                 _check_same(one, other)
@@ -114,17 +115,6 @@ def _check_same(found: Any, expected: Any) -> None:
         assert found.stamps.tolist() == expected.stamps.tolist()
         assert found[1:3] == expected[1:3]
         np.testing.assert_array_equal(found.points, expected.points, strict=True)
-
-
-def _one_by_one(results: list[Any]) -> list[Any]:
-    found = []
-    for frames in results:
-        if isinstance(frames, MessageError):
-            found.append(frames)
-            continue
-        for stamp, points in zip(frames.stamps, frames.points, strict=True):
-            found.append(frames._replace(stamps=stamp[None], points=points[None]))
-    return found
 
 
 @cache

@@ -61,6 +61,10 @@ def fuzz(
     return outcomes
 
 
+class TooLong(BaseException):
+    """No Exception, which what is tested might catch."""
+
+
 class Reached:
     """Which lines of the files in a folder were run, and which after which."""
 
@@ -147,7 +151,7 @@ def _peak() -> int:
 @contextmanager
 def _in_time() -> Iterator[None]:
     def stop(number: int, frame: FrameType | None) -> None:
-        raise TimeoutError(f'not done in {LONGEST:g} s')
+        raise TooLong(f'not done in {LONGEST:g} s')
 
     old = signal.signal(signal.SIGALRM, stop)
     signal.setitimer(signal.ITIMER_REAL, LONGEST)

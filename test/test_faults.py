@@ -676,13 +676,14 @@ def test_a_flood_is_told_of_and_the_newest_wins(tmp_path: FilePath) -> None:
 
             rig.diagnosed(send, WARN, 'cannot keep up', DROPPED)
             rig.forget_heard()
-            # At a pace that can be borne it is right at once.
+            # At a pace that can be borne, on a busy machine too, it is right at once.
             start = rig.stamp
-            for _ in range(100):
-                rig.frame += 5
-                rig.stamp += 5_000_000
-                rig.send(publisher, frame(int(rig.frame), rig.stamp))
-            rig.until(lambda: rig.newest() >= rig.stamp - LAG - 10 * STEP, 'the newest results')
+            for _ in range(10):
+                for _ in range(10):
+                    rig.frame += 5
+                    rig.stamp += STEP
+                    rig.send(publisher, frame(int(rig.frame), rig.stamp))
+                rig.until(lambda: rig.newest() >= rig.stamp - LAG - 10 * STEP, 'the newest results')
             rig.check_right(start + WINDOW)
             rig.check_finite()
             assert node.poll() is None
