@@ -4,15 +4,16 @@ Corrupted messages by the thousand: each is read as rclpy reads it, or refused i
 `python test/fuzz_messages.py [COUNT [SEED]]` runs as many as you like, 100,000 unless told; the
 test suite runs some. Damage is done to bytes, to sizes where the message has them, to texts, by
 putting parts of messages together, and to the fields of messages that are then serialized again:
-such a message is sound, and may be refused only where read_markers refuses it. Messages that took
-the reader where none did before are damaged further.
+such a message is sound, and may be refused only where read_markers refuses it. In the long run,
+messages that took the reader where none did before are damaged further. That helps damage that
+knows nothing of messages (2 to 8 lines more from 3,000); with all of it 100,000 reach the same lines.
 """
 
 import random
 import struct
 import tempfile
 from collections import Counter
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -61,7 +62,7 @@ def fuzz_messages(
 
     Raises AssertionError, with the last one left in `folder`, for one that is read otherwise than
     rclpy and read_markers do, that is refused in anything but one line, or that breaks a limit of
-    `fuzz`.
+    `fuzz`, which also says what `reached` is for.
     """
     place = Path(folder or tempfile.mkdtemp(prefix='fuzz_messages_'))
     generator = random.Random(seed)
@@ -86,7 +87,6 @@ def fuzz_messages(
             (place / f'{kind}_{identity}').write_bytes(data)
             raise
 
-    reached = reached or Reached(Path(package.__file__).parent)
     seeds = [sample for kind in MARKER_TYPES for sample in _good(kind)]
     return fuzz(count, generator, place, seeds, _fuzzed, ending, reached)
 
@@ -308,4 +308,6 @@ _CHANGES: dict[str, Any] = {
 
 
 if __name__ == '__main__':
-    tell('messages', 100_000, fuzz_messages)
+    reached = Reached(Path(package.__file__).parent)
+    tell('messages', 100_000, partial(fuzz_messages, reached=reached))
+    print(f'They reached {reached.lines} lines of the readers.')

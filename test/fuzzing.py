@@ -7,7 +7,7 @@ import sys
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from pathlib import Path
 from types import FrameType
 from typing import Any, TypeVar
@@ -44,19 +44,15 @@ def fuzz(
         from_ = farther if farther and generator.random() < _FARTHER else seeds
         subject = damage(generator, generator.choice(from_))
         try:
-            with _in_time():
-                if reached is None:
-                    outcomes[ending(subject)] += 1
-                else:
-                    with reached.watching():
-                        outcomes[ending(subject)] += 1
+            with _in_time(), reached.watching() if reached else nullcontext():
+                outcomes[ending(subject)] += 1
         except BaseException as error:
             raise AssertionError(
                 f'number {number}, left in {place}: {type(error).__name__}: {error}'
             ) from error
         grown = _peak() - before
         assert grown < MOST_MEMORY, f'number {number}, left in {place}: {grown} bytes'
-        if reached is not None and reached.farther():
+        if reached and reached.farther():
             farther.append(subject)
     return outcomes
 
@@ -132,7 +128,7 @@ def damaged(generator: random.Random, content: bytes) -> bytes:
     return bytes(changed)
 
 
-def tell(what: str, count: int, fuzzer: Callable[[int, int], Counter[str]]) -> None:
+def tell(what: str, count: int, fuzzer: Callable[..., Counter[str]]) -> None:
     """Run as many as the command line asks for, `count` unless told, and say how they ended."""
     words = [int(word) for word in sys.argv[1:]]
     count, seed = (words + [count, 0][len(words) :])[:2]
