@@ -6,7 +6,7 @@ test suite runs some. Damage is done to bytes, to sizes where the message has th
 putting parts of messages together, and to the fields of messages that are then serialized again:
 such a message is sound, and may be refused only where read_markers refuses it. In the long run,
 messages that took the reader where none did before are damaged further. That helps damage that
-knows nothing of messages (2 to 8 lines more from 3,000); with all of it 100,000 reach the same lines.
+knows nothing of messages (2 to 8 lines more from 3,000); with all of it 100,000 reach the same.
 """
 
 import random
@@ -60,6 +60,7 @@ def fuzz_messages(
     """
     Read `count` messages with damage that follows from `seed`; returns how many ended in which way.
 
+    Padding differs from run to run, as rclpy leaves in it what it finds.
     Raises AssertionError, with the last one left in `folder`, for one that is read otherwise than
     rclpy and read_markers do, that is refused in anything but one line, or that breaks a limit of
     `fuzz`, which also says what `reached` is for.
