@@ -496,7 +496,8 @@ def test_a_clock_set_back_by_less_than_an_interval_goes_on() -> None:
     frames[100].stamps[:] = frames[99].stamps - 1
     tracker, found = follow(frames, seen.values)
     assert (tracker.counts['late'], tracker.counts['resets']) == (1, 0)
-    check(seen, found)
+    # A ns amid a window is much to the fourth derivative.
+    check(seen, found, poles=(1e-5, 1e-5, 1e-5, 1e-3))
 
 
 @pytest.mark.parametrize('count', [3, 20, 100])
