@@ -169,6 +169,11 @@ class Tracker:
         self._last = int(stamps[-1])
         return found
 
+    def settle(self) -> None:
+        """Learn what is due, while nobody waits for it; else the next `add` does."""
+        if self._new >= self._shapes.beat:
+            self._learn()
+
     def _sift(self, stamps: np.ndarray) -> tuple[np.ndarray, int]:
         """Which frames of `stamps` (T,) to take, and which starts everything anew, T for none."""
         last, newest = self._last, int(stamps[0]) - 1
@@ -207,9 +212,7 @@ class Tracker:
         beat = np.empty(len(stamps), int)
         first = 0
         while first < len(stamps):
-            if self._new >= self._shapes.beat:
-                # Not as soon as the frames are there: nobody waits for it then.
-                self._learn()
+            self.settle()
             room = self._shapes.beat - self._new
             unseen = self._shapes.unseen(points[first : first + room])
             if not unseen:
