@@ -15,6 +15,9 @@ from kinpole_ros import planar
 
 # A denominator counts as known when it exceeds its standard deviation this many times.
 SIGNIFICANT = 4.0
+# Of a pole's denominator by common weights: so many times the noise and, apart from that, so many
+# times what the windows differ by. Where a motion sets in they do so long before the noise tells.
+_NOISE, _DIFFERENT = 3.0, 7.0
 # Beyond this many body sizes a pole is as good as at infinity.
 FARTHEST = 1e3
 # An ICR that moves by less than so many standard deviations, or body sizes per rad, stands still.
@@ -44,7 +47,7 @@ class Poses(NamedTuple):
     """
     Poses with derivatives (K, ...) of `position`, complex, and `angle`; covariances (K, K, ...).
 
-    `turning` (K, ...) is variance of the angle to add where it is asked whether the body turns.
+    `turning` (K, ...) is the variance of the angle by which the windows differ.
     """
 
     position: np.ndarray
@@ -187,10 +190,13 @@ class Estimate:
             near = np.abs(value - self.position[0]) < FARTHEST * self.size
             # Whether the body turns is asked of the last: together, where that is known.
             orders = poles.angle_orders
-            noise = planar.mean_square(by_angle[:, -1], of_angle[orders, orders, -1])
-            if self.together is not None:
-                noise += self.together.turning[order, order - 1]
-            turning = np.abs(denominator[-1]) > SIGNIFICANT * np.sqrt(noise)
+            least = planar.mean_square(by_angle[:, -1], of_angle[orders, orders, -1])
+            if self.together is None:
+                least *= SIGNIFICANT**2
+            else:
+                different = self.together.turning[order, order - 1]
+                least = _NOISE**2 * least + _DIFFERENT**2 * different
+            turning = np.abs(denominator[-1]) > np.sqrt(least)
         return Vectors(value, spread, turning & near & known)
 
     def pole(self, order: int) -> Vectors:
