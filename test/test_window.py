@@ -180,7 +180,9 @@ def differentiate(
 ) -> Derivatives:
     """As of the package, at the one instant about which the samples (N, G, 2) are."""
     signals = signals[:, None]
-    found = window.differentiate(times, signals, weights, noise, dimensions, order, spectrum)
+    found = window.differentiate(
+        times[:, None], signals, weights, noise, dimensions, order, spectrum
+    )
     values, covariance, span, degree = found
     return Derivatives(values[:, 0], covariance[:, :, 0], span[0], degree[0])
 
@@ -782,10 +784,10 @@ ARM = 0.1 - 0.25j
 @pytest.mark.parametrize('weighted', [False, True])
 def test_together_what_is_off_by_one_factor_in_angle_and_position_cancels(weighted: bool) -> None:
     """A motion that sets in between two samples, about one point: all windows are off, alike."""
-    times = 5_000_000 * np.arange(-80, 21)
     weights = np.ones((101, 2))
     weights[30:33] = 0.0
     instants = 1 if weighted else 4
+    times = np.repeat(5_000_000 * np.arange(-80, 21)[:, None], instants, axis=1)
     fits = project(times, setting_in(instants), weights if weighted else None, 3, 1)
     arms = np.full((3, instants, 1), ARM)
     found = weigh_together(fits, arms, np.full((instants, 2), 1e-9), 3, Spectrum().follow)
@@ -799,7 +801,7 @@ def test_together_what_is_off_by_one_factor_in_angle_and_position_cancels(weight
 
 def test_together_bodies_and_instants_do_not_mix() -> None:
     """Two bodies at four instants, and the second one of them alone, instant by instant."""
-    times = 5_000_000 * np.arange(-80, 21)
+    times = np.repeat(5_000_000 * np.arange(-80, 21)[:, None], 4, axis=1)
     rng = np.random.default_rng(2)
     steady = np.cumsum(rng.normal(0, 1e-3, (101, 4, 2, 2)), axis=0)
     steady[..., 0, 1] = 0
@@ -812,7 +814,7 @@ def test_together_bodies_and_instants_do_not_mix() -> None:
     past = Spectrum().follow
     for m in range(4):
         now = slice(m, m + 1)
-        fits = project(times, signals[:, now, 1::2], None, 3, 1)
+        fits = project(times[:, now], signals[:, now, 1::2], None, 3, 1)
         alone = weigh_together(fits, arms[:, now, 1:], noise[now, 1::2], 3, past)
         means = both.means.reshape(*both.means.shape[:3], 3, 2)[:, :, now, :, 1]
         here = [part[..., now, 1:] for part in (both.share, both.mix, both.covariance)]
