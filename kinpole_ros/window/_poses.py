@@ -2,7 +2,7 @@
 Derivatives of poses: how is judged now and then, and holds until the data refute it.
 
 To judge windows and degrees takes ten times what the derivatives themselves take, and as a rule the
-judgment is the same from one frame to the next. It is made anew at each eleventh part of a window,
+judgment is the same from one frame to the next. It is made anew at each twelfth part of a window,
 and at once for a body in whose coefficients or residuals something stands out that was not there.
 """
 
@@ -24,7 +24,7 @@ from kinpole_ros.window._choice import (
 from kinpole_ros.window._projection import Projection, longest, project
 
 # A judgment holds for so small a part of the samples of the longest window.
-_PART = 11
+_PART = 0.088
 
 
 class PoseDerivatives(NamedTuple):
@@ -107,7 +107,7 @@ class PoseFilter:
         """
         # Not by the times: stamps that are a little uneven are no reason to judge anew.
         most = longest(len(times))
-        every = max(1, most // _PART) if weights is None else 1
+        every = max(1, int(_PART * most)) if weights is None else 1
         stretches = numbers // every
         due = np.diff(stretches, prepend=self._stretch) != 0
         if self._held is None or weights is not None or self._longest != most:

@@ -260,7 +260,7 @@ def _means(rows: Real, scale: _Scale, weights: Real | None) -> Real:
 
 
 def evaluate(matrix: Real, members: Real) -> Real:
-    """Rows (m, g, L, r, D) applied to what each member has, (L, D, ..., M, G): (L, r, ..., M, G)."""
+    """Rows (m, g, L, r, D) applied to what members have, (L, D, ..., M, G): (L, r, ..., M, G)."""
     if matrix.shape[:2] == (1, 1):
         flat = matrix[0, 0] @ members.reshape(*members.shape[:2], -1)
         return flat.reshape(*flat.shape[:2], *members.shape[2:])
