@@ -6,7 +6,7 @@ by `planar`. Whatever does not stand out of its noise is marked undetermined, wi
 """
 
 from collections.abc import Iterator
-from functools import cache, cached_property
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -116,7 +116,7 @@ class Estimate:
         self.shape = nowhere[..., None][..., :0] + 0j if shape is None else shape
         self.due = np.arange(np.size(stamp)).reshape(np.shape(stamp)) if due is None else due
         self.together = together
-        self.pole = cache(self._pole)
+        self._poles: dict[int, Vectors] = {}
 
     def __len__(self) -> int:
         return len(self.stamp)
@@ -157,46 +157,51 @@ class Estimate:
         return Numbers(value, self.angle_covariance[order, order], np.isfinite(value))
 
     @cached_property
-    def _all_poses(self) -> Poses:
-        """Poses (K, 1 + A, T, B): apart, and those together for each order, if known."""
-        axis = -1 - np.ndim(self.size)
-        own = (self.position, self.angle, self.position_covariance, self.angle_covariance)
-        parts = *own, np.zeros_like(self.angle)
-        apart = Poses(*(np.expand_dims(part, axis) for part in parts))
+    def _all_poses(self) -> tuple[np.ndarray, ...]:
+        """The first four of Poses (K, 1 + A, T, B): apart, and those together if known."""
+        apart = (
+            self.position[:, None],
+            self.angle[:, None],
+            self.position_covariance[:, :, None],
+            self.angle_covariance[:, :, None],
+        )
         if self.together is None:
             return apart
-        both = zip(apart, self.together, strict=True)
-        return Poses(*(np.concatenate(parts, axis) for parts in both))
+        both = zip(apart, self.together, (1, 1, 2, 2), strict=False)
+        return tuple(np.concatenate((one, those), axis) for one, those, axis in both)
 
-    def _poses(self, order: int) -> Poses:
+    def _poses(self, order: int) -> tuple[np.ndarray, ...]:
         """Poses (K, S, T, B) to find the pole of that order from: apart and, if known, together."""
-        rest = (slice(None),) * np.ndim(self.size)
-        index = (..., slice(0, order + 1, order), *rest)
-        return Poses(*(part[index] for part in self._all_poses))
+        position, angle, of_position, of_angle = self._all_poses
+        sets = slice(0, order + 1, order)
+        return position[:, sets], angle[:, sets], of_position[:, :, sets], of_angle[:, :, sets]
 
     def general_pole(self, order: int) -> Vectors:
         """The pole of order 1 to 4 (m) as it follows from the motion, whatever is known of pins."""
-        poses = self._poses(order)
-        poles = planar.pole(order, poses.position, poses.angle)
-        value, spread = _mean(poles.value, planar.covariance(poles, *poses[2:4]))
-        # Whether the body turns is asked of the last: together, where that is known.
-        angle = poses.angle[:, -1]
-        denominator = planar.rotation_coefficient(order, angle)
-        by = np.array(list(planar.rotation_partials(order, angle).values()))
-        orders = slice(1, order + 1)
-        spread_of_angle = poses.angle_covariance[orders, orders, -1]
-        with np.errstate(invalid='ignore', over='ignore'):
-            noise = ((by[:, None] * by.conj()).real * spread_of_angle).sum(axis=(0, 1))
-            noise += poses.turning[order, -1]
-            turning = np.abs(denominator) > SIGNIFICANT * np.sqrt(noise)
+        position, angle, of_position, of_angle = self._poses(order)
+        turn = denominator, by_angle = planar.rotation(order, angle)
+        poles = planar.pole(order, position, angle, turn)
+        with np.errstate(divide='ignore', invalid='ignore', over='ignore'):
+            spread = planar.covariance(poles, of_position, of_angle)
+            value, spread, known = _mean(poles.value, spread)
             near = np.abs(value - self.position[0]) < FARTHEST * self.size
-        finite = np.isfinite(value) & np.isfinite(spread).all(axis=(-2, -1))
-        return Vectors(value, spread, turning & near & finite)
+            # Whether the body turns is asked of the last: together, where that is known.
+            orders = poles.angle_orders
+            noise = planar.mean_square(by_angle[:, -1], of_angle[orders, orders, -1])
+            if self.together is not None:
+                noise += self.together.turning[order, order - 1]
+            turning = np.abs(denominator[-1]) > SIGNIFICANT * np.sqrt(noise)
+        return Vectors(value, spread, turning & near & known)
+
+    def pole(self, order: int) -> Vectors:
+        """ICR, IAP, IJP or ISP (m) for order 1 to 4, on the pin where there is one."""
+        if order not in self._poles:
+            self._poles[order] = self._pole(order)
+        return self._poles[order]
 
     def _pole(self, order: int) -> Vectors:
-        """ICR, IAP, IJP or ISP (m) for order 1 to 4, on the pin where there is one."""
         value, spread, determined = self.general_pole(order)
-        if self.pinned.any():
+        if np.count_nonzero(self.pinned):
             value = np.where(self.pinned, self.pin, value)
             even = self.pin_variance[..., None, None] * np.eye(2)
             spread = np.where(self.pinned[..., None, None], even, spread)
@@ -221,25 +226,32 @@ class Estimate:
         return 'translating' if moves[body] else 'still'
 
     @cached_property
+    def _velocities(self) -> planar.Linear:
+        """Velocity of the ICR by each set of poses (S, T, B)."""
+        return planar.icr_velocity(*self._poses(1)[:2])
+
+    @cached_property
     def icr_velocity(self) -> Vectors:
         """Velocity of the ICR along both centrodes (m/s)."""
-        poses = self._poses(1)
-        u = planar.icr_velocity(poses.position, poses.angle)
-        value, spread = _mean(u.value, planar.covariance(u, *poses[2:4]))
-        value = np.where(self.pinned, 0.0, value)
-        spread = np.where(self.pinned[..., None, None], 0.0, spread)
-        finite = np.isfinite(value) & np.isfinite(spread).all(axis=(-2, -1))
-        return Vectors(value, spread, self.pole(1).determined & finite)
+        u = self._velocities
+        with np.errstate(divide='ignore', invalid='ignore', over='ignore'):
+            value, spread, known = _mean(u.value, planar.covariance(u, *self._poses(1)[2:]))
+        if np.count_nonzero(self.pinned):
+            value = np.where(self.pinned, 0.0, value)
+            spread = np.where(self.pinned[..., None, None], 0.0, spread)
+            known = known | self.pinned
+        return Vectors(value, spread, self.pole(1).determined & known)
 
     @cached_property
     def centrode_curvature(self) -> Numbers:
         """Signed curvature of the fixed centrode (1/m); undetermined where the ICR stands still."""
-        poses = self._poses(1)
-        curvature = planar.centrode_curvature(poses.position, poses.angle)
-        value, noise = _mean(curvature.value.real, planar.variance(curvature, *poses[2:4]))
-        with np.errstate(divide='ignore', invalid='ignore'):
+        position, angle, *covariances = self._poses(1)
+        curvature = planar.centrode_curvature(position, angle, self._velocities)
+        with np.errstate(divide='ignore', invalid='ignore', over='ignore'):
+            noise = planar.variance(curvature, *covariances)
+            value, noise, known = _mean(curvature.value.real, noise)
             least = np.maximum(np.abs(value) / SIGNIFICANT, 1 / self.size)
-            known = np.isfinite(value) & (noise < least**2)
+            known = known & (noise < least**2)
         return Numbers(value, noise, self.icr_moves & known)
 
     @cached_property
@@ -274,21 +286,21 @@ class Estimate:
         From the velocities as measured, pins or no: what bends both alike cancels between them.
         """
         j, i = self.pairs
+        position, angle = self.position[:2], self.angle[:2]
+        covariances = self.position_covariance[:2, :2], self.angle_covariance[:2, :2]
         by_j, by_i = planar.relative_pole(
-            self.position[..., j], self.angle[..., j], self.position[..., i], self.angle[..., i]
-        )
-        spread = sum(
-            planar.covariance(part, self.position_covariance[..., k], self.angle_covariance[..., k])
-            for part, k in ((by_j, j), (by_i, i))
+            position[..., j], angle[..., j], position[..., i], angle[..., i]
         )
         rate = self.relative_rate
-        with np.errstate(invalid='ignore'):
+        with np.errstate(invalid='ignore', over='ignore'):
+            spread = planar.covariance(by_j, *(one[..., j] for one in covariances))
+            spread += planar.covariance(by_i, *(one[..., i] for one in covariances))
             turning = np.abs(rate.value) > SIGNIFICANT * np.sqrt(rate.variance)
             place, size = self.position[0], self.size
             apart = np.abs(by_j.value - (place[..., j] + place[..., i]) / 2)
             near = apart < FARTHEST * np.maximum(size[..., j], size[..., i])
         finite = np.isfinite(by_j.value) & np.isfinite(spread).all(axis=(-2, -1))
-        return Vectors(by_j.value, np.asarray(spread), turning & near & finite)
+        return Vectors(by_j.value, spread, turning & near & finite)
 
     @cached_property
     def kennedy(self) -> tuple[np.ndarray, np.ndarray]:
@@ -329,37 +341,38 @@ class Estimate:
 
 def _stands_out(values: np.ndarray, covariance: np.ndarray) -> np.ndarray:
     """Where (..., B) any of the derivatives (K, ..., B) of order 1 and up exceeds its noise."""
-    orders = np.arange(1, len(values))
+    variance = np.einsum('kk...->k...', covariance)
     with np.errstate(invalid='ignore'):
-        noise = np.sqrt(covariance[orders, orders])
-        return np.asarray((values[1:] > SIGNIFICANT * noise).any(axis=0))
+        return np.asarray((values > SIGNIFICANT * np.sqrt(variance))[1:].any(axis=0))
 
 
-def _mean(values: np.ndarray, spread: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _mean(values: np.ndarray, spread: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """
-    Mean of values (S, ...) and of their (co)variances, (S, ...) or (S, ..., 2, 2).
+    Mean of one or two values (S, ...) and of their (co)variances, (S, ...) or (S, ..., 2, 2).
 
-    Weighted by the inverse squares of the latter; what the values differ by is error too.
+    Weighted by the inverse squares of the latter; what the values differ by is error too. Also
+    where (...) it is known.
     """
     plane = spread.ndim > values.ndim
     variance = spread[..., 0, 0] + spread[..., 1, 1] if plane else spread
     known = np.isfinite(variance) & np.isfinite(values)
-    least = np.where(known, variance, np.inf).min(axis=0)
-    with np.errstate(divide='ignore', invalid='ignore', over='ignore'):
-        shares = np.where(known, np.where(variance > least, (least / variance) ** 2, 1.0), 0.0)
-        # Where nothing is known the first stands, to tell what it would be.
-        shares[0] += ~known.any(axis=0)
-        shares /= shares.sum(axis=0)
-        value = np.where(shares > 0, shares * values, 0).sum(axis=0)
-        off = np.where(shares > 0, np.sqrt(shares) * (values - value), 0)
-        wide = shares[..., None, None] if plane else shares
-        mixed = np.where(wide > 0, wide * spread, 0).sum(axis=0)
-        if not plane:
-            return value, mixed + (off**2).sum(axis=0)
-        x, y = off.real, off.imag
-        mixed[..., 0, 0] += (x * x).sum(axis=0)
-        mixed[..., 1, 1] += (y * y).sum(axis=0)
-        across = (x * y).sum(axis=0)
-        mixed[..., 0, 1] += across
-        mixed[..., 1, 0] += across
-        return value, mixed
+    if len(values) == 1:
+        return values[0], spread[0], known[0]
+    either = known[0] | known[1]
+    if np.count_nonzero(known) < known.size:
+        # What is not known gives way to the other. Where neither is the first stands, to tell what
+        # it would be.
+        lost = ~known
+        lost[0] &= known[1]
+        values = np.where(lost, values[::-1], values)
+        spread = np.where(lost[..., None, None] if plane else lost, spread[::-1], spread)
+        variance = np.where(lost.any(axis=0), 1.0, variance)
+    squares = variance * variance
+    shares = squares[::-1] / (squares[0] + squares[1])
+    value = np.einsum('s...,s...->...', shares, values)
+    off, apart = values[1] - values[0], shares[0] * shares[1]
+    if not plane:
+        return value, np.einsum('s...,s...->...', shares, spread) + apart * off**2, either
+    xy = np.array((off.real, off.imag))
+    mixed = np.einsum('s...,s...xy->...xy', shares, spread)
+    return value, mixed + np.einsum('...,x...,y...->...xy', apart, xy, xy), either

@@ -56,7 +56,7 @@ class _News(NamedTuple):
 
 
 class _Known(NamedTuple):
-    """What is known of the bodies when a frame comes, (B,) or (T, B) for some frames."""
+    """What is known of the bodies from one beat to the next, (B,), or (T, B) for some frames."""
 
     noise: np.ndarray
     size: np.ndarray
@@ -86,6 +86,7 @@ class Tracker:
         """Forget all samples, and the shapes and noise learned from them."""
         count = len(self.bodies)
         self._roster = Roster(self.settings)
+        self._learned: _Known | None = None
         self._shapes = Shapes(count, self._roster.width)
         self._noise = Noise(count)
         self._pins = Pins(count)
@@ -174,7 +175,8 @@ class Tracker:
         if not self.samples:
             self._since = int(stamps[0])
         gaps = self._gaps(stamps)
-        counts, known = [], []
+        known: list[_Known] = []
+        beat = np.empty(len(stamps), int)
         first = 0
         while first < len(stamps):
             if self._new >= self._shapes.beat:
@@ -185,32 +187,32 @@ class Tracker:
             if not unseen:
                 self._learn()
                 self._shapes.begin(points[first])
+                self._learned = None
                 unseen = room = 1
             end = min(first + min(room, unseen), len(stamps))
             later = np.flatnonzero(gaps[first + 1 : end])
             if len(later):
                 end = first + 1 + int(later[0])
             self._take(stamps[first:end], points[first:end], heights[first:end], gaps[first])
-            counts.append(end - first)
+            beat[first:end] = len(known)
             known.append(self._known())
             first = end
-        if len(known) == 1:
-            each = _Known(*(np.broadcast_to(a, (len(stamps), *a.shape)) for a in known[0]))
-        else:
-            each = _Known(*(np.repeat(a, counts, axis=0) for a in zip(*known, strict=True)))
-        return self._estimates(frames.frame_id, order, numbers, each)
+        of_beats = _Known(*map(np.array, zip(*known, strict=True)))
+        return self._estimates(frames.frame_id, order, numbers, of_beats, beat)
 
     def _known(self) -> _Known:
-        pins = self._pins
-        return _Known(
-            self.noise(),
-            self._size(),
-            self._shapes.spread,
-            pins.center.copy(),
-            pins.variance.copy(),
-            pins.since.copy(),
-            self._shapes.markers(),
-        )
+        if self._learned is None:
+            pins = self._pins
+            self._learned = _Known(
+                self.noise(),
+                self._size(),
+                self._shapes.spread,
+                pins.center.copy(),
+                pins.variance.copy(),
+                pins.since.copy(),
+                self._shapes.markers(),
+            )
+        return self._learned
 
     def _gaps(self, stamps: np.ndarray) -> np.ndarray:
         """Which frames (T,) come much later than the frames before them did."""
@@ -231,10 +233,14 @@ class Tracker:
         if gap:
             self._shapes.forget_motion()
         fit, points = self._shapes.fit(points)
-        self.counts.update(self._shapes.mended)
-        self._shapes.mended.clear()
+        if self._shapes.mended:
+            self.counts.update(self._shapes.mended)
+            self._shapes.mended.clear()
+            self._learned = None
         seen = ~np.isnan(points)
-        self._largest = max(self._largest, np.abs(points).max(where=seen, initial=0.0))
+        largest = np.abs(points).max(where=seen, initial=0.0)
+        if largest > self._largest:
+            self._largest, self._learned = largest, None
         with np.errstate(divide='ignore', invalid='ignore'):
             # Inverse variances of angle and position, per variance of a coordinate of a marker.
             off_center = fit.mean.real**2 + fit.mean.imag**2
@@ -246,7 +252,7 @@ class Tracker:
         self._positions.extend(fit.position)
         self._angles.extend(fit.angle)
         self._turns.extend(self._turned(fit.angle, known))
-        self._information.extend(np.where(np.tile(known, 2), information, 0.0))
+        self._information.extend(np.where(np.concatenate((known, known), -1), information, 0.0))
         self._heights.extend(height)
         strayed = np.zeros(known.shape, bool)
         if np.isfinite(self._pins.center).any():
@@ -289,6 +295,7 @@ class Tracker:
         size = self._size()
         news = _News(*map(np.concatenate, zip(*self._news, strict=True)))
         self._news, self._new = [], 0
+        self._learned = None
         if self._points is None:
             variance = self._variance(news.information)
             self._pins.add(news.stamps, news.position, news.angle, variance, size)
@@ -332,6 +339,7 @@ class Tracker:
         """A body of all markers has more of them."""
         self._learn()
         self._shapes.widen(self._roster.width)
+        self._learned = None
         if self._points is not None:
             # The landmarks of the new ones are not known in the frames before.
             old = self._points.view()
@@ -341,13 +349,18 @@ class Tracker:
             self._points.extend(wide)
 
     def _estimates(
-        self, frame_id: str, order: int | None, numbers: np.ndarray, known: _Known
+        self,
+        frame_id: str,
+        order: int | None,
+        numbers: np.ndarray,
+        known: _Known,
+        beat: np.ndarray,
     ) -> list[Estimate]:
         """
         What falls due with the latest frames: to wait for one more would trail beyond lag.
 
-        Each instant is seen as of the frame it falls due with, whatever has come since; `known` is
-        what was then.
+        Each instant is seen as of the frame it falls due with, whatever has come since: by what was
+        `known` in the `beat` (T,) of that frame.
         """
         stamps = self._stamps.view()
         frames = np.arange(len(stamps) - len(numbers), len(stamps))
@@ -366,7 +379,7 @@ class Tracker:
             if seen.any():
                 frame = frame[seen]
                 windows = due[seen], oldest[frame], frames[frame]
-                then = _Known(*(array[frame] for array in known))
+                then = _Known(*(array[beat[frame]] for array in known))
                 found.append(self._estimate(*windows, frame_id, order, numbers[frame], then))
         self._trim(int(oldest[-1]))
         return found
@@ -396,16 +409,13 @@ class Tracker:
         if not usable.all():
             for array in (*found, *(together or ())):
                 array[..., ~usable] = np.nan
-        few = ~np.isfinite(angle[1]) | ~np.isfinite(position[1])
+        enough = np.isfinite(angle[1]) & np.isfinite(position[1])
         missing = np.full(seen.shape, '', object)
-        for why, those in (
-            ('window not full', few),
-            ('markers too close together for their noise', ~firm),
-            ('noise not known yet', ~measured),
-            ('too few markers seen, or all at one place', ~seen),
-        ):
-            if those.any():
-                missing[those] = why
+        if not enough.all():
+            missing[~enough] = 'window not full'
+            missing[~firm] = 'markers too close together for their noise'
+            missing[~measured] = 'noise not known yet'
+            missing[~seen] = 'too few markers seen, or all at one place'
         return Estimate(
             self._stamps.view()[now],
             frame_id,
@@ -459,13 +469,17 @@ class Tracker:
         signals = np.zeros((len(angles), 2 * count, 2))
         turns = self._turns.view()
         signals[:, :count, 0] = angles + 2 * np.pi * (turns - turns[0])
-        signals[:, count:] = to_plane(self._positions.view())
+        positions = self._positions.view()
+        signals[:, count:, 0], signals[:, count:, 1] = positions.real, positions.imag
         reach = FARTHEST * size
         found = []
         numbers = now + self._dropped
         first = 0
         for run in self._runs(
-            (now, oldest, newest), signals, self._information.view(), np.tile(noise, 2)
+            (now, oldest, newest),
+            signals,
+            self._information.view(),
+            np.concatenate((noise, noise), -1),
         ):
             end = first + run[1].shape[1]
             found.append(
@@ -475,12 +489,9 @@ class Tracker:
         parts = _joined(found)
         apart, together = parts[:6], Poses(*parts[6:])
         # Of all turns that are one, as it was measured.
-        apart[1][0] += angles[now] - signals[now, :count, 0]
-        # The instant itself is the same for both.
-        for covariance in together[2:4]:
-            covariance[0] = covariance[:, 0] = 0.0
-        for part, alone in zip(together, apart[:4], strict=False):
-            part[(0,) * (part.ndim - 3)] = alone[(0,) * (alone.ndim - 2)]
+        whole = angles[now] - signals[now, :count, 0]
+        for angle in (apart[1], together.angle):
+            angle[0] += whole
         return apart, together
 
     def _from_landmarks(

@@ -19,7 +19,7 @@ from kinpole_ros.planar._landmarks import (
     landmark_kinematics,
     point_derivatives,
 )
-from kinpole_ros.planar._linear import Linear, covariance, variance
+from kinpole_ros.planar._linear import Linear, covariance, mean_square, variance
 from kinpole_ros.planar._plane import to_complex, to_plane
 from kinpole_ros.planar._poisson import (
     centrode_velocities,
@@ -33,8 +33,8 @@ from kinpole_ros.planar._poisson import (
 from kinpole_ros.planar._poles import (
     body_point_derivative,
     pole,
+    rotation,
     rotation_coefficient,
-    rotation_partials,
 )
 from kinpole_ros.planar._procrustes import Fit, fit_pose
 from kinpole_ros.planar._relative import (
@@ -60,6 +60,7 @@ __all__ = [
     'icr_velocity',
     'kennedy_residual',
     'landmark_kinematics',
+    'mean_square',
     'measured_balance',
     'moving_centrode',
     'moving_centrode_curvature',
@@ -71,8 +72,8 @@ __all__ = [
     'relative_center',
     'relative_pole',
     'relative_velocity',
+    'rotation',
     'rotation_coefficient',
-    'rotation_partials',
     'to_complex',
     'to_plane',
     'transport',

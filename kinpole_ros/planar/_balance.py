@@ -5,7 +5,7 @@ What goes in at one port comes out at another, whatever is between them: neither
 bodies that carry no markers need be known. Friction and inertia are left out.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -37,13 +37,18 @@ def port_power(
     `position` (K, ...) complex and `angle` (K, ...) hold the body's frame with its derivatives,
     K > 1. With an effort of 1 it is the velocity along it, m/s or rad/s.
     """
+    orders = slice(1, 2), slice(0, 2)
+    by_position = np.zeros((1, *np.shape(angle[1])), complex)
     if point is None:
-        turning = np.full(np.shape(angle[1]), effort.real + 0j)
-        return Linear(turning.real * angle[1], {}, {1: turning})
+        by_angle = np.zeros((2, *np.shape(angle[1])), complex)
+        by_angle[1] = effort.real
+        return Linear(effort.real * angle[1], by_position, by_angle, *orders)
     arm = point * np.exp(1j * angle[0])
-    along = np.conj(effort) + 0 * arm
+    along = np.conj(effort)
+    by_position[0] = along
+    by_angle = along * np.array((-angle[1] * arm, 1j * arm))
     value = (along * (position[1] + 1j * angle[1] * arm)).real
-    return Linear(value, {1: along}, {0: -along * angle[1] * arm, 1: 1j * along * arm})
+    return Linear(value, by_position, by_angle, *orders)
 
 
 def balancing_effort(
@@ -65,12 +70,11 @@ def balancing_effort(
         parts.append((through[0], rate, effort * inverse))
         found: dict[int, Linear] = {}
         for body, linear, factor in parts:
-            before = found.setdefault(body, Linear(effort, {}, {}))
-            found[body] = Linear(
-                effort,
-                _plus(before.by_position, linear.by_position, factor),
-                _plus(before.by_angle, linear.by_angle, factor),
-            )
+            by_position, by_angle = linear.by_position * factor, linear.by_angle * factor
+            if body in found:
+                by_position = by_position + found[body].by_position
+                by_angle = by_angle + found[body].by_angle
+            found[body] = linear._replace(value=effort, by_position=by_position, by_angle=by_angle)
     return found
 
 
@@ -113,12 +117,3 @@ def measured_balance(
         noise = np.asarray(sum(spread(body, linear) for body, linear in by_body.items()))
         moving = np.abs(rate.value) > significant * np.sqrt(spread(through.body, rate))
     return value, noise, moving & np.isfinite(value) & np.isfinite(noise)
-
-
-def _plus(
-    before: Mapping[int, Complex], more: Mapping[int, Complex], factor: Real
-) -> dict[int, Complex]:
-    return {
-        k: before.get(k, np.zeros(())) + more.get(k, np.zeros(())) * factor
-        for k in before.keys() | more.keys()
-    }

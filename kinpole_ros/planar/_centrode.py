@@ -12,59 +12,62 @@ def icr_velocity(position: Complex, angle: Real) -> Linear:
     Velocity u of the ICR along both centrodes (m/s), seed 000 'centrode velocity', seed 001 eq. 15.
 
     `position` (K, ...) complex and `angle` (K, ...) hold reference point and angle with their
-    derivatives, K > 2. Not finite where the body does not turn.
+    derivatives, K > 2. Not finite where the body does not turn. With v and acc those of
+    the reference point it is (w R acc - B v) / w^2.
     """
-    v, acc, w, a = position[1], position[2], angle[1], angle[2]
+    v, acc = position[1:3]
+    # Complex, lest each product converts them.
+    w, a = angle[1:3] + 0j
     with np.errstate(divide='ignore', invalid='ignore', over='ignore'):
-        # Not 1j / w: of one body alone w is a number, and Python refuses to divide 1j by 0.
         q = 1 / w
-        value = v + 1j * acc * q - 1j * v * a * q**2
-        by_position = {1: 1 - 1j * a * q**2, 2: 1j * q}
-        by_angle = {1: -1j * acc * q**2 + 2j * v * a * q**3, 2: -1j * v * q**2}
-    return Linear(value, by_position, by_angle)
+        n, i_q = a * q, 1j * q
+        by_position = np.array((1 - n * i_q, i_q))
+        by_angle = i_q * q * np.array((2 * n * v - acc, -v))
+        value = (by_position * position[1:3]).sum(axis=0)
+    return Linear(value, by_position, by_angle, slice(1, 3), slice(1, 3))
 
 
 def icr_acceleration(position: Complex, angle: Real) -> Linear:
-    """Second time derivative of the ICR (m/s^2), seed 000. Shapes as in `icr_velocity`, K > 3."""
-    v, acc, jerk = position[1], position[2], position[3]
-    w, a, j = angle[1], angle[2], angle[3]
+    """
+    Second time derivative of the ICR (m/s^2), seed 000. Shapes as in `icr_velocity`, K > 3.
+
+    (-(w j - 2 a^2) R v + (w^3 - 2 w a R) acc + w^2 R jerk) / w^3.
+    """
+    v, acc, jerk = position[1:4]
+    w, a, j = angle[1:4] + 0j
     with np.errstate(divide='ignore', invalid='ignore', over='ignore'):
         q = 1 / w
-        value = acc + 1j * jerk * q - (2j * acc * a + 1j * v * j) * q**2 + 2j * v * a**2 * q**3
-        by_position = {1: -1j * j * q**2 + 2j * a**2 * q**3, 2: 1 - 2j * a * q**2, 3: 1j * q}
-        by_angle = {
-            1: -1j * jerk * q**2 + (4j * acc * a + 2j * v * j) * q**3 - 6j * v * a**2 * q**4,
-            2: -2j * acc * q**2 + 4j * v * a * q**3,
-            3: -1j * v * q**2,
-        }
-    return Linear(value, by_position, by_angle)
+        n, m, i_q = 2 * a * q, j * q, 1j * q
+        nn = n * n / 2
+        by_position = np.array(((nn - m) * i_q, 1 - n * i_q, i_q))
+        by_w = (2 * m - 3 * nn) * v + 2 * n * acc - jerk
+        by_angle = i_q * q * np.array((by_w, 2 * (n * v - acc), -v))
+        value = (by_position * position[1:4]).sum(axis=0)
+    return Linear(value, by_position, by_angle, slice(1, 4), slice(1, 4))
 
 
-def centrode_curvature(position: Complex, angle: Real) -> Linear:
+def centrode_curvature(position: Complex, angle: Real, u: Linear | None = None) -> Linear:
     """
     Signed curvature of the fixed centrode (1/m), positive where it turns left along u, seed 000.
 
     In a mechanism of one degree of freedom it does not depend on the speed. Shapes as in
-    `icr_velocity`, K > 3. Not finite where the ICR stands still.
+    `icr_velocity`, K > 3; `u` is what that gives, if it was asked before. Not finite where the ICR
+    stands still.
     """
-    u = icr_velocity(position, angle)
+    u = icr_velocity(position, angle) if u is None else u
     du = icr_acceleration(position, angle)
     with np.errstate(divide='ignore', invalid='ignore', over='ignore'):
-        speed = np.abs(u.value)
-        value = (np.conj(u.value) * du.value).imag / speed**3
-        # With k = Im(conj(u) du) / |u|^3, a change of u and du changes k by the real part of
-        # by_u * change of u + by_du * change of du.
-        by_u = 1j * np.conj(du.value) / speed**3 - 3 * value * np.conj(u.value) / speed**2
-        by_du = -1j * np.conj(u.value) / speed**3
-        zero = np.zeros_like(u.value)
-        by_position, by_angle = (
-            {
-                k: by_u * first.get(k, zero) + by_du * second.get(k, zero)
-                for k in second.keys() | first.keys()
-            }
-            for first, second in ((u.by_position, du.by_position), (u.by_angle, du.by_angle))
-        )
-    return Linear(value, by_position, by_angle)
+        # Im(conj(u) du) / |u|^3, written as Im(g) / |u| with g = du / u. A change of u and du
+        # changes g by (change of du - g * change of u) / u, and |u| by |u| Re(change of u / u).
+        inverse, slowness = 1 / u.value, 1 / np.abs(u.value)
+        g = du.value * inverse
+        value = g.imag * slowness
+        by_du = -1j * slowness * inverse
+        by_u = -g * by_du - value * inverse
+        by_position, by_angle = by_du * du.by_position, by_du * du.by_angle
+        by_position[:2] += by_u * u.by_position
+        by_angle[:2] += by_u * u.by_angle
+    return Linear(value, by_position, by_angle, slice(1, 4), slice(1, 4))
 
 
 def moving_centrode_curvature(fixed: Real, omega: Real, speed: Real) -> Real:

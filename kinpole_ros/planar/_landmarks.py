@@ -11,8 +11,7 @@ from kinpole_ros.planar._plane import ROUNDING, Complex, Real, check_vectors, to
 from kinpole_ros.planar._poles import (
     body_point_derivative,
     pole,
-    rotation_coefficient,
-    rotation_partials,
+    rotation,
 )
 
 
@@ -95,9 +94,10 @@ def landmark_kinematics(
         if order >= len(given):
             poles.append(to_plane(missing))
             continue
-        denominator = np.abs(rotation_coefficient(order, angle))
-        rounding = sum(np.abs(d) * error[k] for k, d in rotation_partials(order, angle).items())
-        poles.append(_where(denominator > rounding, pole(order, position, angle)))
+        turn = denominator, partials = rotation(order, angle)
+        rounding = (np.abs(partials) * error[1 : order + 1]).sum(axis=0)
+        found = pole(order, position, angle, turn)
+        poles.append(_where(np.abs(denominator) > rounding, found))
     turning = np.abs(angle[1]) > error[1]
     velocity, curvature = to_plane(missing), missing.real
     if len(given) > 2:
@@ -105,8 +105,8 @@ def landmark_kinematics(
         velocity = _where(turning, u)
         with np.errstate(invalid='ignore'):
             speed_rounding = ROUNDING * (
-                np.abs(position[1]) + np.abs(u.by_position[2] * position[2])
-            ) + sum(np.abs(g) * error[k] for k, g in u.by_angle.items())
+                np.abs(position[1]) + np.abs(u.by_position[1] * position[2])
+            ) + (np.abs(u.by_angle) * error[1:3]).sum(axis=0)
         if len(given) > 3:
             moves = turning & (np.abs(u.value) > speed_rounding)
             value = centrode_curvature(position, angle).value.real

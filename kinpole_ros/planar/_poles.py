@@ -7,6 +7,8 @@ exp(i angle) over exp(i angle): the seeds' wR, B, H and G (seed 000). The pole o
 that vanishes.
 """
 
+from math import comb
+
 import numpy as np
 
 from kinpole_ros.planar._linear import Linear
@@ -23,51 +25,52 @@ def rotation_coefficient(order: int, angle: Real) -> Complex:
     w = angle[1]
     if order == 1:
         return np.asarray(1j * w)
-    a = angle[2]
+    # Not w**3 nor w**4, which take the time of a logarithm.
+    ww, a = w * w, angle[2]
     if order == 2:
-        return np.asarray(1j * a - w**2)
+        return np.asarray(1j * a - ww)
     j = angle[3]
     if order == 3:
-        return np.asarray(1j * (j - w**3) - 3 * w * a)
+        return np.asarray(1j * (j - ww * w) - 3 * w * a)
     if order == 4:
-        return np.asarray(1j * (angle[4] - 6 * w**2 * a) + w**4 - 4 * w * j - 3 * a**2)
+        return np.asarray(1j * (angle[4] - 6 * ww * a) + (ww * ww - 4 * w * j - 3 * a * a))
     raise ValueError(f'order must be 1 to 4, not {order}')
 
 
-def rotation_partials(order: int, angle: Real) -> dict[int, Complex]:
-    """Partial derivatives of `rotation_coefficient` by the derivatives of the angle."""
-    w = angle[1]
-    unit = np.full(np.shape(w), 1j)
-    if order == 1:
-        return {1: unit}
-    a = angle[2]
-    if order == 2:
-        return {1: -2 * w + 0j, 2: unit}
-    j = angle[3]
-    if order == 3:
-        return {1: -3j * w**2 - 3 * a, 2: -3 * w + 0j, 3: unit}
-    return {
-        1: -12j * w * a + 4 * w**3 - 4 * j,
-        2: -6j * w**2 - 6 * a,
-        3: -4 * w + 0j,
-        4: unit,
-    }
+def rotation(order: int, angle: Real) -> tuple[Complex, Complex]:
+    """
+    `rotation_coefficient` and its partial derivatives (n, ...) by the 1st to n-th of the angle.
+
+    By the k-th it is i times n choose k times the coefficient of order n - k, of which a_0 is 1.
+    """
+    a = rotation_coefficient(order, angle)
+    by_angle = np.empty((order, *a.shape), complex)
+    by_angle[-1] = 1j
+    for k in range(1, order):
+        by_angle[k - 1] = comb(order, k) * 1j * rotation_coefficient(order - k, angle)
+    return a, by_angle
 
 
-def pole(order: int, position: Complex, angle: Real) -> Linear:
+def pole(
+    order: int, position: Complex, angle: Real, turn: tuple[Complex, Complex] | None = None
+) -> Linear:
     """
     The point of the body whose n-th derivative vanishes: ICR, IAP, IJP or ISP for order 1 to 4.
 
     `position` (K, ...) complex and `angle` (K, ...) hold the reference point and the angle with
-    their derivatives, K > order. Value in m, in the frame of `position`; not finite where the body
-    does not turn. Seed 000: r - (wR)^-1 v and its like.
+    their derivatives, K > order; `turn` is what `rotation` gives, if it was asked before. Value in
+    m, in the frame of `position`; not finite where the body does not turn. Seed 000:
+    r - (wR)^-1 v and its like.
     """
-    a = rotation_coefficient(order, angle)
+    a, by_turn = rotation(order, angle) if turn is None else turn
     with np.errstate(divide='ignore', invalid='ignore', over='ignore'):
-        arm = -position[order] / a
-        by_angle = {k: -arm / a * d for k, d in rotation_partials(order, angle).items()}
-        by_position = {0: np.ones_like(a), order: -1 / a}
-    return Linear(position[0] + arm, by_position, by_angle)
+        by_position = np.empty((2, *a.shape), complex)
+        by_position[0] = 1.0
+        by_position[1] = inverse = -1 / a
+        arm = position[order] * inverse
+        by_angle = arm * inverse * by_turn
+    orders = slice(0, order + 1, order), slice(1, order + 1)
+    return Linear(position[0] + arm, by_position, by_angle, *orders)
 
 
 def body_point_derivative(order: int, point: Complex, position: Complex, angle: Real) -> Complex:

@@ -42,11 +42,13 @@ def relative_pole(
         # Not 1j / (w_j - w_i): of one pair that is a number, and Python refuses to divide by 0.
         q = 1 / (w_j - w_i)
         arm = (w_j * between + 1j * (position_j[1] - position_i[1])) * q
-        by_j = {0: w_j * q + 0j, 1: 1j * q}
-        by_i = {0: -w_i * q + 0j, 1: -1j * q}
-        linear_j = Linear(position_i[0] + arm, by_j, {1: (between - arm) * q})
-        linear_i = Linear(position_i[0] + arm, by_i, {1: arm * q})
-    return linear_j, linear_i
+        by_j, by_i = np.array((w_j * q, 1j * q)), np.array((-w_i * q, -1j * q))
+        turn_j, turn_i = np.array((between - arm, arm)) * q
+    center, orders = position_i[0] + arm, (slice(0, 2), slice(1, 2))
+    return (
+        Linear(center, by_j, turn_j[None], *orders),
+        Linear(center, by_i, turn_i[None], *orders),
+    )
 
 
 def kennedy_residual(centers: Complex, covariance: Real) -> tuple[Real, Real]:

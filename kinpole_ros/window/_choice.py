@@ -176,8 +176,8 @@ def squares_of(fits: Projection, dimensions: np.ndarray) -> Real:
     """
     levels, degrees, _, *rest = fits.coefficients.shape
     result = np.empty((levels, degrees + 1, *rest))
-    np.sum(np.square(fits.coefficients), axis=2, out=result[:, :-1])
-    np.sum(fits.squares, axis=1, out=result[:, -1])
+    np.einsum('ldkmg,ldkmg->ldmg', fits.coefficients, fits.coefficients, out=result[:, :-1])
+    np.add(fits.squares[:, 0], fits.squares[:, 1], out=result[:, -1])
     result[:, -1] /= np.maximum(fits.models.freedom, 1)
     result /= dimensions
     return result

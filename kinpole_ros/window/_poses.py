@@ -2,7 +2,7 @@
 Derivatives of poses: how is judged now and then, and holds until the data refute it.
 
 To judge windows and degrees takes ten times what the derivatives themselves take, and as a rule the
-judgment is the same from one frame to the next. It is made anew at each twelfth part of a window,
+judgment is the same from one frame to the next. It is made anew at each eighth part of a window,
 and at once for a body in whose coefficients or residuals something stands out that was not there.
 """
 
@@ -24,7 +24,7 @@ from kinpole_ros.window._choice import (
 from kinpole_ros.window._projection import Projection, longest, project
 
 # A judgment holds for so small a part of the samples of the longest window.
-_PART = 0.088
+_PART = 0.123
 
 
 class PoseDerivatives(NamedTuple):
@@ -109,7 +109,7 @@ class PoseFilter:
         most = longest(len(times))
         every = max(1, int(_PART * most)) if weights is None else 1
         stretches = numbers // every
-        due = np.diff(stretches, prepend=self._stretch) != 0
+        due = np.concatenate(((self._stretch,), stretches[:-1])) != stretches
         if self._held is None or weights is not None or self._longest != most:
             due[0] = True
         self._longest, self._stretch = most, int(stretches[-1])
@@ -137,7 +137,7 @@ class PoseFilter:
         def judge(instants: np.ndarray, those: np.ndarray, pasts: tuple[Past, Past]) -> _Judged:
             """Judge these bodies (m, b) at instants (m, b), by what is known of the past."""
             signals = np.concatenate((those, bodies + those), axis=1)
-            at = (..., np.tile(instants, 2), signals)
+            at = (..., np.concatenate((instants, instants), axis=1), signals)
             some = Projection(
                 fits.models.at(instants[:, 0]),
                 fits.coefficients[at],
@@ -201,7 +201,11 @@ def _judge(
         arms /= [rotation_coefficient(k, angle) for k in orders]
         arms = np.where(np.abs(arms) < reach, arms, 0.0)
         both = weigh_together(fits, arms, noise, order, past_together, every)
-        of_angle = (noise[:, :bodies] / noise[:, bodies:]) ** 2
+        of_angle = both.covariance * (noise[:, :bodies] / noise[:, bodies:]) ** 2
+    for spread, signals in ((both.covariance, slice(bodies, None)), (of_angle, slice(bodies))):
+        # The instant itself is found apart.
+        spread[0] = spread[:, 0] = 0.0
+        spread[0, 0] = own.covariance[0, 0, :, signals]
 
     def flat(array: Real) -> Real:
         """Instants and bodies (..., M, B) as one axis."""
@@ -221,7 +225,7 @@ def _judge(
         flat(both.share),
         flat(both.mix),
         flat(both.covariance),
-        flat(both.covariance * of_angle),
+        flat(of_angle),
         flat(both.turning),
         flat(_by_signal(both.means, bodies)),
         flat(_by_signal(both.among, bodies)),
@@ -253,8 +257,10 @@ def _applied(judged: _Judged, which: np.ndarray, fits: Projection) -> PoseDeriva
     own = apart(fits, by_instant(judged.share), by_instant(judged.mix))  # (K, 2, M, 2 B)
     both = together(fits, taken(judged.share_together), taken(judged.mix_together))
     position, angle = _complex(own[..., bodies:]), own[:, 0, :, :bodies]
-    position[0] += fits.base[:, bodies:] @ (1, 1j)
-    angle[0] += fits.base[:, :bodies, 0]
+    position_together, angle_together = _complex(both[:, 1:]), both[:, 0]
+    # The instant itself is the same for both.
+    position_together[0] = position[0] = position[0] + fits.base[:, bodies:] @ (1, 1j)
+    angle_together[0] = angle[0] = angle[0] + fits.base[:, :bodies, 0]
     covariance = taken(judged.covariance)
     return PoseDerivatives(
         position,
@@ -263,8 +269,8 @@ def _applied(judged: _Judged, which: np.ndarray, fits: Projection) -> PoseDeriva
         covariance[:, :, 0],
         taken(judged.span),
         taken(judged.degree),
-        _complex(both[:, 1:]),
-        both[:, 0],
+        position_together,
+        angle_together,
         taken(judged.covariance_together),
         taken(judged.angle_covariance),
         taken(judged.turning),
