@@ -555,8 +555,7 @@ class Tracker:
 
         The instants are the frames `windows` (now, oldest, newest) of signals (frames, G, 2);
         `information` (frames, G) are inverse variances over that of `noise` (T, G). Instants whose
-        windows hold as many frames before and after them, of the same weight, are done at once: as
-        a rule all of them.
+        windows are the same, of frames of the same weight, are done at once: as a rule all of them.
         """
         now, oldest, newest = windows
         stamps = self._stamps.view()
@@ -571,7 +570,7 @@ class Tracker:
             held = np.array([newest_needed(*pair) for pair in each.T.tolist()])[which.reshape(-1)]
         # Where the next run may begin: what comes before is not the same, or not to be mixed.
         single = ~even
-        begins = (np.diff(held, prepend=0) != 0) | (np.diff(after, prepend=-1) != 0) | single
+        begins = (np.diff(held, prepend=0) != 0) | single
         begins[1:] |= single[:-1]
         bounds = [*np.flatnonzero(begins), len(now)]
         most_at_once = max(1, _MOST_AT_ONCE // noise.shape[1])

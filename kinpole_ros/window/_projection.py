@@ -6,8 +6,9 @@ Their polynomials are orthonormal on the samples, so that every coefficient has 
 sample and knows nothing of the others. Which of them are to be believed is not asked here.
 """
 
+from collections.abc import Iterator
 from functools import lru_cache
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -96,6 +97,9 @@ class Models(NamedTuple):
         )
 
 
+_Found = tuple[Real, Real, Real]  # coefficients, squares and products as of a `Projection`
+
+
 class Projection(NamedTuple):
     """
     G signals at M instants on L windows: see `project`.
@@ -120,21 +124,22 @@ def project(
     """
     G signals at M instants, on all windows about each.
 
-    `times` (N, M) are whole ns from each instant, rising, with 0 among them, in the same place for
-    all; `signals` (N, M, G, 2) are vectors of the plane, or numbers in their first component, as
-    the samples about each instant have them. `weights` (N, G), for one instant at a time, are the
+    `times` (N, M) are whole ns from each instant, rising, with 0 among them; `signals` (N, M, G, 2)
+    are vectors of the plane, or numbers in their first component, as the samples about each instant
+    have them. `weights` (N, G), for one instant at a time, are the
     inverse variances of the samples relative to the noise; 0 is a sample that is missing, None
     means all are 1, or that a signal is NaN throughout. Derivatives are wanted up to `order`. If
     `bodies` are given, the signals are their angles, then their positions.
     """
-    now = int(np.searchsorted(times[:, 0], 0))
-    missing = np.isnan(signals[now, ..., 0])  # (M, G)
+    places = np.count_nonzero(times < 0, axis=0)
+    base = signals[places, np.arange(len(places))]
+    missing = np.isnan(base[..., 0])  # (M, G)
     if weights is not None:
-        missing |= ~(weights[now] > 0)
-    base = np.where(missing[..., None], 0.0, signals[now])
+        missing |= ~(weights[places] > 0)
+    base = np.where(missing[..., None], 0.0, base)
     centered = signals - base
     if weights is not None:
-        models = _models(times.T, now, weights.T, order + 1)
+        models = _models(times.T, int(places[0]), weights.T, order + 1)
         # What is missing may hold anything.
         columns = np.where(weights[:, None, :, None] > 0, centered, 0.0).transpose(2, 0, 3, 1)
         found = _by_own(models, columns, weights, bodies, -1)
@@ -142,8 +147,9 @@ def project(
     if missing.any():
         centered = np.where(missing[..., None], 0.0, centered)
     parts = []
-    for instants, even in _parts(times):
+    for instants, even in _parts(times, places):
         stamps, part = times[:, instants], centered[:, instants]
+        now = int(places[instants[0]])
         if even:
             models = _shared_models(stamps[:, 0].tobytes(), now, order + 1)
             found = _by_shared(models, part, bodies)
@@ -151,47 +157,48 @@ def project(
             models = _models(stamps.T, now, np.ones((1, len(times))), order + 1)
             found = _by_own(models, part.transpose(1, 0, 3, 2), None, bodies, -2)
         parts.append((instants, models, found))
-    return Projection(*_joined(parts, missing.shape[0]), base, missing)
+    models, found = _joined(parts, len(places))
+    return Projection(models, *found, base, missing)
 
 
-_Found = tuple[Real, Real, Real]
+def _parts(times: np.ndarray, places: np.ndarray) -> Iterator[tuple[np.ndarray, bool]]:
+    """
+    Which instants are projected at once, and whether their samples are even, with one pattern.
 
-
-def _parts(times: np.ndarray) -> list[tuple[np.ndarray, bool]]:
-    """Instants that are projected together: those of one even pattern, or all sorts of uneven."""
+    0 is at `places` (M,) of their times (N, M), in the same place for those together.
+    """
     steps = np.diff(times, axis=0)
     # By the stamps alone: no figure may hang on what was asked before.
-    even = np.ptp(steps, axis=0) <= _UNEVEN if len(steps) else np.ones(times.shape[1], bool)
-    uneven = np.flatnonzero(~even)
-    parts = [
-        (uneven[first : first + _MOST_AT_ONCE], False)
-        for first in range(0, len(uneven), _MOST_AT_ONCE)
-    ]
-    if len(uneven) < len(even):
-        alike = np.flatnonzero(even)
-        which = np.zeros(len(alike), int)
-        if (times[:, alike] != times[:, alike[:1]]).any():
-            # Where the interval is no whole number of ns, some patterns take turns.
-            which = np.unique(times[:, alike], axis=1, return_inverse=True)[1].reshape(-1)
-        parts += [(alike[which == k], True) for k in range(which.max() + 1)]
-    return parts
+    uneven = np.ptp(steps, axis=0) > _UNEVEN if len(steps) else np.zeros(len(places), bool)
+    for place in np.unique(places):
+        those = np.flatnonzero(uneven & (places == place))
+        for first in range(0, len(those), _MOST_AT_ONCE):
+            yield those[first : first + _MOST_AT_ONCE], False
+        those = np.flatnonzero(~uneven & (places == place))
+        # Where the interval is no whole number of ns, a few patterns take turns.
+        while len(those):
+            alike = (times[:, those] == times[:, those[:1]]).all(axis=0)
+            yield those[alike], True
+            those = those[~alike]
 
 
-def _joined(parts: list[tuple[np.ndarray, Models, _Found]], instants: int) -> tuple[Any, ...]:
+def _joined(parts: list[tuple[np.ndarray, Models, _Found]], instants: int) -> tuple[Models, _Found]:
     """Models and findings of all instants, out of those of some at a time."""
     _, models, found = parts[0]
     if len(parts) == 1:
-        return models, *found
-    every = [np.empty((*array.shape[:-2], instants, array.shape[-1])) for array in found]
+        return models, found
+    coefficients, squares, products = (
+        np.empty((*array.shape[:-2], instants, array.shape[-1])) for array in found
+    )
     rows = np.empty((instants, *models.rows.shape[1:]))
     rim, own = (np.empty((*models.rim.shape[:2], instants, 1)) for _ in range(2))
     spans = np.empty((len(models.spans), instants, 1))
     for those, part, found in parts:
-        for array, some in zip(every, found, strict=True):
-            array[..., those, :] = some
+        coefficients[..., those, :], squares[..., those, :], products[..., those, :] = found
         rows[those], rim[:, :, those], own[:, :, those] = part.rows, part.rim, part.own
         spans[:, those] = part.spans
-    return models._replace(rows=rows, rim=rim, own=own, spans=spans), *every
+    models = models._replace(rows=rows, rim=rim, own=own, spans=spans)
+    return models, (coefficients, squares, products)
 
 
 def _by_shared(models: Models, signals: Real, bodies: int) -> _Found:
