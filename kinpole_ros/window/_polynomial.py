@@ -18,7 +18,8 @@ from numpy.typing import ArrayLike
 from kinpole_ros.planar._plane import Real
 
 # Members farther than this from orthogonal are made so again.
-_LOST = 1e-13
+_LOST = 3e-13
+_TINY = np.finfo(float).tiny
 
 
 def derivative_weights(
@@ -108,35 +109,37 @@ def orthonormal_members(
     degree = int(highest.max())
     for k in range(degree + 1):
         here = members[k]
-        seen = here[..., :count]
-        np.maximum(np.einsum('...n,...n', seen, seen), np.finfo(float).tiny, out=squares[k])
-        if k == degree:
-            break
-        following = np.multiply(places, here, out=members[k + 1])
-        middle = np.einsum('...n,...n', following[..., :count], seen) / squares[k]
-        following -= middle[..., None] * here
-        following[..., count + 1 :] += order * here[..., count:-1]
-        if k:
+        if k < degree:
+            following = np.multiply(places, here, out=members[k + 1])
+        # The square of this one, and its product with the one begun.
+        pair = members[k : k + 2, ..., :count]
+        sums = np.einsum('i...n,...n->i...', pair, here[..., :count])
+        np.maximum(sums[0], _TINY, out=squares[k])
+        if k < degree:
+            following -= (sums[1] / squares[k])[..., None] * here
+            following[..., count + 1 :] += order * here[..., count:-1]
+        if 0 < k < degree:
             following -= (squares[k] / squares[k - 1])[..., None] * members[k - 1]
     within = np.arange(size).reshape(-1, *(1,) * highest.ndim) <= highest
     members *= np.where(within, 1 / np.sqrt(squares), 0.0)[..., None]
-    basis = np.moveaxis(members[..., :count], 0, -2)
-    rows = np.moveaxis(members[..., count:], 0, -1)
+    axes = range(1, members.ndim - 1)
+    basis = members[..., :count].transpose(*axes, 0, -1)
+    rows = members[..., count:].transpose(*axes, -1, 0)
     if each > 1:
         parts = (*windows, 1, count // each, each)
         weight = np.square(root).reshape(*root.shape[:-1], 1, count // each, each).sum(axis=-1)
         means = (basis * root[..., None, :]).reshape(*windows, size, *parts[-2:]).sum(axis=-1)
         basis = means / np.sqrt(np.where(weight > 0, weight, 1.0))
-    # Means of neighbors are not orthonormal yet; and rounding adds up to the last member, where
-    # the samples are few and far from even.
-    highest = np.broadcast_to(highest, windows)
-    top = np.take_along_axis(basis, highest[..., None, None], axis=-2)
-    overlap = np.abs(basis @ np.swapaxes(top, -1, -2))[..., 0]
-    np.put_along_axis(overlap, highest[..., None], 0.0, axis=-1)
-    lost = (overlap.max(axis=-1) > _LOST) | (each > 1)
+        lost = np.ones(windows, bool)
+    else:
+        # Rounding adds up where the samples are few and far from even. Each member has the product
+        # 1 with the sum of all.
+        total = members[..., :count].sum(axis=0)
+        product = np.einsum('i...n,...n->i...', members[..., :count], total)
+        lost = (np.abs(product - within) > _LOST).any(axis=0)
     if lost.any():
         again, rows[lost] = _orthonormal(np.swapaxes(basis[lost], -1, -2), rows[lost])
-        kept = np.arange(size) <= highest[lost][:, None]
+        kept = np.arange(size) <= np.broadcast_to(highest, windows)[lost][:, None]
         basis[lost] = np.where(kept[..., None], np.swapaxes(again, -1, -2), 0.0)
     return basis, rows
 

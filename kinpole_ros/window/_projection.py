@@ -25,6 +25,8 @@ _FINEST = 128
 _UNEVEN = 1
 # Instants with stamps of their own that are projected at once: what a cache holds.
 _MOST_AT_ONCE = 32
+# Where the first axis of those with models of their own is to go.
+_INSTANTS, _SIGNALS = (1, 2, 3, 0, 4), (1, 2, 3, 4, 0)
 
 
 class _Scale(NamedTuple):
@@ -142,7 +144,7 @@ def project(
         models = _models(times.T, int(places[0]), weights.T, order + 1)
         # What is missing may hold anything.
         columns = np.where(weights[:, None, :, None] > 0, centered, 0.0).transpose(2, 0, 3, 1)
-        found = _by_own(models, columns, weights, bodies, -1)
+        found = _by_own(models, columns, weights, bodies, _SIGNALS)
         return Projection(models, *found, base, missing)
     if missing.any():
         centered = np.where(missing[..., None], 0.0, centered)
@@ -154,8 +156,8 @@ def project(
             models = _shared_models(stamps[:, 0].tobytes(), now, order + 1)
             found = _by_shared(models, part, bodies)
         else:
-            models = _models(stamps.T, now, np.ones((1, len(times))), order + 1)
-            found = _by_own(models, part.transpose(1, 0, 3, 2), None, bodies, -2)
+            models = _models(stamps.T, now, None, order + 1)
+            found = _by_own(models, part.transpose(1, 0, 3, 2), None, bodies, _INSTANTS)
         parts.append((instants, models, found))
     models, found = _joined(parts, len(places))
     return Projection(models, *found, base, missing)
@@ -169,8 +171,8 @@ def _parts(times: np.ndarray, places: np.ndarray) -> Iterator[tuple[np.ndarray, 
     """
     steps = np.diff(times, axis=0)
     # By the stamps alone: no figure may hang on what was asked before.
-    uneven = np.ptp(steps, axis=0) > _UNEVEN if len(steps) else np.zeros(len(places), bool)
-    for place in np.unique(places):
+    uneven = steps.max(axis=0, initial=0) > steps.min(axis=0, initial=2**62) + _UNEVEN
+    for place in sorted(set(places.tolist())):
         those = np.flatnonzero(uneven & (places == place))
         for first in range(0, len(those), _MOST_AT_ONCE):
             yield those[first : first + _MOST_AT_ONCE], False
@@ -221,8 +223,10 @@ def _by_shared(models: Models, signals: Real, bodies: int) -> _Found:
     return coefficients, squares, np.concatenate(products) if bodies else squares[:, :0]
 
 
-def _by_own(models: Models, columns: Real, weights: Real | None, bodies: int, axis: int) -> _Found:
-    """The same of S sets (S, N, 2, C), each by models of its own: their axis goes to `axis`."""
+def _by_own(
+    models: Models, columns: Real, weights: Real | None, bodies: int, axes: tuple[int, ...]
+) -> _Found:
+    """The same of S sets (S, N, 2, C), each by models of its own: their axis goes as in `axes`."""
     flat = columns.reshape(*columns.shape[:2], -1)
     found, squares, products = [], [], []
     for scale in models.scales:
@@ -231,7 +235,7 @@ def _by_own(models: Models, columns: Real, weights: Real | None, bodies: int, ax
         rest = means - np.swapaxes(scale.basis, -1, -2) @ of_window
         rest *= scale.inside[..., None]
         of_window, rest = (
-            np.moveaxis(array.reshape(*array.shape[:3], *columns.shape[2:]), 0, axis)
+            array.reshape(*array.shape[:3], *columns.shape[2:]).transpose(axes)
             for array in (of_window, rest)
         )  # (l, D, 2, M, G), (l, B, 2, M, G)
         found.append(of_window)
@@ -282,8 +286,7 @@ def evaluate(matrix: Real, members: Real) -> Real:
 @lru_cache(maxsize=32)
 def _shared_models(times: bytes, now: int, orders: int) -> Models:
     """The models of equally weighted samples: even sampling asks for the same ones every frame."""
-    instants = np.frombuffer(times, np.int64)[None]
-    models = _models(instants, now, np.ones(instants.shape), orders)
+    models = _models(np.frombuffer(times, np.int64)[None], now, None, orders)
     return models._replace(shortcuts=tuple(map(_shortcut, models.scales)))
 
 
@@ -331,75 +334,110 @@ def _ladder(count: int) -> list[tuple[int, int]]:
         windows.append((means, each))
 
 
-def _models(times: np.ndarray, now: int, weights: Real, orders: int) -> Models:
+class _Windows(NamedTuple):
     """
-    Fit bases for every window of the ladder: each reaches as far ahead as it does back.
+    The l windows of one scale about an instant, in g sets of weights: see `_Scale`.
 
-    In S sets: of samples at `times` (S, N) with the same `weights` (1, N), or at the same (1, N)
-    with weights (S, N).
+    They reach from the mean `first` to the mean `last` (l,); `given` (g, l, N') are the square
+    roots of the weights of their samples; `lengths` and `means` (g, l) say how many samples and
+    means have weight in each, and `highest` of which degree its richest fit is.
     """
-    windows = _ladder(times.shape[1])
-    parts = []
-    for each in sorted({each for _, each in windows}):
-        means = np.array([means for means, each_ in windows if each_ == each])
-        parts.append(_scale(times, now, weights, orders, means, each))
-    scales, *fields = zip(*parts, strict=True)
-    rows, highest, lengths, counts, spans = (np.concatenate(part, axis=1) for part in fields)
-    member = np.arange(rows.shape[-1])
-    near_rim = (member <= highest[..., None]) & (member >= highest[..., None] - 1)
-    squares = rows**2
-    rim = np.where(near_rim[:, :, None], squares, 0.0).max(axis=-1)
+
+    each: int
+    start: int
+    first: np.ndarray
+    last: np.ndarray
+    inside: np.ndarray
+    root: Real  # (g, B)
+    given: Real
+    lengths: np.ndarray
+    means: np.ndarray
+    highest: np.ndarray
+
+
+def _windows(now: int, weights: Real) -> list[_Windows]:
+    """All windows about the sample `now`: each reaches as far ahead as it does back."""
+    sets, count = weights.shape
+    ladder = _ladder(count)
+    result = []
+    for each in sorted({each for _, each in ladder}):
+        sizes = np.array([means for means, each_ in ladder if each_ == each])
+        blocks = count // each
+        # The newest samples count most.
+        start = count - blocks * each
+        here = (now - start) // each
+        ahead = np.maximum(np.minimum(blocks - 1 - here, (sizes - 1) // 2), sizes - 1 - here)
+        first, last = here + ahead - sizes + 1, here + ahead
+        lowest, blocks = first.min(), last.max() - first.min() + 1
+        start, first, last = start + lowest * each, first - lowest, last - lowest
+        index = np.arange(blocks)
+        inside = (index >= first[:, None]) & (index <= last[:, None])
+        taken = weights[:, start : start + blocks * each]
+        given = taken[:, None] * np.repeat(inside, each, axis=-1)
+        by_mean = given.reshape(sets, len(sizes), blocks, each)
+        means = (by_mean > 0).any(axis=-1).sum(axis=-1)
+        highest = np.maximum(means - 3, np.minimum(means - 1, HIGHEST_ORDER))
+        result.append(
+            _Windows(
+                each,
+                start,
+                first,
+                last,
+                inside,
+                np.sqrt(taken.reshape(sets, blocks, each).sum(axis=-1)),
+                np.sqrt(given),
+                (given > 0).sum(axis=-1),
+                means,
+                np.minimum(highest, _HIGHEST_DEGREE),
+            )
+        )
+    return result
+
+
+@lru_cache(maxsize=64)
+def _even_windows(now: int, count: int) -> list[_Windows]:
+    """The same where all samples have weight 1."""
+    return _windows(now, np.ones((1, count)))
+
+
+def _models(times: np.ndarray, now: int, weights: Real | None, orders: int) -> Models:
+    """
+    Fit bases for every window of the ladder.
+
+    In S sets: of samples at `times` (S, N) with weight 1, or at the same (1, N) with weights
+    (S, N).
+    """
+    count = times.shape[1]
+    windows = _even_windows(now, count) if weights is None else _windows(now, weights)
+    scales, parts = [], []
+    for each, start, first, last, inside, root, given, lengths, means, highest in windows:
+        seconds = times[:, start : start + given.shape[-1]] * 1e-9
+        spans = seconds[:, (last + 1) * each - 1] - seconds[:, first * each]
+        unit = np.where(spans > 0, spans / 2, 1.0)[..., None]
+        basis, rows = orthonormal_members(
+            seconds[:, None] / unit, given, highest, _HIGHEST_DEGREE + 1, orders - 1, each
+        )
+        rows = rows / unit[..., None] ** np.arange(orders)[:, None]
+        scales.append(_Scale(each, start, root, basis, inside))
+        parts.append((rows, spans, lengths, means - highest - 1, highest))
+    rows, *fields = (np.concatenate(part, axis=1) for part in zip(*parts, strict=True))
+    spans, lengths, freedom, highest = (field.T for field in fields)  # (L, m or g)
+    highest = highest[:, None]
+    squares = np.square(rows).transpose(1, 2, 3, 0)  # (L, K, D, S)
+    member = np.arange(rows.shape[-1])[:, None]
+    near_rim = (member <= highest) & (member >= highest - 1)
+    rim = np.where(near_rim[:, None], squares, 0.0).max(axis=2)
     index = np.arange(orders)
-
-    def last(array: np.ndarray) -> np.ndarray:
-        """Sets as instants and signals, (S, L, ...) as (L, ..., m, g)."""
-        sets = (len(times), 1) if len(array) == len(times) else (1, len(weights))
-        return np.moveaxis(array.reshape(*sets, *array.shape[1:]), (0, 1), (-2, -1))
-
+    # Sets as instants and signals.
+    sets = len(times), 1 if weights is None else len(weights)
     return Models(
-        scales,
+        tuple(scales),
         (),
-        rows.reshape(len(times), len(weights), *rows.shape[1:]),
-        last(rim),
-        last(squares[:, :, index, index]),
-        last(lengths),
-        last(counts - highest - 1),
-        last(highest),
-        last(spans),
+        rows.reshape(*sets, *rows.shape[1:]),
+        rim.reshape(*rim.shape[:2], *sets),
+        squares[:, index, index].reshape(*rim.shape[:2], *sets),
+        lengths[:, None],
+        freedom[:, None],
+        highest,
+        spans[..., None],
     )
-
-
-def _scale(
-    times: np.ndarray, now: int, weights: Real, orders: int, sizes: np.ndarray, each: int
-) -> tuple[_Scale, Real, np.ndarray, np.ndarray, np.ndarray, Real]:
-    """
-    The windows of one scale, of `sizes` (l,) means.
-
-    Also their rows (S, l, K, D), by weights and window the degrees of their richest fits and how
-    many samples and means have weight in them, and by times and window their spans.
-    """
-    blocks = times.shape[1] // each
-    # The newest samples count most.
-    start = times.shape[1] - blocks * each
-    here = (now - start) // each
-    ahead = np.maximum(np.minimum(blocks - 1 - here, (sizes - 1) // 2), sizes - 1 - here)
-    first, last = here + ahead - sizes + 1, here + ahead
-    lowest, blocks = first.min(), last.max() - first.min() + 1
-    start, first, last = start + lowest * each, first - lowest, last - lowest
-    index = np.arange(blocks)
-    inside = (index >= first[:, None]) & (index <= last[:, None])
-    taken = slice(start, start + blocks * each)
-    seconds, weights = times[:, taken] * 1e-9, weights[:, taken]
-    spans = seconds[:, (last + 1) * each - 1] - seconds[:, first * each]
-    given = weights[:, None] * np.repeat(inside, each, axis=-1)
-    counts = (given.reshape(*given.shape[:2], blocks, each) > 0).any(axis=-1).sum(axis=-1)
-    highest = np.maximum(counts - 3, np.minimum(counts - 1, HIGHEST_ORDER))
-    highest = np.minimum(highest, _HIGHEST_DEGREE)
-    unit = np.where(spans > 0, spans / 2, 1.0)[..., None]
-    basis, rows = orthonormal_members(
-        seconds[:, None] / unit, np.sqrt(given), highest, _HIGHEST_DEGREE + 1, orders - 1, each
-    )
-    rows /= unit[..., None] ** np.arange(orders)[:, None]
-    root = np.sqrt(weights.reshape(len(weights), blocks, each).sum(axis=-1))
-    scale = _Scale(each, start, root, basis, inside)
-    return scale, rows, highest, (given > 0).sum(axis=-1), counts, spans
