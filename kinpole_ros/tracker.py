@@ -562,24 +562,21 @@ class Tracker:
         even, spread = _evenly(information, oldest, newest)
         after = newest - now
         held = newest - oldest + 1
-        if len(now) == 1 or (np.ptp(held) == 0 and np.ptp(after) == 0):
-            held = np.full(len(now), newest_needed(int(held[0]), int(after[0])))
+        if len(now) == 1:
+            held = np.array([newest_needed(int(held[0]), int(after[0]))])
         else:
             # Where stamps are uneven a window has a frame more now and then, which nobody needs.
             each, which = np.unique(np.stack((held, after)), axis=1, return_inverse=True)
             held = np.array([newest_needed(*pair) for pair in each.T.tolist()])[which.reshape(-1)]
         # Where the next run may begin: what comes before is not the same, or not to be mixed.
-        single = ~even
-        begins = (np.diff(held, prepend=0) != 0) | single
-        begins[1:] |= single[:-1]
-        bounds = [*np.flatnonzero(begins), len(now)]
+        begins = np.flatnonzero((held[1:] != held[:-1]) | ~even[1:] | ~even[:-1]) + 1
         most_at_once = max(1, _MOST_AT_ONCE // noise.shape[1])
-        for begin, stop in itertools.pairwise(bounds):
+        for begin, stop in itertools.pairwise((0, *begins, len(now))):
             for first in range(begin, stop, most_at_once):
                 some = slice(first, min(stop, first + most_at_once))
                 rows = newest[some] + np.arange(1 - held[first], 1)[:, None]
                 weights, level = None, noise[some] * spread[some]
-                if single[first]:
+                if not even[first]:
                     most = information[rows[:, 0]].max(axis=0)
                     most = np.where(most > 0, most, 1.0)
                     weights = information[rows[:, 0]] / most

@@ -6,7 +6,6 @@ Their polynomials are orthonormal on the samples, so that every coefficient has 
 sample and knows nothing of the others. Which of them are to be believed is not asked here.
 """
 
-from collections.abc import Iterator
 from functools import lru_cache
 from typing import NamedTuple
 
@@ -23,6 +22,7 @@ _LADDER = 1.33
 _FINEST = 128
 # ns. Steps of even sampling differ by no more, for stamps are whole ns.
 _UNEVEN = 1
+_LONGEST = np.iinfo(np.int64).max - _UNEVEN
 # Instants with stamps of their own that are projected at once: what a cache holds.
 _MOST_AT_ONCE = 32
 # Where the first axis of those with models of their own is to go.
@@ -133,7 +133,7 @@ def project(
     means all are 1, or that a signal is NaN throughout. Derivatives are wanted up to `order`. If
     `bodies` are given, the signals are their angles, then their positions.
     """
-    places = np.count_nonzero(times < 0, axis=0)
+    places = (times < 0).sum(axis=0)
     base = signals[places, np.arange(len(places))]
     missing = np.isnan(base[..., 0])  # (M, G)
     if weights is not None:
@@ -151,7 +151,7 @@ def project(
     parts = []
     for instants, even in _parts(times, places):
         stamps, part = times[:, instants], centered[:, instants]
-        now = int(places[instants[0]])
+        now = int(places[instants][0])
         if even:
             models = _shared_models(stamps[:, 0].tobytes(), now, order + 1)
             found = _by_shared(models, part, bodies)
@@ -163,28 +163,34 @@ def project(
     return Projection(models, *found, base, missing)
 
 
-def _parts(times: np.ndarray, places: np.ndarray) -> Iterator[tuple[np.ndarray, bool]]:
+def _parts(times: np.ndarray, places: np.ndarray) -> list[tuple[np.ndarray | slice, bool]]:
     """
     Which instants are projected at once, and whether their samples are even, with one pattern.
 
     0 is at `places` (M,) of their times (N, M), in the same place for those together.
     """
-    steps = np.diff(times, axis=0)
+    steps = times[1:] - times[:-1]
     # By the stamps alone: no figure may hang on what was asked before.
-    uneven = steps.max(axis=0, initial=0) > steps.min(axis=0, initial=2**62) + _UNEVEN
-    for place in sorted(set(places.tolist())):
-        those = np.flatnonzero(uneven & (places == place))
+    even = steps.max(axis=0, initial=0) <= steps.min(axis=0, initial=_LONGEST) + _UNEVEN
+    if len(places) == 1 or (even.all() and (times == times[:, :1]).all()):
+        return [(slice(None), bool(even[0]))]
+    parts: list[tuple[np.ndarray | slice, bool]] = []
+    for place in np.unique(places):
+        those = np.flatnonzero(~even & (places == place))
         for first in range(0, len(those), _MOST_AT_ONCE):
-            yield those[first : first + _MOST_AT_ONCE], False
-        those = np.flatnonzero(~uneven & (places == place))
+            parts.append((those[first : first + _MOST_AT_ONCE], False))
+        those = np.flatnonzero(even & (places == place))
         # Where the interval is no whole number of ns, a few patterns take turns.
         while len(those):
             alike = (times[:, those] == times[:, those[:1]]).all(axis=0)
-            yield those[alike], True
+            parts.append((those[alike], True))
             those = those[~alike]
+    return parts
 
 
-def _joined(parts: list[tuple[np.ndarray, Models, _Found]], instants: int) -> tuple[Models, _Found]:
+def _joined(
+    parts: list[tuple[np.ndarray | slice, Models, _Found]], instants: int
+) -> tuple[Models, _Found]:
     """Models and findings of all instants, out of those of some at a time."""
     _, models, found = parts[0]
     if len(parts) == 1:
