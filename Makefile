@@ -54,8 +54,9 @@ bags: $(STAMP)  ## simulate the bags in bags/ again
 	    --output bags/$$scene.mcap || exit 1; \
 	done
 
-fuzz: $(STAMP)  ## read 10,000 corrupted bags
+fuzz: $(STAMP)  ## read 10,000 corrupted bags and 100,000 corrupted messages
 	@$(RUN) test/fuzz_bags.py
+	@$(RUN) test/fuzz_messages.py
 
 clean:  ## remove .venv and all else that can be made again
 	rm -rf .venv build *.egg-info .hypothesis .mypy_cache .pytest_cache .ruff_cache

@@ -196,7 +196,9 @@ def _replay_one(
             'end': result.last / 1e9,
             'seconds': (result.last - result.first) / 1e9,
             'repeated': result.repeated,
+            'late': result.late,
             'resets': result.resets,
+            'frame_changes': result.frame_changes,
             'unreadable': result.unreadable,
             'problem': result.problem,
         }

@@ -329,7 +329,12 @@ def _replay(options: argparse.Namespace) -> int:
             options.parquet,
         )
     print(f'{result.frames} frames in, {result.estimates} instants out')
-    for what, count in (('stamps repeated', result.repeated), ('jumps', result.resets)):
+    for what, count in (
+        ('stamps repeated', result.repeated),
+        ('frames late', result.late),
+        ('jumps', result.resets),
+        ('changes of frame_id', result.frame_changes),
+    ):
         if count:
             print(f'{what}: {count}')
     for body, shares in result.determined.items():

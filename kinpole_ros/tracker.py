@@ -71,8 +71,9 @@ class Tracker:
     """
     Follows the bodies of `settings` from frame to frame.
 
-    `counts` says what became of the frames, for diagnostics: frames, repeated, resets,
-    markers_not_seen, markers_unknown, and the markers_... that were mended, see `window.untangle`.
+    `counts` says what became of the frames, for diagnostics: frames, repeated, late, resets,
+    frame_changes, markers_not_seen, markers_unknown, and the markers_... that were mended, see
+    `window.untangle`.
     """
 
     def __init__(self, settings: Settings) -> None:
@@ -80,6 +81,9 @@ class Tracker:
         self.bodies = tuple(settings.bodies)
         self.counts: Counter[str] = Counter()
         self._window = round(settings.window * 1e9)
+        self._frame_id = ''
+        # The stamp of the frame that came last, taken or not.
+        self._last = 0
         self.reset()
 
     def reset(self) -> None:
@@ -138,30 +142,56 @@ class Tracker:
         Take frames; return what is now known, stamped `lag` earlier, an instant for most frames.
 
         `order` is the highest derivative wanted now (1 to 4), None for no estimates at all. A stamp
-        seen already is left out; one that steps back, or forward by more than the window, starts
-        everything anew.
+        seen already is left out, and so is a frame that comes late: before the newest, within the
+        window. Everything starts anew with another frame_id, with a stamp farther from the newest
+        than the window, and where stamps go on from a late one: then the clock has stepped back.
         """
         stamps = np.asarray(frames.stamps)
         self.counts['frames'] += len(stamps)
-        steps = np.diff(
-            stamps, prepend=self._stamps.view()[-1:] if self.samples else stamps[:1] - 1
-        )
-        new = np.flatnonzero(steps)
-        if len(new) < len(stamps):
-            self.counts['repeated'] += len(stamps) - len(new)
-            frames = frames._replace(stamps=stamps[new], points=frames.points[new])
-            stamps, steps = stamps[new], steps[new]
-        jumps = np.flatnonzero((steps < 0) | (steps > self._window))
+        if frames.frame_id != self._frame_id:
+            if self.samples:
+                self.counts['frame_changes'] += 1
+                self.reset()
+            self._frame_id = frames.frame_id
         found: list[Estimate] = []
         first = 0
-        for end in (*jumps, len(stamps)):
-            if end > first:
-                found += self._run(part_of(frames, slice(first, end)), order, new[first:end])
-            if end < len(stamps):
+        while first < len(stamps):
+            new, end = self._sift(stamps[first:])
+            new += first
+            if len(new) == end:
+                taken = part_of(frames, slice(first, first + end))
+            else:
+                taken = frames._replace(stamps=stamps[new], points=frames.points[new])
+            if len(new):
+                found += self._run(taken, order, new)
+            first += end
+            if first < len(stamps):
                 self.counts['resets'] += 1
                 self.reset()
-            first = end
+        self._last = int(stamps[-1])
         return found
+
+    def _sift(self, stamps: np.ndarray) -> tuple[np.ndarray, int]:
+        """Which frames of `stamps` (T,) to take, and which starts everything anew, T for none."""
+        last, newest = self._last, int(stamps[0]) - 1
+        if self.samples:
+            newest = int(self._stamps.view()[-1])
+        else:
+            last = newest
+        # As it is when each frame comes.
+        reached = np.maximum.accumulate(np.concatenate(((newest,), stamps[:-1])))
+        before = np.concatenate(((last,), stamps[:-1]))
+        ahead = stamps - reached
+        back = (before < reached) & (before < stamps) & (ahead <= 0)
+        anew = back | (np.abs(ahead) > self._window)
+        end = int(anew.argmax()) if anew.any() else len(stamps)
+        ahead = ahead[:end]
+        new = np.flatnonzero(ahead > 0)
+        if len(new) < end:
+            late = int((ahead < 0).sum())
+            self.counts['late'] += late
+            self.counts['repeated'] += end - len(new) - late
+        return new, end
 
     def _run(self, frames: MarkerFrames, order: int | None, numbers: np.ndarray) -> list[Estimate]:
         """Take frames whose stamps go on from those before; `numbers` (T,) are theirs."""

@@ -8,24 +8,20 @@ it is not only the checksum that finds it.
 """
 
 import random
-import resource
-import signal
 import struct
-import sys
 import tempfile
-import time
 import zlib
 from collections import Counter
 from collections.abc import Callable
 from functools import cache
 from io import BytesIO
 from pathlib import Path
-from types import FrameType
 
 import lz4.frame
 import numpy as np
 import yaml
 import zstandard
+from fuzzing import EXTREMES, damaged, fuzz, tell
 from mcap.data_stream import ReadDataStream, RecordBuilder
 from mcap.opcode import Opcode
 from mcap.records import Chunk
@@ -36,49 +32,33 @@ from kinpole_ros.bags import BagError, definition, read_blocks, replay, topics, 
 from kinpole_ros.messages import to_message
 from kinpole_ros.parameters import Settings
 
-LONGEST = 5.0  # s
-MOST_MEMORY = 512 * 2**20
 _HEAD = struct.Struct('<BQ')
-_EXTREMES = (0, 1, 2**31 - 1, 2**32 - 1, 2**40, 2**63, 2**64 - 1)
 
 
 def fuzz_bags(count: int, seed: int = 0, folder: str | Path | None = None) -> Counter[str]:
     """
     Read `count` bags with damage that follows from `seed`; returns how many ended in which way.
 
-    Raises AssertionError, naming the file left in `folder`, for one that ends in anything but
-    messages or a BagError of one line, takes over 5 s, or more memory than 512 MiB in all.
+    Raises AssertionError, with the last one left in `folder`, for one that ends in anything but
+    messages or a BagError of one line, or that breaks a limit of `fuzz`. To go on from what got
+    farthest was tried and reached no more lines: this damage knows records and chunks.
     """
     place = Path(folder or tempfile.mkdtemp(prefix='fuzz_bags_'))
     generator = random.Random(seed)
     sound = _sound_bags(place)
-    outcomes: Counter[str] = Counter()
-    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    path = place / 'fuzzed.mcap'
-    for number in range(count):
-        folder_bag = place / 'folder'
-        if number % 20 == 0:
-            bag = _fuzzed_folder(generator, folder_bag, generator.choice(sound))
+
+    def ending(content: bytes) -> str:
+        bag = place / 'fuzzed.mcap'
+        if generator.random() < 0.05:
+            bag = _fuzzed_folder(generator, place / 'folder', generator.choice(sound))
         else:
-            path.write_bytes(_fuzzed(generator, generator.choice(sound)))
-            bag = path
-        try:
-            outcomes[_ending(bag, with_replay=number % 5 == 0)] += 1
-        except BaseException as error:
-            raise AssertionError(
-                f'bag {number} of seed {seed}, left as {bag}: {type(error).__name__}: {error}'
-            ) from error
-        grown = (resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before) * 1024
-        assert grown < MOST_MEMORY, f'bag {number} of seed {seed}, left as {bag}: {grown} bytes'
-    return outcomes
+            bag.write_bytes(content)
+        return _ending(bag, with_replay=generator.random() < 0.2)
+
+    return fuzz(count, generator, place, sound, _fuzzed, ending)
 
 
 def _ending(bag: Path, with_replay: bool) -> str:
-    def stop(number: int, frame: FrameType | None) -> None:
-        raise TimeoutError(f'not done in {LONGEST:g} s')
-
-    old = signal.signal(signal.SIGALRM, stop)
-    signal.setitimer(signal.ITIMER_REAL, LONGEST)
     try:
         topics(bag)
         for block in read_blocks(bag):
@@ -90,9 +70,6 @@ def _ending(bag: Path, with_replay: bool) -> str:
         assert text.isprintable()
         assert str(bag) in text
         return type(error).__name__
-    finally:
-        signal.setitimer(signal.ITIMER_REAL, 0)
-        signal.signal(signal.SIGALRM, old)
     return 'read'
 
 
@@ -134,38 +111,12 @@ def _fuzzed(generator: random.Random, content: bytes) -> bytes:
             generator.choice(_RECORD_DAMAGE)(generator, records)
         content = MCAP0_MAGIC + b''.join(records) + MCAP0_MAGIC
     if generator.random() < 0.6:
-        content = _damaged(generator, content)
+        content = damaged(generator, content)
     if generator.random() < 0.15:
         content = zstandard.compress(content)
         if generator.random() < 0.5:
-            content = _damaged(generator, content)
+            content = damaged(generator, content)
     return content
-
-
-def _damaged(generator: random.Random, content: bytes) -> bytes:
-    """With bits, numbers or a stretch of bytes changed, or with an end missing."""
-    changed = bytearray(content)
-    for _ in range(generator.choice((1, 1, 2, 5, 20))):
-        if not changed:
-            break
-        at = generator.randrange(len(changed))
-        way = generator.randrange(6)
-        if way == 0:
-            changed[at] ^= 1 << generator.randrange(8)
-        elif way == 1:
-            changed[at] = generator.randrange(256)
-        elif way == 2:
-            number = generator.choice(_EXTREMES).to_bytes(8, 'little')
-            size = generator.choice((2, 4, 8))
-            changed[at : at + size] = number[:size]
-        elif way == 3 and generator.random() < 0.5:
-            del changed[at:]
-        elif way == 4:
-            other = generator.randrange(len(changed))
-            changed[at : at + generator.randrange(60)] = changed[other : other + 30]
-        elif way == 5:
-            changed[at : at + 40] = bytes(len(changed[at : at + 40]))
-    return bytes(changed)
 
 
 def _records(content: bytes) -> list[bytes]:
@@ -196,8 +147,8 @@ def _fuzzed_chunk(generator: random.Random, record: bytes) -> bytes:
         generator.choice(_RECORD_DAMAGE)(generator, records)
     inner = b''.join(records)
     if generator.random() < 0.3:
-        inner = _damaged(generator, inner)
-    chunk.uncompressed_size = generator.choice((len(inner),) * 5 + _EXTREMES)
+        inner = damaged(generator, inner)
+    chunk.uncompressed_size = generator.choice((len(inner),) * 5 + EXTREMES)
     chunk.uncompressed_crc = generator.choice((zlib.crc32(inner), 0, 0, 1))
     pack: dict[str, Callable[[bytes], bytes]] = {
         'zstd': zstandard.compress,
@@ -207,7 +158,7 @@ def _fuzzed_chunk(generator: random.Random, record: bytes) -> bytes:
     chunk.data = pack[chunk.compression](inner)
     if generator.random() < 0.02:
         chunk.compression, chunk.data = 'zstd', _bomb()
-        chunk.uncompressed_size = generator.choice((1000, 2**30, *_EXTREMES))
+        chunk.uncompressed_size = generator.choice((1000, 2**30, *EXTREMES))
     builder = RecordBuilder()
     chunk.write(builder)
     return bytes(builder.end())
@@ -245,7 +196,7 @@ def _lie(generator: random.Random, records: list[bytes]) -> None:
         at = generator.randrange(len(records))
         opcode, length = _HEAD.unpack_from(records[at])
         if generator.random() < 0.5:
-            length = generator.choice((*_EXTREMES, length ^ 1, length >> 1))
+            length = generator.choice((*EXTREMES, length ^ 1, length >> 1))
         else:
             opcode = generator.randrange(256)
         records[at] = _HEAD.pack(opcode, length) + records[at][_HEAD.size :]
@@ -256,7 +207,7 @@ def _change(generator: random.Random, records: list[bytes]) -> None:
     if records:
         at = generator.randrange(len(records))
         head, body = records[at][: _HEAD.size], records[at][_HEAD.size :]
-        records[at] = head + _damaged(generator, body)[: len(body)].ljust(len(body), b'\0')
+        records[at] = head + damaged(generator, body)[: len(body)].ljust(len(body), b'\0')
 
 
 _RECORD_DAMAGE = (_exchange, _repeat, _drop, _lie, _change)
@@ -276,7 +227,7 @@ def _fuzzed_folder(generator: random.Random, folder: Path, content: bytes) -> Pa
     }
     text = yaml.safe_dump({'rosbag2_bagfile_information': about}).encode()
     if generator.random() < 0.7:
-        text = _damaged(generator, text)
+        text = damaged(generator, text)
     (folder / 'metadata.yaml').write_bytes(text)
     for name in names:
         (folder / name).write_bytes(content)
@@ -285,15 +236,5 @@ def _fuzzed_folder(generator: random.Random, folder: Path, content: bytes) -> Pa
     return folder
 
 
-def main() -> None:
-    """Run as many as asked for, and say how they ended."""
-    count, seed = ([int(word) for word in sys.argv[1:]] + [10_000, 0][len(sys.argv) - 1 :])[:2]
-    start = time.monotonic()
-    outcomes = fuzz_bags(count, seed)
-    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
-    told = ', '.join(f'{name} {number}' for name, number in sorted(outcomes.items()))
-    print(f'{count} bags in {time.monotonic() - start:.0f} s: {told}; {peak:.0f} MiB at most')
-
-
 if __name__ == '__main__':
-    main()
+    tell('bags', 10_000, fuzz_bags)

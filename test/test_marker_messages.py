@@ -141,13 +141,11 @@ def test_message_has_the_class_its_names_promise(kind):
     assert (cls.__module__.split('.')[:2], cls.__name__) == ([package, folder], name)
 
 
-@pytest.mark.parametrize('kind', KINDS)
+@pytest.mark.parametrize('kind', INDEX_KINDS)
 def test_frame_without_markers_round_trips(kind):
     frame = read_one(make(kind, np.empty((0, 3))))
     assert frame.points.shape == (0, 3)
-    assert frame.identities == ()
-    if kind != 'marker_array':
-        assert (frame.stamp, frame.frame_id) == (STAMP, 'lab')
+    assert (frame.stamp, frame.frame_id, frame.identities) == (STAMP, 'lab', ())
 
 
 def test_missing_marker_is_the_same_in_all_types():
@@ -459,10 +457,19 @@ def test_array_of_deletions_keeps_the_first_header():
     assert frame.points.shape == (0, 3)
 
 
-def test_empty_array_has_stamp_zero_and_no_frame():
-    frame = read_one(MarkerArray())
-    assert (frame.stamp, frame.frame_id, frame.identities) == (0, '', ())
-    assert frame.points.shape == (0, 3)
+@pytest.mark.parametrize('name', ['a\nb', '\x1b[2J', 'a' * 100_000])
+def test_a_name_in_an_error_neither_breaks_the_line_nor_fills_the_screen(name):
+    with pytest.raises(MessageError, match='2 times') as error:
+        read_one(MarkerArray(markers=[Marker(ns=name), Marker(ns=name)]), 'ns')
+    assert str(error.value).isprintable()
+    assert len(str(error.value)) < 250
+
+
+@pytest.mark.parametrize('markers', [[], [Marker(action=Marker.DELETEALL)]])
+def test_an_array_without_markers_and_so_without_time_is_refused(markers):
+    """As a stamp of 0 it would be a jump of the clock, and all learned would be forgotten."""
+    with pytest.raises(MessageError, match='MarkerArray without markers has no stamp'):
+        read_one(MarkerArray(markers=markers))
 
 
 def test_markers_that_disagree_in_stamp_take_the_first():

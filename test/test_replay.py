@@ -655,3 +655,63 @@ def test_repeated_stamps_are_counted_and_change_nothing(
     listed = [message for message in decoded(bag, '/markers')['/markers'] for _ in range(2)]
     assert_alike(run(write(tmp_path / 'in.mcap', listed), CARDAN), run(bag, CARDAN))
     assert replay(tmp_path / 'in.mcap', CARDAN).repeated == 50
+
+
+def test_frames_that_come_late_are_counted_and_disturb_nothing(
+    simulated: Bag, tmp_path: Path
+) -> None:
+    listed = decoded(simulated('cardan', rate=50, duration=3.0), '/markers')['/markers']
+    held = [k for k in range(150) if k % 7 != 3]
+    order = sorted(range(150), key=lambda k: k if k in held else k + 4.5)
+    bag, sound = tmp_path / 'late.mcap', tmp_path / 'sound.mcap'
+    for path, frames in ((bag, order), (sound, held)):
+        with BagWriter(path) as writer:
+            for place, k in enumerate(frames):
+                writer.write('/markers', listed[k], place)
+    result = replay(bag, CARDAN, tmp_path / 'out.mcap')
+    replay(sound, CARDAN, tmp_path / 'expected.mcap')
+    assert (result.frames, result.late, result.resets) == (150, 150 - len(held), 0)
+    found, expected = (decoded(tmp_path / name) for name in ('out.mcap', 'expected.mcap'))
+    told = [array.status[0] for array in found.pop('/diagnostics')]
+    expected.pop('/diagnostics')
+    assert found == expected
+    assert len(told) == 3
+    assert all('came late' in status.message for status in told[1:])
+
+
+def test_another_frame_id_is_counted_and_both_parts_are_right(
+    simulated: Bag, run: Any, tmp_path: Path
+) -> None:
+    bag = simulated('cardan', rate=100, duration=1.0)
+    expected = run(bag, CARDAN, 'rod/icr')['/kinpole/rod/icr']
+    listed = decoded(bag, '/markers')['/markers']
+    for message in listed[50:]:
+        for marker in message.markers:
+            marker.header.frame_id = 'camera'
+            marker.pose.position.x += 7.0
+    result = replay(write(tmp_path / 'in.mcap', listed), CARDAN, tmp_path / 'out.mcap')
+    assert (result.frame_changes, result.resets) == (1, 0)
+    found = decoded(tmp_path / 'out.mcap')
+    poles = found['/kinpole/rod/icr']
+    assert [m.header.frame_id for m in poles] == sorted([m.header.frame_id for m in poles])[::-1]
+    for m in poles:
+        moved = 7.0 * (m.header.frame_id == 'camera')
+        at = [m.point.x - moved, m.point.y, m.point.z]
+        assert at == pytest.approx(expected[stamp_of(m)].tolist(), abs=1e-6)
+    # The locus of the one frame does not go on in the other.
+    last = found['/kinpole/rod/centrode/fixed'][-1]
+    assert last.header.frame_id == 'camera'
+    assert min(pose.pose.position.x for pose in last.poses) > 5
+
+
+def test_rows_of_a_table_in_which_nothing_was_seen_are_left_out(
+    simulated: Bag, run: Any, tmp_path: Path
+) -> None:
+    """They are arrays without markers, and so without a stamp."""
+    listed = decoded(simulated('cardan', rate=100, duration=0.6), '/markers')['/markers']
+    with BagWriter(tmp_path / 'all.mcap') as writer:
+        for k, message in enumerate(listed):
+            writer.write('/markers', MarkerArray() if k in (20, 21, 40) else message, k)
+    result = replay(tmp_path / 'all.mcap', CARDAN)
+    assert (result.frames, result.unreadable, result.resets) == (57, 3, 0)
+    assert 'without markers has no stamp' in result.problem

@@ -1,5 +1,6 @@
 """The whole pipeline, frames in and motion out, on scenes whose motion is known exactly."""
 
+from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
 from typing import Any, NamedTuple
 
@@ -447,19 +448,14 @@ def test_a_repeated_stamp_is_left_out() -> None:
     for k in range(1, len(twice), 2):
         twice[k] = twice[k]._replace(points=twice[k].points + 100.0)
     tracker, found = follow(twice, seen.values, every=18)
-    assert tracker.counts == {
-        'frames': 400,
-        'repeated': 200,
-        'markers_not_seen': 0,
-        'markers_unknown': 0,
-    }
+    assert tracker.counts == Counter(frames=400, repeated=200)
     _, plain = follow(seen.frames, seen.values)
     assert [e.stamp for e in found] == [e.stamp for e in plain]
     assert all(np.array_equal(a.angle, b.angle) for a, b in zip(found, plain, strict=True))
 
 
 @pytest.mark.parametrize('method', ['pose', 'landmarks'])
-@pytest.mark.parametrize('jump', [-1, -(10**12), 501_000_000, 10**15])
+@pytest.mark.parametrize('jump', [-3 * STEP + 1, -90 * STEP, -(10**12), 501_000_000, 10**15])
 def test_a_clock_that_jumps_starts_everything_anew(jump: int, method: str) -> None:
     seen = record('four_bar')
     frames = seen.frames[:100]
@@ -469,10 +465,112 @@ def test_a_clock_that_jumps_starts_everything_anew(jump: int, method: str) -> No
     late = [f._replace(stamps=f.stamps - START + last + jump) for f in other.frames]
     tracker, found = follow([*frames, *late], {**seen.values, 'method': method})
     assert tracker.counts['resets'] == 1
+    # Whether a step back lasts is seen from its second frame, beyond the window from its first.
+    assert tracker.counts['late'] == (-500_000_000 <= jump < 0)
     after = [estimate for estimate in found if estimate.stamp >= last + jump][-10:]
     for estimate in after:
         estimate.stamp += START - last - jump
     check(other, after)
+
+
+@pytest.mark.parametrize('method', ['pose', 'landmarks'])
+def test_a_single_late_frame_is_left_out(method: str) -> None:
+    """Overtaken by one frame, by several, again and again, told twice, and at the very end."""
+    seen = record('four_bar')
+    order = list(range(200))
+    for frame, after in ((20, 21), (60, 99), (120, 121), (122, 123), (124, 126), (198, 199)):
+        order.remove(frame)
+        order.insert(order.index(after) + 1, frame)
+    late = [k for place, k in enumerate(order) if any(j > k for j in order[:place])]
+    assert late == [20, 60, 120, 122, 124, 198]
+    order.insert(order.index(124), 124)
+    values = {**seen.values, 'method': method}
+    tracker, found = follow([seen.frames[k] for k in order], values, every=1)
+    plain, expected = follow([f for k, f in enumerate(seen.frames) if k not in late], values, 4, 1)
+    assert tracker.counts == plain.counts + Counter(frames=7, late=7)
+    assert [e.stamp for e in found] == [e.stamp for e in expected]
+    assert all(np.array_equal(a.angle, b.angle) for a, b in zip(found, expected, strict=True))
+
+
+def test_a_clock_set_back_by_less_than_an_interval_goes_on() -> None:
+    seen = record('cardan')
+    frames = [f._replace(stamps=f.stamps - (k >= 100)) for k, f in enumerate(seen.frames)]
+    frames[100].stamps[:] = frames[99].stamps - 1
+    tracker, found = follow(frames, seen.values)
+    assert (tracker.counts['late'], tracker.counts['resets']) == (1, 0)
+    # A ns amid a window is much to the fourth derivative.
+    check(seen, found, poles=(1e-5, 1e-5, 1e-5, 1e-3))
+
+
+@pytest.mark.parametrize('count', [3, 20, 100])
+def test_a_bag_that_loops_within_the_window_starts_anew_and_loses_one_frame(count: int) -> None:
+    frames = record('cardan').frames[:count]
+    values = {**record('cardan').values, 'window': 0.5}
+    tracker, _ = follow(frames * 5, values)
+    assert tracker.counts['resets'] == tracker.counts['late'] == 4
+    assert tracker.samples == count - 1
+
+
+@pytest.mark.parametrize('method', ['pose', 'landmarks'])
+def test_another_frame_id_starts_everything_anew(method: str) -> None:
+    seen = record('four_bar')
+    # Another place, another shape, as another camera sees it: nothing of before may be left.
+    other = record('four_bar', turn=0.5j, shift=3.0)
+    frames = [*seen.frames[:100], *(f._replace(frame_id='camera') for f in other.frames[100:])]
+    tracker, found = follow(frames, {**seen.values, 'method': method}, every=5)
+    assert (tracker.counts['frame_changes'], tracker.counts['resets']) == (1, 0)
+    before = [e for e in found if e.frame_id == 'world']
+    after = [e for e in found if e.frame_id == 'camera']
+    assert {e.stamp < frames[100].stamps[0] for e in before} == {True}
+    assert {e.stamp >= frames[100].stamps[0] for e in after} == {True}
+    check(seen, before)
+    check(other, after[-10:])
+    # From the first frame on, as if there had been none before.
+    _, alone = follow(frames[100:], {**seen.values, 'method': method}, every=5)
+    assert [e.stamp for e in after] == [e.stamp for e in alone]
+    assert all(np.array_equal(a.angle, b.angle) for a, b in zip(after, alone, strict=True))
+
+
+def sifted(stamps: Sequence[int], window: int) -> tuple[list[int], Counter[str]]:
+    """Which frames the window holds in the end, and what became of the others: frame by frame."""
+    kept: list[int] = []
+    counts: Counter[str] = Counter(frames=len(stamps))
+    for k, stamp in enumerate(stamps):
+        newest, before = (max(kept), stamps[k - 1]) if kept else (stamp - 1, stamp - 1)
+        if abs(stamp - newest) > window or (before < newest and before < stamp <= newest):
+            counts['resets'] += 1
+            kept = [stamp]
+        elif stamp > newest:
+            kept.append(stamp)
+        else:
+            counts['late' if stamp < newest else 'repeated'] += 1
+    return [stamp for stamp in kept if stamp >= kept[-1] - window], counts
+
+
+hops = st.sampled_from((1, 1, 1, 1, 1, 1, 2, 3, 0, -1, -1, -2, -3, -7, -20, 19, 25))
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.lists(hops, min_size=1, max_size=120), st.lists(st.integers(1, 119)))
+def test_what_is_left_out_does_not_hang_on_how_many_frames_come_at_once(
+    steps: list[int], cuts: list[int]
+) -> None:
+    stamps = START + STEP * np.cumsum(steps)
+    points = np.random.default_rng(1).normal(size=(len(stamps), 3, 3))
+    frames = MarkerFrames(stamps, 'world', ('a', 'b', 'c'), points)
+    values = settings_from({'window': 0.1, 'lag': 0.02})
+    kept, counts = sifted(stamps.tolist(), 100_000_000)
+    found = []
+    for edges in ([0], range(len(stamps)), sorted({0, *(c for c in cuts if c < len(stamps))})):
+        tracker = Tracker(values)
+        parts = zip(edges, [*edges[1:], len(stamps)], strict=True)
+        found.append([])
+        for first, end in parts:
+            found[-1] += instants(tracker.add(part_of(frames, slice(first, end)), 1))
+        assert tracker.samples == len(kept)
+        assert {k: n for k, n in tracker.counts.items() if n and 'markers' not in k} == counts
+    for other in found[1:]:
+        assert [e.stamp for e in other] == [e.stamp for e in found[0]]
 
 
 def test_a_gap_within_the_window_resets_nothing() -> None:

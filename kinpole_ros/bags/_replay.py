@@ -34,9 +34,10 @@ class Replayed(NamedTuple):
     What a replay came to: frames in, estimates out, and the share of these with each pole.
 
     `unreadable` counts messages that could not be read, `problem` is the first one's;
-    `truncated` says where a damaged bag ended, None for a sound one. `repeated` and `resets` count
-    stamps that came twice, and jumps. `noise` is that of a marker of each body at the end, per
-    axis, m, NaN where it is not known; `first` and `last` are the stamps of these frames, ns.
+    `truncated` says where a damaged bag ended, None for a sound one. `repeated` and `late` count
+    frames left out, `resets` and `frame_changes` starts anew, as the tracker does. `noise` is that
+    of a marker of each body at the end, per axis, m, NaN where it is not known; `first` and `last`
+    are the stamps of these frames, ns.
     """
 
     frames: int
@@ -45,7 +46,9 @@ class Replayed(NamedTuple):
     unreadable: int
     problem: str
     repeated: int
+    late: int
     resets: int
+    frame_changes: int
     truncated: Truncated | None
     noise: dict[str, float]
     first: int
@@ -128,7 +131,7 @@ def replay(
                         table.add(estimate)
                 stamp = int(frames.stamps[part][-1])
                 since = stamp - (told or 0)
-                if told is None or not 0 <= since < _SECOND:
+                if told is None or abs(since) >= _SECOND:
                     if writer is not None:
                         seconds = since / _SECOND if told is not None else 0.0
                         array = diagnostics.make(stamp, tracker, latest, seconds, trouble)
@@ -153,7 +156,9 @@ def replay(
         counts['unreadable'],
         problem,
         counts['repeated'],
+        counts['late'],
         counts['resets'],
+        counts['frame_changes'],
         truncated,
         dict(zip(tracker.bodies, tracker.noise().tolist(), strict=True)),
         first,
@@ -195,7 +200,7 @@ def _seconds(stamps: np.ndarray, told: int | None) -> Iterator[slice]:
     first = 0
     while first < len(stamps):
         since = stamps[first:] - (stamps[first] - _SECOND if told is None else told)
-        over = (since < 0) | (since >= _SECOND)
+        over = np.abs(since) >= _SECOND
         end = first + int(over.argmax()) + 1 if over.any() else len(stamps)
         yield slice(first, end)
         told = int(stamps[end - 1]) if over.any() else told

@@ -9,7 +9,6 @@ import zlib
 from collections.abc import Iterable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
-from operator import itemgetter
 from pathlib import Path
 from types import TracebackType
 from typing import Any
@@ -38,12 +37,23 @@ from kinpole_ros.bags._schema import definition, message_class, type_name
 
 # What a kill can lose, and what a reader must hold: small enough for both, large for zstd.
 _CHUNK_SIZE = 256 * 1024
-# Opcode, length, channel, and: sequence, log time, publish time; or the bytes of index to come.
+# Opcode, length, channel, sequence, log time, publish time: all before the data of a message; and
+# the same of many.
 _MESSAGE_HEAD = struct.Struct('<BQHIQQ')
-_INDEX_HEAD = struct.Struct('<BQHI')
+_HEADS = np.dtype(
+    [
+        ('opcode', 'u1'),
+        ('length', '<u8'),
+        ('channel', '<u2'),
+        ('sequence', '<u4'),
+        ('log_time', '<u8'),
+        ('publish_time', '<u8'),
+    ]
+)
+# Of these bytes so many are in the length of the record.
+_COUNTED = _HEADS.itemsize - 9
+_INDEX_HEAD = struct.Struct('<BQHI')  # opcode, length, channel, bytes of index to come
 _FOOTER = struct.Struct('<BQQQ')  # all that the checksum in it covers
-_AFTER_HEAD = 22  # bytes between a message record's length and its data
-_MESSAGE_OPCODE = int(Opcode.MESSAGE)
 
 
 @dataclass
@@ -55,19 +65,35 @@ class _Channel:
 
 
 class _Chunk:
-    """Records not written yet, with channel (0 for those that are no messages) and log time."""
+    """Records not written yet: sizes, channels (0 for those that are no messages), log times."""
 
     def __init__(self) -> None:
-        self.records: list[bytes] = []
+        self.content: list[bytes] = []
+        self.sizes: list[int] = []
         self.channels: list[int] = []
         self.times: list[int] = []
         self.size = 0
 
     def add(self, record: bytes, channel: int = 0, time: int = 0) -> None:
-        self.records.append(record)
+        self.content.append(record)
+        self.sizes.append(len(record))
         self.channels.append(channel)
         self.times.append(time)
         self.size += len(record)
+
+    def extend(self, heads: np.ndarray, data: Sequence[bytes]) -> None:
+        """Take messages: their `_HEADS` (n,) and what follows these."""
+        size = _HEADS.itemsize
+        packed = heads.tobytes()
+        pieces = [b''] * (2 * len(data))
+        pieces[::2] = [packed[first : first + size] for first in range(0, len(packed), size)]
+        pieces[1::2] = data
+        self.content += pieces
+        sizes = heads['length'] + np.uint64(size - _COUNTED)
+        self.sizes += sizes.tolist()
+        self.channels += heads['channel'].tolist()
+        self.times += heads['log_time'].tolist()
+        self.size += int(sizes.sum())
 
 
 class BagWriter:
@@ -121,7 +147,14 @@ class BagWriter:
 
     def write_raw(self, topic: str, message_type: type | str, data: bytes, log_time: int) -> None:
         """Write a message that is CDR already; its type is a class or 'package/msg/Name'."""
-        self._add(self._channel(topic, message_type, log_time), data, log_time)
+        channel = self._channel(topic, message_type, log_time)
+        number, sequence = channel.record.id, channel.messages & 0xFFFFFFFF
+        length = _COUNTED + len(data)
+        head = _MESSAGE_HEAD.pack(Opcode.MESSAGE, length, number, sequence, log_time, log_time)
+        self._chunk.add(head + data, number, log_time)
+        channel.messages += 1
+        if self._chunk.size > _CHUNK_SIZE:
+            self._finish_chunk()
 
     def write_many(
         self, columns: Iterable[tuple[str, type | str, Sequence[int], Sequence[bytes]]]
@@ -132,24 +165,40 @@ class BagWriter:
         They are written in order of log time, those of equal times in the order of `columns`, as
         if they had come singly in that order.
         """
-        messages: list[tuple[int, _Channel, bytes]] = []
+        checked = []
         for topic, message_type, log_times, data in columns:
-            if len(log_times):
-                channel = self._channel(topic, message_type, min(log_times))
-                messages += zip(log_times, [channel] * len(data), data, strict=True)
-        messages.sort(key=itemgetter(0))
-        for log_time, channel, content in messages:
-            self._add(channel, content, log_time)
-
-    def _add(self, channel: _Channel, data: bytes, log_time: int) -> None:
-        number, chunk = channel.record.id, self._chunk
-        sequence = channel.messages & 0xFFFFFFFF
-        size = _AFTER_HEAD + len(data)
-        head = _MESSAGE_HEAD.pack(_MESSAGE_OPCODE, size, number, sequence, log_time, log_time)
-        chunk.add(head + data, number, log_time)
-        channel.messages += 1
-        if chunk.size > _CHUNK_SIZE:
-            self._finish_chunk()
+            if len(log_times) != len(data):
+                raise ValueError(f"'{topic}': {len(log_times)} log times, {len(data)} messages")
+            if len(data):
+                checked.append(
+                    (self._channel(topic, message_type, min(log_times)), log_times, data)
+                )
+        if not checked:
+            return
+        parts, content = [], list[bytes]()
+        for channel, log_times, data in checked:
+            heads = np.empty(len(data), _HEADS)
+            heads['opcode'] = Opcode.MESSAGE
+            heads['length'] = [_COUNTED + len(one) for one in data]
+            heads['channel'] = channel.record.id
+            heads['sequence'] = channel.messages + np.arange(len(data)) & 0xFFFFFFFF
+            heads['log_time'] = heads['publish_time'] = log_times
+            channel.messages += len(data)
+            parts.append(heads)
+            content += data
+        heads = np.concatenate(parts)
+        order = np.argsort(heads['log_time'], kind='stable')
+        heads, content = heads[order], [content[k] for k in order.tolist()]
+        ends = np.cumsum(heads['length'].astype(np.int64) + _HEADS.itemsize - _COUNTED)
+        first = 0
+        while first < len(content):
+            # The chunk ends with the message that makes it too large.
+            room = _CHUNK_SIZE - self._chunk.size + (ends[first - 1] if first else 0)
+            last = min(int(np.searchsorted(ends, room, side='right')) + 1, len(content))
+            self._chunk.extend(heads[first:last], content[first:last])
+            first = last
+            if self._chunk.size > _CHUNK_SIZE:
+                self._finish_chunk()
 
     def add_topic(self, topic: str, message_type: type) -> None:
         """Have the topic in the bag, even if no message comes."""
@@ -215,8 +264,8 @@ class BagWriter:
         channels = np.array(self._chunk.channels)
         if not channels.any():
             return
-        content = b''.join(self._chunk.records)
-        ends = np.cumsum([len(record) for record in self._chunk.records])
+        content = b''.join(self._chunk.content)
+        ends = np.cumsum(self._chunk.sizes)
         starts = np.concatenate(([0], ends[:-1]))
         places = np.empty((len(starts), 2), '<u8')
         places[:, 0], places[:, 1] = self._chunk.times, starts

@@ -16,7 +16,9 @@ from kinpole_ros.window import FEWEST_SAMPLES
 _WORDS = {
     'frames': 'frames received',
     'repeated': 'frames with the stamp of the one before, left out',
+    'late': 'frames that came late, after newer ones, left out',
     'resets': 'starts anew after a jump of the stamps',
+    'frame_changes': 'starts anew with another frame_id',
     'restarts': 'starts anew with another publisher of the markers',
     'markers_not_seen': 'markers not seen, summed over frames',
     'markers_unknown': 'markers in the last new layout that no body names',
@@ -175,6 +177,12 @@ def _faults(
         faults.append((DiagnosticStatus.WARN, text))
     if since.get('restarts'):
         text = 'another publisher sends the markers: the window starts anew'
+        faults.append((DiagnosticStatus.WARN, text))
+    if since.get('frame_changes'):
+        text = 'the markers have another frame_id: the window starts anew'
+        faults.append((DiagnosticStatus.WARN, text))
+    if late := since.get('late'):
+        text = f'{late} frames came late, after newer ones, and are left out'
         faults.append((DiagnosticStatus.WARN, text))
     if since.get('resets'):
         faults.append((DiagnosticStatus.WARN, 'stamps jumped: the window starts anew'))

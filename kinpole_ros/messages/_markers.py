@@ -32,6 +32,8 @@ ROS_TYPE_NAMES: dict[str, str] = {
 }
 # Where stamps end, in ns.
 END_OF_TIME = 2**31 * 1_000_000_000
+# Characters of a name that are told: it may be as long as the message.
+_MOST_TOLD = 80
 _IDENTITIES = ('auto', 'index', 'id', 'ns', 'ns_id')
 _xyz = attrgetter('x', 'y', 'z')
 
@@ -47,7 +49,8 @@ def read_markers(message: Any, identity: str = 'auto') -> MarkerFrames:
     that id reads an integer field `id` of a PointCloud2.
 
     A Marker gives its `points`, moved by its pose. A MarkerArray gives one landmark per marker,
-    at its position, less those it deletes; its header is that of the first marker left.
+    at its position, less those it deletes; its header is that of the first marker left. An array
+    without markers has none, so no time, and cannot be read.
 
     Raises MessageError, a ValueError, when the message cannot be read this way, and ValueError
     when `identity` is none of the above.
@@ -140,8 +143,12 @@ def _read_marker_array(
     markers = message.markers
     kept = remaining(markers)
     points = _positions(markers[k].pose.position for k in kept)
-    first = kept[0] if kept else 0
-    header = markers[first].header if markers else Header()
+    header = markers[kept[0] if kept else 0].header if markers else Header()
+    if not kept and header == Header():
+        raise MessageError(
+            'MarkerArray without markers has no stamp; see that the driver sends nothing when it '
+            'sees nothing, or markers with coordinates that are not finite'
+        )
     if identity == 'index':
         return header, tuple(map(str, kept)), points
     return header, marker_names([(markers[k].ns, markers[k].id) for k in kept], identity), points
@@ -238,7 +245,7 @@ def _check_unique(identities: tuple[str, ...], kind: str, identity: str) -> None
     if len(set(identities)) < len(identities):
         name, times = Counter(identities).most_common(1)[0]
         raise MessageError(
-            f"{kind} has the identity '{name}' {times} times by '{identity}': "
+            f"{kind} has the identity {name[:_MOST_TOLD]!r} {times} times by '{identity}': "
             'set another marker_identity (index always works)'
         )
 

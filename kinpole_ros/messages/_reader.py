@@ -130,7 +130,8 @@ class MarkerReader:
     def _read_anew(self, data: bytes, row: np.ndarray) -> MarkerFrames | MessageError:
         """Read a message the ordinary way, and remember its layout if that reads it as well."""
         frames, walk, message = self._read_ordinarily(data)
-        if isinstance(frames, MessageError):
+        # One that is too large to be remembered need not be worked out.
+        if isinstance(frames, MessageError) or row.nbytes > _MOST_BYTES:
             return frames
         layout = _layout(self._kind, self._identity, walk, message, frames, data, row)
         if layout is not None and _equal(layout.read(row), frames):
@@ -218,7 +219,7 @@ def _deserialized(kind: str, data: bytes) -> Any:
     except Exception as error:  # rclpy raises what its middleware makes of it
         raise MessageError(
             f'{len(data)} bytes are no {ROS_TYPE_NAMES[kind]} '
-            f'({str(error).splitlines()[0]}); see that nothing is damaged'
+            f'({" ".join(str(error).split()) or type(error).__name__}); see that nothing is damaged'
         ) from None
 
 
@@ -240,7 +241,7 @@ def _layout(
     row: np.ndarray,
 ) -> _Layout | None:
     """The layout of a message that was read the ordinary way; None where there is no such thing."""
-    if not walk.little or (kind == 'marker_array' and not walk.markers):
+    if not walk.little or (kind == 'marker_array' and not frames.identities):
         return None
     stamp, frame_id = walk.stamp, walk.frame_id
     spans = [(0, len(LITTLE)), *walk.layout]
@@ -251,7 +252,7 @@ def _layout(
     naming = np.zeros_like(mask)
     if kind == 'marker_array':
         kept = remaining(message.markers)
-        stamp, frame_id = (walk.markers[kept[0]] if kept else walk.markers[0])[:2]
+        stamp, frame_id = walk.markers[kept[0]][:2]
         words += [marker.number + 8 for marker in walk.markers]
         deleting = any(marker.action >= Marker.DELETE for marker in message.markers)
         for _, _, ns, number, *_ in walk.markers:

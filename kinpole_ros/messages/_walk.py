@@ -13,6 +13,10 @@ from typing import NamedTuple
 from kinpole_ros.messages._cloud import MessageError
 from kinpole_ros.messages._markers import ROS_TYPE_NAMES
 
+# What rclpy would make objects of: beyond, they take 5 s and hundreds of MB. A marker takes as long
+# as so many points.
+_MOST_OBJECTS = 1 << 18
+_MARKER = 16
 # The four bytes before the fields; of these the last two say nothing.
 HEAD = 4
 LITTLE = b'\x00\x01'
@@ -39,7 +43,9 @@ class MarkerPlaces(NamedTuple):
 
 class Walk:
     """
-    The places in one message of markers of the type `kind`; raises MessageError when cut short.
+    The places in one message of markers of the type `kind`.
+
+    Raises MessageError when it is cut short, and when it holds more than anyone tracks.
 
     `size` is that of the message, `little` whether it is little endian, `sizes` where each sequence
     and string tells its length. `markers` has the places in a Marker or MarkerArray; the others
@@ -61,6 +67,7 @@ class Walk:
             )
         self.little = order == '<'
         self.size = len(data)
+        self._objects = 0
         self._data = data
         self._size = struct.Struct(f'{order}I').unpack_from
         self._at = HEAD
@@ -73,13 +80,22 @@ class Walk:
                 f'{len(data)} bytes are no {ROS_TYPE_NAMES[kind]}: the sizes in them claim more; '
                 'see that the sender sends whole messages and that nothing is damaged'
             )
+        if self._objects > _MOST_OBJECTS:
+            raise MessageError(
+                f'{len(data)} bytes of {ROS_TYPE_NAMES[kind]} are too much: more than '
+                f'{_MOST_OBJECTS // _MARKER} markers, or {_MOST_OBJECTS} poses, points and colors; '
+                'send them as a PointCloud2'
+            )
 
     def _marker_array(self) -> None:
         for _ in range(self._length()):
             self._marker()
+            if self._objects > _MOST_OBJECTS:
+                return
 
     def _marker(self) -> None:
         """Field after field, as visualization_msgs/msg/Marker has them."""
+        self._objects += _MARKER
         stamp, frame_id = self._header()
         ns = self._sequence(1)
         number = self._skip(12, 4)  # id, type, action
@@ -136,4 +152,6 @@ class Walk:
     def _sequence(self, size: int, align: int = 1) -> Items:
         """Skip a sequence of items of that size; an empty one is not aligned to its items."""
         count = self._length()
+        if size > 1:
+            self._objects += count
         return Items(self._skip(count * size, align if count else 1), count)
