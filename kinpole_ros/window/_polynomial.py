@@ -123,20 +123,21 @@ def orthonormal_members(
     within = np.arange(size).reshape(-1, *(1,) * highest.ndim) <= highest
     members *= np.where(within, 1 / np.sqrt(squares), 0.0)[..., None]
     axes = range(1, members.ndim - 1)
-    basis = members[..., :count].transpose(*axes, 0, -1)
+    basis = members[..., :count]
     rows = members[..., count:].transpose(*axes, -1, 0)
     if each > 1:
-        parts = (*windows, 1, count // each, each)
-        weight = np.square(root).reshape(*root.shape[:-1], 1, count // each, each).sum(axis=-1)
-        means = (basis * root[..., None, :]).reshape(*windows, size, *parts[-2:]).sum(axis=-1)
-        basis = means / np.sqrt(np.where(weight > 0, weight, 1.0))
+        # As a product: a sum over an axis this short takes ten times as long.
+        ones = np.ones(each)
+        weight = np.square(root).reshape(*root.shape[:-1], -1, each) @ ones
+        basis = (basis * root).reshape(*basis.shape[:-1], -1, each) @ ones
+        basis /= np.sqrt(np.where(weight > 0, weight, 1.0))
         lost = np.ones(windows, bool)
     else:
         # Rounding adds up where the samples are few and far from even. Each member has the product
         # 1 with the sum of all.
-        total = members[..., :count].sum(axis=0)
-        product = np.einsum('i...n,...n->i...', members[..., :count], total)
+        product = np.einsum('i...n,...n->i...', basis, basis.sum(axis=0))
         lost = (np.abs(product - within) > _LOST).any(axis=0)
+    basis = basis.transpose(*axes, 0, -1)
     if lost.any():
         again, rows[lost] = _orthonormal(np.swapaxes(basis[lost], -1, -2), rows[lost])
         kept = np.arange(size) <= np.broadcast_to(highest, windows)[lost][:, None]

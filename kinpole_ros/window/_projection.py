@@ -22,11 +22,8 @@ _LADDER = 1.33
 _FINEST = 128
 # ns. Steps of even sampling differ by no more, for stamps are whole ns.
 _UNEVEN = 1
-_LONGEST = np.iinfo(np.int64).max - _UNEVEN
 # Instants with stamps of their own that are projected at once: what a cache holds.
 _MOST_AT_ONCE = 32
-# Where the first axis of those with models of their own is to go.
-_INSTANTS, _SIGNALS = (1, 2, 3, 0, 4), (1, 2, 3, 4, 0)
 
 
 class _Scale(NamedTuple):
@@ -128,10 +125,10 @@ def project(
 
     `times` (N, M) are whole ns from each instant, rising, with 0 among them; `signals` (N, M, G, 2)
     are vectors of the plane, or numbers in their first component, as the samples about each instant
-    have them. `weights` (N, G), for one instant at a time, are the
-    inverse variances of the samples relative to the noise; 0 is a sample that is missing, None
-    means all are 1, or that a signal is NaN throughout. Derivatives are wanted up to `order`. If
-    `bodies` are given, the signals are their angles, then their positions.
+    have them. `weights` (N, G), for one instant at a time, are the inverse variances of the samples
+    relative to the noise; 0 is a sample that is missing, None means all are 1, or that a signal is
+    NaN throughout. Derivatives are wanted up to `order`. If `bodies` are given, the signals are
+    their angles, then their positions.
     """
     places = (times < 0).sum(axis=0)
     base = signals[places, np.arange(len(places))]
@@ -143,8 +140,8 @@ def project(
     if weights is not None:
         models = _models(times.T, int(places[0]), weights.T, order + 1)
         # What is missing may hold anything.
-        columns = np.where(weights[:, None, :, None] > 0, centered, 0.0).transpose(2, 0, 3, 1)
-        found = _by_own(models, columns, weights, bodies, _SIGNALS)
+        some = np.where(weights[:, None, :, None] > 0, centered, 0.0).transpose(2, 3, 1, 0)
+        found = _by_own(models, some, weights, bodies, (3, 0))
         return Projection(models, *found, base, missing)
     if missing.any():
         centered = np.where(missing[..., None], 0.0, centered)
@@ -157,7 +154,7 @@ def project(
             found = _by_shared(models, part, bodies)
         else:
             models = _models(stamps.T, now, None, order + 1)
-            found = _by_own(models, part.transpose(1, 0, 3, 2), None, bodies, _INSTANTS)
+            found = _by_own(models, part.transpose(1, 3, 2, 0), None, bodies, (0, 3))
         parts.append((instants, models, found))
     models, found = _joined(parts, len(places))
     return Projection(models, *found, base, missing)
@@ -169,9 +166,9 @@ def _parts(times: np.ndarray, places: np.ndarray) -> list[tuple[np.ndarray | sli
 
     0 is at `places` (M,) of their times (N, M), in the same place for those together.
     """
-    steps = times[1:] - times[:-1]
+    steps = times[1:] - times[:-1] if len(times) > 1 else times
     # By the stamps alone: no figure may hang on what was asked before.
-    even = steps.max(axis=0, initial=0) <= steps.min(axis=0, initial=_LONGEST) + _UNEVEN
+    even = steps.max(axis=0) - steps.min(axis=0) <= _UNEVEN
     if len(places) == 1 or (even.all() and (times == times[:, :1]).all()):
         return [(slice(None), bool(even[0]))]
     parts: list[tuple[np.ndarray | slice, bool]] = []
@@ -214,11 +211,16 @@ def _by_shared(models: Models, signals: Real, bodies: int) -> _Found:
     count, instants, groups = signals.shape[:3]
     shape = 2, instants, groups
     # All signals at all instants are columns of one product.
-    columns = signals.transpose(0, 3, 1, 2).reshape(1, count, -1)
+    columns = signals.transpose(0, 3, 1, 2).reshape(count, -1)
     found, squares, products = [], [], []
-    for scale, (matrix, starts) in zip(models.scales, models.shortcuts, strict=True):
-        both = matrix @ (_means(columns, scale, None)[0] * scale.root[0, :, None])
-        members = len(matrix) - int(scale.inside.sum())
+    for (each, start, root, _, inside), (matrix, starts) in zip(
+        models.scales, models.shortcuts, strict=True
+    ):
+        means = columns[start : start + root.shape[1] * each]
+        if each > 1:
+            means = means.reshape(-1, each, means.shape[1]).mean(axis=1)
+        both = matrix @ (means * root[0, :, None])
+        members = len(matrix) - int(inside.sum())
         found.append(both[:members])
         rest = both[members:].reshape(-1, *shape)
         if bodies:
@@ -226,29 +228,6 @@ def _by_shared(models: Models, signals: Real, bodies: int) -> _Found:
         squares.append(np.add.reduceat(np.square(rest, out=rest), starts, axis=0))
     coefficients = np.concatenate(found).reshape(-1, models.rows.shape[-1], *shape)
     squares = np.concatenate(squares)
-    return coefficients, squares, np.concatenate(products) if bodies else squares[:, :0]
-
-
-def _by_own(
-    models: Models, columns: Real, weights: Real | None, bodies: int, axes: tuple[int, ...]
-) -> _Found:
-    """The same of S sets (S, N, 2, C), each by models of its own: their axis goes as in `axes`."""
-    flat = columns.reshape(*columns.shape[:2], -1)
-    found, squares, products = [], [], []
-    for scale in models.scales:
-        means = (_means(flat, scale, weights) * scale.root[..., None])[:, None]
-        of_window = scale.basis @ means
-        rest = means - np.swapaxes(scale.basis, -1, -2) @ of_window
-        rest *= scale.inside[..., None]
-        of_window, rest = (
-            array.reshape(*array.shape[:3], *columns.shape[2:]).transpose(axes)
-            for array in (of_window, rest)
-        )  # (l, D, 2, M, G), (l, B, 2, M, G)
-        found.append(of_window)
-        squares.append(np.square(rest).sum(axis=1))
-        if bodies:
-            products.append(_products(rest, bodies).sum(axis=1))
-    coefficients, squares = np.concatenate(found), np.concatenate(squares)
     return coefficients, squares, np.concatenate(products) if bodies else squares[:, :0]
 
 
@@ -261,19 +240,39 @@ def _products(rest: Real, bodies: int) -> Real:
     return result
 
 
-def _means(rows: Real, scale: _Scale, weights: Real | None) -> Real:
-    """The means (groups, B, ...) of rows (groups, N, ...) that a scale is made of."""
-    blocks = scale.root.shape[1]
-    taken = rows[:, scale.start : scale.start + blocks * scale.each]
-    if scale.each == 1:
-        return taken
-    taken = taken.reshape(len(rows), blocks, scale.each, -1)
-    if weights is None:
-        return np.asarray(taken.mean(axis=2))
-    given = weights.T[:, scale.start : scale.start + blocks * scale.each]
-    given = given.reshape(len(rows), blocks, scale.each, 1)
-    total = given.sum(axis=2)
-    return np.asarray((given * taken).sum(axis=2) / np.where(total > 0, total, 1.0))
+def _by_own(
+    models: Models, signals: Real, weights: Real | None, bodies: int, sets: tuple[int, int]
+) -> _Found:
+    """
+    The same of S sets of C signals, (S, 2, C, N), each set by models of its own.
+
+    `sets` are the axes of the instants and of the signals in (S, l, 2, C, ...).
+    """
+    count = signals.shape[-1]
+    rows = signals.reshape(len(signals), 1, -1, count)
+    found, squares, products = [], [], []
+    for each, start, root, basis, inside in models.scales:
+        taken = slice(start, start + root.shape[1] * each)
+        means = rows[..., taken]
+        if each > 1:
+            given = np.ones((1, means.shape[-1])) if weights is None else weights.T[:, taken]
+            by_mean = given.reshape(len(given), 1, 1, -1, each)
+            total = by_mean.sum(axis=-1)
+            means = (by_mean * means.reshape(*means.shape[:3], -1, each)).sum(axis=-1)
+            means /= np.where(total > 0, total, 1.0)
+        means = means * root[:, None, None]
+        of_window = means @ np.swapaxes(basis, -1, -2)  # (S, l, 2 C, D)
+        rest = means * inside[:, None] - of_window @ basis
+        split = len(signals), len(inside), 2, signals.shape[2], -1
+        found.append(of_window.reshape(split).transpose(1, 4, 2, *sets))
+        rest = rest.reshape(split).transpose(1, 2, *sets, 4)  # (l, 2, M, G, B)
+        squares.append(np.einsum('...n,...n', rest, rest))
+        if bodies:
+            angle, x, y = rest[:, 0, :, :bodies], rest[:, 0, :, bodies:], rest[:, 1, :, bodies:]
+            pairs = (angle, x), (angle, y), (x, y)
+            products.append(np.stack([np.einsum('...n,...n', *pair) for pair in pairs], axis=1))
+    coefficients, squares = np.concatenate(found), np.concatenate(squares)
+    return coefficients, squares, np.concatenate(products) if bodies else squares[:, :0]
 
 
 def evaluate(matrix: Real, members: Real) -> Real:
