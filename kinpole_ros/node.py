@@ -360,6 +360,7 @@ class KinpoleNode(LifecycleNode):
                 for output, publisher in wanted:
                     for _, data in output.build(estimate):
                         publisher.publish(data)
+        self._tracker.settle()
 
     def _newest_last(
         self, read: list[MarkerFrames | MessageError]

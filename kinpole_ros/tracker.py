@@ -171,6 +171,11 @@ class Tracker:
         self._last = int(stamps[-1])
         return found
 
+    def settle(self) -> None:
+        """Learn what is due, while nobody waits for it; else the next `add` does."""
+        if self._new >= self._shapes.beat:
+            self._learn()
+
     def _sift(self, stamps: np.ndarray) -> tuple[np.ndarray, int]:
         """Which frames of `stamps` (T,) to take, and which starts everything anew, T for none."""
         last, newest = self._last, int(stamps[0]) - 1
@@ -209,9 +214,7 @@ class Tracker:
         beat = np.empty(len(stamps), int)
         first = 0
         while first < len(stamps):
-            if self._new >= self._shapes.beat:
-                # Not as soon as the frames are there: nobody waits for it then.
-                self._learn()
+            self.settle()
             room = self._shapes.beat - self._new
             unseen = self._shapes.unseen(points[first : first + room])
             if not unseen:
@@ -474,7 +477,10 @@ class Tracker:
 
         A pin holds for the whole window or not at all.
         """
-        held = np.isfinite(known.pin) & (known.pin_since <= self._stamps.view()[oldest][:, None])
+        pinned = np.isfinite(known.pin)
+        if not pinned.any():
+            return known.pin, known.pin_variance
+        held = pinned & (known.pin_since <= self._stamps.view()[oldest][:, None])
         strayed = self._strayed.view()
         if strayed.any():
             before = np.cumsum(np.pad(strayed, ((1, 0), (0, 0))), axis=0)
@@ -624,6 +630,10 @@ def _evenly(
     inverse of `information` (frames, G): the deviation of a sample that is as good as the others.
     """
     part = information[oldest[0] : newest[-1] + 1]
+    if (part == part[0]).all():
+        dark = part[:1] <= 0
+        spread = np.where(dark, 1.0, np.sqrt(1 / np.where(dark, 1.0, part[:1])))
+        return np.ones(len(oldest), bool), np.broadcast_to(spread, (len(oldest), spread.shape[1]))
     with np.errstate(divide='ignore'):
         inverse = np.where(part > 0, 1 / part, 0.0)
     sums = np.stack((part, inverse, part <= 0))
