@@ -849,6 +849,16 @@ def test_fewest_samples_hold_every_order() -> None:
     assert np.isfinite(found.values).all()
 
 
+@pytest.mark.parametrize('steps', [(1, 5_000_000), (5_000_000, 1), (1, 1_000)])
+def test_a_few_samples_far_from_even_are_fitted(steps: tuple[int, int]) -> None:
+    times = np.cumsum([0, *steps, *steps, *steps])
+    times -= times[-1]
+    straight = scalars(1e-9 * times[:, None] + 2.0)
+    found = differentiate(times, straight, None, np.full(1, 1e-12), np.ones(1), 4)
+    assert np.isfinite(found.values).all()
+    assert found.values[0, 0, 0] == pytest.approx(2.0, abs=1e-12)
+
+
 def setting_in(instants: int) -> np.ndarray:
     """Poses (101, M, 2, 2) of a body that starts to turn about the point ARM between samples."""
     times = 5_000_000 * np.arange(-80, 21)

@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike
 from kinpole_ros.planar._plane import Real
 
 # Members farther than this from orthogonal are made so again.
-_LOST = 3e-13
+_LOST = 1e-13
 _TINY = np.finfo(float).tiny
 
 
@@ -139,9 +139,12 @@ def orthonormal_members(
         lost = (np.abs(product - within) > _LOST).any(axis=0)
     basis = basis.transpose(*axes, 0, -1)
     if lost.any():
-        again, rows[lost] = _orthonormal(np.swapaxes(basis[lost], -1, -2), rows[lost])
-        kept = np.arange(size) <= np.broadcast_to(highest, windows)[lost][:, None]
-        basis[lost] = np.where(kept[..., None], np.swapaxes(again, -1, -2), 0.0)
+        # No more of them than there are samples.
+        most = min(size, basis.shape[-1])
+        columns = np.swapaxes(basis[lost, :most], -1, -2)
+        again, rows[lost, :, :most] = _orthonormal(columns, rows[lost, :, :most])
+        kept = np.arange(most) <= np.broadcast_to(highest, windows)[lost][:, None]
+        basis[lost, :most] = np.where(kept[..., None], np.swapaxes(again, -1, -2), 0.0)
     return basis, rows
 
 
