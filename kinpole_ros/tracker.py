@@ -6,6 +6,7 @@ gives: the one hands it frame by frame, the other many at once, and what they ge
 Header stamps drive it; it never asks for the time.
 """
 
+import itertools
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from typing import NamedTuple
@@ -27,6 +28,7 @@ from kinpole_ros.window import (
     Shapes,
     Spectrum,
     differentiate,
+    newest_needed,
 )
 
 # Coordinates are known no better than a few units of their last place.
@@ -588,37 +590,34 @@ class Tracker:
         What `differentiate` takes: times, samples, weights and noise (M, G), of runs of instants.
 
         The instants are the frames `windows` (now, oldest, newest) of signals (frames, G, 2);
-        `information` (frames, G) are inverse variances over that of `noise` (T, G). Instants with
-        the same stamps about them are done at once, as a rule all of them.
+        `information` (frames, G) are inverse variances over that of `noise` (T, G). Instants whose
+        windows are the same, of frames of the same weight, are done at once: as a rule all of them.
         """
         now, oldest, newest = windows
         stamps = self._stamps.view()
         even, spread = _evenly(information, oldest, newest)
-        size = newest - oldest
-        first = 0
-        while first < len(now):
-            rows = np.arange(oldest[first], newest[first] + 1)[:, None]
-            times = stamps[rows[:, 0]] - stamps[now[first]]
-            weights = None
-            level = noise[first : first + 1] * spread[first : first + 1]
-            if even[first]:
-                # As many more as are the same.
-                end = min(len(now), first + max(1, _MOST_AT_ONCE // noise.shape[1]))
-                ahead = now[first:end] - oldest[first:end]
-                same = even[first:end] & (size[first:end] == size[first]) & (ahead == ahead[0])
-                end = first + _run_of(same)
-                rows = rows + (oldest[first:end] - oldest[first])
-                others = stamps[rows] - stamps[now[first:end]]
-                end = first + _run_of((others == times[:, None]).all(axis=0))
-                rows, level = rows[:, : end - first], noise[first:end] * spread[first:end]
-            else:
-                end = first + 1
-                most = information[rows[:, 0]].max(axis=0)
-                most = np.where(most > 0, most, 1.0)
-                weights = information[rows[:, 0]] / most
-                level = noise[first : first + 1] / np.sqrt(most)
-            yield times, signals[rows], weights, level
-            first = end
+        after = newest - now
+        held = newest - oldest + 1
+        if len(now) == 1:
+            held = np.array([newest_needed(int(held[0]), int(after[0]))])
+        else:
+            # Where stamps are uneven a window has a frame more now and then, which nobody needs.
+            each, which = np.unique(np.stack((held, after)), axis=1, return_inverse=True)
+            held = np.array([newest_needed(*pair) for pair in each.T.tolist()])[which.reshape(-1)]
+        # Where the next run may begin: what comes before is not the same, or not to be mixed.
+        begins = np.flatnonzero((held[1:] != held[:-1]) | ~even[1:] | ~even[:-1]) + 1
+        most_at_once = max(1, _MOST_AT_ONCE // noise.shape[1])
+        for begin, stop in itertools.pairwise((0, *begins, len(now))):
+            for first in range(begin, stop, most_at_once):
+                some = slice(first, min(stop, first + most_at_once))
+                rows = newest[some] + np.arange(1 - held[first], 1)[:, None]
+                weights, level = None, noise[some] * spread[some]
+                if not even[first]:
+                    most = information[rows[:, 0]].max(axis=0)
+                    most = np.where(most > 0, most, 1.0)
+                    weights = information[rows[:, 0]] / most
+                    level = noise[some] / np.sqrt(most)
+                yield stamps[rows] - stamps[now[some]], signals[rows], weights, level
 
 
 def _evenly(
@@ -648,11 +647,6 @@ def _evenly(
     # A signal that is not there at all is no reason to weigh the others.
     even = (dark == count) | ((dark == 0) & (seen * spread < _WORTH * count**2))
     return even.all(axis=1), np.sqrt(np.where(dark < count, spread / count, 1.0))
-
-
-def _run_of(same: np.ndarray) -> int:
-    """How many of the first are true."""
-    return len(same) if same.all() else int(same.argmin())
 
 
 def _squared_arms(points: np.ndarray, here: np.ndarray) -> np.ndarray:

@@ -44,7 +44,8 @@ def record(
     drop: float = 0.0,
     shuffle: bool = False,
     plane: str = 'xy',
-    step: int = STEP,
+    step: float = STEP,
+    jitter: float = 0.0,
 ) -> Record:
     """A scene turned and scaled by `turn`, moved by `shift`, and seen with the faults named."""
     scene = load_scene(scene_name)
@@ -60,7 +61,8 @@ def record(
             moved[body] = BodyMotion(placed, turned)
         return moved
 
-    stamps = [START + step * k for k in range(count)]
+    off = jitter * np.random.default_rng(1).normal(size=count)
+    stamps = [START + round(step * (k + late)) for k, late in enumerate(off.tolist())]
     motion = truth(stamps)
     points = np.concatenate(
         [marker_positions(motion[body], abs(turn) * scene.markers[body]) for body in scene.markers],
@@ -631,15 +633,20 @@ def test_what_is_found_does_not_depend_on_the_order_asked_for(method: str, drop:
 
 
 @pytest.mark.parametrize('method', ['pose', 'landmarks'])
-def test_frames_all_at_once_give_what_they_give_one_by_one(method: str) -> None:
+@pytest.mark.parametrize(
+    ('step', 'jitter'), [(STEP, 0.0), (1e9 / 240, 0.0), (STEP, 0.1)], ids=['even', 'ns', 'jitter']
+)
+def test_frames_all_at_once_give_what_they_give_one_by_one(
+    step: float, jitter: float, method: str
+) -> None:
     """With markers and whole bodies that drop out, one that is elsewhere for a frame, and a gap."""
-    seen = record('four_bar', count=260, noise=1e-4)
+    seen = record('four_bar', count=260, noise=1e-4, step=step, jitter=jitter)
     points = np.concatenate([frame.points for frame in seen.frames])
     points[120:126, :4] = np.nan
     points[140:143, 1] = np.nan
     points[200, 5] += 0.3
     keep = np.r_[0:30, 31:160, 168:260]
-    stamps = START + STEP * keep
+    stamps = np.concatenate([frame.stamps for frame in seen.frames])[keep]
     frames = MarkerFrames(stamps, 'world', seen.frames[0].identities, points[keep])
     settings = settings_from({**seen.values, 'method': method})
     whole, single = Tracker(settings), Tracker(settings)
@@ -661,6 +668,24 @@ def test_frames_all_at_once_give_what_they_give_one_by_one(method: str) -> None:
         # Not about what is next to 0 / 0.
         for part in (0, 1):
             alike(*(np.stack([figure[part] for figure in all_])[told] for all_ in (one, other)))
+
+
+def test_two_recordings_followed_in_turn_do_not_mix() -> None:
+    """Of uneven stamps, and of such as take turns because they are whole ns."""
+    both = [
+        record('four_bar', count=150, noise=1e-4, step=step, jitter=jitter)
+        for step, jitter in ((STEP, 0.1), (1e9 / 240, 0.0))
+    ]
+    alone = [follow(seen.frames, seen.values, every=1)[1] for seen in both]
+    trackers = [Tracker(settings_from(seen.values)) for seen in both]
+    in_turn: list[list[Estimate]] = [[], []]
+    for frames in zip(*(seen.frames for seen in both), strict=True):
+        for tracker, frame, found in zip(trackers, frames, in_turn, strict=True):
+            found += instants(tracker.add(frame, 4))
+    for one, other in zip(alone, in_turn, strict=True):
+        for name in ('position', 'angle', 'position_covariance', 'angle_covariance'):
+            expected, found = (np.stack([getattr(e, name) for e in all_]) for all_ in (one, other))
+            np.testing.assert_array_equal(expected, found)
 
 
 def test_a_pole_does_not_depend_on_what_else_is_asked_for() -> None:

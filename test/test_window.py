@@ -28,6 +28,7 @@ from kinpole_ros.window import (
     weigh_together,
 )
 from kinpole_ros.window._choice import together
+from kinpole_ros.window._projection import evaluate
 
 pytestmark = pytest.mark.filterwarnings('error')
 
@@ -180,7 +181,9 @@ def differentiate(
 ) -> Derivatives:
     """As of the package, at the one instant about which the samples (N, G, 2) are."""
     signals = signals[:, None]
-    found = window.differentiate(times, signals, weights, noise, dimensions, order, spectrum)
+    found = window.differentiate(
+        times[:, None], signals, weights, noise, dimensions, order, spectrum
+    )
     values, covariance, span, degree = found
     return Derivatives(values[:, 0], covariance[:, :, 0], span[0], degree[0])
 
@@ -226,6 +229,90 @@ def noisy(seed: int = 3, count: int = 101, groups: int = 4) -> np.ndarray:
 
 
 LEVEL, TWO = np.full(4, 1e-3), np.full(4, 2)
+
+
+def uneven(kind: str, instants: int = 40) -> np.ndarray:
+    """Times (N, M) in ns about instants that differ in the place of their own sample, too."""
+    rng = np.random.default_rng(3)
+    count = 301 if kind == 'long' else 75
+    places = np.arange(count + instants) + rng.normal(0, 0.1, count + instants)
+    if kind == 'gappy':
+        # Steps of 30 here and there: what the recurrence loses is made good.
+        places += np.cumsum(np.where(rng.random(len(places)) < 0.1, 29, 0))
+    stamps = (5e6 * places).round().astype(np.int64)
+    rows = np.arange(count)[:, None] + np.arange(instants)
+    now = rows[-1] - 20 - rng.integers(0, 2, instants)
+    return stamps[rows] - stamps[now]
+
+
+@pytest.mark.parametrize('kind', ['jittered', 'gappy', 'long', 'weighted'])
+def test_each_window_is_fitted_exactly_whatever_the_stamps(kind: str) -> None:
+    """Polynomials are orthonormal on the samples; their derivatives are those of the fit."""
+    times = uneven(kind)
+    weights = None
+    if kind == 'weighted':
+        rng = np.random.default_rng(4)
+        weights = rng.uniform(0.1, 10, (len(times), 5)) * (rng.random((len(times), 5)) < 0.8)
+        weights[np.flatnonzero(times[:, 0] == 0)[0]] = 1.0
+        times = times[:, :1]
+    for column in range(0, times.shape[1], 8):
+        stamps = times[:, column : column + 1]
+        now = int(np.flatnonzero(stamps == 0)[0])
+        models = _projection._models(stamps.T, now, None if weights is None else weights.T, 5)
+        highest = np.moveaxis(models.highest[:, 0], -1, 0)  # (g, L)
+        first = 0
+        for scale in models.scales:
+            windows = slice(first, first + len(scale.inside))
+            first = windows.stop
+            gram = scale.basis @ np.swapaxes(scale.basis, -1, -2)
+            there = np.arange(13) <= highest[:, windows, None]
+            np.testing.assert_allclose(gram, there[..., None] * np.eye(13), rtol=0, atol=1e-12)
+            for g, k in np.ndindex(scale.basis.shape[:2]):
+                means = np.repeat(scale.inside[k], scale.each)
+                rows = models.rows[0, g, windows][k] @ scale.basis[g, k] * scale.root[g]
+                # Weights of the means, then of the samples these are made of.
+                taken = slice(scale.start, scale.start + len(means))
+                given = np.ones(len(means)) if weights is None else weights[taken, g]
+                total = given.reshape(-1, scale.each).sum(axis=1)
+                share = given / np.repeat(np.where(total > 0, total, 1.0), scale.each)
+                rows = np.repeat(rows, scale.each, axis=1) * share
+                assert np.abs(rows[:, ~means]).max(initial=0) <= 1e-15 * np.abs(rows).max()
+                seconds = stamps[taken, 0] * 1e-9
+                unit = np.ptp(seconds[means]) / 2
+                powers = np.arange(highest[g, windows][k] + 1)
+                found = rows[:, means] @ (seconds[means, None] / unit) ** powers
+                truth = np.array([[factorial(q) * (q == j) for q in powers] for j in ORDERS])
+                truth = truth / unit ** ORDERS[:, None]
+                # Of so large numbers the derivatives are differences.
+                large = np.abs(rows).sum(axis=1, keepdims=True) * 2.0**powers
+                np.testing.assert_array_less(np.abs(found - truth), 1e-13 * large)
+
+
+def test_instants_are_projected_as_each_would_be_alone() -> None:
+    """Even and uneven stamps, of whole ns and not, with the instant in one place and another."""
+    even = 5_000_000 * np.arange(-54, 21)[:, None]
+    turns = np.rint(1e9 / 240 * np.arange(80)).astype(np.int64)
+    turns = np.stack([turns[k : k + 75] - turns[k + 54] for k in range(5)], axis=1)
+    jittered = uneven('jittered')
+    times = np.concatenate((even, turns[:, :2], jittered, even, turns[:, 2:]), axis=1)
+    signals = np.random.default_rng(1).normal(size=(*times.shape, 4, 2))
+    signals[:, 3, 1] = np.nan
+    found = project(times, signals, None, 3, 2)
+    members = evaluate(found.models.rows, found.coefficients)
+    for m in range(times.shape[1]):
+        one = slice(m, m + 1)
+        alone = project(times[:, one], signals[:, one], None, 3, 2)
+        values = evaluate(alone.models.rows, alone.coefficients)
+        pairs = [(values, members), *zip(alone[1:4], found[1:4], strict=True)]
+        models = alone.models, found.models.at(np.array([m]))
+        pairs += [(getattr(models[0], name), getattr(models[1], name)) for name in MODEL]
+        for expected, there in pairs:
+            if there.shape != expected.shape:
+                there = there[..., one, :]
+            np.testing.assert_allclose(there, expected, rtol=1e-9, atol=1e-9 * expected.max())
+
+
+MODEL = 'rim', 'own', 'spans', 'lengths', 'freedom', 'highest'
 
 
 def test_a_sample_of_weight_0_is_as_good_as_left_out() -> None:
@@ -762,6 +849,16 @@ def test_fewest_samples_hold_every_order() -> None:
     assert np.isfinite(found.values).all()
 
 
+@pytest.mark.parametrize('steps', [(1, 5_000_000), (5_000_000, 1), (1, 1_000)])
+def test_a_few_samples_far_from_even_are_fitted(steps: tuple[int, int]) -> None:
+    times = np.cumsum([0, *steps, *steps, *steps])
+    times -= times[-1]
+    straight = scalars(1e-9 * times[:, None] + 2.0)
+    found = differentiate(times, straight, None, np.full(1, 1e-12), np.ones(1), 4)
+    assert np.isfinite(found.values).all()
+    assert found.values[0, 0, 0] == pytest.approx(2.0, abs=1e-12)
+
+
 def setting_in(instants: int) -> np.ndarray:
     """Poses (101, M, 2, 2) of a body that starts to turn about the point ARM between samples."""
     times = 5_000_000 * np.arange(-80, 21)
@@ -782,10 +879,10 @@ ARM = 0.1 - 0.25j
 @pytest.mark.parametrize('weighted', [False, True])
 def test_together_what_is_off_by_one_factor_in_angle_and_position_cancels(weighted: bool) -> None:
     """A motion that sets in between two samples, about one point: all windows are off, alike."""
-    times = 5_000_000 * np.arange(-80, 21)
     weights = np.ones((101, 2))
     weights[30:33] = 0.0
     instants = 1 if weighted else 4
+    times = np.repeat(5_000_000 * np.arange(-80, 21)[:, None], instants, axis=1)
     fits = project(times, setting_in(instants), weights if weighted else None, 3, 1)
     arms = np.full((3, instants, 1), ARM)
     found = weigh_together(fits, arms, np.full((instants, 2), 1e-9), 3, Spectrum().follow)
@@ -799,7 +896,7 @@ def test_together_what_is_off_by_one_factor_in_angle_and_position_cancels(weight
 
 def test_together_bodies_and_instants_do_not_mix() -> None:
     """Two bodies at four instants, and the second one of them alone, instant by instant."""
-    times = 5_000_000 * np.arange(-80, 21)
+    times = np.repeat(5_000_000 * np.arange(-80, 21)[:, None], 4, axis=1)
     rng = np.random.default_rng(2)
     steady = np.cumsum(rng.normal(0, 1e-3, (101, 4, 2, 2)), axis=0)
     steady[..., 0, 1] = 0
@@ -812,7 +909,7 @@ def test_together_bodies_and_instants_do_not_mix() -> None:
     past = Spectrum().follow
     for m in range(4):
         now = slice(m, m + 1)
-        fits = project(times, signals[:, now, 1::2], None, 3, 1)
+        fits = project(times[:, now], signals[:, now, 1::2], None, 3, 1)
         alone = weigh_together(fits, arms[:, now, 1:], noise[now, 1::2], 3, past)
         means = both.means.reshape(*both.means.shape[:3], 3, 2)[:, :, now, :, 1]
         here = [part[..., now, 1:] for part in (both.share, both.mix, both.covariance)]

@@ -249,10 +249,8 @@ def weigh_together(
     # Across the arm the angle's noise adds to that of the position: scaled back to the same.
     scale = even / np.sqrt(even**2 + (reach * of_angle) ** 2)
 
-    models = fits.models
-    if len(models.rows) > 1:
-        # Those of the positions, for each arm.
-        models = models.of(np.tile(np.arange(count, 2 * count), number))
+    # Those of the positions, for each arm.
+    models = fits.models.of(np.tile(np.arange(count, 2 * count), number))
 
     # Angle, and position along and across the arms: (L, D, 3, A, M, B).
     x, y = (fits.coefficients[:, :, k, None, :, count:] for k in (0, 1))
@@ -305,11 +303,11 @@ def weigh_together(
 
 def _evaluated(models: Models, members: Real) -> Real:
     """Rows of angles and positions applied to members (L, D, 3, A, M, B): (L, K, 3, A, M, B)."""
-    if len(models.rows) == 1:
+    if models.rows.shape[1] == 1:
         return evaluate(models.rows, members)
     bodies = members.shape[-1]
-    angle = evaluate(models.rows[:bodies], members[:, :, :1])
-    position = evaluate(models.rows[bodies:], members[:, :, 1:])
+    angle = evaluate(models.rows[:, :bodies], members[:, :, :1])
+    position = evaluate(models.rows[:, bodies:], members[:, :, 1:])
     return np.concatenate((angle, position), axis=2)
 
 
@@ -377,7 +375,9 @@ def _weigh(
     error = share * variance + np.where(hidden, _HIDDEN * scatter, 0.0)
 
     orders = order + 1
-    errors = evaluate(models.products, error).reshape(-1, orders, orders, instants, groups)
+    products = models.rows[..., None, :] * models.rows[..., None, :, :]
+    products = products.reshape(*models.rows.shape[:3], -1, models.rows.shape[-1])
+    errors = evaluate(products, error).reshape(-1, orders, orders, instants, groups)
     # What a window cannot follow adds to its error: what it leaves, and the rest of its series.
     odds = np.sqrt(2 / np.maximum(freedom * apart, 1))
     lost = np.maximum(mean_left - variance * (_LEFT + _LEFT_LASTING * odds), 0.0)

@@ -21,10 +21,10 @@ from kinpole_ros.window._choice import (
     weigh_apart,
     weigh_together,
 )
-from kinpole_ros.window._projection import Projection, project
+from kinpole_ros.window._projection import Projection, longest, project
 
-# A judgment holds for so small a part of the samples of a window, for as many samples at least.
-_PART = 8
+# A judgment holds for so small a part of the samples of the longest window.
+_PART = 0.123
 
 
 class PoseDerivatives(NamedTuple):
@@ -82,10 +82,10 @@ class PoseFilter:
     def __init__(self) -> None:
         self._spectrum = Spectrum()
         self._spectrum_together = Spectrum()
-        # What holds up to an order, for samples at these times about an instant, in this stretch.
+        # What holds up to an order, for windows up to so many samples, in this stretch.
         self._held: _Judged | None = None
         self._order = 0
-        self._times = b''
+        self._longest = 0
         self._stretch = -1
 
     def derivatives(
@@ -105,15 +105,18 @@ class PoseFilter:
         (M, 2 B) as in `weigh_apart`; poles farther away than `reach` (M, B), m, are not aimed at.
         Orders that were not asked for when the instants before were judged are NaN until the next.
         """
-        every = max(1, len(times) // _PART) if weights is None else 1
+        # Not by the times: stamps that are a little uneven are no reason to judge anew.
+        most = longest(len(times))
+        every = max(1, int(_PART * most)) if weights is None else 1
         stretches = numbers // every
         due = np.concatenate(((self._stretch,), stretches[:-1])) != stretches
-        if self._held is None or weights is not None or self._times != times.tobytes():
+        if self._held is None or weights is not None or self._longest != most:
             due[0] = True
-        self._times, self._stretch = times.tobytes(), int(stretches[-1])
+        self._longest, self._stretch = most, int(stretches[-1])
 
         def part(chosen: slice, order: int) -> PoseDerivatives:
-            fits = project(times, samples[:, chosen], weights, order, reach.shape[1])
+            parts = times[:, chosen], samples[:, chosen]
+            fits = project(*parts, weights, order, reach.shape[1])
             return self._derived(fits, noise[chosen], reach[chosen], due[chosen], order, every)
 
         if due[0] or order == self._order:
@@ -136,7 +139,7 @@ class PoseFilter:
             signals = np.concatenate((those, bodies + those), axis=1)
             at = (..., np.concatenate((instants, instants), axis=1), signals)
             some = Projection(
-                fits.models,
+                fits.models.at(instants[:, 0]),
                 fits.coefficients[at],
                 fits.squares[at],
                 fits.products[..., instants, those],

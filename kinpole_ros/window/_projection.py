@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from kinpole_ros.planar._plane import Real
-from kinpole_ros.window._polynomial import orthonormal_basis
+from kinpole_ros.window._polynomial import orthonormal_members
 
 HIGHEST_ORDER = 4
 FEWEST_SAMPLES = 7
@@ -22,15 +22,17 @@ _LADDER = 1.33
 _FINEST = 128
 # ns. Steps of even sampling differ by no more, for stamps are whole ns.
 _UNEVEN = 1
+# Instants with stamps of their own that are projected at once: what a cache holds.
+_MOST_AT_ONCE = 32
 
 
 class _Scale(NamedTuple):
     """
     Windows of one scale, made of means of `each` samples together, for long ones need no more.
 
-    The B means start at the sample `start`; `root` (groups, B) are the square roots of their
-    weights; `basis` (groups, l, B, D) are the members of the l windows, orthonormal on the weighted
-    means, and zero for means that are not `inside` (l, B).
+    The B means start at the sample `start`; `root` (1 or G, B) are the square roots of their
+    weights; `basis` (S, l, D, B) are the members of the l windows, orthonormal on the weighted
+    means, and zero for means that are not `inside` (l, B). S is as in `_models`.
     """
 
     each: int
@@ -53,33 +55,48 @@ class _Shortcut(NamedTuple):
 
 
 class Models(NamedTuple):
-    """All fits of one set of instants: `groups` is 1 where every signal shares them, else G."""
+    """
+    All fits of one set of M instants of G signals.
 
-    scales: tuple[_Scale, ...]
+    Axes m and g are 1 where all instants, or all signals, share what has them, else M and G.
+    """
+
+    scales: tuple[_Scale, ...]  # to project on; none once that is done
     shortcuts: tuple[_Shortcut, ...]  # of the scales, where they pay
-    rows: Real  # (groups, L, K, D), derivatives of order 0 to K - 1 of the members at time 0
-    products: Real  # (groups, L, K * K, D), of the rows of any two orders
-    rim: Real  # (L, K, 1, groups), the larger square of the last two members in each row
-    own: Real  # (L, K, 1, groups), the square of the first member that each row knows
-    lengths: np.ndarray  # (L, 1, groups) samples with weight in each window
-    freedom: np.ndarray  # (L, 1, groups) means beyond the members of the richest fit
-    highest: np.ndarray  # (L, 1, groups) degree of the richest fit
-    spans: Real  # (L, 1, 1) s
+    rows: Real  # (m, g, L, K, D), derivatives of order 0 to K - 1 of the members at time 0
+    rim: Real  # (L, K, m, g), the larger square of the last two members in each row
+    own: Real  # (L, K, m, g), the square of the first member that each row knows
+    lengths: np.ndarray  # (L, 1, g) samples with weight in each window
+    freedom: np.ndarray  # (L, 1, g) means beyond the members of the richest fit
+    highest: np.ndarray  # (L, 1, g) degree of the richest fit
+    spans: Real  # (L, m, 1) s
 
-    def of(self, place: np.ndarray) -> 'Models':
-        """The models of the signals at `place`, to evaluate and to judge by, not to project on."""
-        return Models(
-            (),
-            (),
-            self.rows[place],
-            self.products[place],
-            self.rim[..., place],
-            self.own[..., place],
-            self.lengths[..., place],
-            self.freedom[..., place],
-            self.highest[..., place],
-            self.spans,
+    def at(self, instants: np.ndarray) -> 'Models':
+        """The models of these instants, to evaluate and to judge by, not to project on."""
+        if len(self.rows) == 1:
+            return self
+        return self._replace(
+            rows=self.rows[instants],
+            rim=self.rim[:, :, instants],
+            own=self.own[:, :, instants],
+            spans=self.spans[:, instants],
         )
+
+    def of(self, signals: np.ndarray) -> 'Models':
+        """The same of some signals."""
+        if self.rows.shape[1] == 1:
+            return self
+        return self._replace(
+            rows=self.rows[:, signals],
+            rim=self.rim[..., signals],
+            own=self.own[..., signals],
+            lengths=self.lengths[..., signals],
+            freedom=self.freedom[..., signals],
+            highest=self.highest[..., signals],
+        )
+
+
+_Found = tuple[Real, Real, Real]  # coefficients, squares and products as of a `Projection`
 
 
 class Projection(NamedTuple):
@@ -106,76 +123,111 @@ def project(
     """
     G signals at M instants, on all windows about each.
 
-    `times` (N,) are whole ns from the instant, rising, with 0 among them, alike for all instants;
-    `signals` (N, M, G, 2) are vectors of the plane, or numbers in their first component, as the
-    samples about each instant have them. `weights` (N, G), for one instant at a time, are the
-    inverse variances of the samples relative to the noise; 0 is a sample that is missing, None
-    means all are 1, or that a signal is NaN throughout. Derivatives are wanted up to `order`. If
-    `bodies` are given, the signals are their angles, then their positions.
+    `times` (N, M) are whole ns from each instant, rising, with 0 among them; `signals` (N, M, G, 2)
+    are vectors of the plane, or numbers in their first component, as the samples about each instant
+    have them. `weights` (N, G), for one instant at a time, are the inverse variances of the samples
+    relative to the noise; 0 is a sample that is missing, None means all are 1, or that a signal is
+    NaN throughout. Derivatives are wanted up to `order`. If `bodies` are given, the signals are
+    their angles, then their positions.
     """
-    now = int(np.searchsorted(times, 0))
-    count, instants, groups = signals.shape[:3]
-    missing = np.isnan(signals[now, ..., 0])  # (M, G)
+    places = (times < 0).sum(axis=0)
+    base = signals[places, np.arange(len(places))]
+    missing = np.isnan(base[..., 0])  # (M, G)
     if weights is not None:
-        missing |= ~(weights[now] > 0)
-    base = np.where(missing[..., None], 0.0, signals[now])
-    if weights is None:
-        models = _shared_models(times.tobytes(), now, order + 1)
-        centered = (
-            np.where(missing[..., None], 0.0, signals - base) if missing.any() else signals - base
-        )
-        # All signals at all instants are columns of one product.
-        columns = centered.transpose(0, 3, 1, 2).reshape(count, 2 * instants * groups)
-        found = _by_shared(models, columns, (2, instants, groups), bodies)
-    else:
-        models = _models(times, now, weights.T, order + 1)
+        missing |= ~(weights[places] > 0)
+    base = np.where(missing[..., None], 0.0, base)
+    centered = signals - base
+    if weights is not None:
+        models = _models(times.T, int(places[0]), weights.T, order + 1)
         # What is missing may hold anything.
-        centered = np.where(weights[:, None, :, None] > 0, signals - base, 0.0)
-        columns = centered.transpose(2, 0, 3, 1).reshape(groups, count, 2)
-        found = _by_own(models, columns, weights, bodies)
+        some = np.where(weights[:, None, :, None] > 0, centered, 0.0).transpose(2, 3, 1, 0)
+        found = _by_own(models, some, weights, bodies, (3, 0))
+        return Projection(models, *found, base, missing)
+    if missing.any():
+        centered = np.where(missing[..., None], 0.0, centered)
+    parts = []
+    for instants, even in _parts(times, places):
+        stamps, part = times[:, instants], centered[:, instants]
+        now = int(places[instants][0])
+        if even:
+            models = _shared_models(stamps[:, 0].tobytes(), now, order + 1)
+            found = _by_shared(models, part, bodies)
+        else:
+            models = _models(stamps.T, now, None, order + 1)
+            found = _by_own(models, part.transpose(1, 3, 2, 0), None, bodies, (0, 3))
+        parts.append((instants, models, found))
+    models, found = _joined(parts, len(places))
     return Projection(models, *found, base, missing)
 
 
-def _by_shared(
-    models: Models, columns: Real, shape: tuple[int, int, int], bodies: int
-) -> tuple[Real, Real, Real]:
-    """Coefficients and what the fits leave of signals (N, C), columns of `shape` (2, M, G)."""
+def _parts(times: np.ndarray, places: np.ndarray) -> list[tuple[np.ndarray | slice, bool]]:
+    """
+    Which instants are projected at once, and whether their samples are even, with one pattern.
+
+    0 is at `places` (M,) of their times (N, M), in the same place for those together.
+    """
+    steps = times[1:] - times[:-1] if len(times) > 1 else times
+    # By the stamps alone: no figure may hang on what was asked before.
+    even = steps.max(axis=0) - steps.min(axis=0) <= _UNEVEN
+    if len(places) == 1 or (even.all() and (times == times[:, :1]).all()):
+        return [(slice(None), bool(even[0]))]
+    parts: list[tuple[np.ndarray | slice, bool]] = []
+    for place in np.unique(places):
+        those = np.flatnonzero(~even & (places == place))
+        for first in range(0, len(those), _MOST_AT_ONCE):
+            parts.append((those[first : first + _MOST_AT_ONCE], False))
+        those = np.flatnonzero(even & (places == place))
+        # Where the interval is no whole number of ns, a few patterns take turns.
+        while len(those):
+            alike = (times[:, those] == times[:, those[:1]]).all(axis=0)
+            parts.append((those[alike], True))
+            those = those[~alike]
+    return parts
+
+
+def _joined(
+    parts: list[tuple[np.ndarray | slice, Models, _Found]], instants: int
+) -> tuple[Models, _Found]:
+    """Models and findings of all instants, out of those of some at a time."""
+    _, models, found = parts[0]
+    if len(parts) == 1:
+        return models, found
+    coefficients, squares, products = (
+        np.empty((*array.shape[:-2], instants, array.shape[-1])) for array in found
+    )
+    rows = np.empty((instants, *models.rows.shape[1:]))
+    rim, own = (np.empty((*models.rim.shape[:2], instants, 1)) for _ in range(2))
+    spans = np.empty((len(models.spans), instants, 1))
+    for those, part, found in parts:
+        coefficients[..., those, :], squares[..., those, :], products[..., those, :] = found
+        rows[those], rim[:, :, those], own[:, :, those] = part.rows, part.rim, part.own
+        spans[:, those] = part.spans
+    models = models._replace(rows=rows, rim=rim, own=own, spans=spans)
+    return models, (coefficients, squares, products)
+
+
+def _by_shared(models: Models, signals: Real, bodies: int) -> _Found:
+    """Coefficients and what the fits leave of signals (N, M, G, 2), all by the same models."""
+    count, instants, groups = signals.shape[:3]
+    shape = 2, instants, groups
+    # All signals at all instants are columns of one product.
+    columns = signals.transpose(0, 3, 1, 2).reshape(count, -1)
     found, squares, products = [], [], []
-    for k, scale in enumerate(models.scales):
-        means = _means(columns[None], scale, None)[0] * scale.root[0, :, None]
-        if models.shortcuts:
-            matrix, starts = models.shortcuts[k]
-            both = matrix @ means
-            members = len(scale.inside) * scale.basis.shape[-1]
-            of_window, rest = both[:members], both[members:]
-        else:
-            basis = scale.basis[0]
-            of_window = np.swapaxes(basis, -1, -2) @ means
-            rest = (means - basis @ of_window)[scale.inside]
-            starts = _starts(scale)
-        found.append(of_window.reshape(-1, means.shape[-1]))
-        rest = rest.reshape(-1, *shape)
+    for (each, start, root, _, inside), (matrix, starts) in zip(
+        models.scales, models.shortcuts, strict=True
+    ):
+        means = columns[start : start + root.shape[1] * each]
+        if each > 1:
+            means = means.reshape(-1, each, means.shape[1]).mean(axis=1)
+        both = matrix @ (means * root[0, :, None])
+        members = len(matrix) - int(inside.sum())
+        found.append(both[:members])
+        rest = both[members:].reshape(-1, *shape)
         if bodies:
             products.append(np.add.reduceat(_products(rest, bodies), starts, axis=0))
         squares.append(np.add.reduceat(np.square(rest, out=rest), starts, axis=0))
     coefficients = np.concatenate(found).reshape(-1, models.rows.shape[-1], *shape)
     squares = np.concatenate(squares)
-    return coefficients, squares, np.concatenate(products) if bodies else squares[:, :0]
-
-
-def _by_own(models: Models, columns: Real, weights: Real, bodies: int) -> tuple[Real, Real, Real]:
-    """The same for G signals (G, N, 2) at one instant, each with models of its own."""
-    found, squares, products = [], [], []
-    for scale in models.scales:
-        means = (_means(columns, scale, weights) * scale.root[..., None])[:, None]
-        of_window = np.swapaxes(scale.basis, -1, -2) @ means
-        rest = (means - scale.basis @ of_window) * scale.inside[..., None]
-        found.append(np.moveaxis(of_window, 0, -1))  # (l, D, 2, G)
-        rest = np.moveaxis(rest, 0, -1)[..., None, :]  # (l, B, 2, 1, G)
-        squares.append(np.square(rest).sum(axis=1))
-        if bodies:
-            products.append(_products(rest, bodies).sum(axis=1))
-    coefficients, squares = np.concatenate(found)[..., None, :], np.concatenate(squares)
     return coefficients, squares, np.concatenate(products) if bodies else squares[:, :0]
 
 
@@ -188,57 +240,90 @@ def _products(rest: Real, bodies: int) -> Real:
     return result
 
 
-def _means(rows: Real, scale: _Scale, weights: Real | None) -> Real:
-    """The means (groups, B, ...) of rows (groups, N, ...) that a scale is made of."""
-    blocks = scale.root.shape[1]
-    taken = rows[:, scale.start : scale.start + blocks * scale.each]
-    if scale.each == 1:
-        return taken
-    taken = taken.reshape(len(rows), blocks, scale.each, -1)
-    if weights is None:
-        return np.asarray(taken.mean(axis=2))
-    given = weights.T[:, scale.start : scale.start + blocks * scale.each]
-    given = given.reshape(len(rows), blocks, scale.each, 1)
-    total = given.sum(axis=2)
-    return np.asarray((given * taken).sum(axis=2) / np.where(total > 0, total, 1.0))
+def _by_own(
+    models: Models, signals: Real, weights: Real | None, bodies: int, sets: tuple[int, int]
+) -> _Found:
+    """
+    The same of S sets of C signals, (S, 2, C, N), each set by models of its own.
+
+    `sets` are the axes of the instants and of the signals in (S, l, 2, C, ...).
+    """
+    count = signals.shape[-1]
+    rows = signals.reshape(len(signals), 1, -1, count)
+    found, squares, products = [], [], []
+    for each, start, root, basis, inside in models.scales:
+        taken = slice(start, start + root.shape[1] * each)
+        means = rows[..., taken]
+        if each > 1:
+            given = np.ones((1, means.shape[-1])) if weights is None else weights.T[:, taken]
+            by_mean = given.reshape(len(given), 1, 1, -1, each)
+            total = by_mean.sum(axis=-1)
+            means = (by_mean * means.reshape(*means.shape[:3], -1, each)).sum(axis=-1)
+            means /= np.where(total > 0, total, 1.0)
+        means = means * root[:, None, None]
+        of_window = means @ np.swapaxes(basis, -1, -2)  # (S, l, 2 C, D)
+        rest = means * inside[:, None] - of_window @ basis
+        split = len(signals), len(inside), 2, signals.shape[2], -1
+        found.append(of_window.reshape(split).transpose(1, 4, 2, *sets))
+        rest = rest.reshape(split).transpose(1, 2, *sets, 4)  # (l, 2, M, G, B)
+        squares.append(np.einsum('...n,...n', rest, rest))
+        if bodies:
+            angle, x, y = rest[:, 0, :, :bodies], rest[:, 0, :, bodies:], rest[:, 1, :, bodies:]
+            pairs = (angle, x), (angle, y), (x, y)
+            products.append(np.stack([np.einsum('...n,...n', *pair) for pair in pairs], axis=1))
+    coefficients, squares = np.concatenate(found), np.concatenate(squares)
+    return coefficients, squares, np.concatenate(products) if bodies else squares[:, :0]
 
 
 def evaluate(matrix: Real, members: Real) -> Real:
-    """Rows (groups, L, r, D) applied to what each member has, (L, D, ..., G): (L, r, ..., G)."""
-    if len(matrix) == 1:
-        flat = matrix[0] @ members.reshape(*members.shape[:2], -1)
+    """Rows (m, g, L, r, D) applied to what members have, (L, D, ..., M, G): (L, r, ..., M, G)."""
+    if matrix.shape[:2] == (1, 1):
+        flat = matrix[0, 0] @ members.reshape(*members.shape[:2], -1)
         return flat.reshape(*flat.shape[:2], *members.shape[2:])
-    return np.einsum('glrd,ld...g->lr...g', matrix, members)
+    if matrix.shape[1] == 1:
+        # As one product for each instant and window.
+        apart = np.moveaxis(members, -2, 0)
+        flat = matrix[:, 0] @ apart.reshape(*apart.shape[:3], -1)
+        return np.moveaxis(flat.reshape(*flat.shape[:3], *apart.shape[3:]), 0, -2)
+    return np.einsum('glrd,ld...g->lr...g', matrix[0], members)
 
 
-@lru_cache(maxsize=16)
+@lru_cache(maxsize=32)
 def _shared_models(times: bytes, now: int, orders: int) -> Models:
     """The models of equally weighted samples: even sampling asks for the same ones every frame."""
-    instants = np.frombuffer(times, np.int64)
-    models = _models(instants, now, np.ones((1, len(instants))), orders)
-    steps = np.diff(instants)
-    if len(steps) and np.ptp(steps) > _UNEVEN:
-        # They never come again. By the stamps alone: no figure may hang on what was asked before.
-        return models
+    models = _models(np.frombuffer(times, np.int64)[None], now, None, orders)
     return models._replace(shortcuts=tuple(map(_shortcut, models.scales)))
 
 
 def _shortcut(scale: _Scale) -> _Shortcut:
     """One product instead of two for each window (of 61 samples, 10 us instead of 17)."""
     basis = scale.basis[0]
-    left = np.eye(basis.shape[1]) - basis @ np.swapaxes(basis, -1, -2)
-    project = np.swapaxes(basis, -1, -2).reshape(-1, basis.shape[1])
+    left = np.eye(basis.shape[-1]) - np.swapaxes(basis, -1, -2) @ basis
     # What lies outside of a window is none of what its fit leaves.
     rest = np.where(scale.inside[:, None], left, 0.0)[scale.inside]
-    return _Shortcut(np.concatenate((project, rest)), _starts(scale))
-
-
-def _starts(scale: _Scale) -> np.ndarray:
-    """Where (l,) each window begins if the means inside of all follow each other."""
     rows = scale.inside.sum(axis=-1)
-    return np.asarray(np.cumsum(rows) - rows)
+    project = basis.reshape(-1, basis.shape[-1])
+    return _Shortcut(np.concatenate((project, rest)), np.cumsum(rows) - rows)
 
 
+def longest(count: int) -> int:
+    """Samples in the longest window of those that `count` samples have room for."""
+    means, each = _ladder(count)[-1]
+    return means * each
+
+
+@lru_cache(maxsize=256)
+def newest_needed(count: int, after: int) -> int:
+    """How many of `count` samples, the newest, the windows about one with `after` after it hold."""
+    needed = 0
+    for means, each in _ladder(count):
+        blocks, ahead = count // each, after // each
+        ahead = max(min(ahead, (means - 1) // 2), means - (blocks - ahead))
+        needed = max(needed, (after // each - ahead + means) * each)
+    return needed
+
+
+@lru_cache(maxsize=256)
 def _ladder(count: int) -> list[tuple[int, int]]:
     """Windows up to `count` samples: of how many means of how many samples each they are made."""
     windows = [(min(FEWEST_SAMPLES, count), 1)]
@@ -254,81 +339,110 @@ def _ladder(count: int) -> list[tuple[int, int]]:
         windows.append((means, each))
 
 
-def _models(times: np.ndarray, now: int, weights: Real, orders: int) -> Models:
-    """Fit bases for every window of the ladder: each reaches as far ahead as it does back."""
-    windows = _ladder(len(times))
-    parts = []
-    for each in sorted({each for _, each in windows}):
-        means = np.array([means for means, each_ in windows if each_ == each])
-        parts.append(_scale(times, now, weights, orders, means, each))
-    scales, rows, highest, lengths, counts, spans = zip(*parts, strict=True)
-    rows, highest = np.concatenate(rows, axis=1), np.concatenate(highest, axis=1)
-    lengths, counts = np.concatenate(lengths, axis=1), np.concatenate(counts, axis=1)
-    member = np.arange(rows.shape[-1])
-    near_rim = (member <= highest[..., None]) & (member >= highest[..., None] - 1)
-    squares = rows**2
-    rim = np.where(near_rim[:, :, None], squares, 0.0).max(axis=-1)
+class _Windows(NamedTuple):
+    """
+    The l windows of one scale about an instant, in g sets of weights: see `_Scale`.
+
+    They reach from the mean `first` to the mean `last` (l,); `given` (g, l, N') are the square
+    roots of the weights of their samples; `lengths` and `means` (g, l) say how many samples and
+    means have weight in each, and `highest` of which degree its richest fit is.
+    """
+
+    each: int
+    start: int
+    first: np.ndarray
+    last: np.ndarray
+    inside: np.ndarray
+    root: Real  # (g, B)
+    given: Real
+    lengths: np.ndarray
+    means: np.ndarray
+    highest: np.ndarray
+
+
+def _windows(now: int, weights: Real) -> list[_Windows]:
+    """All windows about the sample `now`: each reaches as far ahead as it does back."""
+    sets, count = weights.shape
+    ladder = _ladder(count)
+    result = []
+    for each in sorted({each for _, each in ladder}):
+        sizes = np.array([means for means, each_ in ladder if each_ == each])
+        blocks = count // each
+        # The newest samples count most.
+        start = count - blocks * each
+        here = (now - start) // each
+        ahead = np.maximum(np.minimum(blocks - 1 - here, (sizes - 1) // 2), sizes - 1 - here)
+        first, last = here + ahead - sizes + 1, here + ahead
+        lowest, blocks = first.min(), last.max() - first.min() + 1
+        start, first, last = start + lowest * each, first - lowest, last - lowest
+        index = np.arange(blocks)
+        inside = (index >= first[:, None]) & (index <= last[:, None])
+        taken = weights[:, start : start + blocks * each]
+        given = taken[:, None] * np.repeat(inside, each, axis=-1)
+        by_mean = given.reshape(sets, len(sizes), blocks, each)
+        means = (by_mean > 0).any(axis=-1).sum(axis=-1)
+        highest = np.maximum(means - 3, np.minimum(means - 1, HIGHEST_ORDER))
+        result.append(
+            _Windows(
+                each,
+                start,
+                first,
+                last,
+                inside,
+                np.sqrt(taken.reshape(sets, blocks, each).sum(axis=-1)),
+                np.sqrt(given),
+                (given > 0).sum(axis=-1),
+                means,
+                np.minimum(highest, _HIGHEST_DEGREE),
+            )
+        )
+    return result
+
+
+@lru_cache(maxsize=64)
+def _even_windows(now: int, count: int) -> list[_Windows]:
+    """The same where all samples have weight 1."""
+    return _windows(now, np.ones((1, count)))
+
+
+def _models(times: np.ndarray, now: int, weights: Real | None, orders: int) -> Models:
+    """
+    Fit bases for every window of the ladder.
+
+    In S sets: of samples at `times` (S, N) with weight 1, or at the same (1, N) with weights
+    (S, N).
+    """
+    count = times.shape[1]
+    windows = _even_windows(now, count) if weights is None else _windows(now, weights)
+    scales, parts = [], []
+    for each, start, first, last, inside, root, given, lengths, means, highest in windows:
+        seconds = times[:, start : start + given.shape[-1]] * 1e-9
+        spans = seconds[:, (last + 1) * each - 1] - seconds[:, first * each]
+        unit = np.where(spans > 0, spans / 2, 1.0)[..., None]
+        basis, rows = orthonormal_members(
+            seconds[:, None] / unit, given, highest, _HIGHEST_DEGREE + 1, orders - 1, each
+        )
+        rows = rows / unit[..., None] ** np.arange(orders)[:, None]
+        scales.append(_Scale(each, start, root, basis, inside))
+        parts.append((rows, spans, lengths, means - highest - 1, highest))
+    rows, *fields = (np.concatenate(part, axis=1) for part in zip(*parts, strict=True))
+    spans, lengths, freedom, highest = (field.T for field in fields)  # (L, m or g)
+    highest = highest[:, None]
+    squares = np.square(rows).transpose(1, 2, 3, 0)  # (L, K, D, S)
+    member = np.arange(rows.shape[-1])[:, None]
+    near_rim = (member <= highest) & (member >= highest - 1)
+    rim = np.where(near_rim[:, None], squares, 0.0).max(axis=2)
     index = np.arange(orders)
-    products = rows[:, :, :, None] * rows[:, :, None]
-
-    def last(array: np.ndarray) -> np.ndarray:
-        """The groups (groups, L, ...) as the last axis, instants before them."""
-        return np.moveaxis(array, 0, -1)[..., None, :]
-
+    # Sets as instants and signals.
+    sets = len(times), 1 if weights is None else len(weights)
     return Models(
         tuple(scales),
         (),
-        rows,
-        products.reshape(*rows.shape[:2], -1, rows.shape[-1]),
-        last(rim),
-        last(squares[:, :, index, index]),
-        last(lengths),
-        last(counts - highest - 1),
-        last(highest),
-        np.concatenate(spans)[:, None, None],
+        rows.reshape(*sets, *rows.shape[1:]),
+        rim.reshape(*rim.shape[:2], *sets),
+        squares[:, index, index].reshape(*rim.shape[:2], *sets),
+        lengths[:, None],
+        freedom[:, None],
+        highest,
+        spans[..., None],
     )
-
-
-def _scale(
-    times: np.ndarray, now: int, weights: Real, orders: int, sizes: np.ndarray, each: int
-) -> tuple[_Scale, Real, np.ndarray, np.ndarray, np.ndarray, Real]:
-    """
-    The windows of one scale, of `sizes` (l,) means.
-
-    Also their rows (groups, l, K, D), and by (groups, l) the degrees of their richest fits and how
-    many samples and means have weight in them, and their spans (l,).
-    """
-    blocks = len(times) // each
-    # The newest samples count most.
-    start = len(times) - blocks * each
-    here = (now - start) // each
-    ahead = np.maximum(np.minimum(blocks - 1 - here, (sizes - 1) // 2), sizes - 1 - here)
-    first, last = here + ahead - sizes + 1, here + ahead
-    lowest, blocks = first.min(), last.max() - first.min() + 1
-    start, first, last = start + lowest * each, first - lowest, last - lowest
-    index = np.arange(blocks)
-    inside = (index >= first[:, None]) & (index <= last[:, None])
-    taken = slice(start, start + blocks * each)
-    times = times[taken]
-    given = weights[:, None, taken] * np.repeat(inside, each, axis=-1)
-    seconds = np.broadcast_to(times * 1e-9, given.shape)
-    degree = min(_HIGHEST_DEGREE, blocks - 1)
-    basis, rows = orthonormal_basis(seconds, np.sqrt(given), degree, orders - 1, each)
-    # A basis has the same members whatever the window holds; those it cannot carry are zero.
-    more = [(0, 0), (0, 0), (0, 0), (0, _HIGHEST_DEGREE - degree)]
-    basis, rows = np.pad(basis, more), np.pad(rows, more)
-    by_mean = given.reshape(*given.shape[:2], blocks, each)
-    counts = (by_mean > 0).any(axis=-1).sum(axis=-1)
-    highest = np.maximum(counts - 3, np.minimum(counts - 1, HIGHEST_ORDER))
-    highest = np.minimum(highest, degree)
-    member = np.arange(basis.shape[-1]) <= highest[..., None]
-    scale = _Scale(
-        each,
-        start,
-        np.sqrt(weights[:, taken].reshape(len(weights), blocks, each).sum(axis=-1)),
-        basis * member[..., None, :],
-        inside,
-    )
-    spans = (times[(last + 1) * each - 1] - times[first * each]) * 1e-9
-    lengths = (given > 0).sum(axis=-1)
-    return scale, rows * member[..., None, :], highest, lengths, counts, spans
