@@ -117,7 +117,9 @@ def replay(
             if frames is None:
                 continue
             first, last = first or int(frames.stamps[0]), int(frames.stamps[-1])
-            for part in _seconds(frames.stamps, told):
+            whole = [slice(len(frames.stamps))]
+            # Only diagnostics are told every second.
+            for part in whole if writer is None else _seconds(frames.stamps, told):
                 for estimate in tracker.add(part_of(frames, part), order):
                     latest = estimate
                     estimates += len(estimate)
@@ -131,11 +133,10 @@ def replay(
                         table.add(estimate)
                 stamp = int(frames.stamps[part][-1])
                 since = stamp - (told or 0)
-                if told is None or abs(since) >= _SECOND:
-                    if writer is not None:
-                        seconds = since / _SECOND if told is not None else 0.0
-                        array = diagnostics.make(stamp, tracker, latest, seconds, trouble)
-                        writer.write('/diagnostics', array, int(log_times[part][-1]))
+                if writer is not None and (told is None or abs(since) >= _SECOND):
+                    seconds = since / _SECOND if told is not None else 0.0
+                    array = diagnostics.make(stamp, tracker, latest, seconds, trouble)
+                    writer.write('/diagnostics', array, int(log_times[part][-1]))
                     told, trouble = stamp, {}
         if writer is not None:
             # A topic that never had anything to say is still there to be asked for.
