@@ -6,9 +6,7 @@ gives: the one hands it frame by frame, the other many at once, and what they ge
 Header stamps drive it; it never asks for the time.
 """
 
-import itertools
 from collections import Counter
-from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -16,29 +14,24 @@ import numpy as np
 from kinpole_ros.estimate import FARTHEST, Estimate, Poses
 from kinpole_ros.frame import MarkerFrames, part_of
 from kinpole_ros.parameters import Settings
-from kinpole_ros.planar import landmark_kinematics, to_plane
 from kinpole_ros.roster import Roster
 from kinpole_ros.window import (
     FEWEST_SAMPLES,
     STRIKES,
+    LandmarkFilter,
     Noise,
     Pins,
     PoseFilter,
     Samples,
     Shapes,
-    Spectrum,
-    differentiate,
-    newest_needed,
+    joined,
+    runs,
 )
 
 # Coordinates are known no better than a few units of their last place.
 _ROUNDING = 4 * np.finfo(float).eps
 # rad. An angle noisier than this wanders round, and its errors are no longer small.
 _UNSTEADY = 0.15
-# Weights are worth fits of their own where the variance without them is so many times as large.
-_WORTH = 1.1
-# Instants times signals that are differentiated at once: what a cache holds.
-_MOST_AT_ONCE = 512
 # Frames later than this many intervals of late come after a gap.
 _LATE = 2.5
 
@@ -95,8 +88,7 @@ class Tracker:
         self._noise = Noise(count)
         self._pins = Pins(count)
         self._filter = PoseFilter()
-        # Of the landmarks, where these are differentiated.
-        self._spectrum = Spectrum()
+        self._landmark_filter = LandmarkFilter()
         self._stamps = Samples((), np.int64)
         self._positions = Samples((count,), complex)
         self._angles = Samples((count,), float)
@@ -511,18 +503,14 @@ class Tracker:
         found = []
         numbers = now + self._dropped
         first = 0
-        for run in self._runs(
-            (now, oldest, newest),
-            signals,
-            self._information.view(),
-            np.concatenate((noise, noise), -1),
-        ):
+        information, both = self._information.view(), np.concatenate((noise, noise), axis=1)
+        for run in runs(self._stamps.view(), (now, oldest, newest), signals, information, both):
             end = first + run[1].shape[1]
             found.append(
                 self._filter.derivatives(numbers[first:end], *run, reach[first:end], order)
             )
             first = end
-        parts = _joined(found)
+        parts = joined(found)
         apart, together = parts[:6], Poses(*parts[6:])
         # Of all turns that are one, as it was measured.
         whole = angles[now] - signals[now, :count, 0]
@@ -539,125 +527,10 @@ class Tracker:
         size: np.ndarray,
         order: int,
     ) -> tuple[tuple[np.ndarray, ...], Poses | None]:
-        """Derivatives of each landmark, then the seeds' formulas (seed 000)."""
+        """The same from the derivatives of each landmark."""
         assert self._points is not None
-        points = self._points.view()
-        count, width = points.shape[1:]
-        signals = to_plane(points.reshape(len(points), -1))
-        dimensions = np.full(count * width, 2)
-        found = []
-        for run in self._runs(
-            (now, oldest, newest),
-            signals,
-            np.where(np.isfinite(signals[..., 0]), 1.0, 0.0),
-            np.repeat(noise, width, axis=1),
-        ):
-            one = differentiate(*run, dimensions, order, self._spectrum)
-            found.append((*np.moveaxis(one.values, -1, 0), *one[1:]))
-        x, y, covariance, span, degree = _joined(found)
-        derivatives = np.stack((x, y), axis=-1).reshape(order + 1, len(now), count, width, 2)
-        here = np.asarray(np.isfinite(derivatives).all(axis=(0, -1)))
-        given = np.where(here[..., None], derivatives, 0.0)
-        landmarks, velocities, *higher = given
-        motion = landmark_kinematics(
-            landmarks,
-            velocities,
-            *higher,
-            weights=here.astype(float),  # type: ignore[misc]
+        found = self._landmark_filter.derivatives(
+            self._stamps.view(), (now, oldest, newest), self._points.view(), noise, order
         )
-        covariance = covariance.reshape(order + 1, order + 1, len(now), count, width)
-        covariance = np.where(here, covariance, 0.0)
-        with np.errstate(divide='ignore', invalid='ignore'):
-            number = here.sum(axis=-1)
-            arms = np.where(here, _squared_arms(given[0], here), 0.0)
-            position_covariance = covariance.sum(axis=-1) / number**2
-            angle_covariance = (covariance * arms).sum(axis=-1) / arms.sum(axis=-1) ** 2
-        span = span.reshape(len(now), count, width).mean(axis=-1)
-        degree = degree.reshape(len(now), count, width).mean(axis=-1)
-        angle = motion.angle[: order + 1].copy()
-        angle[0] = self._angles.view()[now]
-        position = motion.position[: order + 1].copy()
-        return (position, angle, position_covariance, angle_covariance, span, degree), None
-
-    def _runs(
-        self,
-        windows: tuple[np.ndarray, np.ndarray, np.ndarray],
-        signals: np.ndarray,
-        information: np.ndarray,
-        noise: np.ndarray,
-    ) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray | None, np.ndarray]]:
-        """
-        What `differentiate` takes: times, samples, weights and noise (M, G), of runs of instants.
-
-        The instants are the frames `windows` (now, oldest, newest) of signals (frames, G, 2);
-        `information` (frames, G) are inverse variances over that of `noise` (T, G). Instants whose
-        windows are the same, of frames of the same weight, are done at once: as a rule all of them.
-        """
-        now, oldest, newest = windows
-        stamps = self._stamps.view()
-        even, spread = _evenly(information, oldest, newest)
-        after = newest - now
-        held = newest - oldest + 1
-        if len(now) == 1:
-            held = np.array([newest_needed(int(held[0]), int(after[0]))])
-        else:
-            # Where stamps are uneven a window has a frame more now and then, which nobody needs.
-            each, which = np.unique(np.stack((held, after)), axis=1, return_inverse=True)
-            held = np.array([newest_needed(*pair) for pair in each.T.tolist()])[which.reshape(-1)]
-        # Where the next run may begin: what comes before is not the same, or not to be mixed.
-        begins = np.flatnonzero((held[1:] != held[:-1]) | ~even[1:] | ~even[:-1]) + 1
-        most_at_once = max(1, _MOST_AT_ONCE // noise.shape[1])
-        for begin, stop in itertools.pairwise((0, *begins, len(now))):
-            for first in range(begin, stop, most_at_once):
-                some = slice(first, min(stop, first + most_at_once))
-                rows = newest[some] + np.arange(1 - held[first], 1)[:, None]
-                weights, level = None, noise[some] * spread[some]
-                if not even[first]:
-                    most = information[rows[:, 0]].max(axis=0)
-                    most = np.where(most > 0, most, 1.0)
-                    weights = information[rows[:, 0]] / most
-                    level = noise[some] / np.sqrt(most)
-                yield stamps[rows] - stamps[now[some]], signals[rows], weights, level
-
-
-def _evenly(
-    information: np.ndarray, oldest: np.ndarray, newest: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """
-    In which windows (T,), of frames `oldest` to `newest` (T,), all frames may weigh the same.
-
-    That is where weights would gain next to nothing. Also the root (T, G) of the mean of the
-    inverse of `information` (frames, G): the deviation of a sample that is as good as the others.
-    """
-    part = information[oldest[0] : newest[-1] + 1]
-    if (part == part[0]).all():
-        dark = part[:1] <= 0
-        spread = np.where(dark, 1.0, np.sqrt(1 / np.where(dark, 1.0, part[:1])))
-        return np.ones(len(oldest), bool), np.broadcast_to(spread, (len(oldest), spread.shape[1]))
-    with np.errstate(divide='ignore'):
-        inverse = np.where(part > 0, 1 / part, 0.0)
-    sums = np.stack((part, inverse, part <= 0))
-    count = (newest - oldest + 1)[:, None]
-    if len(oldest) == 1:
-        total = sums.sum(axis=1)[:, None]
-    else:
-        before = np.cumsum(np.pad(sums, ((0, 0), (1, 0), (0, 0))), axis=1)
-        total = before[:, newest + 1 - oldest[0]] - before[:, oldest - oldest[0]]
-    seen, spread, dark = total
-    # A signal that is not there at all is no reason to weigh the others.
-    even = (dark == count) | ((dark == 0) & (seen * spread < _WORTH * count**2))
-    return even.all(axis=1), np.sqrt(np.where(dark < count, spread / count, 1.0))
-
-
-def _squared_arms(points: np.ndarray, here: np.ndarray) -> np.ndarray:
-    """Squared distances (..., n) of the markers that are here from their mean."""
-    number = np.maximum(here.sum(axis=-1), 1)
-    mean = (points * here[..., None]).sum(axis=-2) / number[..., None]
-    return np.asarray(((points - mean[..., None, :]) ** 2).sum(axis=-1))
-
-
-def _joined(found: Sequence[tuple[np.ndarray, ...]]) -> tuple[np.ndarray, ...]:
-    """Arrays (..., T, B) of some runs of instants, as of one."""
-    if len(found) == 1:
-        return found[0]
-    return tuple(np.concatenate(parts, axis=-2) for parts in zip(*found, strict=True))
+        found[1][0] = self._angles.view()[now]
+        return found, None

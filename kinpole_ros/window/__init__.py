@@ -12,11 +12,13 @@ from kinpole_ros.window._choice import (
     weigh_apart,
     weigh_together,
 )
+from kinpole_ros.window._landmarks import LandmarkFilter
 from kinpole_ros.window._noise import Noise
 from kinpole_ros.window._pin import STRIKES, Pins
 from kinpole_ros.window._polynomial import derivative_weights, stencil
 from kinpole_ros.window._poses import PoseFilter
-from kinpole_ros.window._projection import FEWEST_SAMPLES, newest_needed, project
+from kinpole_ros.window._projection import FEWEST_SAMPLES, project
+from kinpole_ros.window._runs import joined, runs
 from kinpole_ros.window._samples import Samples
 from kinpole_ros.window._shape import Shapes
 
@@ -24,6 +26,7 @@ __all__ = [
     'FEWEST_SAMPLES',
     'STRIKES',
     'Derivatives',
+    'LandmarkFilter',
     'Noise',
     'Pins',
     'PoseFilter',
@@ -32,8 +35,9 @@ __all__ = [
     'Spectrum',
     'derivative_weights',
     'differentiate',
-    'newest_needed',
+    'joined',
     'project',
+    'runs',
     'stencil',
     'weigh_apart',
     'weigh_together',

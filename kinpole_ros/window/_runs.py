@@ -1,0 +1,95 @@
+"""
+Which instants can be differentiated together: those whose windows are the same.
+
+A stretch of frames from one recorder is one run, as a rule. What parts it are windows with more or
+fewer frames in them, and frames that weigh less than others because markers are hidden in them.
+"""
+
+import itertools
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from kinpole_ros.window._projection import newest_needed
+
+# Weights are worth fits of their own where the variance without them is so many times as large.
+_WORTH = 1.1
+# Instants times signals that are differentiated at once: what a cache holds.
+_MOST_AT_ONCE = 512
+
+
+def runs(
+    stamps: np.ndarray,
+    windows: tuple[np.ndarray, np.ndarray, np.ndarray],
+    signals: np.ndarray,
+    information: np.ndarray,
+    noise: np.ndarray,
+) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray | None, np.ndarray]]:
+    """
+    What `differentiate` takes: times, samples, weights and noise (M, G), of runs of instants.
+
+    The instants are the frames `windows` (now, oldest, newest), each (T,), of frames at `stamps`
+    (frames,), ns, with their signals (frames, G, 2); `information` (frames, G) are inverse
+    variances over that of `noise` (T, G). Instants whose windows are the same, of frames of the
+    same weight, are done at once: as a rule all of them.
+    """
+    now, oldest, newest = windows
+    even, spread = _evenly(information, oldest, newest)
+    after = newest - now
+    held = newest - oldest + 1
+    if len(now) == 1:
+        held = np.array([newest_needed(int(held[0]), int(after[0]))])
+    else:
+        # Where stamps are uneven a window has a frame more now and then, which nobody needs.
+        each, which = np.unique(np.stack((held, after)), axis=1, return_inverse=True)
+        held = np.array([newest_needed(*pair) for pair in each.T.tolist()])[which.reshape(-1)]
+    # Where the next run may begin: what comes before is not the same, or not to be mixed.
+    begins = np.flatnonzero((held[1:] != held[:-1]) | ~even[1:] | ~even[:-1]) + 1
+    most_at_once = max(1, _MOST_AT_ONCE // noise.shape[1])
+    for begin, stop in itertools.pairwise((0, *begins, len(now))):
+        for first in range(begin, stop, most_at_once):
+            some = slice(first, min(stop, first + most_at_once))
+            rows = newest[some] + np.arange(1 - held[first], 1)[:, None]
+            weights, level = None, noise[some] * spread[some]
+            if not even[first]:
+                most = information[rows[:, 0]].max(axis=0)
+                most = np.where(most > 0, most, 1.0)
+                weights = information[rows[:, 0]] / most
+                level = noise[some] / np.sqrt(most)
+            yield stamps[rows] - stamps[now[some]], signals[rows], weights, level
+
+
+def joined(found: Sequence[tuple[np.ndarray, ...]]) -> tuple[np.ndarray, ...]:
+    """Arrays (..., T, B) of some runs of instants, as of one."""
+    if len(found) == 1:
+        return found[0]
+    return tuple(np.concatenate(parts, axis=-2) for parts in zip(*found, strict=True))
+
+
+def _evenly(
+    information: np.ndarray, oldest: np.ndarray, newest: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """
+    In which windows (T,), of frames `oldest` to `newest` (T,), all frames may weigh the same.
+
+    That is where weights would gain next to nothing. Also the root (T, G) of the mean of the
+    inverse of `information` (frames, G): the deviation of a sample that is as good as the others.
+    """
+    part = information[oldest[0] : newest[-1] + 1]
+    if (part == part[0]).all():
+        dark = part[:1] <= 0
+        spread = np.where(dark, 1.0, np.sqrt(1 / np.where(dark, 1.0, part[:1])))
+        return np.ones(len(oldest), bool), np.broadcast_to(spread, (len(oldest), spread.shape[1]))
+    with np.errstate(divide='ignore'):
+        inverse = np.where(part > 0, 1 / part, 0.0)
+    sums = np.stack((part, inverse, part <= 0))
+    count = (newest - oldest + 1)[:, None]
+    if len(oldest) == 1:
+        total = sums.sum(axis=1)[:, None]
+    else:
+        before = np.cumsum(np.pad(sums, ((0, 0), (1, 0), (0, 0))), axis=1)
+        total = before[:, newest + 1 - oldest[0]] - before[:, oldest - oldest[0]]
+    seen, spread, dark = total
+    # A signal that is not there at all is no reason to weigh the others.
+    even = (dark == count) | ((dark == 0) & (seen * spread < _WORTH * count**2))
+    return even.all(axis=1), np.sqrt(np.where(dark < count, spread / count, 1.0))
