@@ -221,7 +221,8 @@ def test_a_bad_frame_leaves_no_trace_in_the_poses_of_a_settled_body(fault: str) 
     # Of the noise it spoils three comparisons, of which the last leaves at a beat 512 frames later.
     assert level[bad - 1] == other[bad - 1]
     assert (level[bad : bad + 513] != other[bad : bad + 513]).any()
-    assert np.array_equal(level[bad + 514 + 64 :], other[bad + 514 + 64 :])
+    gone = bad + 514 + shapes.beat
+    assert np.array_equal(level[gone:], other[gone:])
 
 
 def test_figures_forget_a_bad_frame_of_a_settled_body() -> None:

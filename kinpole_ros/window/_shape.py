@@ -25,9 +25,8 @@ from kinpole_ros.window._untangle import EXCHANGED, half_turn, untangle
 # is learned on (a marker that creeps) while its residuals, averaged over as many frames, are off by
 # more than this share of what residuals come to as a rule.
 _MEMORY, _REFUTED = 1000, 0.25
-# Frames between two beats: this share of those that the least known marker was seen in, up to so
-# many.
-_BEAT, _LONGEST_BEAT = 1 / 8, 64
+# Frames between two beats: this share of those that the least known marker was seen in.
+_BEAT = 1 / 8
 # A marker is suspect beyond this many times what residuals come to as a rule, which is known from
 # so many frames on and taken from so many, each counted for no more than so many times the rule.
 _SUSPECT = 6.0
@@ -281,7 +280,7 @@ class Shapes:
         self._limit = _SUSPECT * np.sqrt(self._least_rule())
         self._mature = self._fits >= _MATURE
         least = self._frames.min(where=known, initial=_MEMORY) if known.any() else 0
-        self.beat = int(np.clip(least * _BEAT, 1, _LONGEST_BEAT))
+        self.beat = max(1, int(least * _BEAT))
 
     def markers(self) -> Complex:
         """Where the markers (B, n) are in their bodies' frames, NaN for those not seen yet."""
