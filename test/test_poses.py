@@ -1,0 +1,89 @@
+"""Derivatives of poses: judgments hold, until they are due anew or something refutes them."""
+
+import numpy as np
+import pytest
+from stretches import instants
+
+from kinpole_ros.estimate import Estimate
+from kinpole_ros.frame import MarkerFrames, part_of
+from kinpole_ros.parameters import settings_from
+from kinpole_ros.tracker import Tracker
+from kinpole_ros.window import _poses
+
+pytestmark = pytest.mark.filterwarnings('error')
+
+STEP = 5_000_000
+NAMES = ('a', 'b', 'c', 'd')
+VALUES = {'bodies': ['rod'], 'rod.markers': list(NAMES), 'window': 0.5, 'lag': 0.1}
+ARMS = 0.1 * np.exp(2j * np.pi * np.array([0.0, 0.2, 0.45, 0.8]))
+# A judgment holds for an eighth of the 99 samples that the longest window has.
+HELD = 12
+
+
+def frames(angle: np.ndarray, noise: float = 1e-5) -> MarkerFrames:
+    """A body that turns about a point 0.2 m from its middle, which goes along at 1 m/s."""
+    rng = np.random.default_rng(0)
+    along = STEP * 1e-9 * np.arange(len(angle))[:, None]
+    flat = along + (0.2 + ARMS) * np.exp(1j * angle)[:, None]
+    flat = flat + noise * (rng.normal(size=(*flat.shape, 2)) @ (1, 1j))
+    points = np.zeros((*flat.shape, 3))
+    points[..., 0], points[..., 1] = flat.real, flat.imag
+    return MarkerFrames(10**18 + STEP * np.arange(len(angle)), 'world', NAMES, points)
+
+
+def one_by_one(seen: MarkerFrames, orders: list[int]) -> list[Estimate]:
+    """Estimates of frames taken singly, each asked for up to its own order."""
+    tracker = Tracker(settings_from(VALUES))
+    found = []
+    for k, order in enumerate(orders):
+        found += instants(tracker.add(part_of(seen, slice(k, k + 1)), order))
+    return found
+
+
+@pytest.mark.parametrize('begun', range(400, 400 + HELD, 2))
+def test_a_motion_that_sets_in_amid_a_judgment_is_followed_at_once(
+    begun: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    time = np.maximum(np.arange(460) - begun, 0) * STEP * 1e-9
+    seen = frames(100 * time**2)
+
+    def error() -> float:
+        found = instants(Tracker(settings_from(VALUES)).add(seen, 2))
+        rate = np.array([estimate.angle[1, 0] for estimate in found])
+        late = np.array([(estimate.stamp - 10**18) // STEP for estimate in found])
+        some = slice(int(np.searchsorted(late, begun - 6)), None)
+        return float(np.sqrt(np.mean((rate[some] - 200 * time[late[some]]) ** 2)))
+
+    held = error()
+    monkeypatch.setattr(_poses, '_PART', 10**9)
+    assert held < 1.3 * error()
+
+
+def test_who_asks_for_more_amid_a_judgment_waits_for_the_next_and_disturbs_nobody() -> None:
+    seen = frames(2 * np.sin(np.arange(330) / 30))
+    for more in range(300, 300 + HELD, 5):
+        straight = one_by_one(seen, [2] * 330)
+        mixed = one_by_one(seen, [2] * more + [4] * (330 - more))
+        waited = 0
+        for alone, beside in zip(straight, mixed, strict=True):
+            for name in ('angle', 'position'):
+                here, there = getattr(beside, name)[:3], getattr(alone, name)
+                np.testing.assert_allclose(here, there, rtol=1e-12)
+            for order in (1, 2):
+                pole, other = beside.pole(order), alone.pole(order)
+                np.testing.assert_allclose(pole.value, other.value, rtol=1e-10)
+                np.testing.assert_array_equal(pole.determined, other.determined)
+            if beside.order == 4 and np.isnan(beside.angle[3, 0]):
+                assert not beside.pole(3).determined[0]
+                assert not beside.centrode_curvature.determined[0]
+                waited += 1
+        assert waited < HELD
+        assert np.isfinite(mixed[-1].angle[4, 0])
+
+
+def test_who_asks_for_less_gets_what_was_found_before() -> None:
+    seen = frames(2 * np.sin(np.arange(310) / 30))
+    straight = one_by_one(seen, [4] * 310)
+    mixed = one_by_one(seen, [4] * 303 + [1] * 7)
+    for all_, few in zip(straight, mixed, strict=True):
+        np.testing.assert_allclose(few.angle, all_.angle[: few.order + 1], rtol=1e-12)
