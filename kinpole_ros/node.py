@@ -5,6 +5,7 @@ A thin shell around the tracker: it declares the parameters, finds the type of t
 and publishes the rows of the results table that have subscribers.
 """
 
+import gc
 import re
 import sys
 import warnings
@@ -459,6 +460,8 @@ def main(args: Sequence[str] | None = None) -> int:
         if unknown := remove_ros_args(words)[1:]:
             return _refuse(f'unknown words {" ".join(unknown)}; those for ROS follow --ros-args')
         node = KinpoleNode()
+        # What the start has made stays: to look through it for garbage takes up to 40 ms.
+        gc.freeze()
         _spin(node)
     except (KeyboardInterrupt, ExternalShutdownException):
         pass
