@@ -9,7 +9,6 @@ from kinpole_ros.window._choice import (
     Derivatives,
     Spectrum,
     differentiate,
-    weigh_apart,
     weigh_together,
 )
 from kinpole_ros.window._landmarks import LandmarkFilter
@@ -39,6 +38,5 @@ __all__ = [
     'project',
     'runs',
     'stencil',
-    'weigh_apart',
     'weigh_together',
 ]
