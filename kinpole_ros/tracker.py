@@ -24,6 +24,7 @@ from kinpole_ros.window import (
     PoseFilter,
     Samples,
     Shapes,
+    Windows,
     joined,
     runs,
 )
@@ -429,7 +430,7 @@ class Tracker:
         usable = seen & measured & firm
         noise = np.where(noise > 0, noise, 1.0)
         differentiated = self._from_poses if self._points is None else self._from_landmarks
-        found, together = differentiated(now, oldest, newest, noise, known.size, order)
+        found, together = differentiated((now, oldest, newest), noise, known.size, order)
         position, angle, position_covariance, angle_covariance, span, degree = found
         if not usable.all():
             for array in (*found, *(together or ())):
@@ -483,15 +484,10 @@ class Tracker:
         )
 
     def _from_poses(
-        self,
-        now: np.ndarray,
-        oldest: np.ndarray,
-        newest: np.ndarray,
-        noise: np.ndarray,
-        size: np.ndarray,
-        order: int,
+        self, windows: Windows, noise: np.ndarray, size: np.ndarray, order: int
     ) -> tuple[tuple[np.ndarray, ...], Poses | None]:
         """Derivatives of the fitted poses, angle and position each by itself and together."""
+        now = windows[0]
         count = len(self.bodies)
         angles = self._angles.view()
         signals = np.zeros((len(angles), 2 * count, 2))
@@ -504,7 +500,7 @@ class Tracker:
         numbers = now + self._dropped
         first = 0
         information, both = self._information.view(), np.concatenate((noise, noise), axis=1)
-        for run in runs(self._stamps.view(), (now, oldest, newest), signals, information, both):
+        for run in runs(self._stamps.view(), windows, signals, information, both):
             end = first + run[1].shape[1]
             found.append(
                 self._filter.derivatives(numbers[first:end], *run, reach[first:end], order)
@@ -519,18 +515,12 @@ class Tracker:
         return apart, together
 
     def _from_landmarks(
-        self,
-        now: np.ndarray,
-        oldest: np.ndarray,
-        newest: np.ndarray,
-        noise: np.ndarray,
-        size: np.ndarray,
-        order: int,
+        self, windows: Windows, noise: np.ndarray, size: np.ndarray, order: int
     ) -> tuple[tuple[np.ndarray, ...], Poses | None]:
         """The same from the derivatives of each landmark."""
         assert self._points is not None
         found = self._landmark_filter.derivatives(
-            self._stamps.view(), (now, oldest, newest), self._points.view(), noise, order
+            self._stamps.view(), windows, self._points.view(), noise, order
         )
-        found[1][0] = self._angles.view()[now]
+        found[1][0] = self._angles.view()[windows[0]]
         return found, None

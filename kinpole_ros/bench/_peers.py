@@ -46,7 +46,7 @@ from kinpole_ros.frame import part_of
 from kinpole_ros.parameters import Settings
 from kinpole_ros.planar import fit_pose
 from kinpole_ros.tracker import Tracker
-from kinpole_ros.window import derivative_weights, stencil
+from kinpole_ros.window import Windows, derivative_weights, stencil
 
 Table = dict[Key, float]
 
@@ -321,15 +321,9 @@ class FixedTracker(Tracker):
     """The same pipeline with a fixed local polynomial (41 samples, degree 4) for the choice."""
 
     def _from_poses(
-        self,
-        now: np.ndarray,
-        oldest: np.ndarray,
-        newest: np.ndarray,
-        noise: np.ndarray,
-        size: np.ndarray,
-        order: int,
+        self, windows: Windows, noise: np.ndarray, size: np.ndarray, order: int
     ) -> tuple[tuple[np.ndarray, ...], None]:
-        frames = zip(now, oldest, newest, noise, strict=True)
+        frames = zip(*windows, noise, strict=True)
         found = [self._at(*frame, order) for frame in frames]
         axes = (1, 1, 2, 2, 0, 0)
         return tuple(map(np.stack, zip(*found, strict=True), axes)), None

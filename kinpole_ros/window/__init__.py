@@ -17,7 +17,7 @@ from kinpole_ros.window._pin import STRIKES, Pins
 from kinpole_ros.window._polynomial import derivative_weights, stencil
 from kinpole_ros.window._poses import PoseFilter
 from kinpole_ros.window._projection import FEWEST_SAMPLES, project
-from kinpole_ros.window._runs import joined, runs
+from kinpole_ros.window._runs import Windows, joined, runs
 from kinpole_ros.window._samples import Samples
 from kinpole_ros.window._shape import Shapes
 
@@ -32,6 +32,7 @@ __all__ = [
     'Samples',
     'Shapes',
     'Spectrum',
+    'Windows',
     'derivative_weights',
     'differentiate',
     'joined',

@@ -10,7 +10,7 @@ import numpy as np
 from kinpole_ros.planar import landmark_kinematics, to_plane
 from kinpole_ros.planar._plane import Complex, Real
 from kinpole_ros.window._choice import Spectrum, differentiate
-from kinpole_ros.window._runs import joined, runs
+from kinpole_ros.window._runs import Windows, joined, runs
 
 
 class LandmarkFilter:
@@ -22,7 +22,7 @@ class LandmarkFilter:
     def derivatives(
         self,
         stamps: np.ndarray,
-        windows: tuple[np.ndarray, np.ndarray, np.ndarray],
+        windows: Windows,
         points: Complex,
         noise: Real,
         order: int,

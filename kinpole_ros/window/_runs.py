@@ -7,11 +7,14 @@ fewer frames in them, and frames that weigh less than others because markers are
 
 import itertools
 from collections.abc import Iterator, Sequence
+from typing import TypeAlias
 
 import numpy as np
 
 from kinpole_ros.window._projection import newest_needed
 
+# The frames (T,) that instants are, and the oldest and newest in their windows.
+Windows: TypeAlias = tuple[np.ndarray, np.ndarray, np.ndarray]
 # Weights are worth fits of their own where the variance without them is so many times as large.
 _WORTH = 1.1
 # Instants times signals that are differentiated at once: what a cache holds.
@@ -20,7 +23,7 @@ _MOST_AT_ONCE = 512
 
 def runs(
     stamps: np.ndarray,
-    windows: tuple[np.ndarray, np.ndarray, np.ndarray],
+    windows: Windows,
     signals: np.ndarray,
     information: np.ndarray,
     noise: np.ndarray,
