@@ -16,13 +16,18 @@ from kinpole_ros import planar
 # A denominator counts as known when it exceeds its standard deviation this many times.
 SIGNIFICANT = 4.0
 # Of a pole's denominator by common weights: so many times the noise and, apart from that, so many
-# times what the windows differ by. Where a motion sets in they do so long before the noise tells.
-_NOISE, _DIFFERENT = 3.0, 7.0
+# times what the windows differ by, of order 1 to 4. Where a motion sets in they do so long before
+# the noise tells. Also so many times the noise by weights of its own, where that is not too much.
+_NOISE = 2.5
+_DIFFERENT = (8.0, 8.0, 5.0, 5.0)
+_APART = (2.0, 2.0, 0.0, 0.0)
 # Beyond this many body sizes a pole is as good as at infinity.
 FARTHEST = 1e3
 # An ICR that moves by less than so many standard deviations, or body sizes per rad, stands still.
-_MOVING = 3.0
+_MOVING = 1.7
 _STILL = 1e-6
+# A curvature is known to this part of itself, or to one over the body's size.
+_CURVED = 0.3
 POLE_NAMES = ('icr', 'iap', 'ijp', 'isp')
 RATE_NAMES = ('angular_velocity', 'angular_acceleration', 'angular_jerk', 'angular_snap')
 
@@ -195,8 +200,11 @@ class Estimate:
                 least *= SIGNIFICANT**2
             else:
                 different = self.together.turning[order, order - 1]
-                least = _NOISE**2 * least + _DIFFERENT**2 * different
+                least = _NOISE**2 * least + _DIFFERENT[order - 1] ** 2 * different
             turning = np.abs(denominator[-1]) > np.sqrt(least)
+            if self.together is not None and _APART[order - 1]:
+                noise = planar.mean_square(by_angle[:, 0], of_angle[orders, orders, 0])
+                turning &= np.abs(denominator[0]) > _APART[order - 1] * np.sqrt(noise)
         return Vectors(value, spread, turning & near & known)
 
     def pole(self, order: int) -> Vectors:
@@ -253,22 +261,29 @@ class Estimate:
         """Signed curvature of the fixed centrode (1/m); undetermined where the ICR stands still."""
         position, angle, *covariances = self._poses(1)
         curvature = planar.centrode_curvature(position, angle, self._velocities)
+        u = self.icr_velocity
         with np.errstate(divide='ignore', invalid='ignore', over='ignore'):
             noise = planar.variance(curvature, *covariances)
             value, noise, known = _mean(curvature.value.real, noise)
-            least = np.maximum(np.abs(value) / SIGNIFICANT, 1 / self.size)
+            # It goes by the speed to the power of -2, which is far from linear where that is noisy:
+            # of the error x of the speed, relative to it, the change of second order is 3 x^2.
+            slowness = (
+                (u.covariance[..., 0, 0] + u.covariance[..., 1, 1]) / 2 / np.abs(u.value) ** 2
+            )
+            noise = noise + 18 * (value * slowness) ** 2
+            least = np.maximum(_CURVED * np.abs(value), 1 / self.size)
             known = known & (noise < least**2)
         return Numbers(value, noise, self.icr_moves & known)
 
     @cached_property
     def icr_moves(self) -> np.ndarray:
-        """Where (T, B) the ICR is seen to move: a pinned body's centrode is a point."""
+        """Where (T, B) the ICR, however well known, is seen to move: on a pin it does not."""
         u = self.icr_velocity
         with np.errstate(invalid='ignore'):
             noise = np.sqrt(u.covariance[..., 0, 0] + u.covariance[..., 1, 1])
             least = _STILL * np.abs(self.angle[1]) * self.size
-            moves = np.abs(u.value) > np.maximum(_MOVING * noise, least)
-            return np.asarray(u.determined & moves)
+            near = np.abs(self.pole(1).value - self.position[0]) < FARTHEST * self.size
+            return np.asarray(near & (np.abs(u.value) > np.maximum(_MOVING * noise, least)))
 
     @cached_property
     def pairs(self) -> tuple[np.ndarray, np.ndarray]:
@@ -337,11 +352,11 @@ class Estimate:
                 far = np.abs(pole.value[body] - self.position[0, body])
                 away = np.isfinite(far) and far > FARTHEST * self.size[body]
                 found[POLE_NAMES[order - 1]] = 'pole at infinity' if away else 'no rotation'
-        if self.order >= 3 and self.pole(1).determined[body]:
-            if not self.icr_moves[body]:
-                found['centrode_curvature'] = 'pinned: the ICR stands still'
-            elif not self.centrode_curvature.determined[body]:
+        if self.order >= 3 and not self.centrode_curvature.determined[body]:
+            if self.icr_moves[body]:
                 found['centrode_curvature'] = 'lost in its noise'
+            elif self.pole(1).determined[body]:
+                found['centrode_curvature'] = 'pinned: the ICR stands still'
         return found
 
 

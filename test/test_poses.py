@@ -4,11 +4,12 @@ import numpy as np
 import pytest
 from stretches import instants
 
+from kinpole_ros.bench import _hindsight, _record
 from kinpole_ros.estimate import Estimate
 from kinpole_ros.frame import MarkerFrames, part_of
 from kinpole_ros.parameters import settings_from
 from kinpole_ros.tracker import Tracker
-from kinpole_ros.window import _poses
+from kinpole_ros.window import _choice, _poses
 
 pytestmark = pytest.mark.filterwarnings('error')
 
@@ -87,3 +88,42 @@ def test_who_asks_for_less_gets_what_was_found_before() -> None:
     mixed = one_by_one(seen, [4] * 303 + [1] * 7)
     for all_, few in zip(straight, mixed, strict=True):
         np.testing.assert_allclose(few.angle, all_.angle[: few.order + 1], rtol=1e-12)
+
+
+def test_poles_together_are_judged_anew_where_they_part_from_those_apart(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    recording = _record.make_recording(('stop and go',), (1e-5,), 6, 6.0)
+
+    def worst() -> float:
+        """Error of the IJP in stated deviations."""
+        found = _record.measure(recording)
+        told = _hindsight.counted(recording, found)['IJP']
+        errors = _hindsight.own_errors(recording, found)['IJP'] / found.deviations['IJP']
+        return float(errors[told].max())
+
+    assert worst() < 3
+    monkeypatch.setattr(_poses, '_OFF', np.inf)
+    assert worst() > 5
+
+
+def test_a_body_at_rest_is_quiet_at_once_and_followed_when_it_goes_on(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    stop, go, last = 400, 640, 700
+    time = np.arange(last + 20) * STEP * 1e-9
+    begun = np.maximum(time - time[go], 0)
+    stopped = np.minimum(time, time[stop])
+    rate = np.where(time < time[stop], 6 * np.cos(6 * time), 60 * begun)
+    seen = frames(np.sin(6 * stopped) + 30 * begun**2, 1e-4)
+
+    def errors(first: int, end: int) -> float:
+        found = instants(Tracker(settings_from(VALUES)).add(seen, 3))
+        numbers = np.array([(estimate.stamp - 10**18) // STEP for estimate in found])
+        off = np.array([estimate.angle[1, 0] for estimate in found]) - rate[numbers]
+        return float(np.sqrt(np.mean(off[(numbers >= first) & (numbers < end)] ** 2)))
+
+    rest, motion = errors(stop + 25, go - 20), errors(go - 10, last)
+    monkeypatch.setattr(_choice, '_CALM', 1e9)
+    assert rest < 0.6 * errors(stop + 25, go - 20)
+    assert motion < 1.05 * errors(go - 10, last)

@@ -195,7 +195,7 @@ def _shown(estimate: Estimate, t: int, b: int, trail: Trail, part: slice) -> dic
         pole = estimate.pole(order)
         if pole.determined[t, b]:
             found[POLE_NAMES[order - 1]] = pole.value[t, b : b + 1]
-    if estimate.icr_moves[t, b]:
+    if estimate.pole(1).determined[t, b] and estimate.icr_moves[t, b]:
         tail = estimate.pole(1).value[t, b]
         # Drawn as far as the ICR goes in a tenth of a second.
         found['icr_velocity'] = np.array([tail, tail + 0.1 * estimate.icr_velocity.value[t, b]])

@@ -13,7 +13,8 @@ is found for one order never depends on which others are asked for. What the win
 is error too: energies are of late, but where a motion sets in only now the windows part at once.
 
 Averages look back, so what happens only now has its own say: a coefficient that stands out of the
-noise by itself counts, and a window whose richest fit leaves more than noise is charged for it.
+noise by itself counts, a window whose richest fit leaves more than noise is charged for it, and
+where all that is known well of a window is far below its average, there is less of all of it.
 """
 
 from typing import NamedTuple, Protocol
@@ -30,6 +31,9 @@ _MEMORY_TOGETHER = 1.0
 # A mean energy counts from so many of its standard deviations, a single one from so many s^2.
 _LASTING = 3.0
 _SUDDEN = 11.0
+# Coefficients whose mean energy is so many s^2 tell how much moves now: this many times what their
+# squares are of it.
+_BOLD, _CALM = 50.0, 1.5
 # Energy that may hide in each of the next two coefficients, in standard deviations of its mean.
 _HIDDEN = 0.5
 # A fit leaves more than noise when it leaves this many times s^2, and so many standard deviations
@@ -355,18 +359,20 @@ def _weigh(
     variance = _variance(mean_left, freedom * apart, noise)
 
     scatter = variance * np.sqrt(2 / apart)[:, None]
-    limits = np.empty_like(squares)
-    limits[:, :-1] = variance * (1 + _SUDDEN / np.sqrt(dimensions))
-    sudden = energy > limits[:, :-1]
+    stands_out = 1 + _SUDDEN / np.sqrt(dimensions)
+    sudden = energy > variance * stands_out
     lasting = mean - variance > _LASTING * scatter
-    signal = np.maximum(mean - variance, np.where(sudden, energy - variance, 0.0))
-    signal = np.maximum(signal, 0.0)
+    signal = np.maximum(mean - variance, 0.0)
+    calm: Real = np.ones(())
+    if free is None:
+        calm = _calm(energy, np.where(lasting & (signal > _BOLD * variance), signal, 0.0))
+        signal *= calm
+    signal = np.maximum(signal, np.where(sudden, energy - variance, 0.0))
     degrees = np.arange(energy.shape[1])[:, None, None]
     last = np.where(sudden | lasting, degrees, -1).max(axis=1)[:, None]
     if free is not None:
         last = np.maximum(last, free)
     used = degrees <= last
-    limits[:, :-1][used] = np.inf
     within = degrees <= models.highest[:, None]
     share = np.where(used, signal / (signal + variance), 0.0)
     if free is not None:
@@ -382,8 +388,8 @@ def _weigh(
     odds = np.sqrt(2 / np.maximum(freedom * apart, 1))
     lost = np.maximum(mean_left - variance * (_LEFT + _LEFT_LASTING * odds), 0.0)
     odds = np.sqrt(2 / np.maximum(freedom * dimensions, 1))
-    limits[:, -1] = variance * (_LEFT + _LEFT_SUDDEN * odds)
-    lost = np.maximum(lost, left - limits[:, -1]) * (freedom > 0)
+    most_left = variance * (_LEFT + _LEFT_SUDDEN * odds)
+    lost = np.maximum(lost, left - most_left) * (freedom > 0)
     top = np.where(used & (degrees >= models.highest[:, None] - 1), signal, 0.0).max(axis=1)
     charge = _LEFT_WEIGHT * lost * freedom + _BEYOND * top
     # An order above all coefficients in use still has its own first one to fear.
@@ -404,9 +410,25 @@ def _weigh(
     covariance = (part[:, :, None] * part[:, None] * errors).sum(axis=0)
     if unknown.any():
         covariance[unknown[:, None] | unknown] = np.nan
-    # What is charged for already is no news.
-    limits[:, -1][(left > limits[:, -1]) | (freedom == 0)] = np.inf
+    # What is in use, or charged for, is no news.
+    limits = np.empty_like(squares)
+    as_of_late = np.where(used, np.where(calm < 1, variance + signal, np.inf), variance)
+    limits[:, :-1] = stands_out * as_of_late
+    no_news = (left > most_left) | (freedom == 0)
+    limits[:, -1] = np.where(no_news, np.inf, most_left)
     return _Shares(share, mix, covariance, last[:, 0], unknown, limits, means, among)
+
+
+def _calm(energy: Real, signal: Real) -> Real:
+    """
+    How much less (L, 1, M, G), at most 1, moves now than of late.
+
+    By the coefficients whose `signal` is known well, where it is not 0.
+    """
+    known = signal > 0
+    now = np.where(known, energy / np.where(known, signal, 1.0), 0.0).sum(axis=1)
+    count = known.sum(axis=1)
+    return np.where(count > 0, np.minimum(_CALM * now / np.maximum(count, 1), 1.0), 1.0)[:, None]
 
 
 def _disagreement(mix: Real, apart: Real) -> Real:

@@ -3,7 +3,8 @@ Derivatives of poses: how is judged now and then, and holds until the data refut
 
 To judge windows and degrees takes ten times what the derivatives themselves take, and as a rule the
 judgment is the same from one frame to the next. It is made anew at each eighth part of a window,
-and at once for a body in whose coefficients or residuals something stands out that was not there.
+and at once for a body in whose coefficients or residuals something stands out that was not there,
+or of which angle and position tell another story together than they do apart.
 """
 
 from typing import NamedTuple
@@ -26,6 +27,8 @@ from kinpole_ros.window._projection import Projection, longest, project
 # A judgment holds for this part of the samples of the longest window: 12 of 99 leave the errors as
 # they are when each instant is judged.
 _PART = 8
+# Derivatives found together and apart are not the same where they differ by so many deviations.
+_OFF = 3.0
 
 
 class PoseDerivatives(NamedTuple):
@@ -135,7 +138,9 @@ class PoseFilter:
         bodies = reach.shape[1]
         squares = squares_of(fits, np.repeat((1, 2), bodies))
 
-        def judge(instants: np.ndarray, those: np.ndarray, pasts: tuple[Past, Past]) -> _Judged:
+        def judge(
+            instants: np.ndarray, those: np.ndarray, pasts: tuple[Past, Past]
+        ) -> tuple[_Judged, Projection]:
             """Judge these bodies (m, b) at instants (m, b), by what is known of the past."""
             signals = np.concatenate((those, bodies + those), axis=1)
             at = (..., np.concatenate((instants, instants), axis=1), signals)
@@ -148,7 +153,7 @@ class PoseFilter:
                 fits.missing[at],
             )
             given = some, squares[at], noise[at], reach[instants, those]
-            return _judge(*given, *pasts, order, every)
+            return _judge(*given, *pasts, order, every), some
 
         stretch = np.cumsum(due)
         which = (stretch - stretch[0])[:, None] * bodies + np.arange(bodies)
@@ -156,28 +161,63 @@ class PoseFilter:
         begun = due.nonzero()[0]
         if len(begun):
             instants, those = np.broadcast_arrays(begun[:, None], np.arange(bodies))
-            new = judge(instants, those, (self._spectrum.follow, self._spectrum_together.follow))
-            judged = new if due[0] or judged is None else _followed(judged, new)
+            pasts = self._spectrum.follow, self._spectrum_together.follow
+            new, _ = judge(instants, those, pasts)
+            judged = new
+            if not due[0] and self._held is not None:
+                pairs = zip(self._held, new, strict=True)
+                judged = _Judged(*(np.concatenate(pair, axis=-1) for pair in pairs))
             self._held = _Judged(*(field[..., -bodies:] for field in new))
             self._order = order
         assert judged is not None
-        off = _by_signal(squares, bodies) > np.take(judged.limits, which, -1)
-        refuted = off.any(axis=(0, 1, 2)) & ~due[:, None]
-        if refuted.any():
+        found = _applied(judged, which, fits)
+        news = _by_signal(squares, bodies) > np.take(judged.limits, which, -1)
+        wrong = news.any(axis=(0, 1, 2))
+        off = _off(found)
+        orders = np.arange(order + 1)
+        refuted = (wrong | off.any(axis=(0, 1))) & ~due[:, None]
+        if np.count_nonzero(refuted):
             rows = which[refuted]
             pasts = (
                 _known(judged.means[..., rows], judged.among[..., rows]),
                 _known(judged.means_together[..., rows], judged.among_together[..., rows]),
             )
-            which[refuted] = len(judged.span) + np.arange(len(rows))
-            instants, those = refuted.nonzero()
-            new = judge(instants[:, None], those[:, None], pasts)
-            judged = _followed(judged, new)
-        return _applied(judged, which, fits)
+            instants, those = (places[:, None] for places in refuted.nonzero())
+            new, some = judge(instants, those, pasts)
+            anew = _applied(new, np.arange(len(rows))[:, None], some)
+            # No order hangs on what those above it tell, lest it did on which are asked for.
+            both = off[..., refuted] | wrong[refuted]
+            own = both[:, 0].copy()
+            own[1:] = np.logical_or.accumulate(both[orders[1:], orders[:-1]], axis=0)
+            replaced = {
+                'K': own,
+                'KK': own[:, None] | own,
+                '': own[min(1, order)],
+                'KA': both,
+                'KKA': both[:, None] | both,
+            }
+            for array, part, axes in zip(found, anew, _AXES, strict=True):
+                where = replaced[axes]
+                array[..., refuted] = np.where(where, part[..., 0], array[..., refuted])
+        return found
 
 
-def _followed(judged: _Judged, new: _Judged) -> _Judged:
-    return _Judged(*(np.concatenate(pair, axis=-1) for pair in zip(judged, new, strict=True)))
+def _off(found: PoseDerivatives) -> np.ndarray:
+    """Which derivatives (K, A, M, B) together, or some of lower order, are off those apart."""
+
+    def off(apart: Complex, both: Complex, covariance: Real, covariance_both: Real) -> np.ndarray:
+        orders = np.arange(len(apart))
+        variance = covariance[orders, orders][:, None] + covariance_both[orders, orders]
+        away = both - apart[:, None]
+        return np.asarray(away.real**2 + away.imag**2 > _OFF**2 * variance)
+
+    f = found
+    either = off(
+        f.position, f.position_together, f.position_covariance, f.position_covariance_together
+    ) | off(f.angle, f.angle_together, f.angle_covariance, f.angle_covariance_together)
+    # The instant itself is the same for both, but for rounding.
+    either[0] = False
+    return np.asarray(np.logical_or.accumulate(either, axis=0))
 
 
 def _judge(
