@@ -339,6 +339,12 @@ BAD = [
     ('four_bar', put(['.nan', 0], 'bodies', 'crank', 'A'), "'A' is '.nan': give a finite number"),
     ('four_bar', put([float('nan'), 0], 'bodies', 'crank', 'A'), "'A' is nan: give a finite"),
     ('four_bar', put([10**400, 0], 'bodies', 'crank', 'A'), 'give a finite number'),
+    ('four_bar', put([1e300, 0], 'bodies', 'crank', 'A'), 'is 1e+300, beyond all use: check the'),
+    (
+        'four_bar',
+        put({'drive': 'crank', 'from': 0, 'to': 1, 'duration': 1e-100}, 'drivers', 0),
+        'its derivatives are beyond all numbers: give it more time',
+    ),
     ('four_bar', put(['3 kg', 0], 'bodies', 'crank', 'A'), "is '3 kg', whose unit is none of len"),
     ('four_bar', put('3 @ 4 @ 5', 'bodies', 'crank', 'A'), 'or LENGTH @ ANGLE'),
     ('four_bar', put([0, 0], 'bodies', 'crank', 'A'), "'bodies: crank': 'O' and 'A' are at the"),

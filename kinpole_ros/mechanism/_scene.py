@@ -197,7 +197,10 @@ def _driver(where: str, said: Any, assembly: Assembly) -> _Driven:
     where = f"{where[:-1]}, {name}'"
     motion, begin, end = _drive(where, said, kinds[name])
     # Not the ends alone: a table's spline may swing beyond its values.
-    values = motion(np.linspace(begin, end, 2001))[0]
+    with np.errstate(all='ignore'):
+        values, *derivatives = motion(np.linspace(begin, end, 2001))
+    if not np.isfinite(derivatives).all():
+        raise SceneError(f'{where}: its derivatives are beyond all numbers: give it more time')
     low, high = float(values.min()), float(values.max())
     strut = any(isinstance(joint, Strut) and joint.name == name for joint in assembly.joints)
     if strut and low <= 0:

@@ -27,6 +27,8 @@ UNITS: dict[str, dict[str, float]] = {
     'torque': {'N m': 1.0, 'N cm': 0.01, 'N mm': 0.001, 'kN m': 1000.0},
     'mass': {'kg': 1.0, 'g': 0.001, 't': 1000.0, 'lb': 0.45359237},
 }
+# In SI units. Nothing is that long or fast, and the fourth powers of what is less do not overflow.
+_LARGEST = 1e15
 _EXAMPLES = {
     'length': '0.12 or 12 cm',
     'angle': '0.5 or 30 deg',
@@ -45,7 +47,7 @@ def quantity(where: str, value: Any, kind: str) -> float:
     """
     The `value` of a key in SI units; `kind` is a key of UNITS, `where` begins the message.
 
-    Raises SceneError for what is no finite number, or has a unit of another kind.
+    Raises SceneError for what is no number or beyond all use, or has a unit of another kind.
     """
     number, unit = float('nan'), ''
     if isinstance(value, str) and (written := _WRITTEN.fullmatch(value)):
@@ -62,6 +64,8 @@ def quantity(where: str, value: Any, kind: str) -> float:
     result = number * (units[unit] if unit else 1.0)
     if not isfinite(result):
         raise SceneError(f'{where} is {value!r}: give a finite number, as {_EXAMPLES[kind]}')
+    if abs(result) > _LARGEST:
+        raise SceneError(f'{where} is {value!r}, beyond all use: check the number and its unit')
     return result
 
 
