@@ -10,7 +10,7 @@ import pytest
 
 from kinpole_ros import planar
 from kinpole_ros.bench import _long, hindsight_table, motions
-from kinpole_ros.bench._bounds import bound_variance
+from kinpole_ros.bench._bounds import propagated
 from kinpole_ros.bench._hindsight import LEVELS, apply_weights, coverage, fixed_weights
 from kinpole_ros.bench._motions import cusped, swinging
 from kinpole_ros.bench._page import _beyond, _long_part
@@ -71,6 +71,7 @@ def test_table_of_one_motion_has_every_quantity_and_sane_ratios() -> None:
     for ratio, bound in zip(rows, bounds, strict=True):
         assert bound['quantity'] == ratio['quantity']
         assert bound['seeds_10'] == bound['seeds_90'] == pytest.approx(1)
+        assert 0.3 < bound['best_covered'] <= 1
         both = bound['ours_over_bound'] / bound['best_over_bound']
         assert both == pytest.approx(ratio['ratio'], rel=1e-6)
 
@@ -88,7 +89,7 @@ def test_the_bound_is_what_least_squares_errs_where_its_model_is_true() -> None:
     found = quantities(weights @ z, weights @ theta)
     true = quantities(position[:4, None, None], angle[:4, None, None])
     for name in QUANTITIES:
-        bound = bound_variance(
+        value, bound = propagated(
             name,
             position[:4, None, None],
             angle[:4, None, None],
@@ -96,6 +97,9 @@ def test_the_bound_is_what_least_squares_errs_where_its_model_is_true() -> None:
             np.array([turn**2]),
             weights,
         )
+        assert value == pytest.approx(true[name])
+        if name in POLES:
+            bound = bound[..., 0, 0] + bound[..., 1, 1]
         error = np.mean(np.abs(found[name] - true[name]) ** 2)
         assert error == pytest.approx(float(bound[0, 0]), rel=0.1), name
 
@@ -119,6 +123,7 @@ def test_errors_as_stated_are_covered_as_often_and_distributed_like_chi_square()
     error = 1e-4 * (np.random.default_rng(5).normal(size=(*shape, 2)) @ (1, 1j))
     for row in coverage(recording, stated(recording, error, 1e-4)):
         assert row['covered'] == pytest.approx(0.95, abs=0.015)
+        assert row['scaled'] == pytest.approx(0.95, abs=0.015)
         assert row['exact'] == 0
         for level in LEVELS:
             below = row[f'below_{100 * level:g}']
@@ -126,6 +131,15 @@ def test_errors_as_stated_are_covered_as_often_and_distributed_like_chi_square()
                 assert below == pytest.approx(level, abs=0.025)
             else:
                 assert np.isnan(below)
+
+
+def test_what_one_factor_would_mend_is_told_apart() -> None:
+    recording = make_recording(('rolling wheel',), (1e-3,), 4, 6.0)
+    shape = recording.middle.shape
+    error = 1e-4 * (np.random.default_rng(5).normal(size=(*shape, 2)) @ (1, 1j))
+    for row in coverage(recording, stated(recording, error, 2.5e-4)):
+        assert row['covered'] > 0.99
+        assert row['scaled'] == pytest.approx(0.95, abs=0.015)
 
 
 def test_figures_without_error_are_told_as_exact() -> None:
@@ -139,6 +153,7 @@ def test_ours_is_held_against_the_least_of_the_peers_named() -> None:
     key = ('two sines', 1e-3, 'ω')
     tables = {OURS: {key: 3.0}, 'a': {key: 2.0}, 'b': {key: 1.5}, 'c': {key: 0.1}}
     assert _beyond(tables, ('a', 'b')) == [(2.0, key, 'b')]
+    assert _beyond(tables, ('b', 'c'), 'a') == [(20.0, key, 'c')]
     tables['b'][key] = np.nan
     assert _beyond(tables, ('a', 'b')) == [(1.5, key, 'a')]
 

@@ -8,36 +8,51 @@ best: no unbiased estimate from these samples with that model has a smaller vari
 import numpy as np
 
 from kinpole_ros import planar
-from kinpole_ros.bench._hindsight import Best, Key, by_condition, fixed_weights
-from kinpole_ros.bench._record import POLES, QUANTITIES, RATES, Recording, rms
+from kinpole_ros.bench._hindsight import (
+    Best,
+    Key,
+    apply_weights,
+    by_condition,
+    covered,
+    fixed_weights,
+)
+from kinpole_ros.bench._record import (
+    POLES,
+    QUANTITIES,
+    RATES,
+    Recording,
+    fit_poses,
+    rms,
+    squared_error,
+)
 
 
-def bound_variance(
+def propagated(
     quantity: str,
     position: np.ndarray,
     angle: np.ndarray,
     position_variance: np.ndarray,
     angle_variance: np.ndarray,
     weights: np.ndarray,
-) -> np.ndarray:
+) -> tuple[np.ndarray, np.ndarray]:
     """
-    Least variance (M, S) of a quantity, of poles that of x and y together, in its unit squared.
+    A quantity (M, S) and its variance to first order, of poles the covariance (M, S, 2, 2).
 
-    At the true state `position` (4, M, S) and `angle` (4, M, S), from samples whose variances (S,)
-    are those of one axis of the position and of the angle, by the rows `weights` (4, n) that make
-    derivatives of them: of white noise the fit by least squares is the efficient one.
+    At the state `position` (4, M, S) and `angle` (4, M, S), from samples whose variances (S,) are
+    those of one axis of the position and of the angle, by the rows `weights` (4, n) that make
+    derivatives of them. At the true state it is the least variance, since of white noise the fit by
+    least squares is the efficient one.
     """
     gram = (weights @ weights.T)[..., None]
     by_position, by_angle = gram * position_variance, gram * angle_variance
     if quantity in RATES:
         order = RATES.index(quantity) + 1
-        return np.broadcast_to(by_angle[order, order], angle.shape[1:])
+        return angle[order], np.broadcast_to(by_angle[order, order], angle.shape[1:])
     if quantity in POLES:
         linear = planar.pole(POLES.index(quantity) + 1, position, angle)
-        spread = planar.covariance(linear, by_position, by_angle)
-        return np.asarray(spread[..., 0, 0] + spread[..., 1, 1])
+        return linear.value, planar.covariance(linear, by_position, by_angle)
     curvature = planar.centrode_curvature(position, angle)
-    return np.asarray(planar.variance(curvature, by_position, by_angle))
+    return curvature.value.real, planar.variance(curvature, by_position, by_angle)
 
 
 def bounds(
@@ -52,9 +67,11 @@ def bounds(
 
     `seeds_10` and `seeds_90` are percentiles of the best setting's RMS on each single seed over its
     pooled RMS. `bound` is the bound's pooled RMS; `ours_over_bound` and `best_over_bound` are
-    medians over the seeds of the RMS on that seed over the bound's there.
+    medians over the seeds of the RMS on that seed over the bound's there. `best_covered` is the
+    share of what counts that lies in the 95% interval of the best setting, from the true noise.
     """
     count = recording.shape.shape[1]
+    seen, turned = (by_condition(recording, part) for part in fit_poses(recording))
     position, angle = (
         by_condition(recording, part[:, frames]) for part in (recording.position, recording.angle)
     )
@@ -69,16 +86,17 @@ def bounds(
             if chosen is None:
                 continue
             key = motion, noise
-            weights, _ = fixed_weights(chosen.samples, chosen.degree)
+            weights, ahead = fixed_weights(chosen.samples, chosen.degree)
+            noises = position_variance[key], angle_variance[key]
+            z, turn = apply_weights(weights, ahead, frames, seen[key], turned[key])
             with np.errstate(all='ignore'):
-                variance = bound_variance(
-                    name,
-                    position[key],
-                    angle[key],
-                    position_variance[key],
-                    angle_variance[key],
-                    weights,
-                )
+                truth, spread = propagated(name, position[key], angle[key], *noises, weights)
+                found, stated = propagated(name, z, turn, *noises, weights)
+                if name in POLES:
+                    variance = spread[..., 0, 0] + spread[..., 1, 1]
+                    squares = squared_error(found - truth, stated)
+                else:
+                    variance, squares = spread, (found - truth) ** 2 / stated
                 counts = masks[key] & np.isfinite(variance)
                 least = rms(np.sqrt(variance), counts)
                 ours = rms(error, counts)
@@ -97,6 +115,7 @@ def bounds(
                         ),
                         'ours_over_bound': float(np.nanmedian(ours / least)),
                         'best_over_bound': float(np.nanmedian(chosen.seeds / least)),
+                        'best_covered': float(covered(name, squares)[counts].mean()),
                     }
                 )
     return rows

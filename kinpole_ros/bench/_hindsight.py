@@ -158,6 +158,11 @@ def best_fixed(
     return best
 
 
+def covered(name: str, squares: np.ndarray) -> np.ndarray:
+    """Where errors, squared over their (co)variance, lie in the 95% interval of the quantity."""
+    return np.asarray(squares < (5.991 if name in POLES else 1.96**2))
+
+
 def coverage(recording: Recording, ours: Figures) -> list[dict[str, object]]:
     """
     Rows by motion, noise and quantity: how far the stated uncertainty holds.
@@ -170,13 +175,14 @@ def coverage(recording: Recording, ours: Figures) -> list[dict[str, object]]:
     that power of the rms of ω): what is known worse than that is no loss. A frame whose true pole
     does not exist is bad, and not covered where it is marked determined. `exact` is the share of
     determined frames without any error but rounding: where it is above 0.97 `covered` cannot be
-    below. `below_50` and so on are, for poles, the shares of squared errors over the covariance
-    below that percentile of chi-square.
+    below. `scaled` is what `covered` would be, had the stated variances of the row been all as much
+    larger or smaller as makes that mean 1. `below_50` and so on are, for poles, the shares of
+    squared errors over the covariance below that percentile of chi-square.
     """
     errors = own_errors(recording, ours)
     rows: list[dict[str, object]] = []
     for name in QUANTITIES:
-        limit, freedom = (5.991, 2) if name in POLES else (1.96**2, 1)
+        freedom = 2 if name in POLES else 1
         truth = recording.truth[name][ours.frames]
         with np.errstate(all='ignore'):
             bad = ~(errors[name] <= 10 * ours.deviations[name])
@@ -194,7 +200,7 @@ def coverage(recording: Recording, ours: Figures) -> list[dict[str, object]]:
         good = ~bad & useful
         columns = {
             'determined': ours.determined[name],
-            'covered': ours.squares[name] < limit,
+            'covered': covered(name, ours.squares[name]),
             'square': ours.squares[name] / freedom,
             'exact': errors[name] <= _EXACT * scale,
             'bad': bad,
@@ -206,6 +212,9 @@ def coverage(recording: Recording, ours: Figures) -> list[dict[str, object]]:
             told = here['determined']
             enough = told.sum() >= FEWEST
             square = here['square'][told & np.isfinite(here['square'])]
+            mean = square.mean() if enough else np.nan
+            with np.errstate(all='ignore'):
+                scaled = covered(name, freedom * square / mean).mean() if enough else np.nan
             chi = {f'below_{100 * p:g}': np.nan for p in LEVELS}
             if name in POLES and enough:
                 all_told = 2 * here['square'][told]
@@ -218,7 +227,8 @@ def coverage(recording: Recording, ours: Figures) -> list[dict[str, object]]:
                     'determined': told.mean(),
                     'covered': here['covered'][told].mean() if enough else np.nan,
                     'exact': here['exact'][told].mean() if enough else np.nan,
-                    'mean_square': square.mean() if enough else np.nan,
+                    'mean_square': mean,
+                    'scaled': scaled,
                     'median_square': np.median(square) if enough else np.nan,
                     'bad': int(here['bad'].sum()),
                     'bad_let_through': int((here['bad'] & told).sum()),

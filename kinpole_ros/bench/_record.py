@@ -194,13 +194,17 @@ def measure(recording: Recording, tracker_type: type[Tracker] = Tracker, **chang
             squares[name] = (values[name] - truth[name]) ** 2 / variance
     for k, name in enumerate(POLES):
         values[name], spread, determined[name] = joined([e.pole(k + 1) for e in found])
-        error = planar.to_plane(values[name] - truth[name])
-        a, b, d = spread[..., 0, 0], spread[..., 0, 1], spread[..., 1, 1]
-        x, y = error[..., 0], error[..., 1]
-        with np.errstate(all='ignore'):
-            deviations[name] = np.sqrt(a + d)
-            squares[name] = (d * x**2 - 2 * b * x * y + a * y**2) / (a * d - b**2)
+        deviations[name] = np.sqrt(spread[..., 0, 0] + spread[..., 1, 1])
+        squares[name] = squared_error(values[name] - truth[name], spread)
     return Figures(index, values, deviations, squares, determined)
+
+
+def squared_error(error: np.ndarray, covariance: np.ndarray) -> np.ndarray:
+    """Squared errors (...), of complex ones, over their covariance (..., 2, 2)."""
+    a, b, d = covariance[..., 0, 0], covariance[..., 0, 1], covariance[..., 1, 1]
+    x, y = error.real, error.imag
+    with np.errstate(all='ignore'):
+        return np.asarray((d * x**2 - 2 * b * x * y + a * y**2) / (a * d - b**2))
 
 
 def rms(error: np.ndarray, where: np.ndarray) -> np.ndarray:
