@@ -40,10 +40,12 @@ _MARKERS = 20
 _BODY = ['3', '7', '11', '15']
 _BEST_EFFORT = ReliabilityPolicy.BEST_EFFORT
 _WAIT = 20.0
-# Rates tried, each so many times the one before, for so long (s).
-_STEP_UP = 1.19
+# Rates tried, each so many times the one before, for so long (s), up to so often: whatever else
+# runs on the machine may take a core for a moment.
+_STEP_UP = 1.1
 _TRY = 2.0
-_LOWEST, _HIGHEST = 200.0, 12000.0
+_TRIES = 3
+_LOWEST, _HIGHEST = 500.0, 12000.0
 
 
 class Latency(NamedTuple):
@@ -289,16 +291,18 @@ def _rates(asker: Asker) -> dict[str, float]:
     # Made before: the sender must not be what limits.
     frames = [cloud.at(10**12 + k * 1_000_000) for k in range(2000)]
     stamps = {NODE: 2 * 10**12, RELAY: 2 * 10**12}
+
+    def held(name: str, rate: float) -> bool:
+        before = _received(asker, name, told[name])
+        count, achieved = _send(asker.publishers[name], frames, rate, stamps, name)
+        after = _received(asker, name, told[name])
+        return after - before == count and achieved >= 0.95 * rate
+
     best = {}
     for name in (NODE, RELAY):
         rate = _LOWEST
         best[name] = 0.0
-        while rate < _HIGHEST:
-            before = _received(asker, name, told[name])
-            count, achieved = _send(asker.publishers[name], frames, rate, stamps, name)
-            after = _received(asker, name, told[name])
-            if after - before < count or achieved < 0.95 * rate:
-                break
+        while rate < _HIGHEST and any(held(name, rate) for _ in range(_TRIES)):
             best[name] = rate
             rate *= _STEP_UP
     sink.destroy_node()

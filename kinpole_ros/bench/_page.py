@@ -469,7 +469,7 @@ def _speed_part(rows: Rows) -> str:
 Bold does not reach its bar. CPU times, but for the latencies and what is live; each pair in one
 run. The relay is a node that reads the same message as rclpy makes it and publishes one vector;
 the node follows one body of 4 markers in a cloud of 20 and is asked for its angular velocity, ICR
-and centrode curvature."""
+and centrode curvature. A rate is held when it is in one of three tries of 2 s, by either."""
 
 
 def _beyond_bar(row: dict[str, Any]) -> bool:
