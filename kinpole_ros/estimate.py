@@ -23,6 +23,8 @@ _DIFFERENT = (8.0, 8.0, 5.0, 5.0)
 _APART = (2.0, 2.0, 0.0, 0.0)
 # Beyond this many body sizes a pole is as good as at infinity.
 FARTHEST = 1e3
+# Two values of one figure contradict each other beyond so many deviations of their difference.
+_AGREE = 3.0
 # An ICR that moves by less than so many standard deviations, or body sizes per rad, stands still.
 _MOVING = 1.7
 _STILL = 1e-6
@@ -372,7 +374,7 @@ def _mean(values: np.ndarray, spread: np.ndarray) -> tuple[np.ndarray, np.ndarra
     Mean of one or two values (S, ...) and of their (co)variances, (S, ...) or (S, ..., 2, 2).
 
     Weighted by the inverse squares of the latter; what the values differ by is error too. Also
-    where (...) it is known.
+    where (...) it is known: not where the values contradict each other.
     """
     plane = spread.ndim > values.ndim
     variance = spread[..., 0, 0] + spread[..., 1, 1] if plane else spread
@@ -392,6 +394,7 @@ def _mean(values: np.ndarray, spread: np.ndarray) -> tuple[np.ndarray, np.ndarra
     shares = squares[::-1] / (squares[0] + squares[1])
     value = np.einsum('s...,s...->...', shares, values)
     off, apart = values[1] - values[0], shares[0] * shares[1]
+    either &= off.real**2 + off.imag**2 <= _AGREE**2 * (variance[0] + variance[1])
     if not plane:
         return value, np.einsum('s...,s...->...', shares, spread) + apart * off**2, either
     xy = np.array((off.real, off.imag))

@@ -27,8 +27,8 @@ from kinpole_ros.window import (
     stencil,
     weigh_together,
 )
-from kinpole_ros.window._choice import together
-from kinpole_ros.window._projection import evaluate
+from kinpole_ros.window._choice import squares_of, together, weigh_apart
+from kinpole_ros.window._projection import evaluate, project
 
 pytestmark = pytest.mark.filterwarnings('error')
 
@@ -600,6 +600,25 @@ def test_each_window_forgets_at_its_own_pace() -> None:
     # Of 60 instants the first 30 held 1: means of the last 5 or so, or of all up to 50.
     assert mean[:, 0, -1, 0] == pytest.approx([0.8**30, 0.5], rel=0.2)
     assert instants[:, -1, 0].tolist() == [5, 50]
+
+
+@pytest.mark.parametrize('every', [1, 12, 500])
+def test_averages_take_in_as_many_squares_however_seldom_they_are_asked(every: int) -> None:
+    # Between judgments 500 instants apart the shortest window, of 7 samples, comes and goes.
+    stamps = 10**6 * np.arange(-2000, 2001)[:, None]
+    signals = np.random.default_rng(0).normal(size=(4001, 1, 1, 2)) * (1, 0)
+    fits = project(stamps, signals, None, 2)
+    seen = []
+
+    def past(squares: np.ndarray, known: np.ndarray, memory: np.ndarray) -> Any:
+        seen.append(memory)
+        return squares, np.broadcast_to(np.minimum(1000.0, memory[:, None]), known.shape)
+
+    ones = np.ones(1, int)
+    found = weigh_apart(fits, squares_of(fits, ones), np.ones(1), ones, 2, past, every)
+    lengths = fits.models.lengths[:, 0, 0]
+    assert seen[0][:, 0] == pytest.approx(3 * np.maximum(lengths / every, 1))
+    assert np.isfinite(found.covariance).all()
 
 
 def test_averages_go_on_alike_over_many_instants_and_one_by_one() -> None:

@@ -352,10 +352,11 @@ def _weigh(
     energy, left = squares[:, :-1], squares[:, -1]
     known = np.broadcast_to((models.lengths > 0) & ~missing, left.shape)
     lengths = np.maximum(models.lengths, 1)
-    means, among = past(squares, known, back / every * lengths[:, 0])
+    # Neighboring windows share samples: this part of a square is new to the one before.
+    new = np.minimum(every / lengths, 1.0)
+    means, among = past(squares, known, back / new[:, 0])
     mean, mean_left = means[:, :-1], means[:, -1]
-    # Neighboring windows share samples; the number of squares that are new to each other:
-    apart = np.maximum(every * among / lengths, 1.0) * dimensions
+    apart = np.maximum(new * among, 1.0) * dimensions
     variance = _variance(mean_left, freedom * apart, noise)
 
     scatter = variance * np.sqrt(2 / apart)[:, None]
