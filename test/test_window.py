@@ -28,7 +28,7 @@ from kinpole_ros.window import (
     weigh_together,
 )
 from kinpole_ros.window._choice import squares_of, together, weigh_apart
-from kinpole_ros.window._projection import evaluate, project
+from kinpole_ros.window._projection import evaluate
 
 pytestmark = pytest.mark.filterwarnings('error')
 
