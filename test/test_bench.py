@@ -13,7 +13,8 @@ from kinpole_ros.bench import _long, hindsight_table, motions
 from kinpole_ros.bench._bounds import propagated
 from kinpole_ros.bench._hindsight import LEVELS, apply_weights, coverage, fixed_weights
 from kinpole_ros.bench._motions import cusped, swinging
-from kinpole_ros.bench._page import _beyond, _long_part
+from kinpole_ros.bench._page_accuracy import _beyond
+from kinpole_ros.bench._page_limits import long_part
 from kinpole_ros.bench._peers import OURS, make_kalman, run_kalman
 from kinpole_ros.bench._pendulum import _fixed, _poles
 from kinpole_ros.bench._record import (
@@ -207,11 +208,11 @@ def test_a_long_run_tells_a_frame_that_drifts_from_one_that_stays(monkeypatch: A
 def test_the_page_quotes_a_long_run_once_it_is_written(tmp_path: Path) -> None:
     path = tmp_path / 'long.csv'
     assert _read_csv(path) == []
-    assert 'Not measured' in _long_part([])
+    assert 'Not measured' in long_part([])
     names = ('omega_error', 'icr_error', 'turned', 'shifted', 'shape_error', 'memory', 'cpu')
     rows = [{'frame': 5e4 * k} | dict.fromkeys(names, 1e-3 * k) for k in range(1, 201)]
     _write_csv(path, rows)
-    told = _long_part(_read_csv(path))
+    told = long_part(_read_csv(path))
     assert '1e+07 frames' in told
     assert 'turned by 0.2 rad' in told
 
