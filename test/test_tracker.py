@@ -573,6 +573,38 @@ def test_what_is_left_out_does_not_hang_on_how_many_frames_come_at_once(
         assert [e.stamp for e in other] == [e.stamp for e in found[0]]
 
 
+def test_frames_in_parts_leave_the_tracker_after_each_part_as_frames_added_part_by_part() -> None:
+    scene = record('four_bar', count=160, noise=1e-3)
+    order = [*range(70), *range(60, 65), *range(70, 120), *range(10, 40), *range(120, 160)]
+    frames = [
+        scene.frames[k]._replace(frame_id='world' if n < 100 else 'other')
+        for n, k in enumerate(order)
+    ]
+    alone, together = (Tracker(settings_from(scene.values)) for _ in range(2))
+
+    def seen(tracker: Tracker) -> tuple[Any, ...]:
+        return dict(tracker.counts), tracker.samples, str(tracker.interval), str(tracker.noise())
+
+    expected, states = [], []
+    for number, frame in enumerate(frames):
+        for estimate in alone.add(frame, 2):
+            expected += [(int(stamp), number) for stamp in estimate.stamp]
+        states.append(seen(alone))
+    after = []
+
+    def parts() -> Iterable[MarkerFrames]:
+        for frame in frames:
+            yield frame
+            after.append(seen(together))
+
+    found = together.add_parts(parts(), 2)
+    assert after == states
+    assert alone.counts['resets'] and alone.counts['late'] and alone.counts['frame_changes']
+    due = [(int(s), int(d)) for e in found for s, d in zip(e.stamp, e.due, strict=True)]
+    assert due == expected
+    assert len(found) < 6 < len(expected)
+
+
 def test_a_gap_within_the_window_resets_nothing() -> None:
     seen = record('cardan', count=300)
     frames = seen.frames[:100] + seen.frames[190:]

@@ -2,11 +2,13 @@
 
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack
+from itertools import chain
 from pathlib import Path
-from typing import NamedTuple
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
+from rclpy.serialization import serialize_message
 
 from kinpole_ros.bags._reader import BagError, Truncated, bag_files, read_blocks, topics
 from kinpole_ros.bags._table import CsvTable, ParquetTable
@@ -27,6 +29,9 @@ from kinpole_ros.tracker import Tracker
 
 NODE_NAME = 'kinpole'
 _SECOND = 1_000_000_000
+_MOST_KEPT = 31 << 20  # bytes; from 32 MiB on nothing is kept
+# Topic, type, log times (ns) and messages, as `BagWriter.write_many` takes them.
+Column: TypeAlias = tuple[str, type, list[int], Sequence[bytes]]
 
 
 class Replayed(NamedTuple):
@@ -82,6 +87,9 @@ def replay(
         if path in taken:
             raise BagError(f'{target} is {taken[path]}; name another file for the results')
         taken[path] = 'the bag of results' if target is output else 'the CSV table'
+    # glibc keeps what is freed once it has seen so much come and go, and no longer asks the system
+    # for the arrays of each block anew: a tenth of all the time.
+    np.empty(_MOST_KEPT, np.uint8)
     theory = load_theory(settings)
     tracker = Tracker(settings)
     reader = MarkerReader(kind, settings.marker_identity)
@@ -91,14 +99,11 @@ def replay(
         for row in result_outputs(tuple(settings.bodies), settings.plane, theory)
         if row.order <= order
     ]
-    diagnostics = DiagnosticsMaker(NODE_NAME, theory)
+    beat = _Beat(DiagnosticsMaker(NODE_NAME, theory))
     found = {body: dict.fromkeys(POLE_NAMES[:order], 0) for body in tracker.bodies}
     estimates = 0
     problem = ''
-    trouble: dict[str, str] = {}
     first = last = 0
-    told: int | None = None
-    latest: Estimate | None = None
     truncated: Truncated | None = None
     with ExitStack() as stack:
         writer = stack.enter_context(BagWriter(output)) if output is not None else None
@@ -113,31 +118,25 @@ def replay(
             elif error is not None:
                 tracker.counts['unreadable'] += 1
                 problem = problem or str(error)
-                trouble['message'] = str(error)
+                beat.trouble['message'] = str(error)
             if frames is None:
                 continue
             first, last = first or int(frames.stamps[0]), int(frames.stamps[-1])
-            whole = [slice(len(frames.stamps))]
-            # Only diagnostics are told every second.
-            for part in whole if writer is None else _seconds(frames.stamps, told):
-                for estimate in tracker.add(part_of(frames, part), order):
-                    latest = estimate
-                    estimates += len(estimate)
-                    _count(found, estimate)
-                    if writer is not None:
-                        # Known as soon as the frames came that they fell due with.
-                        times = log_times[part][estimate.due]
-                        made = result_columns(outputs, estimate, f'/{NODE_NAME}', times)
-                        writer.write_many(made)
-                    for table in tables:
-                        table.add(estimate)
-                stamp = int(frames.stamps[part][-1])
-                since = stamp - (told or 0)
-                if writer is not None and (told is None or abs(since) >= _SECOND):
-                    seconds = since / _SECOND if told is not None else 0.0
-                    array = diagnostics.make(stamp, tracker, latest, seconds, trouble)
-                    writer.write('/diagnostics', array, int(log_times[part][-1]))
-                    told, trouble = stamp, {}
+            if writer is None:
+                known = tracker.add(frames, order)
+            else:
+                known = tracker.add_parts(beat.parts(frames, tracker), order)
+                # Known as soon as the frames came that they fell due with.
+                columns = [
+                    result_columns(outputs, estimate, f'/{NODE_NAME}', log_times[estimate.due])
+                    for estimate in known
+                ]
+                writer.write_many(chain(*columns, beat.columns(known, log_times)))
+            for estimate in known:
+                estimates += len(estimate)
+                _count(found, estimate)
+                for table in tables:
+                    table.add(estimate)
         if writer is not None:
             # A topic that never had anything to say is still there to be asked for.
             for row in outputs:
@@ -196,21 +195,56 @@ def _frames(
             done += count
 
 
-def _seconds(stamps: np.ndarray, told: int | None) -> Iterator[slice]:
-    """Parts of frames (T,) that end where a second has passed since diagnostics were `told`."""
-    first = 0
-    while first < len(stamps):
-        since = stamps[first:] - (stamps[first] - _SECOND if told is None else told)
-        over = np.abs(since) >= _SECOND
-        end = first + int(over.argmax()) + 1 if over.any() else len(stamps)
-        yield slice(first, end)
-        told = int(stamps[end - 1]) if over.any() else told
-        first = end
+class _Beat:
+    """
+    Diagnostics of each second of stamps, as of its last frame, out of long parts of a bag.
+
+    `trouble` names what is wrong, for the next.
+    """
+
+    def __init__(self, maker: DiagnosticsMaker) -> None:
+        self.trouble: dict[str, str] = {}
+        self._maker = maker
+        self._told: int | None = None
+        self._latest: Estimate | None = None
+        # Number of the frame, and what is to be finished with the estimate of that time.
+        self._begun: list[tuple[int, Callable[[Estimate | None], DiagnosticArray]]] = []
+
+    def parts(self, frames: MarkerFrames, tracker: Tracker) -> Iterator[MarkerFrames]:
+        """The frames in parts that end where a second has passed, for the tracker to take."""
+        stamps, first = frames.stamps, 0
+        while first < len(stamps):
+            told = stamps[first] - _SECOND if self._told is None else self._told
+            over = np.abs(stamps[first:] - told) >= _SECOND
+            end = first + int(over.argmax()) + 1 if over.any() else len(stamps)
+            yield part_of(frames, slice(first, end))
+            if over.any():
+                stamp = int(stamps[end - 1])
+                seconds = 0.0 if self._told is None else (stamp - self._told) / _SECOND
+                begun = self._maker.begin(stamp, tracker, seconds, self.trouble)
+                self._begun.append((end - 1, begun))
+                self._told, self.trouble = stamp, {}
+            first = end
+
+    def columns(self, known: list[Estimate], log_times: np.ndarray) -> Iterator[Column]:
+        """What these seconds have to say; `known` are the estimates of the same frames."""
+        data = []
+        for number, finish in self._begun:
+            now = self._latest
+            for estimate in known:
+                due = int(np.searchsorted(estimate.due, number, side='right'))
+                now = estimate[due - 1] if due else now
+            data.append(serialize_message(finish(now)))
+        at = [int(log_times[number]) for number, _ in self._begun]
+        yield '/diagnostics', DiagnosticArray, at, data
+        self._begun = []
+        if known:
+            self._latest = known[-1][-1]
 
 
 def result_columns(
     outputs: list[Output], estimate: Estimate, prefix: str, log_times: np.ndarray
-) -> Iterator[tuple[str, type, list[int], Sequence[bytes]]]:
+) -> Iterator[Column]:
     """
     All there is to say of T instants, as `BagWriter.write_many` takes it.
 

@@ -179,7 +179,7 @@ class BagWriter:
         for channel, log_times, data in checked:
             heads = np.empty(len(data), _HEADS)
             heads['opcode'] = Opcode.MESSAGE
-            heads['length'] = [_COUNTED + len(one) for one in data]
+            heads['length'] = np.fromiter(map(len, data), '<u8', len(data)) + np.uint64(_COUNTED)
             heads['channel'] = channel.record.id
             heads['sequence'] = channel.messages + np.arange(len(data)) & 0xFFFFFFFF
             heads['log_time'] = heads['publish_time'] = log_times

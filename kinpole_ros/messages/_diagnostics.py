@@ -1,7 +1,7 @@
 """How the tracking is going, in the words of diagnostic_msgs, for people who watch a rig."""
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
@@ -61,6 +61,17 @@ class DiagnosticsMaker:
         else is wrong, by topic; `stamps` are those of the frames since.
         """
         now = None if latest is None else latest[-1]
+        return self.begin(stamp, tracker, seconds, trouble, stamps)(now)
+
+    def begin(
+        self,
+        stamp: int,
+        tracker: Tracker,
+        seconds: float,
+        trouble: Mapping[str, str],
+        stamps: Sequence[int] = (),
+    ) -> Callable[[Estimate | None], DiagnosticArray]:
+        """The same of the tracker as it is, to be finished with the one estimate of this time."""
         counts = tracker.counts
         since = {key: counts[key] - self._before[key] for key in counts}
         self._before = counts.copy()
@@ -70,11 +81,15 @@ class DiagnosticsMaker:
         faults += stamp_faults(stamps, seconds, tracker.settings.window)
         array.status = [self._input(tracker, since, seconds, faults)]
         noise = tracker.noise()
-        for b, body in enumerate(tracker.bodies):
-            array.status.append(self._body(b, body, now, noise, bool(since.get('frames'))))
-        if now is not None and (len(tracker.bodies) > 1 or self._theory is not None):
-            array.status.append(self._linkage(now))
-        return array
+
+        def finish(now: Estimate | None) -> DiagnosticArray:
+            for b, body in enumerate(tracker.bodies):
+                array.status.append(self._body(b, body, now, noise, bool(since.get('frames'))))
+            if now is not None and (len(tracker.bodies) > 1 or self._theory is not None):
+                array.status.append(self._linkage(now))
+            return array
+
+        return finish
 
     def _linkage(self, now: Estimate) -> DiagnosticStatus:
         """What the bodies say of each other: Kennedy's theorem, and the scene if one is given."""

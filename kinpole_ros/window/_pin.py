@@ -79,24 +79,22 @@ class Pins:
         self._forget(gone)
         fresh = np.zeros(len(gone), bool)
         usable = known & ~strayed & ~gone
-        body = np.arange(len(gone))
-        while True:
-            # The next pose of each body that is turned by a step from the last one kept.
-            with np.errstate(invalid='ignore'):
-                turned = np.abs((angle - self._last + np.pi) % (2 * np.pi) - np.pi) > _STEP
-            new = usable & (turned | (self._count == 0))
-            first = new.argmax(axis=0)
-            some = np.flatnonzero(new[first, body])
-            if not len(some):
-                break
-            row, at = self._count[some] % _KEPT, first[some]
-            self.since[some] = np.where(self._count[some] == 0, stamps[at], self.since[some])
-            self._positions[row, some] = position[at, some]
-            self._turns[row, some] = np.exp(1j * angle[at, some])
-            self._last[some] = angle[at, some]
-            self._count[some] += 1
-            fresh[some] = True
-            usable &= frame > np.where(new[first, body], first, -1)
+        with np.errstate(invalid='ignore'):
+            turned = np.abs((angle - self._last + np.pi) % (2 * np.pi) - np.pi) > _STEP
+        new = usable & (turned | (self._count == 0))
+        for b in np.flatnonzero(new.any(axis=0)).tolist():
+            left = usable[:, b]
+            left[: new[:, b].argmax()] = False
+            at = left.nonzero()[0]
+            at = at[_spaced(angle[at, b].tolist())]
+            if self._count[b] == 0:
+                self.since[b] = stamps[at[0]]
+            row = (self._count[b] + np.arange(len(at))) % _KEPT
+            self._positions[row, b] = position[at, b]
+            self._turns[row, b] = np.exp(1j * angle[at, b])
+            self._last[b] = angle[at[-1], b]
+            self._count[b] += len(at)
+            fresh[b] = True
         ready = np.flatnonzero(fresh & (self._count >= _SOME))
         if len(ready):
             last = len(known) - 1 - known[::-1, ready].argmax(axis=0)
@@ -152,3 +150,13 @@ class Pins:
             self.variance[which] = np.nan
             self._count[which] = 0
             self._strikes[which] = 0
+
+
+def _spaced(angles: list[float]) -> list[int]:
+    """Places of the first angle, and of each that is a step off the last one kept."""
+    kept, last = [0], angles[0]
+    for k, angle in enumerate(angles):
+        if abs((angle - last + np.pi) % (2 * np.pi) - np.pi) > _STEP:
+            kept.append(k)
+            last = angle
+    return kept

@@ -17,8 +17,8 @@ from kinpole_ros.window._projection import newest_needed
 Windows: TypeAlias = tuple[np.ndarray, np.ndarray, np.ndarray]
 # Weights are worth fits of their own where the variance without them is so many times as large.
 _WORTH = 1.1
-# Instants times signals that are differentiated at once: what a cache holds.
-_MOST_AT_ONCE = 512
+# Instants times signals that are differentiated at once: more gain next to nothing.
+_MOST_AT_ONCE = 2048
 
 
 def runs(
