@@ -10,7 +10,6 @@ from geometry_msgs.msg import Vector3Stamped
 from nav_msgs.msg import Odometry
 from rclpy.serialization import deserialize_message
 
-from kinpole_ros import plot as plotting
 from kinpole_ros.bags import (
     BagError,
     BagWriter,
@@ -23,7 +22,7 @@ from kinpole_ros.bags import (
 from kinpole_ros.mechanism import load_scene
 from kinpole_ros.messages import ns_to_stamp, stamp_to_ns
 from kinpole_ros.parameters import Settings
-from kinpole_ros.plot import centrodes, plot, read_results
+from kinpole_ros.plot import _draw, centrodes, plot, read_results
 
 pytest.importorskip('matplotlib')
 
@@ -190,19 +189,19 @@ def test_lines_stop_at_gaps_and_where_the_pole_passes_infinity(bags, tmp_path) -
         bags['cardan'], tmp_path / 'gap.mcap', lambda _, stamp: not 0.4 < stamp - start < 0.7
     )
     (rod,) = read_results(gappy).bodies
-    (gap,) = plotting._breaks(rod, rod.stamp)
+    (gap,) = _draw._breaks(rod, rod.stamp)
     assert rod.stamp[gap + 1] - rod.stamp[gap] > 0.29e9
-    values, alone = plotting._broken(np.arange(4.0), np.array([1, 2]))
+    values, alone = _draw._broken(np.arange(4.0), np.array([1, 2]))
     np.testing.assert_array_equal(values, [0, 1, np.nan, 2, np.nan, 3])
     assert alone == [3, 5]
-    np.testing.assert_array_equal(plotting._reversals(np.array([1.0, 2, -1, -1, 3])), [1, 3])
+    np.testing.assert_array_equal(_draw._reversals(np.array([1.0, 2, -1, -1, 3])), [1, 3])
 
 
 def test_poles_at_infinity_do_not_squash_the_picture(bags) -> None:
     coupler = read_results(bags['four_bar']).bodies[1]
     locus = centrodes(coupler)
     assert np.abs(locus.fixed).max() > 20
-    view = plotting._view(coupler, locus, plotting._reach(coupler, locus))
+    view = _draw._view(coupler, locus, _draw._reach(coupler, locus))
     assert max(abs(view.low), abs(view.high)) < 3
 
 

@@ -1,0 +1,14 @@
+"""Pictures of result bags."""
+
+from kinpole_ros.plot._draw import plot
+from kinpole_ros.plot._read import Body, Centrodes, Results, Series, centrodes, read_results
+
+__all__ = [
+    'Body',
+    'Centrodes',
+    'Results',
+    'Series',
+    'centrodes',
+    'plot',
+    'read_results',
+]
