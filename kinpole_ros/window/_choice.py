@@ -193,15 +193,25 @@ def apart(fits: Projection, share: Real, mix: Real) -> Real:
     return np.asarray((mix[:, :, None] * values).sum(axis=0))
 
 
-def together(fits: Projection, share: Real, mix: Real) -> Real:
-    """Derivatives (K, 3, A, M, B) of angle, x and y by the weights of `Together`."""
+def both_ways(fits: Projection, share: Real, mix: Real) -> Real:
+    """
+    Derivatives (K, 3, A + 1, M, B) of angle, x and y, from the sample at time 0.
+
+    The weights, (L, D, A + 2, M, B) and (L, K, A + 2, M, B), are those of the angle by itself, of
+    `Together` for each arm, and of the position by itself. So the first of the angles and the last
+    of the positions are apart, the others together.
+    """
     bodies = share.shape[-1]
-    members = np.empty((*share.shape[:2], 3, *share.shape[2:]))
-    coefficients = fits.coefficients[..., None, :, :]
-    np.multiply(share, coefficients[:, :, 0, ..., :bodies], out=members[:, :, 0])
-    np.multiply(share[:, :, None], coefficients[..., bodies:], out=members[:, :, 1:])
+    # Copied, lest each product goes by pieces of B numbers.
+    angle = fits.coefficients[:, :, :1, :, :bodies].copy()
+    position = fits.coefficients[..., None, :, bodies:].copy()
+    members = np.empty((*share.shape[:2], 3, share.shape[2] - 1, *share.shape[3:]))
+    np.multiply(share[:, :, :-1], angle, out=members[:, :, 0])
+    np.multiply(share[:, :, None, 1:], position, out=members[:, :, 1:])
     values = _evaluated(fits.models, members)
-    return np.asarray((mix[:, :, None] * values).sum(axis=0))
+    values[:, :, 0] *= mix[:, :, :-1]
+    values[:, :, 1:] *= mix[:, :, None, 1:]
+    return np.asarray(values.sum(axis=0))
 
 
 def weigh_apart(

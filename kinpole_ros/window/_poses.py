@@ -18,8 +18,8 @@ from kinpole_ros.window._choice import (
     Past,
     Spectrum,
     apart,
+    both_ways,
     squares_of,
-    together,
     weigh_apart,
     weigh_together,
 )
@@ -61,19 +61,18 @@ class _Judged(NamedTuple):
     """
     How bodies at instants are derived, R in all: the fields of `Weights` and `Together`.
 
-    Of two signals, angle and position, and A arms; also the covariance of the angle together.
+    Of two signals, angle and position, and A arms; also the covariance of the angle together. The
+    weights are in the order of `both_ways`.
     """
 
-    share: Real  # (L, D, 2, R)
-    mix: Real  # (L, K, 2, R)
+    share: Real  # (L, D, A + 2, R)
+    mix: Real  # (L, K, A + 2, R)
     covariance: Real  # (K, K, 2, R)
     span: Real  # (R,)
     degree: Real
     limits: Real  # (L, D + 1, 2, R)
     means: Real
     among: Real  # (L, 2, R)
-    share_together: Real  # (L, D, A, R)
-    mix_together: Real  # (L, K, A, R)
     covariance_together: Real  # (K, K, A, R)
     angle_covariance: Real
     turning: Real  # (K, A, R)
@@ -255,19 +254,22 @@ def _judge(
         """Instants and bodies (..., M, B) as one axis."""
         return array.reshape(*array.shape[:-2], -1)
 
-    fields = own.share, own.mix, own.covariance, own.limits, own.means, own.among
-    share, mix, covariance, limits, means, among = (flat(_by_signal(f, bodies)) for f in fields)
+    def ordered(of_signals: Real, of_arms: Real) -> Real:
+        """Weights in the order of `both_ways`."""
+        two = _by_signal(of_signals, bodies)
+        return flat(np.concatenate((two[:, :, :1], of_arms, two[:, :, 1:]), axis=2))
+
+    fields = own.covariance, own.limits, own.means, own.among
+    covariance, limits, means, among = (flat(_by_signal(field, bodies)) for field in fields)
     return _Judged(
-        share,
-        mix,
+        ordered(own.share, both.share),
+        ordered(own.mix, both.mix),
         covariance,
         flat(own.span[:, :bodies]),
         flat(own.degree[:, :bodies]),
         limits,
         means,
         among,
-        flat(both.share),
-        flat(both.mix),
         flat(both.covariance),
         flat(of_angle),
         flat(both.turning),
@@ -299,29 +301,22 @@ def _applied(judged: _Judged, which: np.ndarray, fits: Projection) -> PoseDeriva
     def taken(array: Real) -> Real:
         return array.take(which, -1)
 
-    def by_instant(array: Real) -> Real:
-        """The reverse of `_by_signal`."""
-        array = taken(array).swapaxes(-3, -2)
-        return array.reshape(*array.shape[:-2], -1)
-
-    own = apart(fits, by_instant(judged.share), by_instant(judged.mix))  # (K, 2, M, 2 B)
-    both = together(fits, taken(judged.share_together), taken(judged.mix_together))
-    position, angle = _complex(own[..., bodies:]), own[:, 0, :, :bodies]
-    position_together, angle_together = _complex(both[:, 1:]), both[:, 0]
+    found = both_ways(fits, taken(judged.share), taken(judged.mix))
+    angle, position = found[:, 0], _complex(found[:, 1:])
     # The instant itself is the same for both.
     base = fits.base.view(complex)[..., 0]
-    position_together[0] = position[0] = position[0] + base[:, bodies:]
-    angle_together[0] = angle[0] = angle[0] + base.real[:, :bodies]
+    angle[0] = angle[0, 0] + base.real[:, :bodies]
+    position[0] = position[0, -1] + base[:, bodies:]
     covariance = taken(judged.covariance)
     return PoseDerivatives(
-        position,
-        angle,
+        position[:, -1],
+        angle[:, 0],
         covariance[:, :, 1],
         covariance[:, :, 0],
         taken(judged.span),
         taken(judged.degree),
-        position_together,
-        angle_together,
+        position[:, :-1],
+        angle[:, 1:],
         taken(judged.covariance_together),
         taken(judged.angle_covariance),
         taken(judged.turning),
