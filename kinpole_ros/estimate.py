@@ -197,16 +197,16 @@ class Estimate:
             near = np.abs(value - self.position[0]) < FARTHEST * self.size
             # Whether the body turns is asked of the last: together, where that is known.
             orders = poles.angle_orders
-            least = planar.mean_square(by_angle[:, -1], of_angle[orders, orders, -1])
+            rate = np.abs(denominator)
+            noise = planar.mean_square(by_angle, of_angle[orders, orders])
             if self.together is None:
-                least *= SIGNIFICANT**2
+                turning = rate[0] > SIGNIFICANT * np.sqrt(noise[0])
             else:
                 different = self.together.turning[order, order - 1]
-                least = _NOISE**2 * least + _DIFFERENT[order - 1] ** 2 * different
-            turning = np.abs(denominator[-1]) > np.sqrt(least)
-            if self.together is not None and _APART[order - 1]:
-                noise = planar.mean_square(by_angle[:, 0], of_angle[orders, orders, 0])
-                turning &= np.abs(denominator[0]) > _APART[order - 1] * np.sqrt(noise)
+                least = _NOISE**2 * noise[1] + _DIFFERENT[order - 1] ** 2 * different
+                turning = rate[1] > np.sqrt(least)
+                if _APART[order - 1]:
+                    turning &= rate[0] > _APART[order - 1] * np.sqrt(noise[0])
         return Vectors(value, spread, turning & near & known)
 
     def pole(self, order: int) -> Vectors:
@@ -397,6 +397,6 @@ def _mean(values: np.ndarray, spread: np.ndarray) -> tuple[np.ndarray, np.ndarra
     either &= off.real**2 + off.imag**2 <= _AGREE**2 * (variance[0] + variance[1])
     if not plane:
         return value, np.einsum('s...,s...->...', shares, spread) + apart * off**2, either
-    xy = np.array((off.real, off.imag))
+    xy = off[..., None].view(float)
     mixed = np.einsum('s...,s...xy->...xy', shares, spread)
-    return value, mixed + np.einsum('...,x...,y...->...xy', apart, xy, xy), either
+    return value, mixed + apart[..., None, None] * xy[..., None] * xy[..., None, :], either

@@ -45,19 +45,20 @@ def fit_pose(points: Complex, shape: Complex, weights: Real) -> Fit:
         shape_mean = (weights * s).sum(axis=-1) / total
         p = p - point_mean[..., None]
         s = s - shape_mean[..., None]
-        spread = (weights * (s.real**2 + s.imag**2)).sum(axis=-1)
+        square = weights * (s.real**2 + s.imag**2)
+        spread = square.sum(axis=-1)
         cross = (weights * p * s.conj()).sum(axis=-1)
-        apart = _apart(p, point_mean, weights) & _apart(s, shape_mean, weights)
+        apart = _apart(p, point_mean, seen) & _apart(s, shape_mean, seen)
         length = np.abs(cross)
         turn = np.where(apart & (length > np.finfo(float).tiny), cross / length, np.nan)
         position = point_mean - turn * shape_mean
-        taken = weights * (2 / total[..., None] + np.abs(s) ** 2 / spread[..., None])
+        taken = weights * (2 / total)[..., None] + square / spread[..., None]
         freedom = np.where(seen, np.maximum(2 - taken, 0), 0)
     residual = np.where(seen, p * turn.conj()[..., None] - s, np.nan)
     return Fit(position, np.angle(turn), residual, spread, shape_mean, total, freedom)
 
 
-def _apart(arms: Complex, mean: Complex, weights: Real) -> np.ndarray:
-    """Where points of weight lie apart from their mean by more than rounding."""
-    farthest = np.max(np.abs(arms), axis=-1, where=weights > 0, initial=0.0)
+def _apart(arms: Complex, mean: Complex, seen: np.ndarray) -> np.ndarray:
+    """Where points that are seen lie apart from their mean by more than rounding."""
+    farthest = np.abs(arms).max(axis=-1, where=seen, initial=0.0)
     return np.asarray(farthest > ROUNDING * np.abs(mean))

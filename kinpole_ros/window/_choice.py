@@ -142,7 +142,7 @@ class Spectrum:
             self._count = np.concatenate((self._count, np.zeros((new, groups))))
         count = self._count[:levels, None] + np.cumsum(known, axis=1)
         self._count[:levels] = count[:, -1]
-        among = np.clip(count, 1.0, memory[:, None])
+        among = np.minimum(np.maximum(count, 1.0), memory[:, None])
         gain = (known / among)[:, None]
         means = np.empty_like(squares)
         mean = self._mean[:levels]
@@ -193,15 +193,25 @@ def apart(fits: Projection, share: Real, mix: Real) -> Real:
     return np.asarray((mix[:, :, None] * values).sum(axis=0))
 
 
-def together(fits: Projection, share: Real, mix: Real) -> Real:
-    """Derivatives (K, 3, A, M, B) of angle, x and y by the weights of `Together`."""
+def both_ways(fits: Projection, share: Real, mix: Real) -> Real:
+    """
+    Derivatives (K, 3, A + 1, M, B) of angle, x and y, from the sample at time 0.
+
+    The weights, (L, D, A + 2, M, B) and (L, K, A + 2, M, B), are those of the angle by itself, of
+    `Together` for each arm, and of the position by itself. So the first of the angles and the last
+    of the positions are apart, the others together.
+    """
     bodies = share.shape[-1]
-    members = np.empty((*share.shape[:2], 3, *share.shape[2:]))
-    coefficients = fits.coefficients[..., None, :, :]
-    np.multiply(share, coefficients[:, :, 0, ..., :bodies], out=members[:, :, 0])
-    np.multiply(share[:, :, None], coefficients[..., bodies:], out=members[:, :, 1:])
+    # Copied, lest each product goes by pieces of B numbers.
+    angle = fits.coefficients[:, :, :1, :, :bodies].copy()
+    position = fits.coefficients[..., None, :, bodies:].copy()
+    members = np.empty((*share.shape[:2], 3, share.shape[2] - 1, *share.shape[3:]))
+    np.multiply(share[:, :, :-1], angle, out=members[:, :, 0])
+    np.multiply(share[:, :, None, 1:], position, out=members[:, :, 1:])
     values = _evaluated(fits.models, members)
-    return np.asarray((mix[:, :, None] * values).sum(axis=0))
+    values[:, :, 0] *= mix[:, :, :-1]
+    values[:, :, 1:] *= mix[:, :, None, 1:]
+    return np.asarray(values.sum(axis=0))
 
 
 def weigh_apart(
@@ -254,7 +264,7 @@ def weigh_together(
     scale = even / np.sqrt(even**2 + (reach * of_angle) ** 2)
 
     # Those of the positions, for each arm.
-    models = fits.models.of(np.tile(np.arange(count, 2 * count), number))
+    models = fits.models.of(count + np.arange(number * count) % count)
 
     # Angle, and position along and across the arms: (L, D, 3, A, M, B).
     x, y = (fits.coefficients[:, :, k, None, :, count:] for k in (0, 1))
@@ -284,8 +294,8 @@ def weigh_together(
     shares = _weigh(
         models,
         squares,
-        np.tile(fits.missing[:, :count] | fits.missing[:, count:], number),
-        np.tile(even, number),
+        np.concatenate([fits.missing[:, :count] | fits.missing[:, count:]] * number, axis=1),
+        np.concatenate([even] * number, axis=1),
         2,
         order,
         past,
@@ -350,7 +360,7 @@ def _weigh(
     instants, groups = missing.shape
     freedom = models.freedom
     energy, left = squares[:, :-1], squares[:, -1]
-    known = np.broadcast_to((models.lengths > 0) & ~missing, left.shape)
+    known = (models.lengths > 0) & ~missing
     lengths = np.maximum(models.lengths, 1)
     # Neighboring windows share samples: this part of a square is new to the one before.
     new = np.minimum(every / lengths, 1.0)
@@ -362,11 +372,11 @@ def _weigh(
     scatter = variance * np.sqrt(2 / apart)[:, None]
     stands_out = 1 + _SUDDEN / np.sqrt(dimensions)
     sudden = energy > variance * stands_out
-    lasting = mean - variance > _LASTING * scatter
     signal = np.maximum(mean - variance, 0.0)
+    lasting = signal > _LASTING * scatter
     calm: Real = np.ones(())
     if free is None:
-        calm = _calm(energy, np.where(lasting & (signal > _BOLD * variance), signal, 0.0))
+        calm = _calm(energy, signal, lasting & (signal > _BOLD * variance))
         signal *= calm
     signal = np.maximum(signal, np.where(sudden, energy - variance, 0.0))
     degrees = np.arange(energy.shape[1])[:, None, None]
@@ -374,11 +384,13 @@ def _weigh(
     if free is not None:
         last = np.maximum(last, free)
     used = degrees <= last
+    signal *= used
+    total = signal + variance
     within = degrees <= models.highest[:, None]
-    share = np.where(used, signal / (signal + variance), 0.0)
+    share = signal / total
     if free is not None:
         share = np.where((degrees <= free) & within, 1.0, share)
-    hidden = (degrees > last) & (degrees <= last + 2) & within
+    hidden = ~used & (degrees <= last + 2) & within
     error = share * variance + np.where(hidden, _HIDDEN * scatter, 0.0)
 
     orders = order + 1
@@ -390,16 +402,16 @@ def _weigh(
     lost = np.maximum(mean_left - variance * (_LEFT + _LEFT_LASTING * odds), 0.0)
     odds = np.sqrt(2 / np.maximum(freedom * dimensions, 1))
     most_left = variance * (_LEFT + _LEFT_SUDDEN * odds)
-    lost = np.maximum(lost, left - most_left) * (freedom > 0)
-    top = np.where(used & (degrees >= models.highest[:, None] - 1), signal, 0.0).max(axis=1)
+    lost = np.maximum(lost, left - most_left)
+    top = np.where(degrees >= models.highest[:, None] - 1, signal, 0.0).max(axis=1)
     charge = _LEFT_WEIGHT * lost * freedom + _BEYOND * top
     # An order above all coefficients in use still has its own first one to fear.
     index = np.arange(orders)
     above = index[:, None, None] > last + 2
     extra = models.rim * charge[:, None] + models.own * np.where(above, _HIDDEN * scatter, 0.0)
-    errors[:, index, index] += extra
+    risk = np.einsum('lkk...->lk...', errors)  # (L, K, M, G), a view
+    risk += extra
 
-    risk = errors[:, index, index]  # (L, K, M, G)
     usable = models.highest[:, None] >= index[:, None, None]
     usable = usable & np.isfinite(risk) & ~missing
     risk = np.where(usable, np.maximum(risk, np.finfo(float).tiny), np.inf)
@@ -413,21 +425,19 @@ def _weigh(
         covariance[unknown[:, None] | unknown] = np.nan
     # What is in use, or charged for, is no news.
     limits = np.empty_like(squares)
-    as_of_late = np.where(used, np.where(calm < 1, variance + signal, np.inf), variance)
-    limits[:, :-1] = stands_out * as_of_late
+    limits[:, :-1] = stands_out * np.where(used & (calm == 1), np.inf, total)
     no_news = (left > most_left) | (freedom == 0)
     limits[:, -1] = np.where(no_news, np.inf, most_left)
     return _Shares(share, mix, covariance, last[:, 0], unknown, limits, means, among)
 
 
-def _calm(energy: Real, signal: Real) -> Real:
+def _calm(energy: Real, signal: Real, known: np.ndarray) -> Real:
     """
     How much less (L, 1, M, G), at most 1, moves now than of late.
 
-    By the coefficients whose `signal` is known well, where it is not 0.
+    By the coefficients whose `signal` is `known` well.
     """
-    known = signal > 0
-    now = np.where(known, energy / np.where(known, signal, 1.0), 0.0).sum(axis=1)
+    now = np.divide(energy, signal, out=np.zeros_like(energy), where=known).sum(axis=1)
     count = known.sum(axis=1)
     return np.where(count > 0, np.minimum(_CALM * now / np.maximum(count, 1), 1.0), 1.0)[:, None]
 
@@ -441,4 +451,4 @@ def _disagreement(mix: Real, apart: Real) -> Real:
 def _variance(mean_left: Real, freedom: Real, noise: Real) -> Real:
     """Variance (M, G) of the noise to judge by: not less than what the best rich fit leaves."""
     measured = np.where(freedom >= _ENOUGH_FREEDOM, mean_left, np.inf).min(axis=0)
-    return np.where(np.isfinite(measured), np.maximum(noise**2, measured), noise**2)
+    return np.maximum(noise**2, np.where(np.isfinite(measured), measured, 0.0))

@@ -7,6 +7,7 @@ and at once for a body in whose coefficients or residuals something stands out t
 or of which angle and position tell another story together than they do apart.
 """
 
+from functools import cache
 from typing import NamedTuple
 
 import numpy as np
@@ -17,8 +18,8 @@ from kinpole_ros.window._choice import (
     Past,
     Spectrum,
     apart,
+    both_ways,
     squares_of,
-    together,
     weigh_apart,
     weigh_together,
 )
@@ -60,19 +61,18 @@ class _Judged(NamedTuple):
     """
     How bodies at instants are derived, R in all: the fields of `Weights` and `Together`.
 
-    Of two signals, angle and position, and A arms; also the covariance of the angle together.
+    Of two signals, angle and position, and A arms; also the covariance of the angle together. The
+    weights are in the order of `both_ways`.
     """
 
-    share: Real  # (L, D, 2, R)
-    mix: Real  # (L, K, 2, R)
+    share: Real  # (L, D, A + 2, R)
+    mix: Real  # (L, K, A + 2, R)
     covariance: Real  # (K, K, 2, R)
     span: Real  # (R,)
     degree: Real
     limits: Real  # (L, D + 1, 2, R)
     means: Real
     among: Real  # (L, 2, R)
-    share_together: Real  # (L, D, A, R)
-    mix_together: Real  # (L, K, A, R)
     covariance_together: Real  # (K, K, A, R)
     angle_covariance: Real
     turning: Real  # (K, A, R)
@@ -113,9 +113,10 @@ class PoseFilter:
         most = longest(len(times))
         every = max(1, most // _PART) if weights is None else 1
         stretches = numbers // every
-        due = np.concatenate(((self._stretch,), stretches[:-1])) != stretches
-        if self._held is None or weights is not None or self._longest != most:
-            due[0] = True
+        due = np.ones(len(stretches), bool)
+        due[1:] = stretches[1:] != stretches[:-1]
+        if self._held is not None and weights is None and self._longest == most:
+            due[0] = stretches[0] != self._stretch
         self._longest, self._stretch = most, int(stretches[-1])
 
         def part(chosen: slice, order: int) -> PoseDerivatives:
@@ -136,12 +137,14 @@ class PoseFilter:
     ) -> PoseDerivatives:
         """Derivatives of poses at instants that are judged where `due` (M,), or refute the last."""
         bodies = reach.shape[1]
-        squares = squares_of(fits, np.repeat((1, 2), bodies))
+        squares = squares_of(fits, _dimensions(bodies))
 
         def judge(
             instants: np.ndarray, those: np.ndarray, pasts: tuple[Past, Past]
         ) -> tuple[_Judged, Projection]:
             """Judge these bodies (m, b) at instants (m, b), by what is known of the past."""
+            if those.shape == reach.shape:  # all there are, as a rule where frames come singly
+                return _judge(fits, squares, noise, reach, *pasts, order, every), fits
             signals = np.concatenate((those, bodies + those), axis=1)
             at = (..., np.concatenate((instants, instants), axis=1), signals)
             some = Projection(
@@ -155,7 +158,7 @@ class PoseFilter:
             given = some, squares[at], noise[at], reach[instants, those]
             return _judge(*given, *pasts, order, every), some
 
-        stretch = np.cumsum(due)
+        stretch = due.cumsum()
         which = (stretch - stretch[0])[:, None] * bodies + np.arange(bodies)
         judged = self._held
         begun = due.nonzero()[0]
@@ -171,11 +174,10 @@ class PoseFilter:
             self._order = order
         assert judged is not None
         found = _applied(judged, which, fits)
-        news = _by_signal(squares, bodies) > np.take(judged.limits, which, -1)
+        news = _by_signal(squares, bodies) > judged.limits.take(which, -1)
         wrong = news.any(axis=(0, 1, 2))
         off = _off(found)
-        orders = np.arange(order + 1)
-        refuted = (wrong | off.any(axis=(0, 1))) & ~due[:, None]
+        refuted = (wrong | off[-1].any(axis=0)) & ~due[:, None]
         if np.count_nonzero(refuted):
             rows = which[refuted]
             pasts = (
@@ -186,6 +188,7 @@ class PoseFilter:
             new, some = judge(instants, those, pasts)
             anew = _applied(new, np.arange(len(rows))[:, None], some)
             # No order hangs on what those above it tell, lest it did on which are asked for.
+            orders = np.arange(order + 1)
             both = off[..., refuted] | wrong[refuted]
             own = both[:, 0].copy()
             own[1:] = np.logical_or.accumulate(both[orders[1:], orders[:-1]], axis=0)
@@ -206,8 +209,8 @@ def _off(found: PoseDerivatives) -> np.ndarray:
     """Which derivatives (K, A, M, B) together, or some of lower order, are off those apart."""
 
     def off(apart: Complex, both: Complex, covariance: Real, covariance_both: Real) -> np.ndarray:
-        orders = np.arange(len(apart))
-        variance = covariance[orders, orders][:, None] + covariance_both[orders, orders]
+        of_itself = np.einsum('kk...->k...', covariance), np.einsum('kk...->k...', covariance_both)
+        variance = of_itself[0][:, None] + of_itself[1]
         away = both - apart[:, None]
         return np.asarray(away.real**2 + away.imag**2 > _OFF**2 * variance)
 
@@ -232,8 +235,7 @@ def _judge(
 ) -> _Judged:
     """Judge bodies at instants (M, B), by what was known of them apart and together."""
     bodies = reach.shape[1]
-    dimensions = np.repeat((1, 2), bodies)
-    own = weigh_apart(fits, squares, noise, dimensions, order, past, every)
+    own = weigh_apart(fits, squares, noise, _dimensions(bodies), order, past, every)
     derivatives = apart(fits, own.share, own.mix)
     angle = derivatives[:, 0, :, :bodies]
     orders = range(1, order + 1)
@@ -252,19 +254,22 @@ def _judge(
         """Instants and bodies (..., M, B) as one axis."""
         return array.reshape(*array.shape[:-2], -1)
 
-    fields = own.share, own.mix, own.covariance, own.limits, own.means, own.among
-    share, mix, covariance, limits, means, among = (flat(_by_signal(f, bodies)) for f in fields)
+    def ordered(of_signals: Real, of_arms: Real) -> Real:
+        """Weights in the order of `both_ways`."""
+        two = _by_signal(of_signals, bodies)
+        return flat(np.concatenate((two[:, :, :1], of_arms, two[:, :, 1:]), axis=2))
+
+    fields = own.covariance, own.limits, own.means, own.among
+    covariance, limits, means, among = (flat(_by_signal(field, bodies)) for field in fields)
     return _Judged(
-        share,
-        mix,
+        ordered(own.share, both.share),
+        ordered(own.mix, both.mix),
         covariance,
         flat(own.span[:, :bodies]),
         flat(own.degree[:, :bodies]),
         limits,
         means,
         among,
-        flat(both.share),
-        flat(both.mix),
         flat(both.covariance),
         flat(of_angle),
         flat(both.turning),
@@ -278,9 +283,15 @@ def _known(means: Real, among: Real) -> Past:
     return lambda squares, known, memory: (np.swapaxes(means, -1, -2), np.swapaxes(among, -1, -2))
 
 
+@cache
+def _dimensions(bodies: int) -> np.ndarray:
+    """How many components the signals (2 B,) of B bodies have: angles 1, positions 2."""
+    return np.repeat((1, 2), bodies)
+
+
 def _by_signal(array: Real, bodies: int) -> Real:
     """Some signals S of B bodies, (..., M, S B), as (..., S, M, B)."""
-    return np.swapaxes(array.reshape(*array.shape[:-1], -1, bodies), -3, -2)
+    return array.reshape(*array.shape[:-1], -1, bodies).swapaxes(-3, -2)
 
 
 def _applied(judged: _Judged, which: np.ndarray, fits: Projection) -> PoseDerivatives:
@@ -288,30 +299,24 @@ def _applied(judged: _Judged, which: np.ndarray, fits: Projection) -> PoseDeriva
     bodies = which.shape[1]
 
     def taken(array: Real) -> Real:
-        return np.take(array, which, -1)
+        return array.take(which, -1)
 
-    def by_instant(array: Real) -> Real:
-        """The reverse of `_by_signal`."""
-        array = np.swapaxes(taken(array), -3, -2)
-        return array.reshape(*array.shape[:-2], -1)
-
-    own = apart(fits, by_instant(judged.share), by_instant(judged.mix))  # (K, 2, M, 2 B)
-    both = together(fits, taken(judged.share_together), taken(judged.mix_together))
-    position, angle = _complex(own[..., bodies:]), own[:, 0, :, :bodies]
-    position_together, angle_together = _complex(both[:, 1:]), both[:, 0]
+    found = both_ways(fits, taken(judged.share), taken(judged.mix))
+    angle, position = found[:, 0], _complex(found[:, 1:])
     # The instant itself is the same for both.
-    position_together[0] = position[0] = position[0] + fits.base[:, bodies:] @ (1, 1j)
-    angle_together[0] = angle[0] = angle[0] + fits.base[:, :bodies, 0]
+    base = fits.base.view(complex)[..., 0]
+    angle[0] = angle[0, 0] + base.real[:, :bodies]
+    position[0] = position[0, -1] + base[:, bodies:]
     covariance = taken(judged.covariance)
     return PoseDerivatives(
-        position,
-        angle,
+        position[:, -1],
+        angle[:, 0],
         covariance[:, :, 1],
         covariance[:, :, 0],
         taken(judged.span),
         taken(judged.degree),
-        position_together,
-        angle_together,
+        position[:, :-1],
+        angle[:, 1:],
         taken(judged.covariance_together),
         taken(judged.angle_covariance),
         taken(judged.turning),
