@@ -122,21 +122,20 @@ def replay(
             if frames is None:
                 continue
             first, last = first or int(frames.stamps[0]), int(frames.stamps[-1])
-            if writer is None:
-                known = tracker.add(frames, order)
-            else:
-                known = tracker.add_parts(beat.parts(frames, tracker), order)
+            whole = (frames,) if writer is None else beat.parts(frames, tracker)
+            known = tracker.add_parts(whole, order)
+            for estimate in known:
+                estimates += len(estimate)
+                _count(found, estimate)
+                for table in tables:
+                    table.add(estimate)
+            if writer is not None:
                 # Known as soon as the frames came that they fell due with.
                 columns = [
                     result_columns(outputs, estimate, f'/{NODE_NAME}', log_times[estimate.due])
                     for estimate in known
                 ]
                 writer.write_many(chain(*columns, beat.columns(known, log_times)))
-            for estimate in known:
-                estimates += len(estimate)
-                _count(found, estimate)
-                for table in tables:
-                    table.add(estimate)
         if writer is not None:
             # A topic that never had anything to say is still there to be asked for.
             for row in outputs:

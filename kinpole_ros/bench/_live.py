@@ -167,7 +167,7 @@ class Asker:
 @contextmanager
 def processes() -> Iterator[dict[str, 'subprocess.Popen[bytes]']]:
     """Node and relay, each in its process, on a domain of their own."""
-    os.environ.setdefault('ROS_DOMAIN_ID', str(100 + os.getpid() % 100))
+    os.environ.setdefault('ROS_DOMAIN_ID', str(200 + os.getpid() % 32))
     os.environ.setdefault('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
     with (
         tempfile.TemporaryDirectory() as folder,
