@@ -159,6 +159,13 @@ def test_ours_is_held_against_the_least_of_the_peers_named() -> None:
     assert _beyond(tables, ('a', 'b')) == [(1.5, key, 'a')]
 
 
+def test_rows_that_lack_something_are_read_back_as_they_were_written(tmp_path: Path) -> None:
+    _write_csv(tmp_path / 'rows.csv', [{'a': 1.0, 'b': 2.0}, {'a': 3.0}])
+    first, second = _read_csv(tmp_path / 'rows.csv')
+    assert (first, second['a']) == ({'a': 1.0, 'b': 2.0}, 3.0)
+    assert np.isnan(second['b'])
+
+
 def test_pendulum_of_exact_motion_has_its_poles_at_pivot_and_joint() -> None:
     t = np.arange(400) / 500
     pivot = 0.4 + 0.1j

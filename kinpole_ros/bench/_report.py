@@ -201,7 +201,10 @@ def _read_csv(path: Path) -> list[dict[str, float]]:
     if not path.exists():
         return []
     with path.open(newline='', encoding='utf-8') as file:
-        return [{name: float(v) for name, v in row.items()} for row in csv.DictReader(file)]
+        # What a row has nothing of is left empty.
+        return [
+            {name: float(v or 'nan') for name, v in row.items()} for row in csv.DictReader(file)
+        ]
 
 
 def _peer_rows(tables: dict[str, Table]) -> Rows:
