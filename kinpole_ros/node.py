@@ -80,7 +80,7 @@ class KinpoleNode(LifecycleNode):
         self._tracker = Tracker(self.settings)
         self._diagnostics = DiagnosticsMaker(self.get_name(), self._theory)
         self._outputs: list[tuple[Output, Any]] = []
-        # Of these the ones that somebody reads, looked up now and then: it takes 2 us each.
+        # Those that somebody reads, looked up now and then: it takes 0.6 us each.
         self._wanted: list[tuple[Output, Any]] = []
         self._publishers_made: dict[str, Any] = {}
         self._subscription: Any = None
