@@ -192,7 +192,8 @@ class Tracker:
         return found + self._estimates(order)
 
     def settle(self) -> None:
-        """Learn what is due, while nobody waits for it; else the next `add` does."""
+        """Learn and judge what is due, while nobody waits for it; else the next `add` does."""
+        self._filter.settle()
         if self._new >= self._shapes.beat:
             self._learn()
 
@@ -231,7 +232,8 @@ class Tracker:
         beat = np.empty(len(stamps), int)
         first = 0
         while first < len(stamps):
-            self.settle()
+            if self._new >= self._shapes.beat:
+                self._learn()
             room = self._shapes.beat - self._new
             unseen = self._shapes.unseen(points[first : first + room])
             if not unseen:

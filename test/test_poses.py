@@ -1,5 +1,7 @@
 """Derivatives of poses: judgments hold, until they are due anew or something refutes them."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 from stretches import instants
@@ -127,3 +129,33 @@ def test_a_body_at_rest_is_quiet_at_once_and_followed_when_it_goes_on(
     monkeypatch.setattr(_choice, '_CALM', 1e9)
     assert rest < 0.6 * errors(stop + 25, go - 20)
     assert motion < 1.05 * errors(go - 10, last)
+
+
+def test_a_frame_is_answered_before_it_is_judged_and_settling_changes_nothing(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    judged: list[str] = []
+    when = 'start'
+    judge = _poses.judge
+
+    def noted(*given: Any) -> Any:
+        judged.append(when)
+        return judge(*given)
+
+    monkeypatch.setattr(_poses, 'judge', noted)
+    seen = frames(2 * np.sin(np.arange(400) / 30), 1e-3)
+    idle, asked = (Tracker(settings_from(VALUES)) for _ in range(2))
+    for k in range(400):
+        one = part_of(seen, slice(k, k + 1))
+        when = 'asked' if k >= 200 else 'start'
+        (now,) = instants(asked.add(one, 3)) or (None,)
+        when = 'settled'
+        asked.settle()
+        when = 'other'
+        (then,) = instants(idle.add(one, 3)) or (None,)
+        if now is not None and then is not None:
+            np.testing.assert_array_equal(now.angle, then.angle)
+            np.testing.assert_array_equal(now.pole(3).value, then.pole(3).value)
+    # An eighth of the frames are due, and a few more stand out by chance.
+    assert judged.count('settled') > 200 / HELD
+    assert 'asked' not in judged
