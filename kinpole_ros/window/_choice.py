@@ -32,8 +32,8 @@ _MEMORY_TOGETHER = 1.0
 _LASTING = 3.0
 _SUDDEN = 11.0
 # Coefficients whose mean energy is so many s^2 tell how much moves now: this many times what their
-# squares are of it.
-_BOLD, _CALM = 50.0, 1.5
+# squares, and half an s^2 more that noise may hide, are of it.
+_BOLD, _CALM = 50.0, 1.25
 # Energy that may hide in each of the next two coefficients, in standard deviations of its mean.
 _HIDDEN = 0.5
 # A fit leaves more than noise when it leaves this many times s^2, and so many standard deviations
@@ -376,7 +376,7 @@ def _weigh(
     lasting = signal > _LASTING * scatter
     calm: Real = np.ones(())
     if free is None:
-        calm = _calm(energy, signal, lasting & (signal > _BOLD * variance))
+        calm = _calm(energy + variance / 2, signal, lasting & (signal > _BOLD * variance))
         signal *= calm
     signal = np.maximum(signal, np.where(sudden, energy - variance, 0.0))
     degrees = np.arange(energy.shape[1])[:, None, None]
