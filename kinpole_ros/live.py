@@ -18,6 +18,7 @@ from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 
 from kinpole_ros.bags import BagError, BagWriter, message_class, read_messages, topics
+from kinpole_ros.node import end_signals, start_ros
 
 # What a kill may lose of a recording.
 _FLUSH_EVERY = 1.0
@@ -141,18 +142,19 @@ def record(output: str | Path, prefixes: list[str]) -> int:
     but for the last second. Raises BagError when the output cannot be written.
     """
     with BagWriter(output) as writer:
-        rclpy.init(args=[])
+        start_ros([])
         recorder = None
         try:
             recorder = Recorder(writer, prefixes)
             rclpy.spin(recorder)
-        except (KeyboardInterrupt, ExternalShutdownException):
+        except ExternalShutdownException:
             pass
         except Exception:
             # Told to stop amid a call, rclpy raises whatever that call makes of it.
             if rclpy.ok():
                 raise
         finally:
+            end_signals()
             if recorder is not None:
                 recorder.destroy_node()
             rclpy.try_shutdown()

@@ -7,6 +7,7 @@ and publishes the rows of the results table that have subscribers.
 
 import gc
 import re
+import signal
 import sys
 import warnings
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -20,13 +21,14 @@ from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
 from rclpy.event_handler import PublisherEventCallbacks, SubscriptionEventCallbacks
 from rclpy.exceptions import ParameterException
-from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+from rclpy.executors import SingleThreadedExecutor
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 from rclpy.logging import LoggingSeverity, set_logger_level
 from rclpy.parameter import Parameter as RosParameter
 from rclpy.qos import QoSProfile, ReliabilityPolicy, qos_policy_name_from_kind
 from rclpy.qos_overriding_options import QoSOverridingOptions
+from rclpy.signals import uninstall_signal_handlers
 from rclpy.utilities import remove_ros_args
 
 from kinpole_ros.estimate import Estimate
@@ -436,9 +438,37 @@ def _change_if_possible(change: Callable[..., Any], request: Any, response: Any)
         return response
 
 
-def _spin(node: KinpoleNode) -> None:
+def start_ros(words: Sequence[str]) -> None:
+    """
+    Start rclpy, so that it is shut down at SIGINT and at SIGTERM.
+
+    SIGINT breaks off no call after that: what waits or works notes that rclpy is not ok any more.
+    """
+    started = False
+
+    def interrupt(*_: object) -> None:
+        if not started:
+            raise KeyboardInterrupt
+
+    signal.signal(signal.SIGINT, interrupt)
+    rclpy.init(args=list(words))
+    started = True
+
+
+def end_signals() -> None:
+    """
+    Be told to stop no more: what is taken down from now on is taken down whole.
+
+    At a signal, a thread of rclpy's own wakes the executors by a list that it reads while one that
+    goes takes itself out, and reads on in freed memory: so it has to end before any of them goes.
+    """
+    for sign in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(sign, signal.SIG_IGN)
+    uninstall_signal_handlers()
+
+
+def _spin(node: KinpoleNode, executor: SingleThreadedExecutor) -> None:
     """As rclpy.spin, but a node that others rely upon does not end with its first failure."""
-    executor = SingleThreadedExecutor()
     executor.add_node(node)
     failures = 0
     while rclpy.ok():
@@ -446,7 +476,7 @@ def _spin(node: KinpoleNode) -> None:
             # A signal may shut rclpy down just after it woke us: without timers, look again.
             executor.spin_once(None if node.listening else _LOOK_EVERY)
             failures = 0
-        except (ParameterError, ExternalShutdownException):
+        except ParameterError:
             raise
         except Exception as error:
             failures += 1
@@ -458,37 +488,43 @@ def _spin(node: KinpoleNode) -> None:
 def main(args: Sequence[str] | None = None) -> int:
     """Run the node until it is told to stop; returns the exit status."""
     words = list(sys.argv if args is None else args)
-    node = None
+    node = executor = None
     started = False
     try:
         # rcl logs what it also raises, and one line says it all.
         set_logger_level('rcl', LoggingSeverity.FATAL)
-        rclpy.init(args=words)
+        start_ros(words)
         set_logger_level('rcl', LoggingSeverity.UNSET)
         started = True
         # It warns of what it also raises.
         warnings.filterwarnings('ignore', 'Failed to fini', RuntimeWarning)
         if unknown := remove_ros_args(words)[1:]:
             return _refuse(f'unknown words {" ".join(unknown)}; those for ROS follow --ros-args')
-        node = KinpoleNode()
-        # What the start has made stays: to look through it for garbage takes up to 40 ms.
+        # What was imported stays: to look through it for garbage takes up to 40 ms. The node does
+        # not, so that it goes with the interpreter and not after it.
         gc.freeze()
-        _spin(node)
-    except (KeyboardInterrupt, ExternalShutdownException):
+        node = KinpoleNode()
+        executor = SingleThreadedExecutor()
+        _spin(node, executor)
+    except KeyboardInterrupt:
         pass
-    except (ParameterError, ParameterException) as error:
-        return _refuse(str(error))
     except Exception as error:
+        # Told to stop, rclpy raises whatever the call makes of it that it was amid.
+        if started and not rclpy.ok():
+            return 0
+        if isinstance(error, (ParameterError, ParameterException)):
+            return _refuse(str(error))
         # Less the places in rcl's source.
         reason = re.sub(r', at \S+:\d+', '', str(error))
         if not started:
             return _refuse(f'ROS cannot use the words after --ros-args: {reason}')
         if node is None and isinstance(error, rclpy_implementation.RCLError):
             return _refuse(f'ROS cannot make the node: {reason}')
-        # Told to stop amid a call, rclpy raises whatever that call makes of it.
-        if rclpy.ok():
-            raise
+        raise
     finally:
+        end_signals()
+        if executor is not None:
+            executor.shutdown()
         if node is not None:
             node.destroy_node()
         rclpy.try_shutdown()

@@ -634,6 +634,66 @@ def test_told_to_stop_in_any_state_the_node_ends_at_once(state: str, tmp_path: F
         asker.close()
 
 
+@pytest.mark.parametrize('sign', [signal.SIGINT, signal.SIGTERM], ids=lambda sign: sign.name)
+def test_told_to_stop_again_and_again_amid_markers_the_node_ends_well(
+    sign: signal.Signals, tmp_path: FilePath
+) -> None:
+    """As by a terminal and by the launch file that it told too: no call is broken off by it."""
+    config = write_config(tmp_path / 'rod.yaml', SETTINGS, marker_identity='index')
+    rig = Rig()
+    try:
+        with process(*node_words(config), log=tmp_path / 'stderr') as node:
+            rig.listen()
+            with rig.publisher(MARKER_TYPES['marker_array']) as publisher:
+                rig.begin(publisher)
+
+                def ended() -> bool:
+                    node.send_signal(sign)
+                    rig.send_next(publisher)
+                    return node.poll() is not None
+
+                rig.until(ended, 'the end of the node')
+            assert node.returncode == 0
+        assert (tmp_path / 'stderr').read_text() == ''
+    finally:
+        rig.close()
+
+
+TELLING = """
+import sys
+import kinpole_ros.node as module
+def tell(owner, name):
+    call = getattr(owner, name)
+    def told(*words):
+        print(name, flush=True)
+        return call(*words)
+    setattr(owner, name, told)
+tell(module, 'end_signals')
+tell(module.SingleThreadedExecutor, 'shutdown')
+tell(module.KinpoleNode, 'destroy_node')
+tell(module.rclpy, 'try_shutdown')
+sys.exit(module.main(['kinpole', *sys.argv[1:]]))
+"""
+
+
+def test_nothing_goes_before_rclpy_is_done_with_it(tmp_path: FilePath) -> None:
+    """Its signal thread reads on in what it woke: on a busy machine, one stop in many crashed."""
+    config = write_config(tmp_path / 'rod.yaml', SETTINGS, marker_identity='index')
+    peer = Peer()
+    words = ['timeout', '--foreground', '-k', '2', '60', sys.executable, '-c', TELLING]
+    with subprocess.Popen(
+        [*words, *node_words(config)[1:]], stdout=subprocess.PIPE, text=True
+    ) as node:
+        try:
+            assert peer.state() == 'active'
+        finally:
+            node.send_signal(signal.SIGINT)
+            said, _ = node.communicate(timeout=LIMIT)
+            peer.close()
+    assert node.returncode == 0
+    assert said.split() == ['end_signals', 'shutdown', 'destroy_node', 'try_shutdown']
+
+
 DROPPED = 'messages dropped, since the node or the network could not keep up'
 
 
