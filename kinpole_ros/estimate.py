@@ -186,27 +186,27 @@ class Estimate:
         sets = slice(0, order + 1, order)
         return position[:, sets], angle[:, sets], of_position[:, :, sets], of_angle[:, :, sets]
 
+    @np.errstate(divide='ignore', invalid='ignore', over='ignore')
     def general_pole(self, order: int) -> Vectors:
         """The pole of order 1 to 4 (m) as it follows from the motion, whatever is known of pins."""
         position, angle, of_position, of_angle = self._poses(order)
         turn = denominator, by_angle = planar.rotation(order, angle)
         poles = planar.pole(order, position, angle, turn)
-        with np.errstate(divide='ignore', invalid='ignore', over='ignore'):
-            spread = planar.covariance(poles, of_position, of_angle)
-            value, spread, known = _mean(poles.value, spread)
-            near = np.abs(value - self.position[0]) < FARTHEST * self.size
-            # Whether the body turns is asked of the last: together, where that is known.
-            orders = poles.angle_orders
-            rate = np.abs(denominator)
-            noise = planar.mean_square(by_angle, of_angle[orders, orders])
-            if self.together is None:
-                turning = rate[0] > SIGNIFICANT * np.sqrt(noise[0])
-            else:
-                different = self.together.turning[order, order - 1]
-                least = _NOISE**2 * noise[1] + _DIFFERENT[order - 1] ** 2 * different
-                turning = rate[1] > np.sqrt(least)
-                if _APART[order - 1]:
-                    turning &= rate[0] > _APART[order - 1] * np.sqrt(noise[0])
+        spread = planar.covariance(poles, of_position, of_angle)
+        value, spread, known = _mean(poles.value, spread)
+        near = np.abs(value - self.position[0]) < FARTHEST * self.size
+        # Whether the body turns is asked of the last: together, where that is known.
+        orders = poles.angle_orders
+        rate = np.abs(denominator)
+        noise = planar.mean_square(by_angle, of_angle[orders, orders])
+        if self.together is None:
+            turning = rate[0] > SIGNIFICANT * np.sqrt(noise[0])
+        else:
+            different = self.together.turning[order, order - 1]
+            least = _NOISE**2 * noise[1] + _DIFFERENT[order - 1] ** 2 * different
+            turning = rate[1] > np.sqrt(least)
+            if _APART[order - 1]:
+                turning &= rate[0] > _APART[order - 1] * np.sqrt(noise[0])
         return Vectors(value, spread, turning & near & known)
 
     def pole(self, order: int) -> Vectors:
@@ -247,11 +247,11 @@ class Estimate:
         return planar.icr_velocity(*self._poses(1)[:2])
 
     @cached_property
+    @np.errstate(divide='ignore', invalid='ignore', over='ignore')
     def icr_velocity(self) -> Vectors:
         """Velocity of the ICR along both centrodes (m/s)."""
         u = self._velocities
-        with np.errstate(divide='ignore', invalid='ignore', over='ignore'):
-            value, spread, known = _mean(u.value, planar.covariance(u, *self._poses(1)[2:]))
+        value, spread, known = _mean(u.value, planar.covariance(u, *self._poses(1)[2:]))
         if np.count_nonzero(self.pinned):
             value = np.where(self.pinned, 0.0, value)
             spread = np.where(self.pinned[..., None, None], 0.0, spread)
@@ -259,33 +259,31 @@ class Estimate:
         return Vectors(value, spread, self.pole(1).determined & known)
 
     @cached_property
+    @np.errstate(divide='ignore', invalid='ignore', over='ignore')
     def centrode_curvature(self) -> Numbers:
         """Signed curvature of the fixed centrode (1/m); undetermined where the ICR stands still."""
         position, angle, *covariances = self._poses(1)
         curvature = planar.centrode_curvature(position, angle, self._velocities)
         u = self.icr_velocity
-        with np.errstate(divide='ignore', invalid='ignore', over='ignore'):
-            noise = planar.variance(curvature, *covariances)
-            value, noise, known = _mean(curvature.value.real, noise)
-            # It goes by the speed to the power of -2, which is far from linear where that is noisy:
-            # of the error x of the speed, relative to it, the change of second order is 3 x^2.
-            slowness = (
-                (u.covariance[..., 0, 0] + u.covariance[..., 1, 1]) / 2 / np.abs(u.value) ** 2
-            )
-            noise = noise + 18 * (value * slowness) ** 2
-            least = np.maximum(_CURVED * np.abs(value), 1 / self.size)
-            known = known & (noise < least**2)
+        noise = planar.variance(curvature, *covariances)
+        value, noise, known = _mean(curvature.value, noise)
+        # It goes by the speed to the power of -2, which is far from linear where that is noisy:
+        # of the error x of the speed, relative to it, the change of second order is 3 x^2.
+        slowness = (u.covariance[..., 0, 0] + u.covariance[..., 1, 1]) / 2 / np.abs(u.value) ** 2
+        noise = noise + 18 * (value * slowness) ** 2
+        least = np.maximum(_CURVED * np.abs(value), 1 / self.size)
+        known = known & (noise < least**2)
         return Numbers(value, noise, self.icr_moves & known)
 
     @cached_property
+    @np.errstate(divide='ignore', invalid='ignore', over='ignore')
     def icr_moves(self) -> np.ndarray:
         """Where (T, B) the ICR, however well known, is seen to move: on a pin it does not."""
         u = self.icr_velocity
-        with np.errstate(invalid='ignore'):
-            noise = np.sqrt(u.covariance[..., 0, 0] + u.covariance[..., 1, 1])
-            least = _STILL * np.abs(self.angle[1]) * self.size
-            near = np.abs(self.pole(1).value - self.position[0]) < FARTHEST * self.size
-            return np.asarray(near & (np.abs(u.value) > np.maximum(_MOVING * noise, least)))
+        noise = np.sqrt(u.covariance[..., 0, 0] + u.covariance[..., 1, 1])
+        least = _STILL * np.abs(self.angle[1]) * self.size
+        near = np.abs(self.pole(1).value - self.position[0]) < FARTHEST * self.size
+        return np.asarray(near & (np.abs(u.value) > np.maximum(_MOVING * noise, least)))
 
     @cached_property
     def pairs(self) -> tuple[np.ndarray, np.ndarray]:
@@ -391,7 +389,7 @@ def _mean(values: np.ndarray, spread: np.ndarray) -> tuple[np.ndarray, np.ndarra
         spread = np.where(lost[..., None, None] if plane else lost, spread[::-1], spread)
         variance = np.where(lost.any(axis=0), 1.0, variance)
     squares = variance * variance
-    shares = squares[::-1] / (squares[0] + squares[1])
+    shares = squares[::-1] / (squares + squares[::-1])
     value = np.einsum('s...,s...->...', shares, values)
     off, apart = values[1] - values[0], shares[0] * shares[1]
     either &= off.real**2 + off.imag**2 <= _AGREE**2 * (variance[0] + variance[1])
