@@ -7,7 +7,7 @@ by `planar`. Whatever does not stand out of its noise is marked undetermined, wi
 
 from collections.abc import Iterator
 from functools import cached_property
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 
@@ -48,6 +48,9 @@ class Numbers(NamedTuple):
     value: np.ndarray
     variance: np.ndarray
     determined: np.ndarray
+
+
+_Figure = TypeVar('_Figure', bound=Vectors | Numbers)
 
 
 class Poses(NamedTuple):
@@ -135,7 +138,7 @@ class Estimate:
         return (self[instant] for instant in range(len(self)))
 
     def __getitem__(self, instant: int) -> 'Estimate':
-        return Estimate(
+        one = Estimate(
             self.stamp[instant],
             self.frame_id,
             self.bodies,
@@ -155,6 +158,12 @@ class Estimate:
             self.due[instant],
             self.together and Poses(*(part[..., instant, :] for part in self.together)),
         )
+        # What was computed of all instants is not computed again of the one.
+        one._poles = {order: _at(instant, pole) for order, pole in self._poles.items()}
+        for name, figure in vars(self).items():
+            if isinstance(figure, Vectors | Numbers):
+                vars(one)[name] = _at(instant, figure)
+        return one
 
     @property
     def order(self) -> int:
@@ -177,8 +186,8 @@ class Estimate:
         )
         if self.together is None:
             return apart
-        both = zip(apart, self.together, (1, 1, 2, 2), strict=False)
-        return tuple(np.concatenate((one, those), axis) for one, those, axis in both)
+        both = zip(apart, self.together, strict=False)
+        return tuple(map(np.concatenate, both, (1, 1, 2, 2)))
 
     def _poses(self, order: int) -> tuple[np.ndarray, ...]:
         """Poses (K, S, T, B) to find the pole of that order from: apart and, if known, together."""
@@ -360,6 +369,11 @@ class Estimate:
         return found
 
 
+def _at(instant: int, figure: _Figure) -> _Figure:
+    """One instant of Vectors or Numbers (T, ...)."""
+    return type(figure)(*(part[instant] for part in figure))
+
+
 def _stands_out(values: np.ndarray, covariance: np.ndarray) -> np.ndarray:
     """Where (..., B) any of the derivatives (K, ..., B) of order 1 and up exceeds its noise."""
     variance = np.einsum('kk...->k...', covariance)
@@ -389,7 +403,7 @@ def _mean(values: np.ndarray, spread: np.ndarray) -> tuple[np.ndarray, np.ndarra
         spread = np.where(lost[..., None, None] if plane else lost, spread[::-1], spread)
         variance = np.where(lost.any(axis=0), 1.0, variance)
     squares = variance * variance
-    shares = squares[::-1] / (squares + squares[::-1])
+    shares = squares[::-1] / (squares[0] + squares[1])
     value = np.einsum('s...,s...->...', shares, values)
     off, apart = values[1] - values[0], shares[0] * shares[1]
     either &= off.real**2 + off.imag**2 <= _AGREE**2 * (variance[0] + variance[1])
