@@ -122,11 +122,11 @@ class Estimate:
         self.degree = degree
         self.missing = missing
         self.since = since
-        nowhere = np.full(position.shape[1:], np.nan)
-        self.pin = nowhere + 0j if pin is None else pin
-        self.pin_variance = nowhere if pin_variance is None else pin_variance
+        each = position.shape[1:]
+        self.pin = np.full(each, np.nan + 0j) if pin is None else pin
+        self.pin_variance = np.full(each, np.nan) if pin_variance is None else pin_variance
         self.pinned = np.isfinite(self.pin)
-        self.shape = nowhere[..., None][..., :0] + 0j if shape is None else shape
+        self.shape = np.empty((*each, 0), complex) if shape is None else shape
         self.due = np.arange(np.size(stamp)).reshape(np.shape(stamp)) if due is None else due
         self.together = together
         self._poles: dict[int, Vectors] = {}
