@@ -7,7 +7,7 @@ by `planar`. Whatever does not stand out of its noise is marked undetermined, wi
 
 from collections.abc import Iterator
 from functools import cached_property
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 
@@ -48,6 +48,9 @@ class Numbers(NamedTuple):
     value: np.ndarray
     variance: np.ndarray
     determined: np.ndarray
+
+
+_Figure = TypeVar('_Figure', bound=Vectors | Numbers)
 
 
 class Poses(NamedTuple):
@@ -119,11 +122,11 @@ class Estimate:
         self.degree = degree
         self.missing = missing
         self.since = since
-        nowhere = np.full(position.shape[1:], np.nan)
-        self.pin = nowhere + 0j if pin is None else pin
-        self.pin_variance = nowhere if pin_variance is None else pin_variance
+        each = position.shape[1:]
+        self.pin = np.full(each, np.nan + 0j) if pin is None else pin
+        self.pin_variance = np.full(each, np.nan) if pin_variance is None else pin_variance
         self.pinned = np.isfinite(self.pin)
-        self.shape = nowhere[..., None][..., :0] + 0j if shape is None else shape
+        self.shape = np.empty((*each, 0), complex) if shape is None else shape
         self.due = np.arange(np.size(stamp)).reshape(np.shape(stamp)) if due is None else due
         self.together = together
         self._poles: dict[int, Vectors] = {}
@@ -135,7 +138,7 @@ class Estimate:
         return (self[instant] for instant in range(len(self)))
 
     def __getitem__(self, instant: int) -> 'Estimate':
-        return Estimate(
+        one = Estimate(
             self.stamp[instant],
             self.frame_id,
             self.bodies,
@@ -155,6 +158,12 @@ class Estimate:
             self.due[instant],
             self.together and Poses(*(part[..., instant, :] for part in self.together)),
         )
+        # What was computed of all instants is not computed again of the one.
+        one._poles = {order: _at(instant, pole) for order, pole in self._poles.items()}
+        for name, figure in vars(self).items():
+            if isinstance(figure, Vectors | Numbers):
+                vars(one)[name] = _at(instant, figure)
+        return one
 
     @property
     def order(self) -> int:
@@ -177,8 +186,8 @@ class Estimate:
         )
         if self.together is None:
             return apart
-        both = zip(apart, self.together, (1, 1, 2, 2), strict=False)
-        return tuple(np.concatenate((one, those), axis) for one, those, axis in both)
+        both = zip(apart, self.together, strict=False)
+        return tuple(map(np.concatenate, both, (1, 1, 2, 2)))
 
     def _poses(self, order: int) -> tuple[np.ndarray, ...]:
         """Poses (K, S, T, B) to find the pole of that order from: apart and, if known, together."""
@@ -186,27 +195,27 @@ class Estimate:
         sets = slice(0, order + 1, order)
         return position[:, sets], angle[:, sets], of_position[:, :, sets], of_angle[:, :, sets]
 
+    @np.errstate(divide='ignore', invalid='ignore', over='ignore')
     def general_pole(self, order: int) -> Vectors:
         """The pole of order 1 to 4 (m) as it follows from the motion, whatever is known of pins."""
         position, angle, of_position, of_angle = self._poses(order)
         turn = denominator, by_angle = planar.rotation(order, angle)
         poles = planar.pole(order, position, angle, turn)
-        with np.errstate(divide='ignore', invalid='ignore', over='ignore'):
-            spread = planar.covariance(poles, of_position, of_angle)
-            value, spread, known = _mean(poles.value, spread)
-            near = np.abs(value - self.position[0]) < FARTHEST * self.size
-            # Whether the body turns is asked of the last: together, where that is known.
-            orders = poles.angle_orders
-            rate = np.abs(denominator)
-            noise = planar.mean_square(by_angle, of_angle[orders, orders])
-            if self.together is None:
-                turning = rate[0] > SIGNIFICANT * np.sqrt(noise[0])
-            else:
-                different = self.together.turning[order, order - 1]
-                least = _NOISE**2 * noise[1] + _DIFFERENT[order - 1] ** 2 * different
-                turning = rate[1] > np.sqrt(least)
-                if _APART[order - 1]:
-                    turning &= rate[0] > _APART[order - 1] * np.sqrt(noise[0])
+        spread = planar.covariance(poles, of_position, of_angle)
+        value, spread, known = _mean(poles.value, spread)
+        near = np.abs(value - self.position[0]) < FARTHEST * self.size
+        # Whether the body turns is asked of the last: together, where that is known.
+        orders = poles.angle_orders
+        rate = np.abs(denominator)
+        noise = planar.mean_square(by_angle, of_angle[orders, orders])
+        if self.together is None:
+            turning = rate[0] > SIGNIFICANT * np.sqrt(noise[0])
+        else:
+            different = self.together.turning[order, order - 1]
+            least = _NOISE**2 * noise[1] + _DIFFERENT[order - 1] ** 2 * different
+            turning = rate[1] > np.sqrt(least)
+            if _APART[order - 1]:
+                turning &= rate[0] > _APART[order - 1] * np.sqrt(noise[0])
         return Vectors(value, spread, turning & near & known)
 
     def pole(self, order: int) -> Vectors:
@@ -247,11 +256,11 @@ class Estimate:
         return planar.icr_velocity(*self._poses(1)[:2])
 
     @cached_property
+    @np.errstate(divide='ignore', invalid='ignore', over='ignore')
     def icr_velocity(self) -> Vectors:
         """Velocity of the ICR along both centrodes (m/s)."""
         u = self._velocities
-        with np.errstate(divide='ignore', invalid='ignore', over='ignore'):
-            value, spread, known = _mean(u.value, planar.covariance(u, *self._poses(1)[2:]))
+        value, spread, known = _mean(u.value, planar.covariance(u, *self._poses(1)[2:]))
         if np.count_nonzero(self.pinned):
             value = np.where(self.pinned, 0.0, value)
             spread = np.where(self.pinned[..., None, None], 0.0, spread)
@@ -259,33 +268,31 @@ class Estimate:
         return Vectors(value, spread, self.pole(1).determined & known)
 
     @cached_property
+    @np.errstate(divide='ignore', invalid='ignore', over='ignore')
     def centrode_curvature(self) -> Numbers:
         """Signed curvature of the fixed centrode (1/m); undetermined where the ICR stands still."""
         position, angle, *covariances = self._poses(1)
         curvature = planar.centrode_curvature(position, angle, self._velocities)
         u = self.icr_velocity
-        with np.errstate(divide='ignore', invalid='ignore', over='ignore'):
-            noise = planar.variance(curvature, *covariances)
-            value, noise, known = _mean(curvature.value.real, noise)
-            # It goes by the speed to the power of -2, which is far from linear where that is noisy:
-            # of the error x of the speed, relative to it, the change of second order is 3 x^2.
-            slowness = (
-                (u.covariance[..., 0, 0] + u.covariance[..., 1, 1]) / 2 / np.abs(u.value) ** 2
-            )
-            noise = noise + 18 * (value * slowness) ** 2
-            least = np.maximum(_CURVED * np.abs(value), 1 / self.size)
-            known = known & (noise < least**2)
+        noise = planar.variance(curvature, *covariances)
+        value, noise, known = _mean(curvature.value, noise)
+        # It goes by the speed to the power of -2, which is far from linear where that is noisy:
+        # of the error x of the speed, relative to it, the change of second order is 3 x^2.
+        slowness = (u.covariance[..., 0, 0] + u.covariance[..., 1, 1]) / 2 / np.abs(u.value) ** 2
+        noise = noise + 18 * (value * slowness) ** 2
+        least = np.maximum(_CURVED * np.abs(value), 1 / self.size)
+        known = known & (noise < least**2)
         return Numbers(value, noise, self.icr_moves & known)
 
     @cached_property
+    @np.errstate(divide='ignore', invalid='ignore', over='ignore')
     def icr_moves(self) -> np.ndarray:
         """Where (T, B) the ICR, however well known, is seen to move: on a pin it does not."""
         u = self.icr_velocity
-        with np.errstate(invalid='ignore'):
-            noise = np.sqrt(u.covariance[..., 0, 0] + u.covariance[..., 1, 1])
-            least = _STILL * np.abs(self.angle[1]) * self.size
-            near = np.abs(self.pole(1).value - self.position[0]) < FARTHEST * self.size
-            return np.asarray(near & (np.abs(u.value) > np.maximum(_MOVING * noise, least)))
+        noise = np.sqrt(u.covariance[..., 0, 0] + u.covariance[..., 1, 1])
+        least = _STILL * np.abs(self.angle[1]) * self.size
+        near = np.abs(self.pole(1).value - self.position[0]) < FARTHEST * self.size
+        return np.asarray(near & (np.abs(u.value) > np.maximum(_MOVING * noise, least)))
 
     @cached_property
     def pairs(self) -> tuple[np.ndarray, np.ndarray]:
@@ -360,6 +367,11 @@ class Estimate:
             elif self.pole(1).determined[body]:
                 found['centrode_curvature'] = 'pinned: the ICR stands still'
         return found
+
+
+def _at(instant: int, figure: _Figure) -> _Figure:
+    """One instant of Vectors or Numbers (T, ...)."""
+    return type(figure)(*(part[instant] for part in figure))
 
 
 def _stands_out(values: np.ndarray, covariance: np.ndarray) -> np.ndarray:

@@ -95,3 +95,20 @@ def test_a_pole_of_which_nothing_is_known_gives_way_to_the_other(
 def test_without_poses_together_the_pole_is_that_of_the_poses() -> None:
     apart, _ = two_sets()
     alike(estimate(apart, None).pole(2), *alone(2, apart))
+
+
+def test_an_instant_of_an_estimate_has_what_was_computed_of_all() -> None:
+    """Not computed again: the very figures, of each kind that is asked for."""
+    both = estimate(*two_sets())
+    asked = ('icr_velocity', 'centrode_curvature', 'relative_rate', 'relative_icr')
+    figures = [both.pole(2), *(getattr(both, name) for name in asked)]
+    one = both[0]
+    found = [one.pole(2), *(getattr(one, name) for name in asked)]
+    fresh = estimate(*two_sets())[0]
+    again = [fresh.pole(2), *(getattr(fresh, name) for name in asked)]
+    for whole, part, computed in zip(figures, found, again, strict=True):
+        assert type(part) is type(whole)
+        for array, row, alike in zip(whole, part, computed, strict=True):
+            assert np.shares_memory(array, row)
+            assert np.array_equal(array[0], row, equal_nan=True)
+            assert row == pytest.approx(alike, rel=1e-12, nan_ok=True)

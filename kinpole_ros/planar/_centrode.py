@@ -4,9 +4,17 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from kinpole_ros.planar._linear import Linear
-from kinpole_ros.planar._plane import Complex, Real, check_vectors, to_complex, to_plane
+from kinpole_ros.planar._plane import (
+    Complex,
+    Real,
+    check_vectors,
+    complex_of,
+    to_complex,
+    to_plane,
+)
 
 
+@np.errstate(divide='ignore', invalid='ignore', over='ignore')
 def icr_velocity(position: Complex, angle: Real) -> Linear:
     """
     Velocity u of the ICR along both centrodes (m/s), seed 000 'centrode velocity', seed 001 eq. 15.
@@ -16,36 +24,44 @@ def icr_velocity(position: Complex, angle: Real) -> Linear:
     the reference point it is (w R acc - B v) / w^2.
     """
     v, acc = position[1:3]
-    # Complex, lest each product converts them.
-    w, a = angle[1:3] + 0j
-    with np.errstate(divide='ignore', invalid='ignore', over='ignore'):
-        q = 1 / w
-        n, i_q = a * q, 1j * q
-        by_position = np.array((1 - n * i_q, i_q))
-        by_angle = i_q * q * np.array((2 * n * v - acc, -v))
-        value = (by_position * position[1:3]).sum(axis=0)
-    return Linear(value, by_position, by_angle, slice(1, 3), slice(1, 3))
+    # With t = i angle, so that all is complex (a product with a real array takes three times as
+    # long) and the signs alike: u = v + q (acc + n v).
+    t1, t2 = complex_of(0.0, angle[1:3])
+    q = -1 / t1
+    n = t2 * q
+    nv, iqq = n * v, 1j * q * q
+    inner = acc + nv
+    by_position = np.array((1 + n * q, q))
+    by_angle = np.array((iqq * (inner + nv), iqq * v))
+    return Linear(v + q * inner, by_position, by_angle, slice(1, 3), slice(1, 3))
 
 
-def icr_acceleration(position: Complex, angle: Real) -> Linear:
+@np.errstate(divide='ignore', invalid='ignore', over='ignore')
+def icr_acceleration(position: Complex, angle: Real, u: Linear | None = None) -> Linear:
     """
     Second time derivative of the ICR (m/s^2), seed 000. Shapes as in `icr_velocity`, K > 3.
 
-    (-(w j - 2 a^2) R v + (w^3 - 2 w a R) acc + w^2 R jerk) / w^3.
+    (-(w j - 2 a^2) R v + (w^3 - 2 w a R) acc + w^2 R jerk) / w^3; `u` is what `icr_velocity` gives,
+    if it was asked before.
     """
+    u = icr_velocity(position, angle) if u is None else u
     v, acc, jerk = position[1:4]
-    w, a, j = angle[1:4] + 0j
-    with np.errstate(divide='ignore', invalid='ignore', over='ignore'):
-        q = 1 / w
-        n, m, i_q = 2 * a * q, j * q, 1j * q
-        nn = n * n / 2
-        by_position = np.array(((nn - m) * i_q, 1 - n * i_q, i_q))
-        by_w = (2 * m - 3 * nn) * v + 2 * n * acc - jerk
-        by_angle = i_q * q * np.array((by_w, 2 * (n * v - acc), -v))
-        value = (by_position * position[1:4]).sum(axis=0)
-    return Linear(value, by_position, by_angle, slice(1, 4), slice(1, 4))
+    t2, t3 = complex_of(0.0, angle[2:4])
+    # du is the rate of u; so its derivative by one of the pose's derivatives is the rate of that of
+    # u by the same, and that of u by the one before. The rate of q is n q, that of n is c.
+    by_v, q = u.by_position
+    by_w, by_a = u.by_angle
+    n, m = t2 * q, t3 * q
+    iqq, nn, twice = 1j * q * q, n * n, n + n
+    c = m + nn
+    rate = twice * by_w + iqq * (jerk + twice * acc + (c + c) * v)
+    by_position = np.array(((c + nn) * q, by_v + n * q, q))
+    by_angle = np.array((rate, by_w + by_w, by_a))
+    parts = by_position * position[1:4]
+    return Linear(parts[0] + parts[1] + parts[2], by_position, by_angle, slice(1, 4), slice(1, 4))
 
 
+@np.errstate(divide='ignore', invalid='ignore', over='ignore')
 def centrode_curvature(position: Complex, angle: Real, u: Linear | None = None) -> Linear:
     """
     Signed curvature of the fixed centrode (1/m), positive where it turns left along u, seed 000.
@@ -55,19 +71,18 @@ def centrode_curvature(position: Complex, angle: Real, u: Linear | None = None) 
     stands still.
     """
     u = icr_velocity(position, angle) if u is None else u
-    du = icr_acceleration(position, angle)
-    with np.errstate(divide='ignore', invalid='ignore', over='ignore'):
-        # Im(conj(u) du) / |u|^3, written as Im(g) / |u| with g = du / u. A change of u and du
-        # changes g by (change of du - g * change of u) / u, and |u| by |u| Re(change of u / u).
-        inverse, slowness = 1 / u.value, 1 / np.abs(u.value)
-        g = du.value * inverse
-        value = g.imag * slowness
-        by_du = -1j * slowness * inverse
-        by_u = -g * by_du - value * inverse
-        by_position, by_angle = by_du * du.by_position, by_du * du.by_angle
-        by_position[:2] += by_u * u.by_position
-        by_angle[:2] += by_u * u.by_angle
-    return Linear(value, by_position, by_angle, slice(1, 4), slice(1, 4))
+    du = icr_acceleration(position, angle, u)
+    # Im(conj(u) du) / |u|^3, written as Im(g) / |u| with g = du / u. A change of u and du
+    # changes g by (change of du - g * change of u) / u, and |u| by |u| Re(change of u / u).
+    inverse = 1 / u.value
+    slowness = np.abs(inverse)
+    g = du.value * inverse
+    by_du = complex_of(0.0, -slowness) * inverse
+    by_u = -by_du * complex_of(g.real, 2 * g.imag)
+    by_position, by_angle = by_du * du.by_position, by_du * du.by_angle
+    by_position[:2] += by_u * u.by_position
+    by_angle[:2] += by_u * u.by_angle
+    return Linear(g.imag * slowness, by_position, by_angle, slice(1, 4), slice(1, 4))
 
 
 def moving_centrode_curvature(fixed: Real, omega: Real, speed: Real) -> Real:

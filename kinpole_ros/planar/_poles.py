@@ -12,7 +12,7 @@ from math import comb
 import numpy as np
 
 from kinpole_ros.planar._linear import Linear
-from kinpole_ros.planar._plane import Complex, Real
+from kinpole_ros.planar._plane import Complex, Real, complex_of
 
 
 def rotation_coefficient(order: int, angle: Real) -> Complex:
@@ -22,18 +22,18 @@ def rotation_coefficient(order: int, angle: Real) -> Complex:
     `angle` (K, ...) holds the angle and its derivatives (rad, rad/s, ...), K > order; order 1 to 4.
     Seed 000: w R, B = a R - w^2, H and G.
     """
-    w = angle[1]
+    w = np.asarray(angle[1])
     if order == 1:
-        return np.asarray(1j * w)
+        return complex_of(0.0, w)
     # Not w**3 nor w**4, which take the time of a logarithm.
     ww, a = w * w, angle[2]
     if order == 2:
-        return np.asarray(1j * a - ww)
+        return complex_of(-ww, a)
     j = angle[3]
     if order == 3:
-        return np.asarray(1j * (j - ww * w) - 3 * w * a)
+        return complex_of(-3 * w * a, j - ww * w)
     if order == 4:
-        return np.asarray(1j * (angle[4] - 6 * ww * a) + (ww * ww - 4 * w * j - 3 * a * a))
+        return complex_of(ww * ww - 4 * w * j - 3 * a * a, angle[4] - 6 * ww * a)
     raise ValueError(f'order must be 1 to 4, not {order}')
 
 
@@ -47,10 +47,11 @@ def rotation(order: int, angle: Real) -> tuple[Complex, Complex]:
     by_angle = np.empty((order, *a.shape), complex)
     by_angle[-1] = 1j
     for k in range(1, order):
-        by_angle[k - 1] = comb(order, k) * 1j * rotation_coefficient(order - k, angle)
+        by_angle[k - 1] = 1j * comb(order, k) * rotation_coefficient(order - k, angle)
     return a, by_angle
 
 
+@np.errstate(divide='ignore', invalid='ignore', over='ignore')
 def pole(
     order: int, position: Complex, angle: Real, turn: tuple[Complex, Complex] | None = None
 ) -> Linear:
@@ -63,12 +64,11 @@ def pole(
     r - (wR)^-1 v and its like.
     """
     a, by_turn = rotation(order, angle) if turn is None else turn
-    with np.errstate(divide='ignore', invalid='ignore', over='ignore'):
-        by_position = np.empty((2, *a.shape), complex)
-        by_position[0] = 1.0
-        by_position[1] = inverse = -1 / a
-        arm = position[order] * inverse
-        by_angle = arm * inverse * by_turn
+    by_position = np.empty((2, *a.shape), complex)
+    by_position[0] = 1.0
+    by_position[1] = inverse = -1 / a
+    arm = position[order] * inverse
+    by_angle = arm * inverse * by_turn
     orders = slice(0, order + 1, order), slice(1, order + 1)
     return Linear(position[0] + arm, by_position, by_angle, *orders)
 
