@@ -28,8 +28,9 @@ _AGREE = 3.0
 # An ICR that moves by less than so many standard deviations, or body sizes per rad, stands still.
 _MOVING = 1.7
 _STILL = 1e-6
-# A curvature is known to this part of itself, or to one over the body's size.
-_CURVED = 0.3
+# A curvature is known to this part of itself, or to one over the body's size, while the body turns by
+# more than so many standard deviations.
+_CURVED, _TURNING = 0.3, 1.5
 POLE_NAMES = ('icr', 'iap', 'ijp', 'isp')
 RATE_NAMES = ('angular_velocity', 'angular_acceleration', 'angular_jerk', 'angular_snap')
 
@@ -281,7 +282,9 @@ class Estimate:
         slowness = (u.covariance[..., 0, 0] + u.covariance[..., 1, 1]) / 2 / np.abs(u.value) ** 2
         noise = noise + 18 * (value * slowness) ** 2
         least = np.maximum(_CURVED * np.abs(value), 1 / self.size)
-        known = known & (noise < least**2)
+        # Where the body does not turn for all one knows, it comes out straight, and that for sure.
+        turns = self.angle[1] ** 2 > _TURNING**2 * self.angle_covariance[1, 1]
+        known = known & turns & (noise < least**2)
         return Numbers(value, noise, self.icr_moves & known)
 
     @cached_property

@@ -167,3 +167,12 @@ def test_a_coefficient_that_is_small_by_chance_does_not_make_a_body_rest() -> No
     found = _record.measure(recording)
     errors = _hindsight.own_errors(recording, found)['ω'] / found.deviations['ω']
     assert np.nanmax(errors) < 5
+
+
+def test_no_curvature_is_told_of_a_body_that_may_not_turn() -> None:
+    # In one frame of these the angular velocity is a fortieth of its deviation.
+    recording = _record.make_recording(('stop and go',), (1e-5,), 24, 6.0)
+    found = _record.measure(recording)
+    told = found.determined['κ'] & np.isfinite(recording.truth['κ'][found.frames])
+    errors = _hindsight.own_errors(recording, found)['κ'] / found.deviations['κ']
+    assert np.max(errors[told]) < 10
