@@ -28,8 +28,8 @@ _AGREE = 3.0
 # An ICR that moves by less than so many standard deviations, or body sizes per rad, stands still.
 _MOVING = 1.7
 _STILL = 1e-6
-# A curvature is known to this part of itself, or to one over the body's size, while the body turns by
-# more than so many standard deviations.
+# A curvature is known to this part of itself, or to one over the body's size, while the body turns
+# by more than so many standard deviations.
 _CURVED, _TURNING = 0.3, 1.5
 POLE_NAMES = ('icr', 'iap', 'ijp', 'isp')
 RATE_NAMES = ('angular_velocity', 'angular_acceleration', 'angular_jerk', 'angular_snap')
