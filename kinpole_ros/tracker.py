@@ -291,12 +291,9 @@ class Tracker:
         if largest > self._largest:
             self._largest, self._learned = largest, None
         with np.errstate(divide='ignore', invalid='ignore'):
-            # Inverse variances of angle and position, per variance of a coordinate of a marker.
-            off_center = fit.mean.real**2 + fit.mean.imag**2
-            position = 1 / (1 / fit.total + off_center / fit.spread)
             height = np.where(seen, heights, 0).sum(axis=-1) / seen.sum(axis=-1)
         known = np.isfinite(fit.angle)
-        information = np.concatenate((fit.spread, position), axis=-1)
+        information = np.concatenate((fit.spread, fit.weight), axis=-1)
         self._stamps.extend(stamps)
         self._positions.extend(fit.position)
         self._angles.extend(fit.angle)
