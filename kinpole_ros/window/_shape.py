@@ -55,12 +55,14 @@ class Shapes:
 
     `points` (B, n) are where the markers are, complex, m; `known` (B,) how many of them have been
     seen so far, and `spread` (B,) the sum of their squares about their mean, m^2; `beat` is in how
-    many frames from the last time on `learn` is to be called. `mended` counts, see `untangle`.
+    many frames from the last time on `learn` is to be called; `farthest` is how far, m, from the
+    origin of the ground markers were until then. `mended` counts, see `untangle`.
     """
 
     def __init__(self, bodies: int, markers: int) -> None:
         self.points = np.zeros((bodies, markers), complex)
         self.mended: Counter[str] = Counter()
+        self.farthest = 0.0
         self._frames = np.zeros((bodies, markers))
         # One for a marker that the last beat began with: no news of it yet.
         self._first = np.zeros((bodies, markers))
@@ -117,7 +119,7 @@ class Shapes:
             if np.count_nonzero(unseen):
                 grip = grip_of(self.points, np.where(unseen, 0.0, self._weights))
             fit = fit_by_grip(points, grip)
-            far = fit.residual.real**2 + fit.residual.imag**2 > self._farthest
+            far = fit.residual.real**2 + fit.residual.imag**2 > self._most
             odd = np.logical_or.reduce(far, axis=(1, 2)) | self._turns.may_jump(fit.angle)
             quiet = int(odd.argmax()) if np.count_nonzero(odd) else len(points)
             if quiet == len(points):
@@ -152,6 +154,7 @@ class Shapes:
             return
         news = _News(*map(np.concatenate, zip(*self._news, strict=True)))
         self._news = []
+        self.farthest = float(np.fmax.reduce(np.abs(news.points), None, initial=self.farthest))
         turned = np.exp(-1j * news.angle)[..., None]
         off = (news.points - news.position[..., None]) * turned - self.points
         seen = ~np.isnan(off)
@@ -279,7 +282,7 @@ class Shapes:
         self._limit = _SUSPECT * np.sqrt(self._least_rule())
         self._mature = self._fits >= _MATURE
         # What all frames share in which every marker is seen, as a rule all there are.
-        self._farthest = np.where(self._mature, self._limit**2, np.inf)[:, None]
+        self._most = np.where(self._mature, self._limit**2, np.inf)[:, None]
         self._grip = grip_of(self.points, self._weights)
         least = self._frames.min(where=known, initial=_MEMORY) if known.any() else 0
         self.beat = max(1, int(least * _BEAT))
