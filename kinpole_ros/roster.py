@@ -36,12 +36,8 @@ class Roster:
         self._axes = AXES[settings.plane]
         self._places: dict[tuple[str, ...], tuple[np.ndarray, bool]] = {}
         self.width = max(2, *(len(markers) for markers in self._markers))
+        self.wanted = sum(map(len, self._markers))
         self.unknown = 0
-
-    @property
-    def wanted(self) -> int:
-        """How many markers all bodies have."""
-        return sum(len(markers) for markers in self._markers)
 
     def sort(self, frames: MarkerFrames) -> tuple[np.ndarray, np.ndarray]:
         """
@@ -89,6 +85,7 @@ class Roster:
         markers = self._markers[0]
         new = [name for name in dict.fromkeys(identities) if name not in set(markers)]
         markers += new[: MOST_MARKERS - len(markers)]
+        self.wanted = len(markers)
         if len(markers) > self.width:
             self.width = len(markers)
             self._places.clear()

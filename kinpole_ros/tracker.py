@@ -131,7 +131,7 @@ class Tracker:
         self._new = 0
         # How many frames wait to be estimated, and what was known with them.
         self._waiting = 0
-        self._known_then: list[np.ndarray] = []
+        self._known_then = Samples((), _known_type(count, self._roster.width))
 
     @property
     def interval(self) -> float:
@@ -176,16 +176,16 @@ class Tracker:
             first = 0
             while first < len(stamps):
                 steps, end = self._sift(stamps[first:])
-                new = (steps > 0).nonzero()[0] + first
+                new = (steps > 0).nonzero()[0]
                 if len(new):
-                    taken = frames
+                    taken, place = frames, first + new
                     if len(new) < len(stamps):
-                        taken = frames._replace(stamps=stamps[new], points=frames.points[new])
+                        taken = frames._replace(stamps=stamps[place], points=frames.points[place])
                     points, heights = self._roster.sort(taken)
                     if self._roster.width > self._shapes.points.shape[1]:
                         found += self._estimates(order)
                         self._widen()
-                    self._run(taken.stamps, steps[steps > 0], points, heights, before + new)
+                    self._run(taken.stamps, steps[new], points, heights, before + place)
                 first += end
                 if first < len(stamps):
                     found += self._estimates(order)
@@ -211,7 +211,7 @@ class Tracker:
         else:
             last = newest
         ahead = stamps - np.concatenate(((newest,), stamps[:-1]))
-        if ahead.min() > 0 and ahead.max() <= self._window:
+        if np.minimum.reduce(ahead) > 0 and np.maximum.reduce(ahead) <= self._window:
             return ahead, len(stamps)
         # As it is when each frame comes.
         reached = np.maximum.accumulate(np.concatenate(((newest,), stamps[:-1])))
@@ -235,8 +235,8 @@ class Tracker:
     ) -> None:
         """Take frames that go on by `steps` from those before; `numbers` (T,) are theirs."""
         self.counts['markers_unknown'] = self._roster.unknown
-        wanted = self._roster.wanted * len(points)
-        self.counts['markers_not_seen'] += wanted - np.count_nonzero(~np.isnan(points))
+        seen = points.size - np.count_nonzero(np.isnan(points))
+        self.counts['markers_not_seen'] += self._roster.wanted * len(points) - seen
         if not len(self._frames):
             self._since = int(stamps[0])
         rows = self._frames.room(len(stamps))
@@ -260,7 +260,7 @@ class Tracker:
             part = slice(first, end)
             self._take(rows[part], points[part], heights[part], gaps[part])
             rows['beat'][part] = len(self._known_then)
-            self._known_then.append(self._known())
+            self._known_then.room(1)[...] = self._known()
             first = end
         self._waiting += len(rows)
 
@@ -275,7 +275,7 @@ class Tracker:
         # As the window was before the frame came.
         before = np.concatenate(((self._interval,), interval[:-1]))
         self.samples, self._interval = int(held[-1]) + 1, float(interval[-1])
-        return np.asarray((steps > _LATE * before) & (before > 0))
+        return (steps > _LATE * before) & (before > 0)
 
     def _known(self) -> np.ndarray:
         """What is known now, in a row of `_known_type`."""
@@ -314,7 +314,7 @@ class Tracker:
         rows['information'] = information
         seen = ~np.isnan(points)
         with np.errstate(invalid='ignore'):
-            total = np.add.reduce(np.where(seen, heights, 0.0), -1)
+            total = np.add.reduce(heights, -1, where=seen)
             rows['height'] = total / np.add.reduce(seen, -1)
         rows['strayed'] = False
         if np.count_nonzero(np.isfinite(self._pins.center)):
@@ -343,7 +343,7 @@ class Tracker:
             before = np.concatenate((self._last_angle[None], np.where(known, angle, 0.0)))
             angle = np.take_along_axis(before, np.maximum.accumulate(rows, axis=0), axis=0)
         steps = angle - np.concatenate((self._last_angle[None], angle[:-1]))
-        turns = self._last_turn - np.rint(steps / (2 * np.pi)).cumsum(axis=0)
+        turns = self._last_turn - np.add.accumulate(np.rint(steps / (2 * np.pi)))
         self._last_angle, self._last_turn = angle[-1], turns[-1]
         return np.asarray(turns)
 
@@ -388,6 +388,7 @@ class Tracker:
         """A body of all markers has more of them."""
         self._learn()
         self._shapes.widen(self._roster.width)
+        self._known_then = Samples((), _known_type(len(self.bodies), self._roster.width))
         self._learned = None
         if self._points is not None:
             # The landmarks of the new ones are not known in the frames before.
@@ -407,8 +408,9 @@ class Tracker:
         if not self._waiting:
             return []
         frames = self._frames.view()
-        new, known = frames[-self._waiting :], np.concatenate(self._known_then)
-        self._waiting, self._known_then = 0, []
+        new, known = frames[-self._waiting :], self._known_then.view()
+        self._waiting = 0
+        self._known_then.drop(len(known))
         # To wait for one frame more would trail beyond the lag.
         ahead = np.rint(self.settings.lag * 1e9 - 0.75 * new['interval'])
         last = new['stamp'] - ahead.astype(np.int64)

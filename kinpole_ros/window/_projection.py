@@ -132,12 +132,14 @@ def project(
     NaN throughout. Derivatives are wanted up to `order`. If `bodies` are given, the signals are
     their angles, then their positions.
     """
-    places = np.add.reduce(times < 0)
+    places = (times >= 0).argmax(axis=0)
     base = signals[places, np.arange(len(places))]
     missing = np.isnan(base[..., 0])  # (M, G)
     if weights is not None:
         missing |= ~(weights[places] > 0)
-    base[missing] = 0.0
+    some_missing = np.count_nonzero(missing) > 0
+    if some_missing:
+        base[missing] = 0.0
     centered = signals - base
     if weights is not None:
         models = _models(times.T, int(places[0]), weights.T, order + 1)
@@ -145,7 +147,7 @@ def project(
         some = np.where(weights[:, None, :, None] > 0, centered, 0.0).transpose(2, 3, 1, 0)
         found = _by_own(models, some, weights, bodies, (3, 0))
         return Projection(models, *found, base, missing)
-    if np.count_nonzero(missing):
+    if some_missing:
         centered = np.where(missing[..., None], 0.0, centered)
     parts = []
     for instants, even in _parts(times, places):

@@ -82,10 +82,9 @@ class Shapes:
 
     def unseen(self, points: Complex) -> int:
         """How many of the frames `points` (T, B, n) go by before a body is seen the first time."""
-        new = np.flatnonzero(~self._met)
-        if not len(new):
+        if not len(self._unmet):
             return len(points)
-        begun = _makes_a_body(points[:, new]).any(axis=-1)
+        begun = _makes_a_body(points[:, self._unmet]).any(axis=-1)
         return int(begun.argmax()) if begun.any() else len(points)
 
     def begin(self, points: Complex) -> None:
@@ -95,7 +94,7 @@ class Shapes:
         A body's frame starts where it is first seen: its origin at the mean of the markers seen
         then, its axes along the ground's.
         """
-        new = ~self._met & _makes_a_body(points)
+        new = (self.known == 0) & _makes_a_body(points)
         seen = new[:, None] & ~np.isnan(points)
         count = np.maximum(seen.sum(axis=-1, keepdims=True), 1)
         mean = np.where(seen, points, 0).sum(axis=-1, keepdims=True) / count
@@ -273,7 +272,7 @@ class Shapes:
         """Keep what is asked for in every frame and changes only at a beat."""
         known = self._frames > 0
         self.known = known.sum(axis=-1)
-        self._met = self.known > 0
+        self._unmet = np.flatnonzero(self.known == 0)
         mean = np.where(known, self.points, 0).sum(axis=-1) / np.maximum(self.known, 1)
         offsets = np.where(known, self.points - mean[:, None], 0)
         self.spread = (offsets.real**2 + offsets.imag**2).sum(axis=-1)
