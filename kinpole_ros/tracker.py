@@ -89,9 +89,9 @@ class Tracker:
     """
     Follows the bodies of `settings` from frame to frame.
 
-    `counts` says what became of the frames, for diagnostics: frames, repeated, late, resets,
-    frame_changes, markers_not_seen, markers_unknown, and the markers_... that were mended, see
-    `window.untangle`.
+    `samples` is how many frames the window holds. `counts` says what became of the frames, for
+    diagnostics: frames, repeated, late, resets, frame_changes, markers_not_seen, markers_unknown,
+    and the markers_... that were mended, see `window.untangle`.
     """
 
     def __init__(self, settings: Settings) -> None:
@@ -120,8 +120,8 @@ class Tracker:
         self._points: Samples | None = None
         if self.settings.method == 'landmarks':
             self._points = Samples((count, self._roster.width), complex)
-        # How many frames the window holds, and their mean interval, ns, 0 for fewer than two.
         self.samples = 0
+        # Mean time between the frames of the window, ns, 0 for fewer than two.
         self._interval = 0.0
         self._since = 0
         self._due = 0
@@ -411,7 +411,6 @@ class Tracker:
         new, known = frames[-self._waiting :], self._known_then.view()
         self._waiting = 0
         self._known_then.drop(len(known))
-        # To wait for one frame more would trail beyond the lag.
         ahead = np.rint(self.settings.lag * 1e9 - 0.75 * new['interval'])
         last = new['stamp'] - ahead.astype(np.int64)
         oldest, newest = new['oldest'], np.arange(len(frames) - len(new), len(frames))
