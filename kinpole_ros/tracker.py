@@ -108,7 +108,6 @@ class Tracker:
         """Forget all samples, and the shapes and noise learned from them."""
         count = len(self.bodies)
         self._roster = Roster(self.settings)
-        self._learned: np.ndarray | None = None
         self._shapes = Shapes(count, self._roster.width)
         self._noise = Noise(count)
         self._pins = Pins(count)
@@ -129,9 +128,11 @@ class Tracker:
         # Frames since the last beat, at which the bodies' shapes, noise and pins are learned.
         self._news: list[_News] = []
         self._new = 0
-        # How many frames wait to be estimated, and what was known with them.
+        # How many frames wait to be estimated, and what was known with them, now in the last row
+        # unless something was learned since.
         self._waiting = 0
-        self._known_then = Samples((), _known_type(count, self._roster.width))
+        self._known = Samples((), _known_type(count, self._roster.width))
+        self._learned = True
 
     @property
     def interval(self) -> float:
@@ -251,7 +252,7 @@ class Tracker:
             if not unseen:
                 self._learn()
                 self._shapes.begin(points[first])
-                self._learned = None
+                self._learned = True
                 unseen = room = 1
             end = min(first + min(room, unseen), len(stamps))
             later = gaps[first + 1 : end].nonzero()[0]
@@ -259,8 +260,7 @@ class Tracker:
                 end = first + 1 + int(later[0])
             part = slice(first, end)
             self._take(rows[part], points[part], heights[part], gaps[part])
-            rows['beat'][part] = len(self._known_then)
-            self._known_then.room(1)[...] = self._known()
+            rows['beat'][part] = self._known_now()
             first = end
         self._waiting += len(rows)
 
@@ -277,20 +277,19 @@ class Tracker:
         self.samples, self._interval = int(held[-1]) + 1, float(interval[-1])
         return (steps > _LATE * before) & (before > 0)
 
-    def _known(self) -> np.ndarray:
-        """What is known now, in a row of `_known_type`."""
-        if self._learned is None:
-            pins, noise = self._pins, self.noise()
-            shape = self._shapes.markers()
-            self._learned = known = np.empty(1, _known_type(*shape.shape))
+    def _known_now(self) -> int:
+        """The row of what is known now."""
+        if self._learned:
+            self._learned = False
+            known, pins, noise = self._known.room(1), self._pins, self.noise()
             known['noise'] = np.where(noise > 0, noise, 1.0)
             known['measured'] = np.isfinite(noise)
             known['firm'] = noise**2 < _UNSTEADY**2 * self._shapes.spread
             known['size'] = self._size()
             known['pin'], known['pin_variance'] = pins.center, pins.variance
             known['pin_since'] = pins.since
-            known['shape'] = shape
-        return self._learned
+            known['shape'] = self._shapes.markers()
+        return len(self._known) - 1
 
     def _take(
         self, rows: np.ndarray, points: np.ndarray, heights: np.ndarray, gaps: np.ndarray
@@ -302,7 +301,7 @@ class Tracker:
         if self._shapes.mended:
             self.counts.update(self._shapes.mended)
             self._shapes.mended.clear()
-            self._learned = None
+            self._learned = True
         known = np.isfinite(fit.angle)
         information = np.concatenate((fit.spread, fit.weight), axis=-1)
         if np.count_nonzero(known) < known.size:
@@ -354,7 +353,7 @@ class Tracker:
         size = self._size()
         news = _News(*map(np.concatenate, zip(*self._news, strict=True)))
         self._news, self._new = [], 0
-        self._learned = None
+        self._learned = True
         if self._points is None:
             variance = self._variance(news.information)
             self._pins.add(news.stamps, news.position, news.angle, variance, size)
@@ -388,8 +387,8 @@ class Tracker:
         """A body of all markers has more of them."""
         self._learn()
         self._shapes.widen(self._roster.width)
-        self._known_then = Samples((), _known_type(len(self.bodies), self._roster.width))
-        self._learned = None
+        self._known = Samples((), _known_type(len(self.bodies), self._roster.width))
+        self._learned = True
         if self._points is not None:
             # The landmarks of the new ones are not known in the frames before.
             old = self._points.view()
@@ -408,9 +407,9 @@ class Tracker:
         if not self._waiting:
             return []
         frames = self._frames.view()
-        new, known = frames[-self._waiting :], self._known_then.view()
+        new, known = frames[-self._waiting :], self._known.view()
         self._waiting = 0
-        self._known_then.drop(len(known))
+        self._known.drop(len(known) - 1)
         ahead = np.rint(self.settings.lag * 1e9 - 0.75 * new['interval'])
         last = new['stamp'] - ahead.astype(np.int64)
         oldest, newest = new['oldest'], np.arange(len(frames) - len(new), len(frames))
