@@ -34,14 +34,10 @@ class Roster:
         self._markers = [list(markers) for markers in settings.bodies.values()]
         self._all_markers = not any(self._markers)
         self._axes = AXES[settings.plane]
-        self._places: dict[tuple[str, ...], np.ndarray] = {}
+        self._places: dict[tuple[str, ...], tuple[np.ndarray, bool]] = {}
         self.width = max(2, *(len(markers) for markers in self._markers))
+        self.wanted = sum(map(len, self._markers))
         self.unknown = 0
-
-    @property
-    def wanted(self) -> int:
-        """How many markers all bodies have."""
-        return sum(len(markers) for markers in self._markers)
 
     def sort(self, frames: MarkerFrames) -> tuple[np.ndarray, np.ndarray]:
         """
@@ -49,26 +45,29 @@ class Roster:
 
         A body of all markers takes those not met before; it may be wider afterwards.
         """
-        place = self._place(frames.identities)
+        place, complete = self._place(frames.identities)
         rows = frames.points
-        if place.max(initial=0) == rows.shape[1]:
+        if not complete:
             # One more row of NaN stands for every marker that is not in the message.
             padded = np.full((len(rows), rows.shape[1] + 1, 3), np.nan)
             padded[:, :-1] = rows
             rows = padded
-        solid = rows[:, place]
-        with np.errstate(invalid='ignore'):
-            near = (np.abs(solid) < _FARTHEST).all(axis=-1)
-        if not near.all():
-            solid[~near] = np.nan
+        solid = rows.take(place, axis=1)
+        near = np.abs(solid) < _FARTHEST
+        if np.count_nonzero(near) < near.size:
+            solid[~near.all(axis=-1)] = np.nan
         flat = np.empty(solid.shape[:-1], complex)
         flat.real, flat.imag = solid[..., self._axes[0]], solid[..., self._axes[1]]
         return flat, solid[..., self._axes[2]]
 
-    def _place(self, identities: tuple[str, ...]) -> np.ndarray:
-        """Where (B, n) each body's markers are in a message; the last place + 1 for one not in."""
-        place = self._places.get(identities)
-        if place is None:
+    def _place(self, identities: tuple[str, ...]) -> tuple[np.ndarray, bool]:
+        """
+        Where (B, n) each body's markers are in a message, and whether there are all.
+
+        One that is not in it has the last place + 1.
+        """
+        found = self._places.get(identities)
+        if found is None:
             if self._all_markers:
                 self._take_new(identities)
             place = np.full((len(self._markers), self.width), len(identities))
@@ -78,14 +77,15 @@ class Roster:
             self.unknown = len(set(range(len(identities))) - set(place.ravel().tolist()))
             if len(self._places) > _MOST_LAYOUTS:
                 self._places.clear()
-            self._places[identities] = place
-        return place
+            self._places[identities] = found = place, bool((place < len(identities)).all())
+        return found
 
     def _take_new(self, identities: tuple[str, ...]) -> None:
         """A body of all markers: add those not met before."""
         markers = self._markers[0]
         new = [name for name in dict.fromkeys(identities) if name not in set(markers)]
         markers += new[: MOST_MARKERS - len(markers)]
+        self.wanted = len(markers)
         if len(markers) > self.width:
             self.width = len(markers)
             self._places.clear()

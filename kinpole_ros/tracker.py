@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from kinpole_ros.estimate import FARTHEST, Estimate, Poses
-from kinpole_ros.frame import MarkerFrames, part_of
+from kinpole_ros.frame import MarkerFrames
 from kinpole_ros.parameters import Settings
 from kinpole_ros.roster import Roster
 from kinpole_ros.window import (
@@ -47,28 +47,51 @@ class _News(NamedTuple):
     information: np.ndarray  # (T, 2 B)
     residual: np.ndarray
     freedom: np.ndarray
-    goes_on: np.ndarray
+    gaps: np.ndarray
 
 
-class _Known(NamedTuple):
-    """What is known of the bodies from one beat to the next, (B,), or (T, B) for some frames."""
+def _frame_type(bodies: int) -> np.dtype:
+    """What is held of a frame, in one row; what is of angles comes before what is of positions."""
+    columns: list[tuple] = [
+        ('stamp', np.int64),
+        # While it waits: its number among the frames that were given together, and which of what
+        # was known is as of then; the oldest frame in the window, and the mean interval, ns.
+        ('number', np.int64),
+        ('beat', np.int64),
+        ('oldest', np.int64),
+        ('interval', float),
+        # Angles with whole turns, as what comes between -pi and pi goes on, and positions.
+        ('poses', float, (2 * bodies, 2)),
+        # Inverse variances over that of a coordinate of a marker, 0 for a body not seen.
+        ('information', float, (2 * bodies,)),
+        ('height', float, (bodies,)),
+        ('strayed', bool, (bodies,)),
+    ]
+    return np.dtype(columns, align=True)
 
-    noise: np.ndarray
-    size: np.ndarray
-    spread: np.ndarray
-    pin: np.ndarray
-    pin_variance: np.ndarray
-    pin_since: np.ndarray
-    shape: np.ndarray  # (B, n)
+
+def _known_type(bodies: int, width: int) -> np.dtype:
+    """What is known of the bodies from one beat to the next, in one row."""
+    columns: list[tuple] = [
+        ('noise', float, (bodies,)),
+        ('measured', bool, (bodies,)),
+        ('firm', bool, (bodies,)),
+        ('size', float, (bodies,)),
+        ('pin', complex, (bodies,)),
+        ('pin_variance', float, (bodies,)),
+        ('pin_since', np.int64, (bodies,)),
+        ('shape', complex, (bodies, width)),
+    ]
+    return np.dtype(columns, align=True)
 
 
 class Tracker:
     """
     Follows the bodies of `settings` from frame to frame.
 
-    `counts` says what became of the frames, for diagnostics: frames, repeated, late, resets,
-    frame_changes, markers_not_seen, markers_unknown, and the markers_... that were mended, see
-    `window.untangle`.
+    `samples` is how many frames the window holds. `counts` says what became of the frames, for
+    diagnostics: frames, repeated, late, resets, frame_changes, markers_not_seen, markers_unknown,
+    and the markers_... that were mended, see `window.untangle`.
     """
 
     def __init__(self, settings: Settings) -> None:
@@ -85,59 +108,42 @@ class Tracker:
         """Forget all samples, and the shapes and noise learned from them."""
         count = len(self.bodies)
         self._roster = Roster(self.settings)
-        self._learned: _Known | None = None
         self._shapes = Shapes(count, self._roster.width)
         self._noise = Noise(count)
         self._pins = Pins(count)
         self._filter = PoseFilter()
         self._landmark_filter = LandmarkFilter()
-        self._stamps = Samples((), np.int64)
-        self._positions = Samples((count,), complex)
-        self._angles = Samples((count,), float)
-        # Whole turns, as what comes between -pi and pi goes on.
-        self._turns = Samples((count,), float)
+        self._frames = Samples((), _frame_type(count))
         self._last_angle = np.zeros(count)
         self._last_turn = np.zeros(count)
-        self._information = Samples((2 * count,), float)
-        self._heights = Samples((count,), float)
-        self._strayed = Samples((count,), bool)
         self._points: Samples | None = None
         if self.settings.method == 'landmarks':
             self._points = Samples((count, self._roster.width), complex)
-        self._largest = 0.0
+        self.samples = 0
+        # Mean time between the frames of the window, ns, 0 for fewer than two.
+        self._interval = 0.0
         self._since = 0
         self._due = 0
         self._dropped = 0
         # Frames since the last beat, at which the bodies' shapes, noise and pins are learned.
         self._news: list[_News] = []
         self._new = 0
-        # The frames that wait to be estimated: numbers, and places in what was known with them.
-        self._waiting: list[tuple[np.ndarray, np.ndarray]] = []
-        self._known_then: list[_Known] = []
-
-    @property
-    def samples(self) -> int:
-        """How many frames the window holds."""
-        return len(self._in_window())
+        # How many frames wait to be estimated, and what was known with them, now in the last row
+        # unless something was learned since.
+        self._waiting = 0
+        self._known = Samples((), _known_type(count, self._roster.width))
+        self._learned = True
 
     @property
     def interval(self) -> float:
         """Mean time between the frames of the window in s; NaN for fewer than two."""
-        stamps = self._in_window()
-        if len(stamps) < 2:
-            return float('nan')
-        return float(stamps[-1] - stamps[0]) * 1e-9 / (len(stamps) - 1)
-
-    def _in_window(self) -> np.ndarray:
-        """Stamps of the frames in the window; others are held for estimates that wait."""
-        stamps = self._stamps.view()
-        return stamps[stamps.searchsorted(stamps[-1] - self._window) :] if len(stamps) else stamps
+        return self._interval * 1e-9 if self.samples > 1 else float('nan')
 
     def noise(self) -> np.ndarray:
         """Noise (B,) of one coordinate of a marker, m, given or measured; NaN while not known."""
         if self.settings.noise > 0:
             return np.full(len(self.bodies), self.settings.noise)
-        return np.maximum(self._noise.level(), _ROUNDING * self._largest)
+        return np.maximum(self._noise.level(), _ROUNDING * self._shapes.farthest)
 
     def add(self, frames: MarkerFrames, order: int | None) -> list[Estimate]:
         """
@@ -163,25 +169,24 @@ class Tracker:
             stamps = np.asarray(frames.stamps)
             self.counts['frames'] += len(stamps)
             if frames.frame_id != self._frame_id:
-                if len(self._stamps):
+                if len(self._frames):
                     found += self._estimates(order)
                     self.counts['frame_changes'] += 1
                     self.reset()
                 self._frame_id = frames.frame_id
             first = 0
             while first < len(stamps):
-                new, end = self._sift(stamps[first:])
-                new += first
-                if len(new) == end:
-                    taken = part_of(frames, slice(first, first + end))
-                else:
-                    taken = frames._replace(stamps=stamps[new], points=frames.points[new])
+                steps, end = self._sift(stamps[first:])
+                new = (steps > 0).nonzero()[0]
                 if len(new):
+                    taken, place = frames, first + new
+                    if len(new) < len(stamps):
+                        taken = frames._replace(stamps=stamps[place], points=frames.points[place])
                     points, heights = self._roster.sort(taken)
                     if self._roster.width > self._shapes.points.shape[1]:
                         found += self._estimates(order)
                         self._widen()
-                    self._run(taken.stamps, points, heights, before + new)
+                    self._run(taken.stamps, steps[new], points, heights, before + place)
                 first += end
                 if first < len(stamps):
                     found += self._estimates(order)
@@ -198,12 +203,18 @@ class Tracker:
             self._learn()
 
     def _sift(self, stamps: np.ndarray) -> tuple[np.ndarray, int]:
-        """Which frames of `stamps` (T,) to take, and which starts everything anew, T for none."""
+        """
+        Up to where frames of `stamps` (T,) go on, T if nothing starts anew, and how far each is
+        ahead of all before it, ns: it is one to take where that is positive.
+        """
         last, newest = self._last, int(stamps[0]) - 1
-        if len(self._stamps):
-            newest = int(self._stamps.view()[-1])
+        if len(self._frames):
+            newest = int(self._frames.view()['stamp'][-1])
         else:
             last = newest
+        ahead = stamps - np.concatenate(((newest,), stamps[:-1]))
+        if np.minimum.reduce(ahead) > 0 and np.maximum.reduce(ahead) <= self._window:
+            return ahead, len(stamps)
         # As it is when each frame comes.
         reached = np.maximum.accumulate(np.concatenate(((newest,), stamps[:-1])))
         before = np.concatenate(((last,), stamps[:-1]))
@@ -212,24 +223,27 @@ class Tracker:
         anew = back | (np.abs(ahead) > self._window)
         end = int(anew.argmax()) if anew.any() else len(stamps)
         ahead = ahead[:end]
-        new = np.flatnonzero(ahead > 0)
-        if len(new) < end:
-            late = int((ahead < 0).sum())
-            self.counts['late'] += late
-            self.counts['repeated'] += end - len(new) - late
-        return new, end
+        self.counts['late'] += int((ahead < 0).sum())
+        self.counts['repeated'] += int((ahead == 0).sum())
+        return ahead, end
 
     def _run(
-        self, stamps: np.ndarray, points: np.ndarray, heights: np.ndarray, numbers: np.ndarray
+        self,
+        stamps: np.ndarray,
+        steps: np.ndarray,
+        points: np.ndarray,
+        heights: np.ndarray,
+        numbers: np.ndarray,
     ) -> None:
-        """Take frames whose stamps go on from those before; `numbers` (T,) are theirs."""
+        """Take frames that go on by `steps` from those before; `numbers` (T,) are theirs."""
         self.counts['markers_unknown'] = self._roster.unknown
-        wanted = self._roster.wanted * len(points)
-        self.counts['markers_not_seen'] += wanted - int((~np.isnan(points)).sum())
-        if not len(self._stamps):
+        seen = points.size - np.count_nonzero(np.isnan(points))
+        self.counts['markers_not_seen'] += self._roster.wanted * len(points) - seen
+        if not len(self._frames):
             self._since = int(stamps[0])
-        gaps = self._gaps(stamps)
-        beat = np.empty(len(stamps), int)
+        rows = self._frames.room(len(stamps))
+        gaps = self._enter(rows, stamps, steps)
+        rows['number'] = numbers
         first = 0
         while first < len(stamps):
             if self._new >= self._shapes.beat:
@@ -239,103 +253,97 @@ class Tracker:
             if not unseen:
                 self._learn()
                 self._shapes.begin(points[first])
-                self._learned = None
+                self._learned = True
                 unseen = room = 1
             end = min(first + min(room, unseen), len(stamps))
-            later = np.flatnonzero(gaps[first + 1 : end])
+            later = gaps[first + 1 : end].nonzero()[0]
             if len(later):
                 end = first + 1 + int(later[0])
-            self._take(stamps[first:end], points[first:end], heights[first:end], gaps[first])
-            beat[first:end] = len(self._known_then)
-            self._known_then.append(self._known())
+            part = slice(first, end)
+            self._take(rows[part], points[part], heights[part], gaps[part])
+            rows['beat'][part] = self._known_now()
             first = end
-        self._waiting.append((numbers, beat))
+        self._waiting += len(rows)
 
-    def _known(self) -> _Known:
-        if self._learned is None:
-            pins = self._pins
-            self._learned = _Known(
-                self.noise(),
-                self._size(),
-                self._shapes.spread,
-                pins.center.copy(),
-                pins.variance.copy(),
-                pins.since.copy(),
-                self._shapes.markers(),
-            )
-        return self._learned
+    def _enter(self, rows: np.ndarray, stamps: np.ndarray, steps: np.ndarray) -> np.ndarray:
+        """Note the windows of frames; returns which (T,) come much later than those before did."""
+        rows['stamp'] = stamps
+        every = self._frames.view()['stamp']
+        oldest = every.searchsorted(stamps - self._window)
+        held = np.arange(len(every) - len(rows), len(every)) - oldest
+        interval = (stamps - every[oldest]) / np.maximum(held, 1)
+        rows['oldest'], rows['interval'] = oldest, interval
+        # As the window was before the frame came.
+        before = np.concatenate(((self._interval,), interval[:-1]))
+        self.samples, self._interval = int(held[-1]) + 1, float(interval[-1])
+        return (steps > _LATE * before) & (before > 0)
 
-    def _gaps(self, stamps: np.ndarray) -> np.ndarray:
-        """Which frames (T,) come much later than the frames before them did."""
-        known = self._stamps.view()
-        every = np.concatenate((known, stamps))
-        last = len(known) + np.arange(len(stamps)) - 1
-        # As the window is when the frame comes.
-        first = np.searchsorted(every, every[last] - self._window)
-        with np.errstate(divide='ignore', invalid='ignore'):
-            interval = (every[last] - every[first]) / (last - first)
-            gaps = stamps - every[last] > _LATE * interval
-        if not len(known):
-            gaps[0] = False
-        return np.asarray(gaps & (last > first))
+    def _known_now(self) -> int:
+        """The row of what is known now."""
+        if self._learned:
+            self._learned = False
+            known, pins, noise = self._known.room(1), self._pins, self.noise()
+            known['noise'] = np.where(noise > 0, noise, 1.0)
+            known['measured'] = np.isfinite(noise)
+            known['firm'] = noise**2 < _UNSTEADY**2 * self._shapes.spread
+            known['size'] = self._size()
+            known['pin'], known['pin_variance'] = pins.center, pins.variance
+            known['pin_since'] = pins.since
+            known['shape'] = self._shapes.markers()
+        return len(self._known) - 1
 
-    def _take(self, stamps: np.ndarray, points: np.ndarray, heights: np.ndarray, gap: bool) -> None:
+    def _take(
+        self, rows: np.ndarray, points: np.ndarray, heights: np.ndarray, gaps: np.ndarray
+    ) -> None:
         """Fit the poses of frames between which nothing is learned and no gap is."""
-        if gap:
+        if gaps[0]:
             self._shapes.forget_motion()
         fit, points = self._shapes.fit(points)
         if self._shapes.mended:
             self.counts.update(self._shapes.mended)
             self._shapes.mended.clear()
-            self._learned = None
-        seen = ~np.isnan(points)
-        largest = np.abs(points).max(where=seen, initial=0.0)
-        if largest > self._largest:
-            self._largest, self._learned = largest, None
-        with np.errstate(divide='ignore', invalid='ignore'):
-            # Inverse variances of angle and position, per variance of a coordinate of a marker.
-            off_center = fit.mean.real**2 + fit.mean.imag**2
-            position = 1 / (1 / fit.total + off_center / fit.spread)
-            height = np.where(seen, heights, 0).sum(axis=-1) / seen.sum(axis=-1)
+            self._learned = True
         known = np.isfinite(fit.angle)
-        information = np.concatenate((fit.spread, position), axis=-1)
-        self._stamps.extend(stamps)
-        self._positions.extend(fit.position)
-        self._angles.extend(fit.angle)
-        self._turns.extend(self._turned(fit.angle, known))
-        self._information.extend(np.where(np.concatenate((known, known), -1), information, 0.0))
-        self._heights.extend(height)
-        strayed = np.zeros(known.shape, bool)
-        if np.isfinite(self._pins.center).any():
+        information = np.concatenate((fit.spread, fit.weight), axis=-1)
+        if np.count_nonzero(known) < known.size:
+            information[np.concatenate((~known, ~known), axis=-1)] = 0.0
+        count = len(self.bodies)
+        poses = rows['poses']
+        poses[:, :count, 0], poses[:, :count, 1] = fit.angle, self._turned(fit.angle, known)
+        poses[:, count:, 0], poses[:, count:, 1] = fit.position.real, fit.position.imag
+        rows['information'] = information
+        seen = ~np.isnan(points)
+        with np.errstate(invalid='ignore'):
+            total = np.add.reduce(heights, -1, where=seen)
+            rows['height'] = total / np.add.reduce(seen, -1)
+        rows['strayed'] = False
+        if np.count_nonzero(np.isfinite(self._pins.center)):
             variance = self._variance(information)
-            strayed = self._pins.strayed(fit.position, fit.angle, variance)
-        self._strayed.extend(strayed)
+            rows['strayed'] = self._pins.strayed(fit.position, fit.angle, variance)
         if self._points is not None:
-            self._points.extend(points)
-        goes_on = np.ones(len(stamps), bool)
-        goes_on[0] = not gap
+            self._points.room(len(points))[...] = points
         self._news.append(
             _News(
-                stamps,
+                rows['stamp'].copy(),
                 fit.position,
                 fit.angle,
                 information,
                 fit.residual,
                 fit.freedom,
-                goes_on,
+                gaps,
             )
         )
-        self._new += len(stamps)
+        self._new += len(rows)
 
     def _turned(self, angle: np.ndarray, known: np.ndarray) -> np.ndarray:
         """How often (T, B) the bodies have turned round when they are at `angle`, where `known`."""
-        if not known.all():
+        if np.count_nonzero(known) < known.size:
             # Where nothing is known it is as it was.
             rows = np.where(known, np.arange(1, len(angle) + 1)[:, None], 0)
             before = np.concatenate((self._last_angle[None], np.where(known, angle, 0.0)))
             angle = np.take_along_axis(before, np.maximum.accumulate(rows, axis=0), axis=0)
-        steps = np.diff(angle, axis=0, prepend=self._last_angle[None])
-        turns = self._last_turn - np.cumsum(np.rint(steps / (2 * np.pi)), axis=0)
+        steps = angle - np.concatenate((self._last_angle[None], angle[:-1]))
+        turns = self._last_turn - np.add.accumulate(np.rint(steps / (2 * np.pi)))
         self._last_angle, self._last_turn = angle[-1], turns[-1]
         return np.asarray(turns)
 
@@ -346,11 +354,11 @@ class Tracker:
         size = self._size()
         news = _News(*map(np.concatenate, zip(*self._news, strict=True)))
         self._news, self._new = [], 0
-        self._learned = None
+        self._learned = True
         if self._points is None:
             variance = self._variance(news.information)
             self._pins.add(news.stamps, news.position, news.angle, variance, size)
-        self._noise.add(news.residual, news.freedom, news.goes_on)
+        self._noise.add(news.residual, news.freedom, ~news.gaps)
         self._shapes.learn()
 
     def _variance(self, information: np.ndarray) -> np.ndarray:
@@ -361,7 +369,7 @@ class Tracker:
 
     def _misfit(self) -> np.ndarray:
         """Variance (B,) of one coordinate of a marker, of all that keeps it off its place."""
-        rounding = _ROUNDING * self._largest
+        rounding = _ROUNDING * self._shapes.farthest
         return np.maximum(self._shapes.misfit(), max(self.settings.noise, rounding) ** 2)
 
     def _size(self) -> np.ndarray:
@@ -370,19 +378,9 @@ class Tracker:
 
     def _trim(self, count: int) -> None:
         """Drop so many frames that no window to come holds."""
-        buffers = (
-            self._stamps,
-            self._positions,
-            self._angles,
-            self._turns,
-            self._information,
-            self._heights,
-            self._strayed,
-            self._points,
-        )
-        for buffer in buffers:
-            if buffer is not None:
-                buffer.drop(count)
+        self._frames.drop(count)
+        if self._points is not None:
+            self._points.drop(count)
         self._due = max(0, self._due - count)
         self._dropped += count
 
@@ -390,14 +388,15 @@ class Tracker:
         """A body of all markers has more of them."""
         self._learn()
         self._shapes.widen(self._roster.width)
-        self._learned = None
+        self._known = Samples((), _known_type(len(self.bodies), self._roster.width))
+        self._learned = True
         if self._points is not None:
             # The landmarks of the new ones are not known in the frames before.
             old = self._points.view()
             wide = np.full((len(old), 1, self._roster.width), complex(np.nan, np.nan))
             wide[..., : old.shape[-1]] = old
             self._points = Samples(wide.shape[1:], complex)
-            self._points.extend(wide)
+            self._points.room(len(wide))[...] = wide
 
     def _estimates(self, order: int | None) -> list[Estimate]:
         """
@@ -408,106 +407,92 @@ class Tracker:
         """
         if not self._waiting:
             return []
-        if len(self._known_then) == 1:
-            # As the live node has it: 10 us less.
-            ((numbers, beat),), (then,) = self._waiting, self._known_then
-            known = _Known(*(array[None] for array in then))
-        else:
-            numbers, beat = map(np.concatenate, zip(*self._waiting, strict=True))
-            known = _Known(*map(np.array, zip(*self._known_then, strict=True)))
-        self._waiting, self._known_then = [], []
-        stamps = self._stamps.view()
-        frames = np.arange(len(stamps) - len(numbers), len(stamps))
-        oldest = np.searchsorted(stamps, stamps[frames] - self._window)
-        held = frames - oldest + 1
-        slack = 0.75 * (stamps[frames] - stamps[oldest]) / np.maximum(held - 1, 1)
-        last = stamps[frames] - np.rint(self.settings.lag * 1e9 - slack).astype(np.int64)
-        end = np.minimum(np.searchsorted(stamps, last, side='right'), frames + 1)
+        frames = self._frames.view()
+        new, known = frames[-self._waiting :], self._known.view()
+        self._waiting = 0
+        self._known.drop(len(known) - 1)
+        ahead = np.rint(self.settings.lag * 1e9 - 0.75 * new['interval'])
+        last = new['stamp'] - ahead.astype(np.int64)
+        oldest, newest = new['oldest'], np.arange(len(frames) - len(new), len(frames))
+        end = np.minimum(frames['stamp'].searchsorted(last, side='right'), newest + 1)
         end = np.maximum.accumulate(np.maximum(end, self._due))
         due = np.arange(self._due, end[-1])
         self._due = int(end[-1])
         found = []
         if order is not None and len(due):
-            frame = np.searchsorted(end, due, side='right')
-            seen = (held[frame] >= FEWEST_SAMPLES) & (due >= oldest[frame])
-            if seen.any():
+            frame = end.searchsorted(due, side='right')
+            full = (newest - oldest)[frame] >= FEWEST_SAMPLES - 1
+            seen = (full & (due >= oldest[frame])).nonzero()[0]
+            if len(seen):
                 frame = frame[seen]
-                windows = due[seen], oldest[frame], frames[frame]
-                then = _Known(*(array[beat[frame]] for array in known))
-                found.append(self._estimate(*windows, order, numbers[frame], then))
+                windows = due[seen], oldest[frame], newest[frame]
+                then = known[new['beat'][frame]]
+                found.append(self._estimate(windows, order, new['number'][frame], then))
         self._trim(int(oldest[-1]))
         return found
 
     def _estimate(
-        self,
-        now: np.ndarray,
-        oldest: np.ndarray,
-        newest: np.ndarray,
-        order: int,
-        due: np.ndarray,
-        known: _Known,
+        self, windows: Windows, order: int, due: np.ndarray, known: np.ndarray
     ) -> Estimate:
-        """The frames `now` (T,), as the frames from `oldest` to `newest` (T,) tell of them."""
-        count = len(self.bodies)
-        noise = known.noise
-        seen = self._information.view()[now, :count] > 0
-        measured = np.isfinite(noise)
-        with np.errstate(invalid='ignore'):
-            firm = noise**2 < _UNSTEADY**2 * known.spread
+        """The frames `windows[0]` (T,), as those from `windows[1]` to `windows[2]` tell of them."""
+        frames = self._frames.view()[windows[0]]
+        seen = frames['information'][:, : len(self.bodies)] > 0
+        measured, firm = known['measured'], known['firm']
         usable = seen & measured & firm
-        noise = np.where(noise > 0, noise, 1.0)
         differentiated = self._from_poses if self._points is None else self._from_landmarks
-        found, together = differentiated((now, oldest, newest), noise, known.size, order)
+        found, together = differentiated(windows, known['noise'], known['size'], order)
         position, angle, position_covariance, angle_covariance, span, degree = found
-        if not usable.all():
+        if np.count_nonzero(usable) < usable.size:
             for array in (*found, *(together or ())):
                 array[..., ~usable] = np.nan
         enough = np.isfinite(angle[1]) & np.isfinite(position[1])
-        missing = np.full(seen.shape, '', object)
-        if not enough.all():
+        missing = np.empty(seen.shape, object)
+        missing.fill('')
+        if np.count_nonzero(enough) < enough.size:
             missing[~enough] = 'window not full'
             missing[~firm] = 'markers too close together for their noise'
             missing[~measured] = 'noise not known yet'
             missing[~seen] = 'too few markers seen, or all at one place'
         return Estimate(
-            self._stamps.view()[now],
+            frames['stamp'],
             self._frame_id,
             self.bodies,
             position,
             angle,
             position_covariance,
             angle_covariance,
-            known.size,
-            self._heights.view()[now],
+            known['size'],
+            frames['height'],
             span,
             degree,
             missing,
             self._since,
-            *self._pinned(oldest, newest, known),
-            known.shape,
+            *self._pinned(windows, known),
+            known['shape'],
             due,
             together,
         )
 
-    def _pinned(
-        self, oldest: np.ndarray, newest: np.ndarray, known: _Known
-    ) -> tuple[np.ndarray, np.ndarray]:
+    def _pinned(self, windows: Windows, known: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """
         Fixed pins (T, B) of the bodies, complex, NaN for none, and their variance.
 
         A pin holds for the whole window or not at all.
         """
-        pinned = np.isfinite(known.pin)
-        if not pinned.any():
-            return known.pin, known.pin_variance
-        held = pinned & (known.pin_since <= self._stamps.view()[oldest][:, None])
-        strayed = self._strayed.view()
-        if strayed.any():
-            before = np.cumsum(np.pad(strayed, ((1, 0), (0, 0))), axis=0)
-            held &= before[newest + 1] - before[oldest] < STRIKES
+        pin, variance = known['pin'], known['pin_variance']
+        held = np.isfinite(pin)
+        if not np.count_nonzero(held):
+            return pin, variance
+        _, oldest, newest = windows
+        frames = self._frames.view()
+        held &= known['pin_since'] <= frames['stamp'][oldest, None]
+        strayed = frames['strayed']
+        if np.count_nonzero(strayed):
+            times = strayed.cumsum(axis=0)
+            held &= times[newest] - times[oldest] + strayed[oldest] < STRIKES
         return (
-            np.where(held, known.pin, complex(np.nan, np.nan)),
-            np.where(held, known.pin_variance, np.nan),
+            np.where(held, pin, complex(np.nan, np.nan)),
+            np.where(held, variance, np.nan),
         )
 
     def _from_poses(
@@ -516,18 +501,18 @@ class Tracker:
         """Derivatives of the fitted poses, angle and position each by itself and together."""
         now = windows[0]
         count = len(self.bodies)
-        angles = self._angles.view()
-        signals = np.zeros((len(angles), 2 * count, 2))
-        turns = self._turns.view()
-        signals[:, :count, 0] = angles + 2 * np.pi * (turns - turns[0])
-        positions = self._positions.view()
-        signals[:, count:, 0], signals[:, count:, 1] = positions.real, positions.imag
+        frames = self._frames.view()
+        signals = frames['poses'].copy()
+        angles, turns = signals[:, :count, 0], signals[:, :count, 1]
+        turned = 2 * np.pi * (turns - turns[0])
+        angles += turned
+        turns[...] = 0.0
         reach = FARTHEST * size
         found = []
         numbers = now + self._dropped
         first = 0
-        information, both = self._information.view(), np.concatenate((noise, noise), axis=1)
-        for run in runs(self._stamps.view(), windows, signals, information, both):
+        information, both = frames['information'], np.concatenate((noise, noise), axis=1)
+        for run in runs(frames['stamp'], windows, signals, information, both):
             end = first + run[1].shape[1]
             found.append(
                 self._filter.derivatives(numbers[first:end], *run, reach[first:end], order)
@@ -536,9 +521,8 @@ class Tracker:
         parts = joined(found)
         apart, together = parts[:6], Poses(*parts[6:])
         # Of all turns that are one, as it was measured.
-        whole = angles[now] - signals[now, :count, 0]
         for angle in (apart[1], together.angle):
-            angle[0] += whole
+            angle[0] -= turned[now]
         return apart, together
 
     def _from_landmarks(
@@ -546,8 +530,9 @@ class Tracker:
     ) -> tuple[tuple[np.ndarray, ...], Poses | None]:
         """The same from the derivatives of each landmark."""
         assert self._points is not None
+        frames = self._frames.view()
         found = self._landmark_filter.derivatives(
-            self._stamps.view(), windows, self._points.view(), noise, order
+            frames['stamp'], windows, self._points.view(), noise, order
         )
-        found[1][0] = self._angles.view()[windows[0]]
+        found[1][0] = frames['poses'][windows[0], : len(self.bodies), 0]
         return found, None

@@ -194,6 +194,7 @@ class Turning(Tracker):
         self._learn()
         self._shapes.points *= np.exp(1e-7j * len(frames.stamps))
         self._shapes.points += 1e-9 * len(frames.stamps)
+        self._shapes._measure()
         return found
 
 

@@ -749,9 +749,9 @@ def test_the_fit_is_the_least_sum_of_squares() -> None:
     arm = SHAPE - (weights * SHAPE).sum() / weights.sum()
     assert (weights * fit.residual).sum() == pytest.approx(0, abs=1e-14)
     assert (weights * (arm.conj() * fit.residual).imag).sum() == pytest.approx(0, abs=1e-14)
-    assert fit.total == pytest.approx(weights.sum())
-    assert fit.mean == pytest.approx((weights * SHAPE).sum() / weights.sum())
     assert fit.spread == pytest.approx((weights * np.abs(arm) ** 2).sum())
+    off_center = np.abs(SHAPE[0] - arm[0]) ** 2 / fit.spread
+    assert fit.weight == pytest.approx(1 / (1 / weights.sum() + off_center))
 
 
 @pytest.mark.parametrize('count', [2, 3, 4, 5])
@@ -762,12 +762,13 @@ def test_residuals_have_the_freedom_they_are_said_to_have(count: int) -> None:
     fit = planar.fit_pose(placed(np.zeros(20_000), 0.4, shape) + noise, shape, np.ones(count))
     assert fit.freedom.sum(axis=-1) == pytest.approx(2 * count - 3)
     measured = (np.abs(fit.residual) ** 2).mean(axis=0) / 1e-8
-    assert measured == pytest.approx(fit.freedom, rel=0.05, abs=0.01)
-    # What the tracker weighs the poses with: spread for the angle, total for the mean.
-    assert fit.angle.var() == pytest.approx(1e-8 / fit.spread, rel=0.05)
-    off_center = np.abs(fit.mean) ** 2 / fit.spread
+    assert measured == pytest.approx(fit.freedom[0], rel=0.05, abs=0.01)
+    # What the tracker weighs the poses with.
+    assert fit.angle.var() == pytest.approx(1e-8 / fit.spread[0], rel=0.05)
     variance = (np.abs(fit.position - fit.position.mean()) ** 2).mean() / 2
-    assert variance == pytest.approx(1e-8 * (1 / fit.total + off_center / 2), rel=0.05)
+    # Only across the arm of the mean does turning move the origin.
+    across, along = 1e-8 / fit.weight[0], 1e-8 / count
+    assert variance == pytest.approx((across + along) / 2, rel=0.05)
 
 
 def test_one_covariance_serves_many_instants() -> None:

@@ -658,7 +658,7 @@ def test_the_buffer_is_a_queue(actions: list[int | float]) -> None:
         if isinstance(action, int):
             rows = [(float(put + k), -float(put + k)) for k in range(1, action + 1)]
             put += action
-            buffer.extend(np.reshape(rows, (-1, 2)))
+            buffer.room(action)[...] = rows
             model += rows
         else:
             count = int(action * len(model))
@@ -672,7 +672,7 @@ def test_the_buffer_is_a_queue(actions: list[int | float]) -> None:
 def test_the_buffer_does_not_grow_with_what_goes_through() -> None:
     buffer = Samples((), np.int64)
     for k in range(10_000):
-        buffer.extend(np.array([k]))
+        buffer.room(1)[0] = k
         if len(buffer) > 60:
             buffer.drop(1)
     assert buffer.view().tolist() == list(range(9940, 10_000))

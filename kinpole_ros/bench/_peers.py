@@ -340,13 +340,15 @@ class FixedTracker(Tracker):
             bad = np.full((order + 1, count), np.nan)
             wide = np.full((order + 1, order + 1, count), np.nan)
             return bad + 0j, bad, wide, wide, bad[0], bad[0]
-        times = self._stamps.view()[rows] - self._stamps.view()[now]
-        position, angle = self._positions.view(), np.unwrap(self._angles.view()[rows], axis=0)
+        frames = self._frames.view()
+        times = frames['stamp'][rows] - frames['stamp'][now]
+        poses = frames['poses']
+        position, angle = poses[:, count:] @ (1, 1j), np.unwrap(poses[rows, :count, 0], axis=0)
         weights = _fixed_rows(times.tobytes(), degree)[: order + 1]
         z = weights @ (position[rows] - position[now])
         z[0] += position[now]
         turn = weights @ angle
-        information = self._information.view()[now]
+        information = frames['information'][now]
         spread = (weights @ weights.T)[..., None] * noise**2
         span = np.full(count, (times[-1] - times[0]) * 1e-9)
         return (

@@ -36,7 +36,7 @@ from kinpole_ros.planar._poles import (
     rotation,
     rotation_coefficient,
 )
-from kinpole_ros.planar._procrustes import Fit, fit_pose
+from kinpole_ros.planar._procrustes import Fit, Grip, fit_by_grip, fit_pose, grip_of
 from kinpole_ros.planar._relative import (
     center_offset,
     kennedy_residual,
@@ -46,6 +46,7 @@ from kinpole_ros.planar._relative import (
 
 __all__ = [
     'Fit',
+    'Grip',
     'LandmarkKinematics',
     'Linear',
     'Port',
@@ -54,8 +55,10 @@ __all__ = [
     'centrode_curvature',
     'centrode_velocities',
     'covariance',
+    'fit_by_grip',
     'fit_pose',
     'fixed_centrode_from_reference',
+    'grip_of',
     'icr_acceleration',
     'icr_velocity',
     'kennedy_residual',

@@ -6,6 +6,8 @@ import numpy as np
 
 from kinpole_ros.planar._plane import ROUNDING, Complex, Real
 
+_TINY = np.finfo(float).tiny
+
 
 class Fit(NamedTuple):
     """
@@ -13,19 +15,63 @@ class Fit(NamedTuple):
 
     `position` is where the origin of the body's frame is (complex, m), `angle` its turn (rad, in
     (-pi, pi]); `residual` (..., n) is marker minus fitted marker in the body's axes, NaN for none;
-    `spread` is the weighted sum of squares of the seen markers about their mean in the body's
-    frame (m^2), `mean` that mean, `total` the sum of weights. `freedom` (..., n) is the expected
-    square of each residual over the variance of one coordinate: 2 less what the fit takes up, so
-    that it adds up to 2n - 3 degrees of freedom.
+    `freedom` (..., n) is the expected square of each residual over the variance of one coordinate:
+    2 less what the fit takes up, so that it adds up to 2n - 3 degrees of freedom. `spread` (the
+    weighted sum of squares of the seen markers about their mean, m^2) and `weight` are the inverse
+    variances of the angle and of the position, along the coordinate that is known least, over that
+    of a coordinate of a marker.
     """
 
     position: Complex
     angle: Real
     residual: Complex
-    spread: Real
-    mean: Complex
-    total: Real
     freedom: Real
+    spread: Real
+    weight: Real
+
+
+class Grip(NamedTuple):
+    """
+    What a fit takes of shape and weights alone, (..., n) or (...): see `grip_of`.
+
+    `arms` lead from the weighted `mean` of the markers to each of them, NaN for those without
+    weight; `share` and `pull` are their factors in the mean of the points and in their turn.
+    """
+
+    seen: np.ndarray
+    arms: Complex
+    share: Real
+    pull: Complex
+    mean: Complex
+    apart: np.ndarray
+    freedom: Real
+    spread: Real
+    weight: Real
+
+
+def grip_of(shape: Complex, weights: Real) -> Grip:
+    """What `fit_pose` takes of these, to be used for many points."""
+    seen = weights > 0
+    total = weights.sum(axis=-1)
+    with np.errstate(divide='ignore', invalid='ignore', over='ignore'):
+        share = weights / total[..., None]
+        mean = (share * np.where(seen, shape, 0)).sum(axis=-1)
+        arms = np.where(seen, shape - mean[..., None], np.nan)
+        square = np.where(seen, weights * (arms.real**2 + arms.imag**2), 0)
+        spread = square.sum(axis=-1)
+        taken = 2 * share + square / spread[..., None]
+        weight = 1 / (1 / total + (mean.real**2 + mean.imag**2) / spread)
+    return Grip(
+        seen,
+        arms,
+        share,
+        np.where(seen, weights * arms.conj(), 0),
+        mean,
+        _apart(arms, mean, seen),
+        np.where(seen, np.maximum(2 - taken, 0), 0),
+        spread,
+        weight,
+    )
 
 
 def fit_pose(points: Complex, shape: Complex, weights: Real) -> Fit:
@@ -36,29 +82,28 @@ def fit_pose(points: Complex, shape: Complex, weights: Real) -> Fit:
     `weights` (..., n) >= 0. A marker of weight 0 may hold anything, NaN included. Angle and
     position are NaN where fewer than two markers have weight or all of them coincide.
     """
-    seen = weights > 0
-    p = np.where(seen, points, 0)
-    s = np.where(seen, shape, 0)
-    total = weights.sum(axis=-1)
+    return fit_by_grip(points, grip_of(shape, weights))
+
+
+def fit_by_grip(points: Complex, grip: Grip) -> Fit:
+    """The same of points by what is known of shape and weights, whose axes before n may be 1."""
+    points = np.where(grip.seen, points, 0)
     with np.errstate(divide='ignore', invalid='ignore', over='ignore'):
-        point_mean = (weights * p).sum(axis=-1) / total
-        shape_mean = (weights * s).sum(axis=-1) / total
-        p = p - point_mean[..., None]
-        s = s - shape_mean[..., None]
-        square = weights * (s.real**2 + s.imag**2)
-        spread = square.sum(axis=-1)
-        cross = (weights * p * s.conj()).sum(axis=-1)
-        apart = _apart(p, point_mean, seen) & _apart(s, shape_mean, seen)
+        mean = np.add.reduce(grip.share * points, -1)
+        arms = points - mean[..., None]
+        cross = np.add.reduce(grip.pull * arms, -1)
         length = np.abs(cross)
-        turn = np.where(apart & (length > np.finfo(float).tiny), cross / length, np.nan)
-        position = point_mean - turn * shape_mean
-        taken = weights * (2 / total)[..., None] + square / spread[..., None]
-        freedom = np.where(seen, np.maximum(2 - taken, 0), 0)
-    residual = np.where(seen, p * turn.conj()[..., None] - s, np.nan)
-    return Fit(position, np.angle(turn), residual, spread, shape_mean, total, freedom)
+        fitted = grip.apart & _apart(arms, mean, grip.seen) & (length > _TINY)
+        turn = np.where(fitted, cross / length, np.nan)
+        position = mean - turn * grip.mean
+    residual = arms * turn.conj()[..., None] - grip.arms
+    # Of all points, where they are held alike.
+    freedom, spread, weight = np.empty(points.shape), np.empty(mean.shape), np.empty(mean.shape)
+    freedom[...], spread[...], weight[...] = grip.freedom, grip.spread, grip.weight
+    return Fit(position, np.arctan2(turn.imag, turn.real), residual, freedom, spread, weight)
 
 
 def _apart(arms: Complex, mean: Complex, seen: np.ndarray) -> np.ndarray:
     """Where points that are seen lie apart from their mean by more than rounding."""
-    farthest = np.abs(arms).max(axis=-1, where=seen, initial=0.0)
+    farthest = np.maximum.reduce(np.abs(arms), -1, where=seen, initial=0.0)
     return np.asarray(farthest > ROUNDING * np.abs(mean))

@@ -46,11 +46,13 @@ class _Shortcut(NamedTuple):
     """
     A scale whose models are shared and used again and again, as one matrix.
 
-    `matrix` (l D + R, B) gives the coefficients of the l windows, and below what the fits leave of
-    each mean inside, window after window from the rows `starts` (l,) on.
+    `matrix` (l D + R, B) makes of sums of samples the coefficients of the l windows, `members` in
+    all, and below what the fits leave of each mean inside, window after window from the rows
+    `starts` (l,) on.
     """
 
     matrix: Real
+    members: int
     starts: np.ndarray
 
 
@@ -130,12 +132,14 @@ def project(
     NaN throughout. Derivatives are wanted up to `order`. If `bodies` are given, the signals are
     their angles, then their positions.
     """
-    places = (times < 0).sum(axis=0)
+    places = (times >= 0).argmax(axis=0)
     base = signals[places, np.arange(len(places))]
     missing = np.isnan(base[..., 0])  # (M, G)
     if weights is not None:
         missing |= ~(weights[places] > 0)
-    base = np.where(missing[..., None], 0.0, base)
+    some_missing = np.count_nonzero(missing) > 0
+    if some_missing:
+        base[missing] = 0.0
     centered = signals - base
     if weights is not None:
         models = _models(times.T, int(places[0]), weights.T, order + 1)
@@ -143,7 +147,7 @@ def project(
         some = np.where(weights[:, None, :, None] > 0, centered, 0.0).transpose(2, 3, 1, 0)
         found = _by_own(models, some, weights, bodies, (3, 0))
         return Projection(models, *found, base, missing)
-    if missing.any():
+    if some_missing:
         centered = np.where(missing[..., None], 0.0, centered)
     parts = []
     for instants, even in _parts(times, places):
@@ -168,7 +172,7 @@ def _parts(times: np.ndarray, places: np.ndarray) -> list[tuple[np.ndarray | sli
     """
     steps = times[1:] - times[:-1] if len(times) > 1 else times
     # By the stamps alone: no figure may hang on what was asked before.
-    even = steps.max(axis=0) - steps.min(axis=0) <= _UNEVEN
+    even = np.maximum.reduce(steps) - np.minimum.reduce(steps) <= _UNEVEN
     if len(places) == 1 or (even.all() and (times == times[:, :1]).all()):
         return [(slice(None), bool(even[0]))]
     parts: list[tuple[np.ndarray | slice, bool]] = []
@@ -213,14 +217,12 @@ def _by_shared(models: Models, signals: Real, bodies: int) -> _Found:
     # All signals at all instants are columns of one product.
     columns = signals.transpose(0, 3, 1, 2).reshape(count, -1)
     found, squares, products = [], [], []
-    for (each, start, root, _, inside), (matrix, starts) in zip(
-        models.scales, models.shortcuts, strict=True
-    ):
-        means = columns[start : start + root.shape[1] * each]
+    for scale, (matrix, members, starts) in zip(models.scales, models.shortcuts, strict=True):
+        each, start = scale.each, scale.start
+        sums = columns[start : start + matrix.shape[1] * each]
         if each > 1:
-            means = means.reshape(-1, each, means.shape[1]).mean(axis=1)
-        both = matrix @ (means * root[0, :, None])
-        members = len(matrix) - int(inside.sum())
+            sums = np.add.reduce(sums.reshape(-1, each, sums.shape[1]), 1)
+        both = matrix @ sums
         found.append(both[:members])
         rest = both[members:].reshape(-1, *shape)
         if bodies:
@@ -303,7 +305,8 @@ def _shortcut(scale: _Scale) -> _Shortcut:
     rest = np.where(scale.inside[:, None], left, 0.0)[scale.inside]
     rows = scale.inside.sum(axis=-1)
     project = basis.reshape(-1, basis.shape[-1])
-    return _Shortcut(np.concatenate((project, rest)), np.cumsum(rows) - rows)
+    matrix = np.concatenate((project, rest)) * (scale.root[0] / scale.each)
+    return _Shortcut(matrix, len(project), np.cumsum(rows) - rows)
 
 
 def longest(count: int) -> int:

@@ -38,6 +38,7 @@ def runs(
     """
     now, oldest, newest = windows
     even, spread = _evenly(information, oldest, newest)
+    levels = noise * spread
     after = newest - now
     held = newest - oldest + 1
     if len(now) == 1:
@@ -47,13 +48,13 @@ def runs(
         each, which = np.unique(np.stack((held, after)), axis=1, return_inverse=True)
         held = np.array([newest_needed(*pair) for pair in each.T.tolist()])[which.reshape(-1)]
     # Where the next run may begin: what comes before is not the same, or not to be mixed.
-    begins = np.flatnonzero((held[1:] != held[:-1]) | ~even[1:] | ~even[:-1]) + 1
+    begins = ((held[1:] != held[:-1]) | ~(even[1:] & even[:-1])).nonzero()[0] + 1
     most_at_once = max(1, _MOST_AT_ONCE // noise.shape[1])
     for begin, stop in itertools.pairwise((0, *begins, len(now))):
         for first in range(begin, stop, most_at_once):
             some = slice(first, min(stop, first + most_at_once))
             rows = newest[some] + np.arange(1 - held[first], 1)[:, None]
-            weights, level = None, noise[some] * spread[some]
+            weights, level = None, levels[some]
             if not even[first]:
                 most = information[rows[:, 0]].max(axis=0)
                 most = np.where(most > 0, most, 1.0)
@@ -76,13 +77,13 @@ def _evenly(
     In which windows (T,), of frames `oldest` to `newest` (T,), all frames may weigh the same.
 
     That is where weights would gain next to nothing. Also the root (T, G) of the mean of the
-    inverse of `information` (frames, G): the deviation of a sample that is as good as the others.
+    inverse of `information` (frames, G): the deviation of a sample that is as good as the others;
+    (1, G) where all frames are as good.
     """
     part = information[oldest[0] : newest[-1] + 1]
-    if (part == part[0]).all():
-        dark = part[:1] <= 0
-        spread = np.where(dark, 1.0, np.sqrt(1 / np.where(dark, 1.0, part[:1])))
-        return np.ones(len(oldest), bool), np.broadcast_to(spread, (len(oldest), spread.shape[1]))
+    alike = part == part[0]
+    if np.count_nonzero(alike) == alike.size:
+        return np.ones(len(oldest), bool), 1 / np.sqrt(np.where(part[:1] > 0, part[:1], 1.0))
     with np.errstate(divide='ignore'):
         inverse = np.where(part > 0, 1 / part, 0.0)
     sums = np.stack((part, inverse, part <= 0))

@@ -7,7 +7,7 @@ class Samples:
     """
     A queue of rows that can be read as one array.
 
-    Rows are written once into a buffer twice as long as the queue ever was; when its end is
+    Rows are written into a buffer twice as long as the queue ever was; when its end is
     reached the rows still wanted move to its start, so the cost per row does not grow.
     """
 
@@ -19,9 +19,8 @@ class Samples:
     def __len__(self) -> int:
         return self._end - self._first
 
-    def extend(self, rows: np.ndarray) -> None:
-        """Put rows (T, ...) at the end."""
-        count = len(rows)
+    def room(self, count: int) -> np.ndarray:
+        """So many rows more at the end, to be written to."""
         if self._end + count > len(self._buffer):
             kept = self.view().copy()
             room = len(self._buffer)
@@ -31,13 +30,13 @@ class Samples:
                 self._buffer = np.empty((room, *kept.shape[1:]), kept.dtype)
             self._buffer[: len(kept)] = kept
             self._first, self._end = 0, len(kept)
-        self._buffer[self._end : self._end + count] = rows
         self._end += count
+        return self._buffer[self._end - count : self._end]
 
     def drop(self, count: int) -> None:
         """Take `count` rows from the start."""
         self._first += count
 
     def view(self) -> np.ndarray:
-        """All rows, oldest first; valid until the next `extend`."""
+        """All rows, oldest first; valid until there is more `room`."""
         return self._buffer[self._first : self._end]

@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from kinpole_ros.planar import Fit, fit_pose
+from kinpole_ros.planar import Fit, fit_by_grip, fit_pose, grip_of
 from kinpole_ros.planar._plane import ROUNDING, Complex, Real
 from kinpole_ros.window._noise import mean_square, tame_part
 from kinpole_ros.window._turn import Turns
@@ -47,7 +47,6 @@ class _News(NamedTuple):
     angle: Real
     residual: Complex
     freedom: Real
-    weights: Real
 
 
 class Shapes:
@@ -56,12 +55,14 @@ class Shapes:
 
     `points` (B, n) are where the markers are, complex, m; `known` (B,) how many of them have been
     seen so far, and `spread` (B,) the sum of their squares about their mean, m^2; `beat` is in how
-    many frames from the last time on `learn` is to be called. `mended` counts, see `untangle`.
+    many frames from the last time on `learn` is to be called; `farthest` is how far, m, from the
+    origin of the ground markers were until then. `mended` counts, see `untangle`.
     """
 
     def __init__(self, bodies: int, markers: int) -> None:
         self.points = np.zeros((bodies, markers), complex)
         self.mended: Counter[str] = Counter()
+        self.farthest = 0.0
         self._frames = np.zeros((bodies, markers))
         # One for a marker that the last beat began with: no news of it yet.
         self._first = np.zeros((bodies, markers))
@@ -81,10 +82,9 @@ class Shapes:
 
     def unseen(self, points: Complex) -> int:
         """How many of the frames `points` (T, B, n) go by before a body is seen the first time."""
-        new = np.flatnonzero(~self._met)
-        if not len(new):
+        if not len(self._unmet):
             return len(points)
-        begun = _makes_a_body(points[:, new]).any(axis=-1)
+        begun = _makes_a_body(points[:, self._unmet]).any(axis=-1)
         return int(begun.argmax()) if begun.any() else len(points)
 
     def begin(self, points: Complex) -> None:
@@ -94,7 +94,7 @@ class Shapes:
         A body's frame starts where it is first seen: its origin at the mean of the markers seen
         then, its axes along the ground's.
         """
-        new = ~self._met & _makes_a_body(points)
+        new = (self.known == 0) & _makes_a_body(points)
         seen = new[:, None] & ~np.isnan(points)
         count = np.maximum(seen.sum(axis=-1, keepdims=True), 1)
         mean = np.where(seen, points, 0).sum(axis=-1, keepdims=True) / count
@@ -113,28 +113,29 @@ class Shapes:
         """
         parts = []
         while len(points):
-            weights = np.where(np.isnan(points), 0.0, self._weights)
-            fit = fit_pose(points, self.points, weights)
-            with np.errstate(invalid='ignore'):
-                far = fit.residual.real**2 + fit.residual.imag**2 > self._limit[:, None] ** 2
-                odd = (far.any(axis=-1) & self._mature).any(axis=-1)
-                odd |= self._turns.may_jump(fit.angle)
-            quiet = int(odd.argmax()) if odd.any() else len(points)
+            unseen = np.isnan(points)
+            grip = self._grip
+            if np.count_nonzero(unseen):
+                grip = grip_of(self.points, np.where(unseen, 0.0, self._weights))
+            fit = fit_by_grip(points, grip)
+            far = fit.residual.real**2 + fit.residual.imag**2 > self._most
+            odd = np.logical_or.reduce(far, axis=(1, 2)) | self._turns.may_jump(fit.angle)
+            quiet = int(odd.argmax()) if np.count_nonzero(odd) else len(points)
             if quiet == len(points):
                 part = fit, points
             else:
                 part = Fit(*(field[:quiet] for field in fit)), points[:quiet]
             if quiet:
-                self._take(*part, fit.residual[:quiet], fit.freedom[:quiet], weights[:quiet])
+                self._take(*part, part[0].residual, part[0].freedom)
                 if self._disturbed:
-                    seen = (weights[:quiet] > 0).any(axis=0)
+                    seen = (~unseen[:quiet]).any(axis=0) & (self._weights > 0)
                     self._astray[seen] = 0
                     self._turned[seen.any(axis=-1)] = 0
                     self._disturbed = bool(self._astray.any() or self._turned.any())
                 parts.append(part)
             if quiet < len(points):
                 here = Fit(*(field[quiet] for field in fit))
-                parts.append(self._mend(points[quiet], weights[quiet], here))
+                parts.append(self._mend(points[quiet], here))
             points = points[quiet + 1 :]
         if len(parts) == 1:
             return parts[0]
@@ -152,6 +153,7 @@ class Shapes:
             return
         news = _News(*map(np.concatenate, zip(*self._news, strict=True)))
         self._news = []
+        self.farthest = float(np.fmax.reduce(np.abs(news.points), None, initial=self.farthest))
         turned = np.exp(-1j * news.angle)[..., None]
         off = (news.points - news.position[..., None]) * turned - self.points
         seen = ~np.isnan(off)
@@ -179,19 +181,17 @@ class Shapes:
             self._fits[body] = 0
         self._measure()
 
-    def _take(
-        self, fit: Fit, points: Complex, residual: Complex, freedom: Real, weights: Real
-    ) -> None:
+    def _take(self, fit: Fit, points: Complex, residual: Complex, freedom: Real) -> None:
         """Keep what frames tell until the beat, the residuals as before the frames were mended."""
-        self._news.append(_News(points, fit.position, fit.angle, residual, freedom, weights))
+        self._news.append(_News(points, fit.position, fit.angle, residual, freedom))
         self._turns.follow(fit.angle)
 
     def _least_rule(self) -> Real:
         return np.maximum(self._rule, _TINY**2 * self.spread)
 
-    def _mend(self, points: Complex, weights: Real, fit: Fit) -> tuple[Fit, Complex]:
+    def _mend(self, points: Complex, fit: Fit) -> tuple[Fit, Complex]:
         """Put right what can be of one frame (B, n); as `fit` gives it, with an axis of one."""
-        points, weights = points.copy(), weights.copy()
+        points, weights = points.copy(), np.where(np.isnan(points), 0.0, self._weights)
         fit = self._turn_back(points, weights, fit)
         residual, freedom = fit.residual[None], fit.freedom[None]
         with np.errstate(invalid='ignore'):
@@ -207,7 +207,7 @@ class Shapes:
             weights[b, out] = 0.0
             self._astray[b] = np.where(out, self._astray[b] + 1, 0)
         fit = Fit(*(field[None] for field in fit_pose(points, self.points, weights)))
-        self._take(fit, points[None], residual, freedom, weights[None])
+        self._take(fit, points[None], residual, freedom)
         self._disturbed = True
         return fit, points[None]
 
@@ -244,7 +244,8 @@ class Shapes:
         most = np.where(self._fits < _MATURE, np.inf, _RULE_CLIP * self._least_rule())
         # A body at rest in a tracker that rounds seems to fit to the last digit, until it moves.
         before = np.concatenate((self._before[None], news.points[:-1]))
-        still = ((news.points == before) | (news.weights == 0)).all(axis=-1)
+        idle = np.isnan(news.points) | (self._weights == 0)
+        still = ((news.points == before) | idle).all(axis=-1)
         self._before = news.points[-1]
         left = np.where(still, np.nan, np.minimum(left, most))
         fitted = ~np.isnan(left)
@@ -271,7 +272,7 @@ class Shapes:
         """Keep what is asked for in every frame and changes only at a beat."""
         known = self._frames > 0
         self.known = known.sum(axis=-1)
-        self._met = self.known > 0
+        self._unmet = np.flatnonzero(self.known == 0)
         mean = np.where(known, self.points, 0).sum(axis=-1) / np.maximum(self.known, 1)
         offsets = np.where(known, self.points - mean[:, None], 0)
         self.spread = (offsets.real**2 + offsets.imag**2).sum(axis=-1)
@@ -279,6 +280,9 @@ class Shapes:
         self._weights = self._frames / (self._frames + 1.0)
         self._limit = _SUSPECT * np.sqrt(self._least_rule())
         self._mature = self._fits >= _MATURE
+        # What all frames share in which every marker is seen, as a rule all there are.
+        self._most = np.where(self._mature, self._limit**2, np.inf)[:, None]
+        self._grip = grip_of(self.points, self._weights)
         least = self._frames.min(where=known, initial=_MEMORY) if known.any() else 0
         self.beat = max(1, int(least * _BEAT))
 

@@ -11,6 +11,8 @@ from kinpole_ros.planar._plane import Real
 # rad. A body has jumped if it is turned this far from where it was to be; known while it turns by
 # less than the other per frame, was seen so many frames ago at most, and did so for so many.
 _HALF_TURN, _SLOW, _RECENT, _CALM = 0.75 * np.pi, 0.25 * np.pi, 3, 20
+# Cosine of how far a body turns in a frame without a jump.
+_NOT_FAR = np.cos(_HALF_TURN - _SLOW)
 # Times angles are taken before they are worked in.
 _MANY = 64
 
@@ -44,13 +46,13 @@ class Turns:
     def may_jump(self, angle: Real) -> np.ndarray:
         """In which of the next frames (T,) a body may have jumped, by its angles (T, B)."""
         before = self._last[None] if len(angle) == 1 else self._before(angle)[0]
-        return np.asarray((np.abs(_wrapped(angle - before)) > _HALF_TURN - _SLOW).any(axis=-1))
+        return np.logical_or.reduce(np.cos(angle - before) < _NOT_FAR, -1)
 
     def follow(self, angle: Real) -> None:
         """Take the angles (T, B) of the next frames, NaN for a body not seen."""
         self._news.append(angle)
         self._last = angle[-1]
-        if len(self._news) == _MANY or np.isnan(self._last).any():
+        if len(self._news) == _MANY or np.count_nonzero(np.isnan(self._last)):
             self._work()
 
     def _work(self) -> None:
