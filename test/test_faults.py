@@ -682,10 +682,11 @@ def test_nothing_goes_before_rclpy_is_done_with_it(tmp_path: FilePath) -> None:
     peer = Peer()
     words = ['timeout', '--foreground', '-k', '2', '60', sys.executable, '-c', TELLING]
     with subprocess.Popen(
-        [*words, *node_words(config)[1:]], stdout=subprocess.PIPE, text=True
+        [*words, *node_words(config)[1:], '-r', '__node:=k'], stdout=subprocess.PIPE, text=True
     ) as node:
         try:
-            assert peer.state() == 'active'
+            found = peer.call('/k/get_state', GetState, GetState.Request())
+            assert found.current_state.label == 'active'
         finally:
             node.send_signal(signal.SIGINT)
             said, _ = node.communicate(timeout=LIMIT)
