@@ -176,3 +176,28 @@ def test_no_curvature_is_told_of_a_body_that_may_not_turn() -> None:
     told = found.determined['κ'] & np.isfinite(recording.truth['κ'][found.frames])
     errors = _hindsight.own_errors(recording, found)['κ'] / found.deviations['κ']
     assert np.max(errors[told]) < 10
+
+
+def test_what_is_done_to_an_answer_changes_none_after_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    points = _record.make_recording(('four-bar coupler',), (1e-3,), 1, 2.5).points
+    seen, settings = _record.frames_of(points, _record.stamps_of(len(points)))
+
+    def estimates() -> list[Estimate]:
+        tracker = Tracker(settings)
+        each = (part_of(seen, slice(k, k + 1)) for k in range(len(points)))
+        return [one for frame in each for one in instants(tracker.add(frame, 3))]
+
+    straight = estimates()
+    derivatives = _poses.PoseFilter.derivatives
+
+    def spoiled(*given: Any) -> Any:
+        found = derivatives(*given)
+        kept = type(found)(*map(np.copy, found))
+        for array in found:
+            array[...] = np.nan
+        return kept
+
+    monkeypatch.setattr(_poses.PoseFilter, 'derivatives', spoiled)
+    for one, other in zip(straight, estimates(), strict=True):
+        np.testing.assert_array_equal(one.angle, other.angle)
+        np.testing.assert_array_equal(one.pole(3).value, other.pole(3).value)

@@ -180,10 +180,12 @@ class PoseFilter:
             which = which + bodies * changed
         held = applied(judged, which, fits)
 
-        found = held
         fresh, self._fresh = self._fresh, None
-        if fresh is not None and not at_once[0]:
-            found = PoseDerivatives(*map(np.copy, held))
+        if at_once[0]:
+            fresh = None
+        # What is still to be looked at is not given away.
+        found = PoseDerivatives(*map(np.copy, held)) if alone or fresh is not None else held
+        if fresh is not None:
             _replace(found, fresh, fits)
 
         def go_on() -> None:
