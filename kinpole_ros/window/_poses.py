@@ -172,7 +172,8 @@ class PoseFilter:
         which = row[:, None] * bodies + everybody
         # Unless it moves in another way than was judged.
         squares = by_signal(seen().squares, bodies)
-        surprised = (squares > _SURPRISING * judged.limits.take(which, -1)).any(axis=(0, 1, 2))
+        limits = judged.limits.take(which, -1)
+        surprised = (squares > _SURPRISING * limits).any(axis=(0, 1, 2))
         changed = surprised & (due & ~at_once)[:, None]
         if np.count_nonzero(changed):
             if alone:
@@ -194,7 +195,8 @@ class PoseFilter:
                 if not (at_once[0] or changed.any()):
                     begin(np.zeros(1, int))
                 return
-            fresh = _refuted(seen(), held, judged, which, due, surprised, order, every)
+            wrong = (squares > limits).any(axis=(0, 1, 2))
+            fresh = _refuted(seen(), held, judged, which, wrong, due, surprised, order, every)
             if fresh is None:
                 return
             here = fresh.instants < count
@@ -218,18 +220,18 @@ def _refuted(
     held: PoseDerivatives,
     judged: Judged,
     which: np.ndarray,
+    wrong: np.ndarray,
     due: np.ndarray,
     surprised: np.ndarray,
     order: int,
     every: int,
 ) -> _Fresh | None:
     """
-    Judge bodies anew, but where `due`, that refute what is `held` of them by `which` (M, B).
+    Judge bodies anew that refute what is `held` of them by the items `which` (M, B) of the judged.
 
-    For the instant itself where `surprised` (M, B), else for the next.
+    That is where their squares are `wrong` (M, B), or together is off apart, but not at instants
+    that are `due` (M,). It is for the instant itself where `surprised` (M, B), else for the next.
     """
-    news = by_signal(seen.squares, which.shape[1]) > judged.limits.take(which, -1)
-    wrong = news.any(axis=(0, 1, 2))
     off = _off(held)
     refuted = (wrong | off[-1].any(axis=0)) & ~due[:, None]
     if not np.count_nonzero(refuted):

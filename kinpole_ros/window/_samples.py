@@ -20,7 +20,7 @@ class Samples:
         return self._end - self._first
 
     def room(self, count: int) -> np.ndarray:
-        """So many rows more at the end, to be written to."""
+        """`count` rows (count, ...) more at the end, a view to be written to."""
         if self._end + count > len(self._buffer):
             kept = self.view().copy()
             room = len(self._buffer)
