@@ -23,6 +23,7 @@ import rclpy
 from builtin_interfaces.msg import Time
 from conftest import numbers, stamp_of, write_config
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from geometry_msgs.msg import PointStamped
 from lifecycle_msgs.srv import ChangeState, GetState
 from nav_msgs.msg import Path
 from rcl_interfaces.srv import SetParameters
@@ -639,13 +640,16 @@ def test_told_to_stop_again_and_again_amid_markers_the_node_ends_well(
     sign: signal.Signals, tmp_path: FilePath
 ) -> None:
     """As by a terminal and by the launch file that it told too: no call is broken off by it."""
-    config = write_config(tmp_path / 'rod.yaml', SETTINGS, marker_identity='index')
+    # Not to be taken for the node of the other tests here, which may be up as well.
+    config = write_config(
+        tmp_path / 'rod.yaml', SETTINGS, marker_identity='index', marker_topic='/seen'
+    )
     rig = Rig()
     try:
-        with process(*node_words(config), log=tmp_path / 'stderr') as node:
-            rig.listen()
-            with rig.publisher(MARKER_TYPES['marker_array']) as publisher:
-                rig.begin(publisher)
+        with process(*node_words(config), '-r', '__node:=k', log=tmp_path / 'stderr') as node:
+            with rig.publisher(MARKER_TYPES['marker_array'], '/seen') as publisher:
+                heard = rig.hear('/k/rod/icr', PointStamped)
+                rig.until(lambda: rig.send_next(publisher) or heard, 'the first results')
 
                 def ended() -> bool:
                     node.send_signal(sign)
