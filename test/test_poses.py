@@ -156,9 +156,9 @@ def test_a_frame_is_answered_before_it_is_judged_and_settling_changes_nothing(
         if now is not None and then is not None:
             np.testing.assert_array_equal(now.angle, then.angle)
             np.testing.assert_array_equal(now.pole(3).value, then.pole(3).value)
-    # An eighth of the frames are due, and a few more stand out by chance.
+    # An eighth of the frames are due, and a few more stand out by chance, but not far.
     assert judged.count('settled') > 200 / HELD
-    assert 'asked' not in judged
+    assert judged.count('asked') < 200 / 20
 
 
 def test_a_coefficient_that_is_small_by_chance_does_not_make_a_body_rest() -> None:

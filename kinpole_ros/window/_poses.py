@@ -2,15 +2,15 @@
 Derivatives of poses: how is judged now and then, and holds until the data refute it.
 
 To judge windows and degrees takes ten times what the derivatives themselves take, and as a rule the
-judgment is the same from one frame to the next. It is made anew at each eighth part of a window,
-and for a body in whose coefficients or residuals something stands out that was not there, or of
-which angle and position tell another story together than they do apart. What is judged is for the
-instants to come, so that a frame that comes alone is answered before it is judged; only a body that
-is far off all that was judged has its answer by the new judgment.
+judgment is the same from one frame to the next. It is made anew at each eighth part of a window.
+In between each body is asked now and then whether it still moves as was judged: not if in its
+coefficients or residuals something stands out that was not there, or if angle and position tell
+another story together than they do apart. What is judged is for the instants to come, so that a
+frame that comes alone is answered before it is judged; only a body that is far off all that was
+judged has its answer by a judgment of its own.
 """
 
 from collections.abc import Callable
-from functools import cache
 from typing import NamedTuple
 
 import numpy as np
@@ -34,31 +34,58 @@ from kinpole_ros.window._projection import Projection, longest, project
 # A judgment holds for this part of the samples of the longest window: 12 of 99 leave the errors as
 # they are when each instant is judged.
 _PART = 8
+# Bodies are asked so many times while it holds.
+_ASKED = 6
 # Derivatives found together and apart are not the same where they differ by so many deviations.
 _OFF = 3.0
 # Squares beyond their limits by this factor are not of the motion that was judged.
-_SURPRISING = 10.0
+_SURPRISING = 2.0
 # The first axes of the fields of `PoseDerivatives`: orders K, arms A.
 _AXES = ('K', 'K', 'KK', 'KK', '', '', 'KA', 'KA', 'KKA', 'KKA', 'KA')
 
 
+class _Plan(NamedTuple):
+    """
+    What is judged at M instants: all bodies where `due` (M,), for the instants after and where
+    `at_once` (M,) for the instant itself too; elsewhere those that refute what holds, where they
+    are asked, for so many instants `ahead` (M,), 0 where they are not. One judgment of all holds
+    for `every` instants.
+    """
+
+    due: np.ndarray
+    at_once: np.ndarray
+    ahead: np.ndarray
+    every: int
+
+    def part(self, chosen: slice) -> '_Plan':
+        """That for some of the instants."""
+        return _Plan(self.due[chosen], self.at_once[chosen], self.ahead[chosen], self.every)
+
+
 class _Fresh(NamedTuple):
     """
-    Judgments of R bodies, each for one instant, since what holds was refuted at the one before.
+    Judgments of R bodies, each for a few instants, since what holds was refuted just before.
 
-    They are for the `bodies` (R,) at `instants` (R,); `refuted` (K, A, R) says which derivatives
-    were off the truth, or may have been.
+    They are for the `bodies` (R,) from the instants `first` on to those before `end` (R,);
+    `refuted` (K, A, R) says which derivatives were off the truth, or may have been.
     """
 
-    instants: np.ndarray
+    first: np.ndarray
+    end: np.ndarray
     bodies: np.ndarray
     judged: Judged
     refuted: np.ndarray
 
-    def at(self, chosen: np.ndarray) -> '_Fresh':
-        """Those of some."""
-        judged = Judged(*(field[..., chosen] for field in self.judged))
-        return _Fresh(self.instants[chosen], self.bodies[chosen], judged, self.refuted[..., chosen])
+    def after(self, count: int) -> '_Fresh | None':
+        """Those for instants after so many, counted from there on; None if there are none."""
+        left = self.end > count
+        if not np.count_nonzero(left):
+            return None
+        judged = Judged(*(field[..., left] for field in self.judged))
+        first = np.maximum(self.first[left] - count, 0)
+        return _Fresh(
+            first, self.end[left] - count, self.bodies[left], judged, self.refuted[..., left]
+        )
 
 
 class PoseFilter:
@@ -102,23 +129,18 @@ class PoseFilter:
         """
         self.settle()
         most = longest(len(times))
+        # What is hidden may be another thing each time, and what is known be of other windows.
+        held = weights is None and self._held is not None and self._longest == most
         # Not by the times: stamps that are a little uneven are no reason to judge anew.
         every = max(1, most // _PART) if weights is None else 1
-        before = np.concatenate(((self._number,), numbers[:-1]))
-        # Where nothing is known that could hold, or what is hidden may be another thing each time.
-        at_once = numbers != before + 1
-        if weights is not None:
-            at_once[:] = True
-        elif self._held is None or self._longest != most:
-            at_once[0] = True
-        due = at_once | (numbers // every != before // every)
+        plan = _planned(numbers, self._number if held else None, every)
         self._longest, self._number = most, int(numbers[-1])
 
         def part(chosen: slice, order: int) -> PoseDerivatives:
             fits = project(times[:, chosen], samples[:, chosen], weights, order, reach.shape[1])
-            those = noise[chosen], reach[chosen], due[chosen], at_once[chosen]
-            return self._derived(fits, *those, order, every)
+            return self._derived(fits, noise[chosen], reach[chosen], plan.part(chosen), order)
 
+        due, at_once = plan.due, plan.at_once
         if at_once[0] or order == self._order:
             return part(slice(None), order)
         # Up to the next judgment, which is of the other order.
@@ -133,30 +155,20 @@ class PoseFilter:
         return PoseDerivatives(*(np.concatenate(each, -2) for each in zip(*parts, strict=True)))
 
     def _derived(
-        self,
-        fits: Projection,
-        noise: Real,
-        reach: Real,
-        due: np.ndarray,
-        at_once: np.ndarray,
-        order: int,
-        every: int,
+        self, fits: Projection, noise: Real, reach: Real, plan: _Plan, order: int
     ) -> PoseDerivatives:
-        """
-        Derivatives of poses at instants that are judged where `due` (M,), or refute what holds.
-
-        What is judged is for the instants after, and where `at_once` (M,) for itself too.
-        """
+        """Derivatives of poses at instants of which some are judged."""
         self.settle()
+        due, at_once, _, every = plan
         count, bodies = reach.shape
         everybody = np.arange(bodies)
-        seen = cache(lambda: Seen(fits, squares_of(fits, dimensions_of(bodies)), noise, reach))
+        seen = Seen(fits, squares_of(fits, dimensions_of(bodies)), noise, reach)
 
         def begin(instants: np.ndarray) -> Judged:
             """Judge all bodies at some instants, to hold from then on."""
             all_bodies = np.broadcast_arrays(instants[:, None], everybody)
             pasts = self._spectrum.follow, self._spectrum_together.follow
-            new = judge(seen().at(*all_bodies), *pasts, order, every)
+            new = judge(seen.at(*all_bodies), *pasts, order, every)
             self._held = Judged(*(field[..., -bodies:] for field in new))
             self._order = order
             return new
@@ -171,7 +183,7 @@ class PoseFilter:
         row = begun.cumsum() - (begun & ~at_once) - at_once[0]
         which = row[:, None] * bodies + everybody
         # Unless it moves in another way than was judged.
-        squares = by_signal(seen().squares, bodies)
+        squares = by_signal(seen.squares, bodies)
         limits = judged.limits.take(which, -1)
         surprised = (squares > _SURPRISING * limits).any(axis=(0, 1, 2))
         changed = surprised & (due & ~at_once)[:, None]
@@ -181,13 +193,12 @@ class PoseFilter:
             which = which + bodies * changed
         held = applied(judged, which, fits)
 
-        fresh, self._fresh = self._fresh, None
-        if at_once[0]:
-            fresh = None
+        fresh, self._fresh = None if at_once[0] else self._fresh, None
         # What is still to be looked at is not given away.
         found = PoseDerivatives(*map(np.copy, held)) if alone or fresh is not None else held
         if fresh is not None:
             _replace(found, fresh, fits)
+            self._fresh = fresh.after(count)
 
         def go_on() -> None:
             """Ask what these instants say of those after them, or of themselves if surprised."""
@@ -196,23 +207,36 @@ class PoseFilter:
                     begin(np.zeros(1, int))
                 return
             wrong = (squares > limits).any(axis=(0, 1, 2))
-            fresh = _refuted(seen(), held, judged, which, wrong, due, surprised, order, every)
-            if fresh is None:
-                return
-            here = fresh.instants < count
-            here[here] = ~at_once[fresh.instants[here]]
-            # Of two for one instant the later one counts, which is its own.
-            _replace(found, fresh.at(here), fits)
-            after = fresh.instants == count
-            if after.any():
-                waiting = fresh.at(after)
-                self._fresh = waiting._replace(instants=waiting.instants - count)
+            fresh = _refuted(seen, held, judged, which, wrong, surprised, plan, order)
+            if fresh is not None:
+                # Of two for one instant the later one counts, which is its own.
+                _replace(found, fresh, fits)
+                self._fresh = fresh.after(count) or self._fresh
 
-        if alone and not surprised.any():
-            self._later = go_on
-        else:
+        if not alone or np.count_nonzero(surprised):
             go_on()
+        elif due[0] or plan.ahead[0]:
+            self._later = go_on
         return found
+
+
+def _planned(numbers: np.ndarray, before: int | None, every: int) -> _Plan:
+    """
+    The plan for samples of `numbers` (M,), rising, when a judgment holds for `every` instants.
+
+    There is one for the sample after that `before`; None if there is none.
+    """
+    last = np.concatenate(((-1 if before is None else before,), numbers[:-1]))
+    at_once = numbers != last + 1
+    at_once[0] |= before is None
+    due = at_once | (numbers // every != last // every)
+    since, asked = numbers % every, -(-every // _ASKED)
+    ahead = np.where(due | (since % asked > 0), 0, np.minimum(asked, every - since))
+    # But for those that are judged for themselves.
+    anew = np.append(at_once.nonzero()[0], len(due) + every)
+    index = np.arange(len(due))
+    ahead = np.minimum(ahead, anew[anew.searchsorted(index, side='right')] - index - 1)
+    return _Plan(due, at_once, ahead, every)
 
 
 def _refuted(
@@ -221,19 +245,19 @@ def _refuted(
     judged: Judged,
     which: np.ndarray,
     wrong: np.ndarray,
-    due: np.ndarray,
     surprised: np.ndarray,
+    plan: _Plan,
     order: int,
-    every: int,
 ) -> _Fresh | None:
     """
     Judge bodies anew that refute what is `held` of them by the items `which` (M, B) of the judged.
 
-    That is where their squares are `wrong` (M, B), or together is off apart, but not at instants
-    that are `due` (M,). It is for the instant itself where `surprised` (M, B), else for the next.
+    That is where their squares are `wrong` (M, B), or together is off apart. It is for the instant
+    itself where `surprised` (M, B), and for those ahead.
     """
+    asked = (plan.ahead > 0)[:, None] | (surprised & ~plan.due[:, None])
     off = _off(held)
-    refuted = (wrong | off[-1].any(axis=0)) & ~due[:, None]
+    refuted = (wrong | off[-1].any(axis=0)) & asked
     if not np.count_nonzero(refuted):
         return None
     rows = which[refuted]
@@ -242,23 +266,23 @@ def _refuted(
         known(judged.means_together[..., rows], judged.among_together[..., rows]),
     )
     instants, bodies = refuted.nonzero()
-    new = judge(seen.at(instants[:, None], bodies[:, None]), *pasts, order, every)
-    instants += ~surprised[refuted]
-    return _Fresh(instants, bodies, new, off[..., refuted] | wrong[refuted])
+    new = judge(seen.at(instants[:, None], bodies[:, None]), *pasts, order, plan.every)
+    first, end = instants + ~surprised[refuted], instants + 1 + plan.ahead[instants]
+    return _Fresh(first, end, bodies, new, off[..., refuted] | wrong[refuted])
 
 
 def _replace(found: PoseDerivatives, fresh: _Fresh, fits: Projection) -> None:
     """Put what is judged anew in place of what was found by what is refuted."""
-    if not len(fresh.bodies):
+    instants = np.minimum(fresh.end, len(found.span)) - fresh.first
+    which = np.repeat(np.arange(len(instants)), np.maximum(instants, 0))
+    if not len(which):
         return
-    at = fresh.instants, fresh.bodies
-    anew = applied(
-        fresh.judged,
-        np.arange(len(fresh.bodies))[:, None],
-        fits_at(fits, fresh.instants[:, None], fresh.bodies[:, None]),
-    )
+    # How many of these for one body were before.
+    within = np.arange(len(which)) - which.searchsorted(which)
+    at = fresh.first[which] + within, fresh.bodies[which]
+    anew = applied(fresh.judged, which[:, None], fits_at(fits, at[0][:, None], at[1][:, None]))
     # No order hangs on what those above it tell, lest it did on which are asked for.
-    both = fresh.refuted
+    both = fresh.refuted[..., which]
     orders = np.arange(len(both))
     own = both[:, 0].copy()
     own[1:] = np.logical_or.accumulate(both[orders[1:], orders[:-1]], axis=0)
