@@ -161,6 +161,21 @@ def test_a_frame_is_answered_before_it_is_judged_and_settling_changes_nothing(
     assert judged.count('asked') < 200 / 20
 
 
+def test_bodies_are_asked_six_times_while_a_judgment_holds(monkeypatch: pytest.MonkeyPatch) -> None:
+    asked: list[int] = []
+    refuted = _poses._refuted
+
+    def noted(*given: Any) -> Any:
+        asked.append(len(given[0].reach))
+        return refuted(*given)
+
+    monkeypatch.setattr(_poses, '_refuted', noted)
+    count = 50 * HELD
+    found = one_by_one(frames(2 * np.sin(np.arange(count) / 30), 1e-3), [3] * count)
+    # Not at the sixth, when all are judged; and a few are asked since they are far off.
+    assert 5 / HELD - 0.02 < len(asked) / len(found) < 5 / HELD + 0.06
+
+
 def test_a_coefficient_that_is_small_by_chance_does_not_make_a_body_rest() -> None:
     # In one frame of these the slope of the shortest window is zero but for a thousandth.
     recording = _record.make_recording(('two sines',), (1e-2,), 4, 6.0)

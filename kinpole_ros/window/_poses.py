@@ -46,20 +46,38 @@ _AXES = ('K', 'K', 'KK', 'KK', '', '', 'KA', 'KA', 'KKA', 'KKA', 'KA')
 
 class _Plan(NamedTuple):
     """
-    What is judged at M instants: all bodies where `due` (M,), for the instants after and where
-    `at_once` (M,) for the instant itself too; elsewhere those that refute what holds, where they
-    are asked, for so many instants `ahead` (M,), 0 where they are not. One judgment of all holds
-    for `every` instants.
+    What is judged at M instants, when a judgment of all bodies holds for `every` instants.
+
+    All bodies where `due` (M,), for the instants after and where `at_once` (M,) for the instant
+    itself too; elsewhere those that refute what holds `since` (M,) so many instants, if asked.
     """
 
     due: np.ndarray
     at_once: np.ndarray
-    ahead: np.ndarray
+    since: np.ndarray
     every: int
 
     def part(self, chosen: slice) -> '_Plan':
         """That for some of the instants."""
-        return _Plan(self.due[chosen], self.at_once[chosen], self.ahead[chosen], self.every)
+        return _Plan(self.due[chosen], self.at_once[chosen], self.since[chosen], self.every)
+
+    def asked(self) -> np.ndarray:
+        """At which instants (M,) bodies are asked."""
+        return (self.since % _between(self.every) == 0) & ~self.due
+
+    def ahead(self) -> np.ndarray:
+        """For how many instants (M,) more what is judged anew is good, 0 where none is asked."""
+        count = np.minimum(_between(self.every), self.every - self.since)
+        # Up to those that are judged for themselves.
+        index = np.arange(len(count))
+        anew = np.append(self.at_once.nonzero()[0], len(count) + self.every)
+        left = anew[anew.searchsorted(index, side='right')] - index - 1
+        return np.where(self.asked(), np.minimum(count, left), 0)
+
+
+def _between(every: int) -> int:
+    """Instants from one at which bodies are asked to the next, where judgments hold for `every`."""
+    return -(-every // _ASKED)
 
 
 class _Fresh(NamedTuple):
@@ -215,7 +233,7 @@ class PoseFilter:
 
         if not alone or np.count_nonzero(surprised):
             go_on()
-        elif due[0] or plan.ahead[0]:
+        elif due[0] or plan.asked()[0]:
             self._later = go_on
         return found
 
@@ -226,17 +244,10 @@ def _planned(numbers: np.ndarray, before: int | None, every: int) -> _Plan:
 
     There is one for the sample after that `before`; None if there is none.
     """
-    last = np.concatenate(((-1 if before is None else before,), numbers[:-1]))
+    last = np.concatenate(((-2 if before is None else before,), numbers[:-1]))
     at_once = numbers != last + 1
-    at_once[0] |= before is None
-    due = at_once | (numbers // every != last // every)
-    since, asked = numbers % every, -(-every // _ASKED)
-    ahead = np.where(due | (since % asked > 0), 0, np.minimum(asked, every - since))
-    # But for those that are judged for themselves.
-    anew = np.append(at_once.nonzero()[0], len(due) + every)
-    index = np.arange(len(due))
-    ahead = np.minimum(ahead, anew[anew.searchsorted(index, side='right')] - index - 1)
-    return _Plan(due, at_once, ahead, every)
+    since = numbers % every
+    return _Plan(at_once | (since == 0), at_once, since, every)
 
 
 def _refuted(
@@ -255,7 +266,7 @@ def _refuted(
     That is where their squares are `wrong` (M, B), or together is off apart. It is for the instant
     itself where `surprised` (M, B), and for those ahead.
     """
-    asked = (plan.ahead > 0)[:, None] | (surprised & ~plan.due[:, None])
+    asked = plan.asked()[:, None] | (surprised & ~plan.due[:, None])
     off = _off(held)
     refuted = (wrong | off[-1].any(axis=0)) & asked
     if not np.count_nonzero(refuted):
@@ -267,7 +278,7 @@ def _refuted(
     )
     instants, bodies = refuted.nonzero()
     new = judge(seen.at(instants[:, None], bodies[:, None]), *pasts, order, plan.every)
-    first, end = instants + ~surprised[refuted], instants + 1 + plan.ahead[instants]
+    first, end = instants + ~surprised[refuted], instants + 1 + plan.ahead()[instants]
     return _Fresh(first, end, bodies, new, off[..., refuted] | wrong[refuted])
 
 
