@@ -19,7 +19,7 @@ SIGNIFICANT = 4.0
 # times what the windows differ by, of order 1 to 4. Where a motion sets in they do so long before
 # the noise tells. Also so many times the noise by weights of its own, where that is not too much.
 _NOISE = 2.5
-_DIFFERENT = (8.0, 8.0, 5.0, 5.0)
+_DIFFERENT = (13.0, 8.2, 5.0, 5.0)
 _APART = (2.0, 2.0, 0.0, 0.0)
 # Beyond this many body sizes a pole is as good as at infinity.
 FARTHEST = 1e3
