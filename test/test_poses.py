@@ -131,6 +131,22 @@ def test_a_body_at_rest_is_quiet_at_once_and_followed_when_it_goes_on(
     assert motion < 1.05 * errors(go - 10, last)
 
 
+def test_the_slow_part_of_a_turn_is_not_taken_to_be_as_rich_as_the_fast_one(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    recording = _record.make_recording(('four-bar coupler',), (1e-5,), 3, 4.0)
+
+    def error() -> float:
+        found = _record.measure(recording)
+        told = _hindsight.counted(recording, found)['IJP']
+        errors = _hindsight.own_errors(recording, found)['IJP']
+        return float(np.sqrt(np.mean(errors[told] ** 2)))
+
+    calm = error()
+    monkeypatch.setattr(_choice, '_LAST', 10**9)
+    assert calm < 0.96 * error()
+
+
 def test_a_frame_is_answered_before_it_is_judged_and_settling_changes_nothing(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:

@@ -33,7 +33,9 @@ _LASTING = 3.0
 _SUDDEN = 11.0
 # Coefficients whose mean energy is so many s^2 tell how much moves now: this many times what their
 # squares, and half an s^2 more that noise may hide, are of it.
-_BOLD, _CALM = 50.0, 1.25
+_BOLD, _CALM = 30.0, 1.25
+# What lies beyond them is as calm as so many of them, the last.
+_LAST = 3
 # Energy that may hide in each of the next two coefficients, in standard deviations of its mean.
 _HIDDEN = 0.5
 # A fit leaves more than noise when it leaves this many times s^2, and so many standard deviations
@@ -433,13 +435,21 @@ def _weigh(
 
 def _calm(energy: Real, signal: Real, known: np.ndarray) -> Real:
     """
-    How much less (L, 1, M, G), at most 1, moves now than of late.
+    How much less (L, D, M, G), at most 1, moves now than of late.
 
-    By the coefficients whose `signal` is `known` well.
+    By the coefficients whose `signal` is `known` well; beyond them, where no more than noise can be
+    seen now, by the last of these alone.
     """
-    now = np.divide(energy, signal, out=np.zeros_like(energy), where=known).sum(axis=1)
-    count = known.sum(axis=1)
-    return np.where(count > 0, np.minimum(_CALM * now / np.maximum(count, 1), 1.0), 1.0)[:, None]
+    now = np.divide(energy, signal, out=np.zeros_like(energy), where=known)
+
+    def mean(chosen: np.ndarray, least: int) -> Real:
+        count = chosen.sum(axis=1, keepdims=True)
+        total = now.sum(axis=1, keepdims=True, where=chosen)
+        return np.where(count >= least, np.minimum(_CALM * total / np.maximum(count, 1), 1.0), 1.0)
+
+    after = known[:, ::-1].cumsum(axis=1)[:, ::-1]
+    all_of_it, rest = mean(known, 1), mean(known & (after <= _LAST), _LAST)
+    return np.where(after > 0, all_of_it, np.minimum(all_of_it, rest))
 
 
 def _disagreement(mix: Real, apart: Real) -> Real:
