@@ -46,6 +46,7 @@ def demo(output: str | Path) -> int:
     os.environ.setdefault('ROS_DOMAIN_ID', str(100 + os.getpid() % 100))
     os.environ.setdefault('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
 
+    recording.unlink(missing_ok=True)
     print(f'node:     kinpole node --ros-args --params-file {config}')
     print(f'recorder: kinpole record --output {recording}')
     print(f'player:   kinpole play {bag}')

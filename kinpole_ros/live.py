@@ -139,8 +139,12 @@ def record(output: str | Path, prefixes: list[str]) -> int:
     Record all topics that begin with one of `prefixes` until told to stop (SIGINT or SIGTERM).
 
     Returns the number of messages. What was recorded is readable even if the process is killed,
-    but for the last second. Raises BagError when the output cannot be written.
+    but for the last second. Raises BagError when the output cannot be written, or holds something
+    already: what was recorded before cannot be made again.
     """
+    there = Path(output)
+    if there.is_file() and there.stat().st_size:
+        raise BagError(f'{output} is there already; name another file, or remove that one first')
     with BagWriter(output) as writer:
         start_ros([])
         recorder = None

@@ -362,6 +362,13 @@ def test_no_command_writes_over_what_it_reads(kinpole: Any, rod: Path, tmp_path:
     assert f'{both} is the bag of results' in line
 
 
+def test_a_recording_is_not_written_over_by_the_next(rod: Path) -> None:
+    before = rod.read_bytes()
+    line = refusal(process('record', '--output', rod))
+    assert f'{rod} is there already; name another file' in line
+    assert rod.read_bytes() == before
+
+
 def test_folders_of_outputs_are_made(kinpole: Any, rod: Path, tmp_path: Path) -> None:
     output, table = tmp_path / 'new' / 'out.mcap', tmp_path / 'other' / 'out.csv'
     said = kinpole('replay', rod, '--output', output, '--csv', table)
