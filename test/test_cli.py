@@ -362,6 +362,14 @@ def test_no_command_writes_over_what_it_reads(kinpole: Any, rod: Path, tmp_path:
     assert f'{both} is the bag of results' in line
 
 
+def test_results_do_not_become_a_part_of_the_bag_they_are_of(kinpole: Any, rod: Path) -> None:
+    output = rod.parent / 'results.mcap'
+    line = refusal(kinpole('replay', rod.parent, '--output', output))
+    assert f'{output} would be a part of the bag to be replayed' in line
+    assert not output.exists()
+    assert kinpole('replay', rod.parent, '--csv', rod.parent / 'results.csv').status == 0
+
+
 def test_a_recording_is_not_written_over_by_the_next(rod: Path) -> None:
     before = rod.read_bytes()
     line = refusal(process('record', '--output', rod))

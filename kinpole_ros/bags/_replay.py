@@ -80,12 +80,19 @@ def replay(
     """
     name, kind = _marker_topic(bag, settings, topic)
     taken = {file.resolve(): 'the bag to be replayed' for file in bag_files(bag)}
+    # Without metadata all that lies in a folder is the bag.
+    folder = None if (Path(bag) / 'metadata.yaml').exists() else Path(bag).resolve()
     for target in (output, csv, parquet):
         if target is None:
             continue
         path = Path(target).resolve()
         if path in taken:
             raise BagError(f'{target} is {taken[path]}; name another file for the results')
+        if path.parent == folder and path.suffix == '.mcap':
+            raise BagError(
+                f'{target} would be a part of the bag to be replayed, which is all .mcap files of '
+                'its folder; name a file in another folder for the results'
+            )
         taken[path] = 'the bag of results' if target is output else 'the CSV table'
     # glibc keeps what is freed once it has seen so much come and go, and no longer asks the system
     # for the arrays of each block anew: a tenth of all the time.
