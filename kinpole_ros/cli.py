@@ -6,7 +6,9 @@ imported when it runs, so that --help comes at once.
 """
 
 import argparse
+import io
 import os
+import shutil
 import sys
 import time
 from collections.abc import Callable, Sequence
@@ -37,6 +39,9 @@ _EPILOG = """examples:
 def main(args: Sequence[str] | None = None) -> int:
     """Run one subcommand; returns the exit status."""
     words = list(sys.argv[1:] if args is None else args)
+    if isinstance(sys.stdout, io.TextIOWrapper):
+        # What a locale has no letter for, or a file name that is no text, is told by its number.
+        sys.stdout.reconfigure(errors='backslashreplace')
     try:
         if words[:1] == ['node'] and not {'-h', '--help'} & set(words):
             # All that follows belongs to ROS.
@@ -49,7 +54,10 @@ def main(args: Sequence[str] | None = None) -> int:
         return 130
     except BrokenPipeError:
         return 0
-    except (ValueError, OSError, ImportError) as error:
+    except Exception as error:
+        # Interrupted in an extension, which raises an error of its own for it.
+        if isinstance(error.__cause__, KeyboardInterrupt):
+            return 130
         if not _is_for_the_user(error):
             raise
         print(f'kinpole {words[0]}: {_line(error)}', file=sys.stderr)
@@ -68,11 +76,22 @@ def _is_for_the_user(error: Exception) -> bool:
     from kinpole_ros.parameters import ParameterError
 
     ours = (BagError, LinkageError, ParameterError, SceneError, OSError)
-    return isinstance(error, ours) or 'matplotlib' in str(error)
+    return isinstance(error, ours) or _lacks_matplotlib(error)
+
+
+def _lacks_matplotlib(error: object) -> bool:
+    return isinstance(error, ImportError) and 'matplotlib' in str(error)
 
 
 def _line(error: object) -> str:
+    if _lacks_matplotlib(error):
+        return "drawing needs matplotlib; install it with pip install 'kinpole_ros[plot]'"
     return ' '.join(str(error).split())
+
+
+def _on_terminal() -> bool:
+    """Whether somebody watches stderr, which may be closed."""
+    return sys.stderr is not None and sys.stderr.isatty()
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -370,7 +389,7 @@ def _batch(options: argparse.Namespace) -> int:
         for trouble in (row['error'], row.get('truncated')):
             if trouble:
                 name = '' if row['bag'] in trouble else f'{row["bag"]}: '
-                clear = f'\r{"":70}\r' if sys.stderr.isatty() else ''
+                clear = _cleared() if _on_terminal() else ''
                 print(f'{clear}kinpole batch: {name}{_line(trouble)}', file=sys.stderr)
 
     with _progress('batch') as progress:
@@ -506,7 +525,7 @@ def _bench(options: argparse.Namespace) -> int:
 @contextmanager
 def _progress(what: str) -> 'Iterator[Callable[[float], None] | None]':
     """A bar on a terminal, nothing in a pipe."""
-    if not sys.stderr.isatty():
+    if not _on_terminal():
         yield None
         return
     start = shown = time.monotonic()
@@ -520,12 +539,22 @@ def _progress(what: str) -> 'Iterator[Callable[[float], None] | None]':
         left = (now - start) * (1 - share) / share if share > 0.01 else float('nan')
         bar = '#' * round(30 * share)
         tail = f'{left:4.0f} s left' if left == left else ''
-        print(f'\r{what} [{bar:<30}] {share:4.0%} {tail:12}', end='', file=sys.stderr, flush=True)
+        text = f'{what} [{bar:<30}] {share:4.0%} {tail:12}'[: _width()]
+        print(f'\r{text}', end='', file=sys.stderr, flush=True)
 
     try:
         yield show
     finally:
-        print('\r' + ' ' * 70 + '\r', end='', file=sys.stderr, flush=True)
+        print(_cleared(), end='', file=sys.stderr, flush=True)
+
+
+def _width() -> int:
+    """Columns of a line of progress: one that wraps is not gone back over."""
+    return min(70, shutil.get_terminal_size().columns - 1)
+
+
+def _cleared() -> str:
+    return f'\r{"":{_width()}}\r'
 
 
 if __name__ == '__main__':

@@ -517,6 +517,49 @@ def test_a_pipe_shows_no_progress_and_a_terminal_does(
     # The bar is wiped away in the end.
     assert shown.endswith(' \r')
 
+    monkeypatch.setenv('COLUMNS', '40')
+    monkeypatch.setattr(sys, 'stderr', terminal := Terminal())
+    assert cli.main(['replay', str(rod)]) == 0
+    assert max(map(len, terminal.getvalue().split('\r'))) == 39
+
+
+def test_without_stderr_all_is_done_as_with_it(rod: Path, tmp_path: Path) -> None:
+    output = tmp_path / 'out.mcap'
+    words = f"'{sys.executable}' -m kinpole_ros.cli replay '{rod}' --output '{output}' 2>&-"
+    assert subprocess.run(words, shell=True, stdout=subprocess.DEVNULL, timeout=60).returncode == 0
+    assert decoded(output)['/kinpole/body/odom']
+
+
+def test_what_stdout_has_no_letters_for_is_told_all_the_same(rod: Path) -> None:
+    said = process('solve', 'four_bar', env={**os.environ, 'PYTHONIOENCODING': 'ascii'})
+    assert (said.status, said.err) == (0, '')
+    assert '\\u03c9 rad/s' in said.out
+    odd = rod.parent / os.fsdecode(b'no text \xff.csv')
+    assert process('replay', rod, '--csv', odd).status == 0
+    assert odd.exists()
+
+
+def test_interrupted_in_an_extension_it_ends_as_at_any_place(
+    kinpole: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def interrupted(*_: object) -> None:
+        raise SystemError('<class> returned a result with an exception set') from KeyboardInterrupt
+
+    monkeypatch.setattr(cli, '_plot', interrupted)
+    assert kinpole('plot', 'results.mcap', '--output', 'picture.png') == (130, '', '')
+
+
+@pytest.mark.parametrize('words', [['solve', 'four_bar', '--plot', 'p.png'], ['bench', '--quick']])
+def test_missing_matplotlib_is_told_with_the_mend(
+    kinpole: Any, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, words: list[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    for name in [name for name in sys.modules if name.partition('.')[0] == 'matplotlib']:
+        monkeypatch.setitem(sys.modules, name, None)
+    monkeypatch.setitem(sys.modules, 'matplotlib', None)
+    line = refusal(kinpole(*words))
+    assert "needs matplotlib; install it with pip install 'kinpole_ros[plot]'" in line
+
 
 def test_a_reader_that_goes_away_is_no_error(rod: Path) -> None:
     reading, writing = os.pipe()
