@@ -11,10 +11,12 @@ from typing import Any, NamedTuple
 import numpy as np
 import pytest
 from conftest import bodies_of, decoded, figures, stamp_of, write_config
+from geometry_msgs.msg import PoseArray
 
 from kinpole_ros import cli
 from kinpole_ros.bags import BagWriter, Truncated, read_messages
 from kinpole_ros.mechanism import scene_names, scenes_folder
+from kinpole_ros.messages import to_message
 from kinpole_ros.parameters import Settings
 
 Bag = Callable[..., Path]
@@ -385,6 +387,55 @@ def test_folders_of_outputs_are_made(kinpole: Any, rod: Path, tmp_path: Path) ->
     assert f'written to {table}' in said.out
     assert decoded(output)['/kinpole/body/odom']
     assert table.read_text().startswith('t,body_x,')
+
+
+# Replays that come to less than was asked for
+
+
+def test_markers_that_are_in_no_message_are_named_with_those_that_are(
+    kinpole: Any, simulated: Bag, tmp_path: Path
+) -> None:
+    bag = simulated('four_bar', rate=100, duration=0.5)
+    bodies = bodies_of('four_bar')
+    some = {'crank': (*bodies['crank'], 'crank_9'), 'coupler': bodies['coupler']}
+    config = write_config(tmp_path / 'a.yaml', Settings(bodies=some))
+    said = kinpole('replay', bag, '--config', config)
+    assert said.status == 0
+    assert said.err.startswith(
+        "kinpole replay: no message has crank_9 of crank; the last one has 'crank_1/0', "
+    )
+    none = {**some, 'coupler': ('coupler_1', 'cuopler_2')}
+    config, output = write_config(tmp_path / 'b.yaml', Settings(bodies=none)), tmp_path / 'out.mcap'
+    said = kinpole('replay', bag, '--config', config, '--output', output)
+    assert said.status == 2
+    assert 'no message has cuopler_2 of coupler; ' in said.err
+    assert 'correct the parameter coupler.markers' in said.err
+    assert decoded(output)['/kinpole/crank/odom']
+
+
+@pytest.mark.parametrize(
+    'stamps, complaint',
+    [
+        ([], 'the topic has no messages'),
+        ([0] * 30, 'all stamps are the same; see that the driver sets header.stamp'),
+        (range(0, 30 * 10**9, 10**9), 'jump by more than the parameter window, 0.3 s; raise it'),
+        (
+            range(0, 5 * 10**6, 10**6),
+            'when it is 0.1 s old (the parameter lag), and there are 0.004 s',
+        ),
+    ],
+)
+def test_why_there_are_no_results_is_told(
+    kinpole: Any, tmp_path: Path, stamps: Any, complaint: str
+) -> None:
+    bag = tmp_path / 'bag.mcap'
+    with BagWriter(bag) as writer:
+        writer.add_topic('/markers', PoseArray)
+        for k, stamp in enumerate(stamps):
+            points = np.array([[0.0, 0.0, 0.0], [0.1, 0.001 * k, 0.0]])
+            message = to_message('pose_array', stamp, 'world', ['a', 'b'], points)
+            writer.write('/markers', message, k)
+    assert complaint in refusal(kinpole('replay', bag))
 
 
 # Damaged bags
