@@ -33,7 +33,7 @@ _MOST_NAMES, _MOST_TOLD = 12, 80
 
 _EPILOG = """examples:
   kinpole simulate four_bar --output four_bar.mcap --noise 0.0002
-  kinpole replay four_bar.mcap --output result.mcap
+  kinpole replay four_bar.mcap --config config/four_bar.yaml --output result.mcap
   kinpole batch runs/*.mcap --config rig.yaml --output results
   kinpole plot result.mcap --output result.png
   kinpole solve four_bar --sweep --centers --plot four_bar.png
@@ -223,7 +223,7 @@ def _parser() -> argparse.ArgumentParser:
         '  kinpole solve four_bar --at "45 deg" --centers\n'
         '  kinpole solve slider_crank --sweep --csv crank.csv --plot crank.png\n'
         '  kinpole solve loader_cylinder --statics\n'
-        '  kinpole solve antiparallelogram --pitch crank rocker gears.svg\n',
+        '  kinpole solve antiparallelogram --pitch crank follower gears.svg\n',
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     solve.add_argument('scene', metavar='SCENE', help='name or path of a scene, see simulate')

@@ -2,6 +2,7 @@
 
 import io
 import os
+import shlex
 import subprocess
 import sys
 from collections.abc import Callable
@@ -85,6 +86,27 @@ def test_help_tells_what_each_command_does(kinpole: Any, words: list[str]) -> No
     assert said.err == ''
     listed = COMMANDS if not words else []
     assert all(f'    {command} ' in said.out for command in listed)
+
+
+@pytest.mark.parametrize('words', [[], ['solve']])
+def test_examples_of_the_help_do_what_they_say(
+    kinpole: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, words: list[str]
+) -> None:
+    lines = [
+        line.split('kinpole ', 1)[1]
+        for line in kinpole(*words, '--help').out.splitlines()
+        if line.startswith('  kinpole ')
+    ]
+    told = ('simulate four_bar', 'replay four_bar', 'plot', 'solve')
+    examples = [shlex.split(line) for line in lines if line.startswith(told)]
+    assert len(examples) == 4
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / 'config').symlink_to(scenes_folder().parent)
+    for example in examples:
+        said = kinpole(*example)
+        assert (said.status, said.err) == (0, ''), example
+        if example[0] == 'replay':
+            assert 'rocker: determined' in said.out
 
 
 def test_help_comes_without_ros_and_numpy() -> None:
