@@ -44,10 +44,11 @@ def play(
     if not (math.isfinite(speed) and speed > 0):
         raise BagError(f'--speed is {speed}; it must be more than 0')
     there = topics(bag)
+    ordinary = [name for name in there if '/truth/' not in name]
     for name in only or []:
         if name not in there:
-            raise BagError(f'{bag}: no topic {name}; it holds {", ".join(sorted(there))}')
-    chosen = only or [name for name in there if '/truth/' not in name]
+            raise BagError(f'{bag}: no topic {name}; it holds {", ".join(sorted(ordinary))}')
+    chosen = only or ordinary
     context = rclpy.Context()
     rclpy.init(args=[], context=context)
     node = Node('kinpole_player', context=context)

@@ -185,6 +185,13 @@ def test_a_topic_that_is_not_there_is_named_with_those_that_are(kinpole: Any, ro
     assert 'no topic /mocap' in refusal(kinpole('play', rod, '--topic', '/mocap'))
 
 
+def test_topics_that_cannot_be_meant_are_not_listed(kinpole: Any, rod: Path) -> None:
+    only = 'no topic /mocap; it holds /markers'
+    replayed = refusal(kinpole('replay', rod, '--topic', '/mocap'))
+    assert f'{only} (visualization_msgs/msg/MarkerArray); name one with --topic\n' in replayed
+    assert f'{only}\n' in refusal(kinpole('play', rod, '--topic', '/mocap'))
+
+
 def test_a_topic_of_another_type_is_named_with_the_types_that_are_read(
     kinpole: Any, rod: Path
 ) -> None:
@@ -301,8 +308,9 @@ def test_a_scene_that_is_not_there_is_named_with_those_that_are(
 @pytest.mark.parametrize(
     'option, value, complaint',
     [
-        ('--rate', '0', '--rate is 0.0; it must be more than 0 Hz'),
+        ('--rate', '0', '--rate is 0.0; it must be more than 0 Hz, '),
         ('--rate', 'nan', '--rate is nan'),
+        ('--rate', '1e12', 'it must be more than 0 Hz, and 1e9 Hz at most'),
         ('--duration', '-1', '--duration is -1.0; it must be more than 0 s'),
         ('--duration', '3e9', '--rate times --duration is 600000000000.0'),
         ('--noise', '-0.1', '--noise is -0.1; it must be 0 m or more'),

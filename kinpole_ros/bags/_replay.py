@@ -302,10 +302,12 @@ def _marker_topic(bag: str | Path, settings: Settings, topic: str | None) -> tup
     elif not name.startswith('/'):
         name = f'/{name}'
     there = topics(bag)
-    if name not in there:
-        listed = ', '.join(f'{t} ({kind})' for t, kind in sorted(there.items())) or 'no topics'
-        raise BagError(f'{bag}: no topic {name}; it holds {listed}; name one with --topic')
     kinds = {ros: kind for kind, ros in ROS_TYPE_NAMES.items()}
+    if name not in there:
+        # What cannot be meant is not listed, unless there is nothing else.
+        fit = {t: kind for t, kind in there.items() if kind in kinds} or there
+        listed = ', '.join(f'{t} ({kind})' for t, kind in sorted(fit.items())) or 'no topics'
+        raise BagError(f'{bag}: no topic {name}; it holds {listed}; name one with --topic')
     kind = kinds.get(there[name])
     if kind is None:
         raise BagError(
