@@ -491,7 +491,8 @@ def _simulate(options: argparse.Namespace) -> int:
 def _plot(options: argparse.Namespace) -> int:
     from kinpole_ros.plot import plot
 
-    plot(options.bag, options.output)
+    with _progress('plot') as progress:
+        plot(options.bag, options.output, progress)
     print(f'drawn to {options.output}')
     return 0
 
