@@ -133,7 +133,9 @@ def _parser() -> argparse.ArgumentParser:
         help='ROS 2 parameter file, as for the node; without it one body, "body", of all markers',
     )
     replay.add_argument('--output', metavar='OUT.mcap', help='bag of results, under /kinpole/...')
-    replay.add_argument('--csv', metavar='OUT.csv', help='the same as a table, with sigmas')
+    replay.add_argument(
+        '--csv', metavar='OUT.csv', help='the same as a table, in SI units, with sigmas'
+    )
     replay.add_argument(
         '--parquet',
         metavar='OUT.parquet',
@@ -146,7 +148,7 @@ def _parser() -> argparse.ArgumentParser:
         'batch',
         help='many bags, on all cores or a Dask cluster, and a table over all',
         description='Replays every bag by itself and writes summary.csv, a line a bag: frames,\n'
-        'time span, noise, resets, share of instants with each pole, and what went wrong.\n'
+        'time span (s), noise (m), resets, share of instants with each pole, and what went wrong.\n'
         'A bag that fails is reported, and the rest go on. Run again, it does what is not done\n'
         'yet: results appear under their names only when whole, and stay as long as bag and\n'
         "settings are the same. Needs Dask: pip install 'kinpole_ros[batch]'.",
