@@ -23,7 +23,7 @@ from rclpy.serialization import deserialize_message
 
 from kinpole_ros.bags import BagError, message_class, read_messages
 from kinpole_ros.estimate import POLE_NAMES
-from kinpole_ros.live import play
+from kinpole_ros.live import own_context, play
 from kinpole_ros.mechanism import share_folder
 from kinpole_ros.parameters import load_settings
 
@@ -75,8 +75,7 @@ def live_run(bag: Path, config: Path, recording: Path) -> int:
     node_words = ['node', '--ros-args', '--params-file', str(config)]
     prefix = f'qos_overrides.{name}.subscription'
     node_words += ['-p', f'{prefix}.reliability:=reliable', '-p', f'{prefix}.depth:=1000']
-    context = rclpy.Context()
-    rclpy.init(args=[], context=context)
+    context = own_context()
     executor = SingleThreadedExecutor(context=context)
     watcher = rclpy.create_node('kinpole_demo', context=context)
     executor.add_node(watcher)

@@ -6,14 +6,17 @@ installation, and for the demo and the tests, which must run there.
 """
 
 import math
+import re
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import rclpy
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
 from rclpy.executors import ExternalShutdownException
+from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 
@@ -49,8 +52,7 @@ def play(
         if name not in there:
             raise BagError(f'{bag}: no topic {name}; it holds {", ".join(sorted(ordinary))}')
     chosen = only or ordinary
-    context = rclpy.Context()
-    rclpy.init(args=[], context=context)
+    context = own_context()
     node = Node('kinpole_player', context=context)
     count = 0
     try:
@@ -79,6 +81,25 @@ def play(
         node.destroy_node()
         context.try_shutdown()
     return count
+
+
+def own_context() -> rclpy.Context:
+    """Start ROS beside whatever else there is of it; raises BagError where it cannot."""
+    context = rclpy.Context()
+    with _starting():
+        rclpy.init(args=[], context=context)
+    return context
+
+
+@contextmanager
+def _starting() -> Iterator[None]:
+    """What is wrong with ROS_DOMAIN_ID and its like is no fault of ours."""
+    try:
+        yield
+    except rclpy_implementation.RCLError as error:
+        # Less the places in rcl's source.
+        reason = re.sub(r', at \S+:\d+', '', str(error))
+        raise BagError(f'ROS cannot start in this environment: {reason}') from None
 
 
 class Recorder(Node):
@@ -147,7 +168,13 @@ def record(output: str | Path, prefixes: list[str]) -> int:
     if there.is_file() and there.stat().st_size:
         raise BagError(f'{output} is there already; name another file, or remove that one first')
     with BagWriter(output) as writer:
-        start_ros([])
+        try:
+            with _starting():
+                start_ros([])
+        except BagError:
+            if there.is_file():
+                there.unlink()
+            raise
         recorder = None
         try:
             recorder = Recorder(writer, prefixes)

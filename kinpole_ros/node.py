@@ -521,7 +521,7 @@ def main(args: Sequence[str] | None = None) -> int:
         # Less the places in rcl's source.
         reason = re.sub(r', at \S+:\d+', '', str(error))
         if not started:
-            return _refuse(f'ROS cannot use the words after --ros-args: {reason}')
+            return _refuse(f'ROS cannot start with these words and this environment: {reason}')
         if node is None and isinstance(error, rclpy_implementation.RCLError):
             return _refuse(f'ROS cannot make the node: {reason}')
         raise

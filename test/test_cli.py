@@ -394,6 +394,19 @@ def test_no_command_writes_over_what_it_reads(kinpole: Any, rod: Path, tmp_path:
     assert f'{both} is the bag of results' in line
 
 
+@pytest.mark.parametrize('command', ['node', 'play', 'record', 'demo'])
+def test_an_environment_that_ros_cannot_use_is_one_line(
+    rod: Path, tmp_path: Path, command: str
+) -> None:
+    output: list[str | Path] = ['--output', tmp_path / 'out']
+    words = {'node': [], 'play': [rod], 'record': output, 'demo': output}[command]
+    said = process(command, *words, env={**os.environ, 'ROS_DOMAIN_ID': 'lab'})
+    assert 'environment: failed to initialize rcl: ROS_DOMAIN_ID is not an integral number' in (
+        refusal(said)
+    )
+    assert not (tmp_path / 'out').is_file()
+
+
 def test_results_do_not_become_a_part_of_the_bag_they_are_of(kinpole: Any, rod: Path) -> None:
     output = rod.parent / 'results.mcap'
     line = refusal(kinpole('replay', rod.parent, '--output', output))
