@@ -108,7 +108,7 @@ class Recorder(Node):
     def __init__(self, writer: BagWriter, prefixes: list[str]) -> None:
         super().__init__('kinpole_recorder')
         self._writer = writer
-        self._prefixes = tuple(prefixes)
+        self._prefixes = tuple(p if p.startswith('/') else f'/{p}' for p in prefixes)
         self._taken: set[str] = set()
         self.messages = 0
         self.error: BagError | None = None
