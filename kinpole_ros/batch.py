@@ -126,7 +126,7 @@ def _cluster(scheduler: str | None, workers: int) -> Iterator[Any]:
     try:
         from distributed import Client, LocalCluster
     except ImportError:
-        raise BagError("kinpole batch needs Dask; mend: pip install 'kinpole_ros[batch]'") from None
+        raise BagError("many bags need Dask; mend: pip install 'kinpole_ros[batch]'") from None
     logging.getLogger('distributed').setLevel(logging.CRITICAL)
     if scheduler is None:
         with _interrupts_ignored():

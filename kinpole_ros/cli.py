@@ -6,7 +6,9 @@ imported when it runs, so that --help comes at once.
 """
 
 import argparse
+import io
 import os
+import shutil
 import sys
 import time
 from collections.abc import Callable, Sequence
@@ -19,13 +21,19 @@ from kinpole_ros import __version__
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
+    from kinpole_ros.bags import Replayed
+    from kinpole_ros.parameters import Settings
+
 # The products computed here are small. A BLAS that has them done by threads waits for these longer
 # than it computes where other processes run: 207 us a frame of replay on 2 busy cores against 60.
 os.environ.setdefault('OPENBLAS_NUM_THREADS', '1')
 
+# Of the names of markers in a bag, which may be anything.
+_MOST_NAMES, _MOST_TOLD = 12, 80
+
 _EPILOG = """examples:
   kinpole simulate four_bar --output four_bar.mcap --noise 0.0002
-  kinpole replay four_bar.mcap --output result.mcap
+  kinpole replay four_bar.mcap --config config/four_bar.yaml --output result.mcap
   kinpole batch runs/*.mcap --config rig.yaml --output results
   kinpole plot result.mcap --output result.png
   kinpole solve four_bar --sweep --centers --plot four_bar.png
@@ -37,6 +45,9 @@ _EPILOG = """examples:
 def main(args: Sequence[str] | None = None) -> int:
     """Run one subcommand; returns the exit status."""
     words = list(sys.argv[1:] if args is None else args)
+    if isinstance(sys.stdout, io.TextIOWrapper):
+        # What a locale has no letter for, or a file name that is no text, is told by its number.
+        sys.stdout.reconfigure(errors='backslashreplace')
     try:
         if words[:1] == ['node'] and not {'-h', '--help'} & set(words):
             # All that follows belongs to ROS.
@@ -49,7 +60,10 @@ def main(args: Sequence[str] | None = None) -> int:
         return 130
     except BrokenPipeError:
         return 0
-    except (ValueError, OSError, ImportError) as error:
+    except Exception as error:
+        # Interrupted in an extension, which raises an error of its own for it.
+        if isinstance(error.__cause__, KeyboardInterrupt):
+            return 130
         if not _is_for_the_user(error):
             raise
         print(f'kinpole {words[0]}: {_line(error)}', file=sys.stderr)
@@ -68,11 +82,22 @@ def _is_for_the_user(error: Exception) -> bool:
     from kinpole_ros.parameters import ParameterError
 
     ours = (BagError, LinkageError, ParameterError, SceneError, OSError)
-    return isinstance(error, ours) or 'matplotlib' in str(error)
+    return isinstance(error, ours) or _lacks_matplotlib(error)
+
+
+def _lacks_matplotlib(error: object) -> bool:
+    return isinstance(error, ImportError) and 'matplotlib' in str(error)
 
 
 def _line(error: object) -> str:
+    if _lacks_matplotlib(error):
+        return "drawing needs matplotlib; install it with pip install 'kinpole_ros[plot]'"
     return ' '.join(str(error).split())
+
+
+def _on_terminal() -> bool:
+    """Whether somebody watches stderr, which may be closed."""
+    return sys.stderr is not None and sys.stderr.isatty()
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -108,7 +133,9 @@ def _parser() -> argparse.ArgumentParser:
         help='ROS 2 parameter file, as for the node; without it one body, "body", of all markers',
     )
     replay.add_argument('--output', metavar='OUT.mcap', help='bag of results, under /kinpole/...')
-    replay.add_argument('--csv', metavar='OUT.csv', help='the same as a table, with sigmas')
+    replay.add_argument(
+        '--csv', metavar='OUT.csv', help='the same as a table, in SI units, with sigmas'
+    )
     replay.add_argument(
         '--parquet',
         metavar='OUT.parquet',
@@ -121,7 +148,7 @@ def _parser() -> argparse.ArgumentParser:
         'batch',
         help='many bags, on all cores or a Dask cluster, and a table over all',
         description='Replays every bag by itself and writes summary.csv, a line a bag: frames,\n'
-        'time span, noise, resets, share of instants with each pole, and what went wrong.\n'
+        'time span (s), noise (m), resets, share of instants with each pole, and what went wrong.\n'
         'A bag that fails is reported, and the rest go on. Run again, it does what is not done\n'
         'yet: results appear under their names only when whole, and stay as long as bag and\n'
         "settings are the same. Needs Dask: pip install 'kinpole_ros[batch]'.",
@@ -198,7 +225,7 @@ def _parser() -> argparse.ArgumentParser:
         '  kinpole solve four_bar --at "45 deg" --centers\n'
         '  kinpole solve slider_crank --sweep --csv crank.csv --plot crank.png\n'
         '  kinpole solve loader_cylinder --statics\n'
-        '  kinpole solve antiparallelogram --pitch crank rocker gears.svg\n',
+        '  kinpole solve antiparallelogram --pitch crank follower gears.svg\n',
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     solve.add_argument('scene', metavar='SCENE', help='name or path of a scene, see simulate')
@@ -348,10 +375,49 @@ def _replay(options: argparse.Namespace) -> int:
             f'kinpole replay: {result.unreadable} messages left out, the first: {result.problem}',
             file=sys.stderr,
         )
+    for line in (*_absent(result), *_untold(result, settings)):
+        print(f'kinpole replay: {line}', file=sys.stderr)
     if result.truncated is not None:
         print(f'kinpole replay: {_line(result.truncated)}', file=sys.stderr)
-        return 2
-    return 0
+    lost = any(len(settings.bodies[b]) - len(names) < 2 for b, names in result.absent.items())
+    return 2 if result.truncated is not None or lost or not result.estimates else 0
+
+
+def _absent(result: 'Replayed') -> 'Iterator[str]':
+    """Lines on the markers that were asked for and never came."""
+    if not result.frames:
+        return
+    there = [repr(name)[:_MOST_TOLD] for name in result.identities[:_MOST_NAMES]]
+    if len(result.identities) > _MOST_NAMES:
+        there.append('...')
+    for body, names in result.absent.items():
+        yield (
+            f'no message has {", ".join(names)} of {body}; the last one has {", ".join(there)}; '
+            f'correct the parameter {body}.markers, or marker_identity'
+        )
+
+
+def _untold(result: 'Replayed', settings: 'Settings') -> 'Iterator[str]':
+    """A line on why there are no results, where there are none."""
+    if result.estimates:
+        return
+    if not result.frames:
+        yield 'no results, since the topic has no messages; record again, or name another --topic'
+    elif result.repeated and result.repeated + 1 == result.frames:
+        yield (
+            'no results, since all stamps are the same; see that the driver sets header.stamp to '
+            'the time of capture'
+        )
+    elif result.resets:
+        yield (
+            f'no results, since the stamps jump by more than the parameter window, '
+            f'{settings.window:g} s; raise it, or see to the stamps'
+        )
+    else:
+        yield (
+            f'no results, since a frame has one when it is {settings.lag:g} s old (the parameter '
+            f'lag), and there are {(result.last - result.first) / 1e9:.3g} s; record longer'
+        )
 
 
 def _batch(options: argparse.Namespace) -> int:
@@ -370,7 +436,7 @@ def _batch(options: argparse.Namespace) -> int:
         for trouble in (row['error'], row.get('truncated')):
             if trouble:
                 name = '' if row['bag'] in trouble else f'{row["bag"]}: '
-                clear = f'\r{"":70}\r' if sys.stderr.isatty() else ''
+                clear = _cleared() if _on_terminal() else ''
                 print(f'{clear}kinpole batch: {name}{_line(trouble)}', file=sys.stderr)
 
     with _progress('batch') as progress:
@@ -427,7 +493,8 @@ def _simulate(options: argparse.Namespace) -> int:
 def _plot(options: argparse.Namespace) -> int:
     from kinpole_ros.plot import plot
 
-    plot(options.bag, options.output)
+    with _progress('plot') as progress:
+        plot(options.bag, options.output, progress)
     print(f'drawn to {options.output}')
     return 0
 
@@ -506,7 +573,7 @@ def _bench(options: argparse.Namespace) -> int:
 @contextmanager
 def _progress(what: str) -> 'Iterator[Callable[[float], None] | None]':
     """A bar on a terminal, nothing in a pipe."""
-    if not sys.stderr.isatty():
+    if not _on_terminal():
         yield None
         return
     start = shown = time.monotonic()
@@ -520,12 +587,22 @@ def _progress(what: str) -> 'Iterator[Callable[[float], None] | None]':
         left = (now - start) * (1 - share) / share if share > 0.01 else float('nan')
         bar = '#' * round(30 * share)
         tail = f'{left:4.0f} s left' if left == left else ''
-        print(f'\r{what} [{bar:<30}] {share:4.0%} {tail:12}', end='', file=sys.stderr, flush=True)
+        text = f'{what} [{bar:<30}] {share:4.0%} {tail:12}'[: _width()]
+        print(f'\r{text}', end='', file=sys.stderr, flush=True)
 
     try:
         yield show
     finally:
-        print('\r' + ' ' * 70 + '\r', end='', file=sys.stderr, flush=True)
+        print(_cleared(), end='', file=sys.stderr, flush=True)
+
+
+def _width() -> int:
+    """Columns of a line of progress: one that wraps is not gone back over."""
+    return min(70, shutil.get_terminal_size().columns - 1)
+
+
+def _cleared() -> str:
+    return f'\r{"":{_width()}}\r'
 
 
 if __name__ == '__main__':

@@ -23,7 +23,7 @@ from rclpy.serialization import deserialize_message
 
 from kinpole_ros.bags import BagError, message_class, read_messages
 from kinpole_ros.estimate import POLE_NAMES
-from kinpole_ros.live import play
+from kinpole_ros.live import own_context, play
 from kinpole_ros.mechanism import share_folder
 from kinpole_ros.parameters import load_settings
 
@@ -46,6 +46,7 @@ def demo(output: str | Path) -> int:
     os.environ.setdefault('ROS_DOMAIN_ID', str(100 + os.getpid() % 100))
     os.environ.setdefault('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
 
+    recording.unlink(missing_ok=True)
     print(f'node:     kinpole node --ros-args --params-file {config}')
     print(f'recorder: kinpole record --output {recording}')
     print(f'player:   kinpole play {bag}')
@@ -74,8 +75,7 @@ def live_run(bag: Path, config: Path, recording: Path) -> int:
     node_words = ['node', '--ros-args', '--params-file', str(config)]
     prefix = f'qos_overrides.{name}.subscription'
     node_words += ['-p', f'{prefix}.reliability:=reliable', '-p', f'{prefix}.depth:=1000']
-    context = rclpy.Context()
-    rclpy.init(args=[], context=context)
+    context = own_context()
     executor = SingleThreadedExecutor(context=context)
     watcher = rclpy.create_node('kinpole_demo', context=context)
     executor.add_node(watcher)

@@ -6,14 +6,17 @@ installation, and for the demo and the tests, which must run there.
 """
 
 import math
+import re
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import rclpy
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
 from rclpy.executors import ExternalShutdownException
+from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 
@@ -44,12 +47,12 @@ def play(
     if not (math.isfinite(speed) and speed > 0):
         raise BagError(f'--speed is {speed}; it must be more than 0')
     there = topics(bag)
+    ordinary = [name for name in there if '/truth/' not in name]
     for name in only or []:
         if name not in there:
-            raise BagError(f'{bag}: no topic {name}; it holds {", ".join(sorted(there))}')
-    chosen = only or [name for name in there if '/truth/' not in name]
-    context = rclpy.Context()
-    rclpy.init(args=[], context=context)
+            raise BagError(f'{bag}: no topic {name}; it holds {", ".join(sorted(ordinary))}')
+    chosen = only or ordinary
+    context = own_context()
     node = Node('kinpole_player', context=context)
     count = 0
     try:
@@ -80,13 +83,32 @@ def play(
     return count
 
 
+def own_context() -> rclpy.Context:
+    """Start ROS beside whatever else there is of it; raises BagError where it cannot."""
+    context = rclpy.Context()
+    with _starting():
+        rclpy.init(args=[], context=context)
+    return context
+
+
+@contextmanager
+def _starting() -> Iterator[None]:
+    """What is wrong with ROS_DOMAIN_ID and its like is no fault of ours."""
+    try:
+        yield
+    except rclpy_implementation.RCLError as error:
+        # Less the places in rcl's source.
+        reason = re.sub(r', at \S+:\d+', '', str(error))
+        raise BagError(f'ROS cannot start in this environment: {reason}') from None
+
+
 class Recorder(Node):
     """Records every topic under some prefixes, from when it appears."""
 
     def __init__(self, writer: BagWriter, prefixes: list[str]) -> None:
         super().__init__('kinpole_recorder')
         self._writer = writer
-        self._prefixes = tuple(prefixes)
+        self._prefixes = tuple(p if p.startswith('/') else f'/{p}' for p in prefixes)
         self._taken: set[str] = set()
         self.messages = 0
         self.error: BagError | None = None
@@ -139,10 +161,20 @@ def record(output: str | Path, prefixes: list[str]) -> int:
     Record all topics that begin with one of `prefixes` until told to stop (SIGINT or SIGTERM).
 
     Returns the number of messages. What was recorded is readable even if the process is killed,
-    but for the last second. Raises BagError when the output cannot be written.
+    but for the last second. Raises BagError when the output cannot be written, or holds something
+    already: what was recorded before cannot be made again.
     """
+    there = Path(output)
+    if there.is_file() and there.stat().st_size:
+        raise BagError(f'{output} is there already; name another file, or remove that one first')
     with BagWriter(output) as writer:
-        start_ros([])
+        try:
+            with _starting():
+                start_ros([])
+        except BagError:
+            if there.is_file():
+                there.unlink()
+            raise
         recorder = None
         try:
             recorder = Recorder(writer, prefixes)

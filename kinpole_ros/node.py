@@ -80,7 +80,7 @@ class KinpoleNode(LifecycleNode):
         self.settings = settings_from(self._values())
         self._theory = load_theory(self.settings)
         self._tracker = Tracker(self.settings)
-        self._diagnostics = DiagnosticsMaker(self.get_name(), self._theory)
+        self._diagnostics = self._make_diagnostics()
         self._outputs: list[tuple[Output, Any]] = []
         # Those that somebody reads, looked up now and then: it takes 0.6 us each.
         self._wanted: list[tuple[Output, Any]] = []
@@ -164,10 +164,14 @@ class KinpoleNode(LifecycleNode):
         if self._outputs:
             self._make_outputs()
 
+    def _make_diagnostics(self) -> DiagnosticsMaker:
+        topic = self.resolve_topic_name(self.settings.marker_topic)
+        return DiagnosticsMaker(self.get_name(), self._theory, topic)
+
     def _start_anew(self) -> None:
         """Forget all frames, and the counts."""
         self._tracker = Tracker(self.settings)
-        self._diagnostics = DiagnosticsMaker(self.get_name(), self._theory)
+        self._diagnostics = self._make_diagnostics()
         if self._kind:
             self._reader = MarkerReader(self._kind, self.settings.marker_identity)
         self._latest = None
@@ -517,7 +521,7 @@ def main(args: Sequence[str] | None = None) -> int:
         # Less the places in rcl's source.
         reason = re.sub(r', at \S+:\d+', '', str(error))
         if not started:
-            return _refuse(f'ROS cannot use the words after --ros-args: {reason}')
+            return _refuse(f'ROS cannot start with these words and this environment: {reason}')
         if node is None and isinstance(error, rclpy_implementation.RCLError):
             return _refuse(f'ROS cannot make the node: {reason}')
         raise

@@ -205,7 +205,7 @@ MARKERS = Parameter(
     [],
     'Markers on this body, as their identities; empty, where there is one body: all markers.',
     _names,
-    'a list of different marker identities, as text',
+    "a list of different marker identities, as text, such as ['0', '1', '2']",
     fixed=True,
 )
 AUTOSTART = Parameter(

@@ -120,6 +120,7 @@ def _draw_linkage(axis: Any, solved: Solved, k: int, centers: bool) -> None:
             xytext=(4, 4),
             textcoords='offset points',
             zorder=5,
+            path_effects=_halo(),
         )
     for tail, tip in arrows:
         axis.annotate(
@@ -148,6 +149,13 @@ def _draw_linkage(axis: Any, solved: Solved, k: int, centers: bool) -> None:
         + ('; crosses: instant centers' if centers else ''),
         fontsize=10,
     )
+
+
+def _halo() -> list[Any]:
+    """White around letters, which else cannot be read where they lie on a line."""
+    from matplotlib.patheffects import withStroke
+
+    return [withStroke(linewidth=2.5, foreground='white')]
 
 
 def _draw_vectors(axis: Any, solved: Solved, k: int) -> None:
@@ -223,6 +231,7 @@ def _draw_centers(
             zorder=6,
             xytext=(5, -10),
             textcoords='offset points',
+            path_effects=_halo(),
         )
         low = complex(min(low.real, z.real), min(low.imag, z.imag))
         high = complex(max(high.real, z.real), max(high.imag, z.imag))

@@ -259,5 +259,7 @@ def test_what_cannot_be_used_is_one_line(
         assert line.count('\n') == 1
         assert complaint in line
     monkeypatch.setitem(sys.modules, 'distributed', None)
-    with pytest.raises(BagError, match=r"needs Dask; mend: pip install 'kinpole_ros\[batch\]'"):
+    with pytest.raises(
+        BagError, match=r"^many bags need Dask; mend: pip install 'kinpole_ros\[batch\]'"
+    ):
         batch([bag], tmp_path / 'out', SETTINGS)

@@ -2,6 +2,7 @@
 
 import io
 import os
+import shlex
 import subprocess
 import sys
 from collections.abc import Callable
@@ -11,10 +12,12 @@ from typing import Any, NamedTuple
 import numpy as np
 import pytest
 from conftest import bodies_of, decoded, figures, stamp_of, write_config
+from geometry_msgs.msg import PoseArray
 
 from kinpole_ros import cli
 from kinpole_ros.bags import BagWriter, Truncated, read_messages
 from kinpole_ros.mechanism import scene_names, scenes_folder
+from kinpole_ros.messages import to_message
 from kinpole_ros.parameters import Settings
 
 Bag = Callable[..., Path]
@@ -83,6 +86,27 @@ def test_help_tells_what_each_command_does(kinpole: Any, words: list[str]) -> No
     assert said.err == ''
     listed = COMMANDS if not words else []
     assert all(f'    {command} ' in said.out for command in listed)
+
+
+@pytest.mark.parametrize('words', [[], ['solve']])
+def test_examples_of_the_help_do_what_they_say(
+    kinpole: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, words: list[str]
+) -> None:
+    lines = [
+        line.split('kinpole ', 1)[1]
+        for line in kinpole(*words, '--help').out.splitlines()
+        if line.startswith('  kinpole ')
+    ]
+    told = ('simulate four_bar', 'replay four_bar', 'plot', 'solve')
+    examples = [shlex.split(line) for line in lines if line.startswith(told)]
+    assert len(examples) == 4
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / 'config').symlink_to(scenes_folder().parent)
+    for example in examples:
+        said = kinpole(*example)
+        assert (said.status, said.err) == (0, ''), example
+        if example[0] == 'replay':
+            assert 'rocker: determined' in said.out
 
 
 def test_help_comes_without_ros_and_numpy() -> None:
@@ -159,6 +183,13 @@ def test_a_topic_that_is_not_there_is_named_with_those_that_are(kinpole: Any, ro
     assert f'{rod}: no topic /mocap; it holds ' in line
     assert '/markers (visualization_msgs/msg/MarkerArray)' in line
     assert 'no topic /mocap' in refusal(kinpole('play', rod, '--topic', '/mocap'))
+
+
+def test_topics_that_cannot_be_meant_are_not_listed(kinpole: Any, rod: Path) -> None:
+    only = 'no topic /mocap; it holds /markers'
+    replayed = refusal(kinpole('replay', rod, '--topic', '/mocap'))
+    assert f'{only} (visualization_msgs/msg/MarkerArray); name one with --topic\n' in replayed
+    assert f'{only}\n' in refusal(kinpole('play', rod, '--topic', '/mocap'))
 
 
 def test_a_topic_of_another_type_is_named_with_the_types_that_are_read(
@@ -277,8 +308,9 @@ def test_a_scene_that_is_not_there_is_named_with_those_that_are(
 @pytest.mark.parametrize(
     'option, value, complaint',
     [
-        ('--rate', '0', '--rate is 0.0; it must be more than 0 Hz'),
+        ('--rate', '0', '--rate is 0.0; it must be more than 0 Hz, '),
         ('--rate', 'nan', '--rate is nan'),
+        ('--rate', '1e12', 'it must be more than 0 Hz, and 1e9 Hz at most'),
         ('--duration', '-1', '--duration is -1.0; it must be more than 0 s'),
         ('--duration', '3e9', '--rate times --duration is 600000000000.0'),
         ('--noise', '-0.1', '--noise is -0.1; it must be 0 m or more'),
@@ -362,6 +394,34 @@ def test_no_command_writes_over_what_it_reads(kinpole: Any, rod: Path, tmp_path:
     assert f'{both} is the bag of results' in line
 
 
+@pytest.mark.parametrize('command', ['node', 'play', 'record', 'demo'])
+def test_an_environment_that_ros_cannot_use_is_one_line(
+    rod: Path, tmp_path: Path, command: str
+) -> None:
+    output: list[str | Path] = ['--output', tmp_path / 'out']
+    words = {'node': [], 'play': [rod], 'record': output, 'demo': output}[command]
+    said = process(command, *words, env={**os.environ, 'ROS_DOMAIN_ID': 'lab'})
+    assert 'environment: failed to initialize rcl: ROS_DOMAIN_ID is not an integral number' in (
+        refusal(said)
+    )
+    assert not (tmp_path / 'out').is_file()
+
+
+def test_results_do_not_become_a_part_of_the_bag_they_are_of(kinpole: Any, rod: Path) -> None:
+    output = rod.parent / 'results.mcap'
+    line = refusal(kinpole('replay', rod.parent, '--output', output))
+    assert f'{output} would be a part of the bag to be replayed' in line
+    assert not output.exists()
+    assert kinpole('replay', rod.parent, '--csv', rod.parent / 'results.csv').status == 0
+
+
+def test_a_recording_is_not_written_over_by_the_next(rod: Path) -> None:
+    before = rod.read_bytes()
+    line = refusal(process('record', '--output', rod))
+    assert f'{rod} is there already; name another file' in line
+    assert rod.read_bytes() == before
+
+
 def test_folders_of_outputs_are_made(kinpole: Any, rod: Path, tmp_path: Path) -> None:
     output, table = tmp_path / 'new' / 'out.mcap', tmp_path / 'other' / 'out.csv'
     said = kinpole('replay', rod, '--output', output, '--csv', table)
@@ -370,6 +430,55 @@ def test_folders_of_outputs_are_made(kinpole: Any, rod: Path, tmp_path: Path) ->
     assert f'written to {table}' in said.out
     assert decoded(output)['/kinpole/body/odom']
     assert table.read_text().startswith('t,body_x,')
+
+
+# Replays that come to less than was asked for
+
+
+def test_markers_that_are_in_no_message_are_named_with_those_that_are(
+    kinpole: Any, simulated: Bag, tmp_path: Path
+) -> None:
+    bag = simulated('four_bar', rate=100, duration=0.5)
+    bodies = bodies_of('four_bar')
+    some = {'crank': (*bodies['crank'], 'crank_9'), 'coupler': bodies['coupler']}
+    config = write_config(tmp_path / 'a.yaml', Settings(bodies=some))
+    said = kinpole('replay', bag, '--config', config)
+    assert said.status == 0
+    assert said.err.startswith(
+        "kinpole replay: no message has crank_9 of crank; the last one has 'crank_1/0', "
+    )
+    none = {**some, 'coupler': ('coupler_1', 'cuopler_2')}
+    config, output = write_config(tmp_path / 'b.yaml', Settings(bodies=none)), tmp_path / 'out.mcap'
+    said = kinpole('replay', bag, '--config', config, '--output', output)
+    assert said.status == 2
+    assert 'no message has cuopler_2 of coupler; ' in said.err
+    assert 'correct the parameter coupler.markers' in said.err
+    assert decoded(output)['/kinpole/crank/odom']
+
+
+@pytest.mark.parametrize(
+    'stamps, complaint',
+    [
+        ([], 'the topic has no messages'),
+        ([0] * 30, 'all stamps are the same; see that the driver sets header.stamp'),
+        (range(0, 30 * 10**9, 10**9), 'jump by more than the parameter window, 0.3 s; raise it'),
+        (
+            range(0, 5 * 10**6, 10**6),
+            'when it is 0.1 s old (the parameter lag), and there are 0.004 s',
+        ),
+    ],
+)
+def test_why_there_are_no_results_is_told(
+    kinpole: Any, tmp_path: Path, stamps: Any, complaint: str
+) -> None:
+    bag = tmp_path / 'bag.mcap'
+    with BagWriter(bag) as writer:
+        writer.add_topic('/markers', PoseArray)
+        for k, stamp in enumerate(stamps):
+            points = np.array([[0.0, 0.0, 0.0], [0.1, 0.001 * k, 0.0]])
+            message = to_message('pose_array', stamp, 'world', ['a', 'b'], points)
+            writer.write('/markers', message, k)
+    assert complaint in refusal(kinpole('replay', bag))
 
 
 # Damaged bags
@@ -501,6 +610,49 @@ def test_a_pipe_shows_no_progress_and_a_terminal_does(
     assert '100%' in shown
     # The bar is wiped away in the end.
     assert shown.endswith(' \r')
+
+    monkeypatch.setenv('COLUMNS', '40')
+    monkeypatch.setattr(sys, 'stderr', terminal := Terminal())
+    assert cli.main(['replay', str(rod)]) == 0
+    assert max(map(len, terminal.getvalue().split('\r'))) == 39
+
+
+def test_without_stderr_all_is_done_as_with_it(rod: Path, tmp_path: Path) -> None:
+    output = tmp_path / 'out.mcap'
+    words = f"'{sys.executable}' -m kinpole_ros.cli replay '{rod}' --output '{output}' 2>&-"
+    assert subprocess.run(words, shell=True, stdout=subprocess.DEVNULL, timeout=60).returncode == 0
+    assert decoded(output)['/kinpole/body/odom']
+
+
+def test_what_stdout_has_no_letters_for_is_told_all_the_same(rod: Path) -> None:
+    said = process('solve', 'four_bar', env={**os.environ, 'PYTHONIOENCODING': 'ascii'})
+    assert (said.status, said.err) == (0, '')
+    assert '\\u03c9 rad/s' in said.out
+    odd = rod.parent / os.fsdecode(b'no text \xff.csv')
+    assert process('replay', rod, '--csv', odd).status == 0
+    assert odd.exists()
+
+
+def test_interrupted_in_an_extension_it_ends_as_at_any_place(
+    kinpole: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def interrupted(*_: object) -> None:
+        raise SystemError('<class> returned a result with an exception set') from KeyboardInterrupt
+
+    monkeypatch.setattr(cli, '_plot', interrupted)
+    assert kinpole('plot', 'results.mcap', '--output', 'picture.png') == (130, '', '')
+
+
+@pytest.mark.parametrize('words', [['solve', 'four_bar', '--plot', 'p.png'], ['bench', '--quick']])
+def test_missing_matplotlib_is_told_with_the_mend(
+    kinpole: Any, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, words: list[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    for name in [name for name in sys.modules if name.partition('.')[0] == 'matplotlib']:
+        monkeypatch.setitem(sys.modules, name, None)
+    monkeypatch.setitem(sys.modules, 'matplotlib', None)
+    line = refusal(kinpole(*words))
+    assert "needs matplotlib; install it with pip install 'kinpole_ros[plot]'" in line
 
 
 def test_a_reader_that_goes_away_is_no_error(rod: Path) -> None:

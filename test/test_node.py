@@ -253,7 +253,7 @@ class TestOneNode:
         assert arrays[-1].status[0].level == DiagnosticStatus.ERROR
         assert 'sensor_msgs/msg/PointCloud2' in said(arrays)['message']
         shared.node.destroy_publisher(publisher)
-        over = lambda: said(arrays)['message'] == 'no markers received'  # noqa: E731
+        over = lambda: said(arrays)['message'] == 'no markers received on /markers'  # noqa: E731
         shared.until(over, 'the end of the complaint')
         assert arrays[-1].status[0].level == DiagnosticStatus.STALE
 

@@ -88,7 +88,7 @@ WRONG = [
     ('method', ['poses', 0, None], 'pose, landmarks'),
     ('scene', [0, None, ['four_bar'], True], 'the name of a scene'),
     ('autostart', ['no', 0, 1, None], 'true or false'),
-    ('body.markers', [[1, 2], 'a', ['a', 'a'], [''], 7], 'identities, as text'),
+    ('body.markers', [[1, 2], 'a', ['a', 'a'], [''], 7], "identities, as text, such as ['0', "),
 ]
 
 

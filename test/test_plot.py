@@ -217,6 +217,24 @@ def test_bag_without_results_says_so_and_how_to_make_them(bags, tmp_path) -> Non
     assert not (tmp_path / 'out.png').exists()
 
 
+def test_bodies_that_were_never_tracked_are_named(bags, tmp_path) -> None:
+    bag = tmp_path / 'nothing.mcap'
+    with BagWriter(bag) as writer:
+        writer.add_topic('/kinpole/crnk/odom', Odometry)
+    with pytest.raises(BagError, match=r'no pose of /kinpole/crnk; .* name the markers'):
+        plot(bag, tmp_path / 'out.png')
+
+
+def test_a_curve_of_few_instants_is_not_called_one_of_none(bags, tmp_path) -> None:
+    topic = '/kinpole/rod/centrode_curvature'
+    start = read_results(bags['cardan']).bodies[0].series['centrode_curvature'].stamp[0] * 1e-9
+    few = thinned(
+        bags['cardan'], tmp_path / 'few.mcap', lambda t, s: t != topic or s < start + 1e-4
+    )
+    assert len(read_results(few).bodies[0].series['centrode_curvature'].stamp) == 1
+    assert b'determined at less than 1% of the instants' in drawn(few, tmp_path / 'out.svg')
+
+
 @pytest.mark.parametrize('name', ['out', 'out.mcap', 'nowhere/out.png'])
 def test_output_that_cannot_be_written_is_named(bags, tmp_path, name) -> None:
     with pytest.raises(BagError, match=name):

@@ -183,6 +183,15 @@ def test_the_picture_is_one(capsys: pytest.CaptureFixture[str], tmp_path: Path) 
     assert (image[..., :3] < 0.5).any()
 
 
+def test_letters_on_lines_can_be_read() -> None:
+    figures = pytest.importorskip('matplotlib.figure')
+    axis = figures.Figure().add_subplot()
+    solve_plot._draw_linkage(axis, solve._solve(load_scene('four_bar'), None, 19), 0, centers=True)
+    letters = [text for text in axis.texts if text.get_text()]
+    assert {'crank', 'coupler', 'rocker', 'I12'} <= {text.get_text() for text in letters}
+    assert all(text.get_path_effects() for text in letters)
+
+
 def test_pitch_curves_are_drawn(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     lines = told(
         capsys, 'antiparallelogram', '--pitch', 'crank', 'follower', str(tmp_path / 'gears.svg')
@@ -200,7 +209,8 @@ def test_pitch_curves_are_drawn(capsys: pytest.CaptureFixture[str], tmp_path: Pa
         (('four_bar', '--at', 'nan'), 'finite'),
         (('double_pendulum', '--sweep'), '2 drivers'),
         (('six_bar', '--statics'), 'no loads'),
-        (('loader_cylinder', '--at', '5 m'), 'reach'),
+        (('loader_cylinder', '--at', '5 m'), 'to r5.length = 5 m, it turns back at 2.35533988 m: '),
+        (('loader', '--at', '500 deg'), 'to arm = 500 deg, it turns back at 71.333396 deg: '),
         (('four_bar', '--pitch', 'crank', 'wheel', 'x.svg'), 'no body wheel'),
         (('four_bar', '--plot', '/dev/null/x.png'), 'x.png'),
         (('four_bar', '--plot', 'x.foo'), 'no picture'),

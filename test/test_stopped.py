@@ -112,6 +112,14 @@ def test_replay_killed_on_the_way_leaves_what_it_had_written(bag: Path, tmp_path
     assert {line.count(',') for line in lines[:-1]} == {lines[0].count(',')}
 
 
+def test_a_topic_to_be_recorded_may_lack_its_slash(tmp_path: Path) -> None:
+    words = ('record', '--output', tmp_path / 'live.mcap', '--topic', TOPIC[1:])
+    with publisher() as source, kinpole(*words) as process:
+        until(lambda: source.get_subscription_count() > 0, 15)
+        process.send_signal(signal.SIGINT)
+        assert process.wait(30) == 0
+
+
 def test_recording_killed_on_the_way_keeps_what_came_before_the_last_second(
     tmp_path: Path,
 ) -> None:

@@ -49,7 +49,8 @@ def bag_files(path: str | Path) -> list[Path]:
             files = [path]
         else:
             raise BagError(f'no such bag: {path}; mend: give an .mcap file or a rosbag2 folder')
-        check_magic(files[0])
+        # A recorder that was killed leaves empty files among others.
+        check_magic(next((file for file in files if file.stat().st_size), files[0]))
     except OSError as error:
         raise unreadable(path, error) from error
     return files
@@ -109,7 +110,7 @@ def check_magic(path: Path) -> None:
     with open(path, 'rb') as file:
         magic = file.read(len(MCAP0_MAGIC))
     if not magic:
-        raise BagError(f'{path} is empty (0 bytes); mend: record again')
+        raise Truncated(f'{path} is empty (0 bytes); mend: record again')
     if magic in _FOREIGN:
         raise BagError(f'{path} {_FOREIGN[magic]}; {_CONVERT.format(path)}')
     if magic.startswith(ZSTD_MAGIC):

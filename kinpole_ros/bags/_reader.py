@@ -60,8 +60,9 @@ def read_messages(
     the fraction of bytes done, at most some 200 times in all.
 
     A file that is cut off or damaged gives every message before that place, also those in a
-    chunk cut in the middle, and then raises Truncated, which says where. Other things wrong
-    raise BagError: at the call what bag_files refuses, the rest when its turn comes.
+    chunk cut in the middle; the files of a folder after it are read as well, and then Truncated is
+    raised, which says where. Other things wrong raise BagError: at the call what bag_files refuses,
+    the rest when its turn comes.
     """
     return chain.from_iterable(read_blocks(path, topics, progress))
 
@@ -118,6 +119,7 @@ def _read_files(
 ) -> Iterator[list[BagMessage]]:
     sizes = [file.stat().st_size for file in files]
     before, reported = 0, 0.0
+    troubles: list[str] = []
 
     def report(share: float) -> None:
         nonlocal reported
@@ -131,9 +133,13 @@ def _read_files(
             check_magic(path)
             with open_file(path) as file:
                 yield from _read_file(path, file, wanted, report)
+        except Truncated as error:
+            troubles.append(str(error))
         except OSError as error:
             raise unreadable(path, error) from error
         before += size
+    if troubles:
+        raise Truncated('; '.join(troubles))
     progress(1.0)
 
 

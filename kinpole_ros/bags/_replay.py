@@ -24,6 +24,7 @@ from kinpole_ros.messages import (
     result_outputs,
 )
 from kinpole_ros.parameters import Settings
+from kinpole_ros.roster import find_marker
 from kinpole_ros.theory import load_theory
 from kinpole_ros.tracker import Tracker
 
@@ -42,7 +43,8 @@ class Replayed(NamedTuple):
     `truncated` says where a damaged bag ended, None for a sound one. `repeated` and `late` count
     frames left out, `resets` and `frame_changes` starts anew, as the tracker does. `noise` is that
     of a marker of each body at the end, per axis, m, NaN where it is not known; `first` and `last`
-    are the stamps of these frames, ns.
+    are the stamps of these frames, ns. `absent` are the markers of each body that are in no
+    message, and `identities` those of the last one.
     """
 
     frames: int
@@ -58,6 +60,8 @@ class Replayed(NamedTuple):
     noise: dict[str, float]
     first: int
     last: int
+    absent: dict[str, list[str]]
+    identities: tuple[str, ...]
 
 
 def replay(
@@ -80,12 +84,19 @@ def replay(
     """
     name, kind = _marker_topic(bag, settings, topic)
     taken = {file.resolve(): 'the bag to be replayed' for file in bag_files(bag)}
+    # Without metadata all that lies in a folder is the bag.
+    folder = None if (Path(bag) / 'metadata.yaml').exists() else Path(bag).resolve()
     for target in (output, csv, parquet):
         if target is None:
             continue
         path = Path(target).resolve()
         if path in taken:
             raise BagError(f'{target} is {taken[path]}; name another file for the results')
+        if path.parent == folder and path.suffix == '.mcap':
+            raise BagError(
+                f'{target} would be a part of the bag to be replayed, which is all .mcap files of '
+                'its folder; name a file in another folder for the results'
+            )
         taken[path] = 'the bag of results' if target is output else 'the CSV table'
     # glibc keeps what is freed once it has seen so much come and go, and no longer asks the system
     # for the arrays of each block anew: a tenth of all the time.
@@ -103,8 +114,10 @@ def replay(
     found = {body: dict.fromkeys(POLE_NAMES[:order], 0) for body in tracker.bodies}
     estimates = 0
     problem = ''
-    first = last = 0
+    first, last = None, 0
     truncated: Truncated | None = None
+    identities: tuple[str, ...] = ()
+    absent = {body: list(markers) for body, markers in settings.bodies.items() if markers}
     with ExitStack() as stack:
         writer = stack.enter_context(BagWriter(output)) if output is not None else None
         tables = [
@@ -121,7 +134,11 @@ def replay(
                 beat.trouble['message'] = str(error)
             if frames is None:
                 continue
-            first, last = first or int(frames.stamps[0]), int(frames.stamps[-1])
+            first = int(frames.stamps[0]) if first is None else first
+            last = int(frames.stamps[-1])
+            if frames.identities != identities:
+                identities = frames.identities
+                absent = _still_absent(absent, identities)
             whole = (frames,) if writer is None else beat.parts(frames, tracker)
             known = tracker.add_parts(whole, order)
             for estimate in known:
@@ -160,9 +177,23 @@ def replay(
         counts['frame_changes'],
         truncated,
         dict(zip(tracker.bodies, tracker.noise().tolist(), strict=True)),
-        first,
+        first or 0,
         last,
+        absent,
+        identities,
     )
+
+
+def _still_absent(
+    absent: dict[str, list[str]], identities: tuple[str, ...]
+) -> dict[str, list[str]]:
+    """Those of the markers of each body that are not in a message either."""
+    none = len(identities)
+    left = {
+        body: [name for name in names if find_marker(name, identities) == none]
+        for body, names in absent.items()
+    }
+    return {body: names for body, names in left.items() if names}
 
 
 def _frames(
@@ -271,10 +302,12 @@ def _marker_topic(bag: str | Path, settings: Settings, topic: str | None) -> tup
     elif not name.startswith('/'):
         name = f'/{name}'
     there = topics(bag)
-    if name not in there:
-        listed = ', '.join(f'{t} ({kind})' for t, kind in sorted(there.items())) or 'no topics'
-        raise BagError(f'{bag}: no topic {name}; it holds {listed}; name one with --topic')
     kinds = {ros: kind for kind, ros in ROS_TYPE_NAMES.items()}
+    if name not in there:
+        # What cannot be meant is not listed, unless there is nothing else.
+        fit = {t: kind for t, kind in there.items() if kind in kinds} or there
+        listed = ', '.join(f'{t} ({kind})' for t, kind in sorted(fit.items())) or 'no topics'
+        raise BagError(f'{bag}: no topic {name}; it holds {listed}; name one with --topic')
     kind = kinds.get(there[name])
     if kind is None:
         raise BagError(

@@ -123,7 +123,7 @@ def _check(
     message: str,
 ) -> None:
     wrong = [
-        ('--rate', rate, 'more than 0 Hz', 0 < rate <= 1e9),
+        ('--rate', rate, 'more than 0 Hz, and 1e9 Hz at most', 0 < rate <= 1e9),
         ('--duration', duration, 'more than 0 s', 0 < duration < np.inf),
         ('--noise', noise, '0 m or more', 0 <= noise < np.inf),
         ('--dropout', dropout, 'from 0 to 1', 0 <= dropout <= 1),

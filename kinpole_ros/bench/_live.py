@@ -40,8 +40,8 @@ _MARKERS = 20
 _BODY = ['3', '7', '11', '15']
 _BEST_EFFORT = ReliabilityPolicy.BEST_EFFORT
 _WAIT = 20.0
-# Rates tried, each so many times the one before, for so long (s), up to so often: whatever else
-# runs on the machine may take a core for a moment.
+# Rates tried, each so many times the one before unless asked otherwise, for so long (s), up to so
+# often: whatever else runs on the machine may take a core for a moment.
 _STEP_UP = 1.1
 _TRY = 2.0
 _TRIES = 3
@@ -207,11 +207,12 @@ def started(words: list[str]) -> Iterator['subprocess.Popen[bytes]']:
             process.wait()
 
 
-def measure_live(messages: int = 2000, rate: float = 200.0) -> Live:
+def measure_live(messages: int = 2000, rate: float = 200.0, step_up: float = _STEP_UP) -> Live:
     """
     Measure all of it.
 
-    `messages` are sent to each of the two at `rate` Hz for the latency.
+    `messages` are sent to each of the two at `rate` Hz for the latency; of the rates they hold,
+    each tried is `step_up` times the one before.
     """
     with processes():
         asker = Asker()
@@ -226,7 +227,7 @@ def measure_live(messages: int = 2000, rate: float = 200.0) -> Live:
         try:
             for name, publisher in asker.publishers.items():
                 asker.until(publisher.get_subscription_count, f'{name} at its markers')
-            rates = _rates(asker)
+            rates = _rates(asker, step_up)
         finally:
             asker.close()
     starts = [_first_answer() for _ in range(3)]
@@ -276,7 +277,7 @@ def _latency(asker: Asker, messages: int, rate: float) -> dict[str, Latency]:
     return found
 
 
-def _rates(asker: Asker) -> dict[str, float]:
+def _rates(asker: Asker, step_up: float) -> dict[str, float]:
     """The highest rate (Hz) at which each loses nothing, while its answers are subscribed to."""
     # Subscribed to and never taken: so they are sent, and cost this process next to nothing.
     sink = rclpy.create_node('sink', context=asker.node.context)
@@ -304,7 +305,7 @@ def _rates(asker: Asker) -> dict[str, float]:
         best[name] = 0.0
         while rate < _HIGHEST and any(held(name, rate) for _ in range(_TRIES)):
             best[name] = rate
-            rate *= _STEP_UP
+            rate *= step_up
     sink.destroy_node()
     return best
 

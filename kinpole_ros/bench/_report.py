@@ -105,7 +105,8 @@ def bench(
 
     spent = costs(1 if quick else 5)
     tell(0.02)
-    fast = [*speed_rows(quick), *live_rows(measure_live(300 if quick else 2000))]
+    fast = speed_rows(quick)
+    fast += live_rows(measure_live(300, step_up=4.0) if quick else measure_live())
     write('speed', fast, None)
     tell(0.2)
     ratios, covered, bounded = hindsight_table(names, NOISES, *((1, 3.0) if quick else (9, 6.0)))

@@ -227,17 +227,23 @@ class Mechanism:
         first = int(np.argmin(closed))
         when = '' if times is None else f' at {times[first]:.6g} s'
         at = ', '.join(
-            f'{driver.name} = {value:.12g}'
-            for driver, value in zip(self.drivers, inputs[0, :, first], strict=True)
+            f'{driver.name} = {self._shown(k, value)}'
+            for k, (driver, value) in enumerate(zip(self.drivers, inputs[0, :, first], strict=True))
         )
         limits = ''
         if self._path is not None and len(self.drivers) == 1:
-            ends = [self._path.inputs[0], self._path.inputs[-1]]
-            for dead in self._path.dead_points:
-                if dead.turns_back:
-                    ends[int(dead.at > self._path.inputs[0])] = dead.at
-            limits = f', it reaches from {ends[0]:.12g} to {ends[1]:.12g}'
+            # The ends of the path are none: it may go on where nobody asked for it.
+            ends = sorted({dead.at for dead in self._path.dead_points if dead.turns_back})
+            limits = ' and '.join(self._shown(0, end) for end in ends)
+            limits = limits and f', it turns back at {limits}'
         return f'the linkage cannot follow its drivers{when}, to {at}{limits}: drive it less far'
+
+    def _shown(self, k: int, value: float) -> str:
+        """A value of a driver, with its unit."""
+        kinds = list(self.assembly.kinds.values())
+        if kinds[int(np.flatnonzero(self.drivers[k].row)[0])] == 'angle':
+            return f'{np.degrees(value):.9g} deg'
+        return f'{value:.9g} m'
 
 
 def body_motion(assembly: Assembly, values: Real) -> tuple[Complex, Real]:

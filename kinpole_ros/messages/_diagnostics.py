@@ -37,11 +37,13 @@ class DiagnosticsMaker:
     """
     Makes the diagnostics of a tracker; remembers the last ones to tell rates by.
 
-    With a `theory` they also tell how far the bodies are from it.
+    With a `theory` they also tell how far the bodies are from it. `topic` is where markers are
+    awaited, and is named when none come.
     """
 
-    def __init__(self, name: str, theory: Theory | None = None) -> None:
+    def __init__(self, name: str, theory: Theory | None = None, topic: str = '') -> None:
         self._name = name
+        self._nothing = f'no markers received on {topic}' if topic else 'no markers received'
         self._theory = theory
         self._before: Counter[str] = Counter()
 
@@ -77,7 +79,7 @@ class DiagnosticsMaker:
         self._before = counts.copy()
         array = DiagnosticArray()
         array.header.stamp = ns_to_stamp(stamp)
-        faults = _faults(tracker, since, trouble)
+        faults = _faults(tracker, since, trouble, self._nothing)
         faults += stamp_faults(stamps, seconds, tracker.settings.window)
         array.status = [self._input(tracker, since, seconds, faults)]
         noise = tracker.noise()
@@ -166,13 +168,13 @@ class DiagnosticsMaker:
 
 
 def _faults(
-    tracker: Tracker, since: Mapping[str, int], trouble: Mapping[str, str]
+    tracker: Tracker, since: Mapping[str, int], trouble: Mapping[str, str], nothing: str
 ) -> list[tuple[bytes, str]]:
     """
     Levels and words of what is wrong with the input.
 
     As REP-107 has them: with WARN figures still come and may suffer, with ERROR they cannot be
-    relied upon. STALE is when nothing came.
+    relied upon. STALE is when nothing came, and `nothing` says so.
     """
     mostly_good = since.get('frames', 0) > since.get('unreadable', 0)
     faults = []
@@ -180,7 +182,7 @@ def _faults(
         mild = topic == 'message' and mostly_good
         faults.append((DiagnosticStatus.WARN if mild else DiagnosticStatus.ERROR, text))
     if not since.get('frames') and not faults:
-        return [(DiagnosticStatus.STALE, 'no markers received')]
+        return [(DiagnosticStatus.STALE, nothing)]
     if dropped := since.get('dropped'):
         text = (
             f'{dropped} messages dropped: the node or the network cannot keep up; send fewer '

@@ -5,7 +5,7 @@ One row per body: the plane with both centrodes and the poles of one instant, th
 and how the ICR runs along the fixed centrode.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -39,13 +39,15 @@ _BAND: dict[str, Any] = {'color': _BLUE, 'alpha': 0.3, 'linewidth': 0.8}
 _HALO: dict[str, Any] = {'facecolor': 'white', 'edgecolor': 'none', 'alpha': 0.75, 'pad': 1.0}
 
 
-def plot(bag: str | Path, output: str | Path) -> None:
+def plot(
+    bag: str | Path, output: str | Path, progress: Callable[[float], None] | None = None
+) -> None:
     """
     Draw the results in `bag` (an .mcap file or a rosbag2 folder) to `output`.
 
     The format goes by the suffix of `output`: png, pdf, svg or whatever else matplotlib writes.
-    Raises BagError when the bag holds no results, `output` cannot be written or matplotlib is
-    missing.
+    `progress` is called with the fraction of the bag that is read. Raises BagError when the bag
+    holds no results, `output` cannot be written or matplotlib is missing.
     """
     try:
         from matplotlib.figure import Figure
@@ -58,7 +60,7 @@ def plot(bag: str | Path, output: str | Path) -> None:
     formats = sorted(figure.canvas.get_supported_filetypes())
     if Path(output).suffix[1:].lower() not in formats:
         raise BagError(f'{output} is no picture; end its name in one of {", ".join(formats)}')
-    results = read_results(bag)
+    results = read_results(bag, progress)
     _draw(figure, Path(bag).name, results)
     try:
         figure.savefig(output, dpi=_DPI)
@@ -362,7 +364,8 @@ def _draw_time(axis: Any, body: Body, panel: _Panel, start: int, instant: int) -
     axis.set_ylabel(panel.label)
     share = len(panel.series.stamp) / len(body.stamp) if panel.series is not None else 0.0
     if share < 0.9:
-        text = f'determined at {share:.0%} of the instants' if share else 'undetermined'
+        percent = f'{share:.0%}' if share >= 0.01 else 'less than 1%'
+        text = f'determined at {percent} of the instants' if share else 'undetermined'
         axis.text(0.02, 0.96, text, transform=axis.transAxes, va='top', fontsize='small', zorder=5)
     if panel.series is None:
         axis.set_yticks([])

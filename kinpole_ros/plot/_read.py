@@ -73,11 +73,11 @@ class Centrodes(NamedTuple):
     sigma: np.ndarray
 
 
-def read_results(bag: str | Path) -> Results:
+def read_results(bag: str | Path, progress: Callable[[float], None] | None = None) -> Results:
     """
     The results of a bag, whatever node published them; exact answers of simulate are left out.
 
-    Raises BagError when there are none.
+    `progress` is called with the fraction of bytes read. Raises BagError when there are none.
     """
     kinds = topics(bag)
     prefixes = [
@@ -94,14 +94,26 @@ def read_results(bag: str | Path) -> Results:
         for topic in kinds
         if topic.startswith(f'{prefix}/wrt/') and topic.endswith('/icr')
     }
-    wanted = {f'{prefix}/{part}' for prefix in prefixes for part in ('odom', *_PARTS)}
-    rows, cut = _read(bag, wanted | set(relative)) if prefixes else ({}, False)
-    prefixes = [prefix for prefix in prefixes if f'{prefix}/odom' in rows]
     if not prefixes:
         raise BagError(
             f'{bag} holds no results (no odometry of a body); make them first: '
             f'kinpole replay {bag} --output RESULT.mcap'
         )
+    wanted = {f'{prefix}/{part}' for prefix in prefixes for part in ('odom', *_PARTS)}
+    # Of a pole that comes with its covariance the plain one says nothing more.
+    wanted -= {
+        t.removesuffix('/with_covariance')
+        for t in wanted & set(kinds)
+        if t.endswith('/with_covariance')
+    }
+    rows, cut = _read(bag, wanted | set(relative), progress)
+    bodies_there = [prefix for prefix in prefixes if f'{prefix}/odom' in rows]
+    if not bodies_there:
+        raise BagError(
+            f'{bag} holds no pose of {", ".join(prefixes)}; see in its /diagnostics why, and '
+            'whether the parameters name the markers as they are published'
+        )
+    prefixes = bodies_there
     odometry = {prefix: rows[f'{prefix}/odom'] for prefix in prefixes}
     plane = _plane(np.concatenate([values for _, values in odometry.values()]))
     axes = AXES[plane]
@@ -172,13 +184,13 @@ _ROWS: dict[str, Callable[[Any], list[float]]] = {
 
 
 def _read(
-    bag: str | Path, wanted: Collection[str]
+    bag: str | Path, wanted: Collection[str], progress: Callable[[float], None] | None
 ) -> tuple[dict[str, tuple[np.ndarray, np.ndarray]], bool]:
     """Stamps (T,) and numbers (T, ...) of each topic with messages, and if the bag is cut off."""
     found: dict[str, dict[int, list[float]]] = {}
     cut = False
     try:
-        for message in read_messages(bag, wanted):
+        for message in read_messages(bag, wanted, progress):
             row = _ROWS.get(message.type_name)
             if row is None:
                 continue
