@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import Any
 
 from kinpole_ros import __version__
-from kinpole_ros.bags import BagError, bag_files, replay
+from kinpole_ros.bags import BagError, bag_files, replay, warnings_of
 from kinpole_ros.mechanism import LinkageError, SceneError
 from kinpole_ros.parameters import ParameterError, Settings
 
@@ -201,6 +201,7 @@ def _replay_one(
             'frame_changes': result.frame_changes,
             'unreadable': result.unreadable,
             'problem': result.problem,
+            'warnings': '; '.join(warnings_of(result, settings)),
         }
         for body, poles in result.determined.items():
             row[f'{body}_noise'] = result.noise[body] if result.noise[body] >= 0 else None

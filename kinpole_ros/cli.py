@@ -21,15 +21,9 @@ from kinpole_ros import __version__
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from kinpole_ros.bags import Replayed
-    from kinpole_ros.parameters import Settings
-
 # The products computed here are small. A BLAS that has them done by threads waits for these longer
 # than it computes where other processes run: 207 us a frame of replay on 2 busy cores against 60.
 os.environ.setdefault('OPENBLAS_NUM_THREADS', '1')
-
-# Of the names of markers in a bag, which may be anything.
-_MOST_NAMES, _MOST_TOLD = 12, 80
 
 _EPILOG = """examples:
   kinpole simulate four_bar --output four_bar.mcap --noise 0.0002
@@ -339,7 +333,7 @@ class _ListScenes(argparse.Action):
 
 
 def _replay(options: argparse.Namespace) -> int:
-    from kinpole_ros.bags import replay
+    from kinpole_ros.bags import replay, warnings_of
     from kinpole_ros.parameters import Settings, load_settings
 
     outputs = (options.output, options.csv, options.parquet)
@@ -370,54 +364,12 @@ def _replay(options: argparse.Namespace) -> int:
     for target in outputs:
         if target:
             print(f'written to {target}')
-    if result.unreadable:
-        print(
-            f'kinpole replay: {result.unreadable} messages left out, the first: {result.problem}',
-            file=sys.stderr,
-        )
-    for line in (*_absent(result), *_untold(result, settings)):
+    for line in warnings_of(result, settings):
         print(f'kinpole replay: {line}', file=sys.stderr)
     if result.truncated is not None:
         print(f'kinpole replay: {_line(result.truncated)}', file=sys.stderr)
     lost = any(len(settings.bodies[b]) - len(names) < 2 for b, names in result.absent.items())
     return 2 if result.truncated is not None or lost or not result.estimates else 0
-
-
-def _absent(result: 'Replayed') -> 'Iterator[str]':
-    """Lines on the markers that were asked for and never came."""
-    if not result.frames:
-        return
-    there = [repr(name)[:_MOST_TOLD] for name in result.identities[:_MOST_NAMES]]
-    if len(result.identities) > _MOST_NAMES:
-        there.append('...')
-    for body, names in result.absent.items():
-        yield (
-            f'no message has {", ".join(names)} of {body}; the last one has {", ".join(there)}; '
-            f'correct the parameter {body}.markers, or marker_identity'
-        )
-
-
-def _untold(result: 'Replayed', settings: 'Settings') -> 'Iterator[str]':
-    """A line on why there are no results, where there are none."""
-    if result.estimates:
-        return
-    if not result.frames:
-        yield 'no results, since the topic has no messages; record again, or name another --topic'
-    elif result.repeated and result.repeated + 1 == result.frames:
-        yield (
-            'no results, since all stamps are the same; see that the driver sets header.stamp to '
-            'the time of capture'
-        )
-    elif result.resets:
-        yield (
-            f'no results, since the stamps jump by more than the parameter window, '
-            f'{settings.window:g} s; raise it, or see to the stamps'
-        )
-    else:
-        yield (
-            f'no results, since a frame has one when it is {settings.lag:g} s old (the parameter '
-            f'lag), and there are {(result.last - result.first) / 1e9:.3g} s; record longer'
-        )
 
 
 def _batch(options: argparse.Namespace) -> int:
@@ -433,7 +385,7 @@ def _batch(options: argparse.Namespace) -> int:
     kinds = [kind for kind in KINDS if getattr(options, kind)] or ['mcap']
 
     def report(row: dict[str, Any]) -> None:
-        for trouble in (row['error'], row.get('truncated')):
+        for trouble in (row['error'], row.get('truncated'), row.get('warnings')):
             if trouble:
                 name = '' if row['bag'] in trouble else f'{row["bag"]}: '
                 clear = _cleared() if _on_terminal() else ''

@@ -34,6 +34,9 @@ from kinpole_ros.window import (
 _ROUNDING = 4 * np.finfo(float).eps
 # rad. An angle noisier than this wanders round, and its errors are no longer small.
 _UNSTEADY = 0.15
+# Markers are not of one rigid body that are off it by so many times their noise and by this share
+# of its size.
+_LOOSE, _LOOSE_SHARE = 5.0, 0.01
 # Frames later than this many intervals of late come after a gap.
 _LATE = 2.5
 
@@ -144,6 +147,16 @@ class Tracker:
         if self.settings.noise > 0:
             return np.full(len(self.bodies), self.settings.noise)
         return np.maximum(self._noise.level(), _ROUNDING * self._shapes.farthest)
+
+    def looseness(self) -> np.ndarray:
+        """
+        How far (B,) markers are off one rigid body, m, per axis; 0 where they may well be of one.
+
+        No noise accounts for it: the markers are of several links, or their body bends.
+        """
+        off, noise = np.sqrt(self._shapes.misfit()), self._noise.level()
+        loose = (off > _LOOSE * noise) & (off > _LOOSE_SHARE * self._size())
+        return np.where(loose, off, 0.0)
 
     def add(self, frames: MarkerFrames, order: int | None) -> list[Estimate]:
         """

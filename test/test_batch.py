@@ -263,3 +263,14 @@ def test_what_cannot_be_used_is_one_line(
         BagError, match=r"^many bags need Dask; mend: pip install 'kinpole_ros\[batch\]'"
     ):
         batch([bag], tmp_path / 'out', SETTINGS)
+
+
+def test_what_makes_results_worse_is_reported_and_kept_in_the_summary(
+    simulated: Simulated, tmp_path: Path
+) -> None:
+    bag = simulated('four_bar')
+    links = run(bag, '--output', tmp_path / 'links')
+    assert links[0] == 0
+    assert f'{bag}: body: its markers are' in links[2]
+    (row,) = summary(tmp_path / 'links')
+    assert 'off one rigid body' in row['warnings']

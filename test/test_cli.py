@@ -525,6 +525,16 @@ def test_a_bag_cut_in_its_head_is_one_line(kinpole: Any, rod: Path) -> None:
 # What is done
 
 
+def test_replay_warns_of_a_body_whose_markers_are_of_several_links(
+    kinpole: Any, tmp_path: Path
+) -> None:
+    bag = tmp_path / 'markers.mcap'
+    assert kinpole('simulate', 'four_bar', '--output', str(bag)).status == 0
+    said = kinpole('replay', str(bag))
+    assert said.status == 0
+    assert 'off one rigid body' in said.err
+
+
 def test_simulate_replay_and_plot_go_together(kinpole: Any, tmp_path: Path) -> None:
     pytest.importorskip('matplotlib')
     bag, result, picture = (tmp_path / name for name in ('a.mcap', 'b.mcap', 'c.png'))

@@ -449,3 +449,18 @@ def test_a_body_without_results_says_whether_markers_or_readers_are_missing() ->
     assert markers == (DiagnosticStatus.OK, 'receiving markers')
     assert body[0] == DiagnosticStatus.STALE
     assert 'nobody subscribes' in body[1]
+
+
+def test_a_body_whose_markers_are_of_several_links_is_warned_of() -> None:
+    tracker = Tracker(Settings())
+    maker = DiagnosticsMaker('kinpole')
+    angle = np.arange(100) / 30
+    arms = np.exp(1j * angle), np.exp(-2j * angle)
+    flat = np.stack((0 * arms[0], arms[0], 3 + 0 * arms[0], 3 + arms[1]), axis=1)
+    points = np.stack((flat.real, flat.imag, 0 * flat.real), axis=-1)
+    stamps = 10**18 + STEP * np.arange(100)
+    (estimate,) = tracker.add(MarkerFrames(stamps, FRAME, ('0', '1', '2', '3'), points), 1)
+    status = maker.make(10**18, tracker, estimate, 1.0, {}).status[1]
+    assert status.level == DiagnosticStatus.WARN
+    assert 'm off one rigid body' in status.message
+    assert 'one link only' in status.message

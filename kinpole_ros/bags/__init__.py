@@ -13,6 +13,7 @@ from kinpole_ros.bags._reader import (
 from kinpole_ros.bags._replay import NODE_NAME, Replayed, replay
 from kinpole_ros.bags._schema import definition, message_class, type_name
 from kinpole_ros.bags._simulate import simulate
+from kinpole_ros.bags._warnings import warnings_of
 from kinpole_ros.bags._writer import BagWriter
 
 __all__ = [
@@ -32,4 +33,5 @@ __all__ = [
     'simulate',
     'topics',
     'type_name',
+    'warnings_of',
 ]

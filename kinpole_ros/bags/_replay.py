@@ -42,9 +42,10 @@ class Replayed(NamedTuple):
     `unreadable` counts messages that could not be read, `problem` is the first one's;
     `truncated` says where a damaged bag ended, None for a sound one. `repeated` and `late` count
     frames left out, `resets` and `frame_changes` starts anew, as the tracker does. `noise` is that
-    of a marker of each body at the end, per axis, m, NaN where it is not known; `first` and `last`
-    are the stamps of these frames, ns. `absent` are the markers of each body that are in no
-    message, and `identities` those of the last one.
+    of a marker of each body at the end, per axis, m, NaN where it is not known, and `looseness` how
+    far markers are off one rigid body, m, 0 where they may be of one; `first` and `last` are the
+    stamps of these frames, ns. `absent` are the markers of each body that are in no message, and
+    `identities` those of the last one.
     """
 
     frames: int
@@ -58,6 +59,7 @@ class Replayed(NamedTuple):
     frame_changes: int
     truncated: Truncated | None
     noise: dict[str, float]
+    looseness: dict[str, float]
     first: int
     last: int
     absent: dict[str, list[str]]
@@ -177,6 +179,7 @@ def replay(
         counts['frame_changes'],
         truncated,
         dict(zip(tracker.bodies, tracker.noise().tolist(), strict=True)),
+        dict(zip(tracker.bodies, tracker.looseness().tolist(), strict=True)),
         first or 0,
         last,
         absent,

@@ -1,7 +1,7 @@
 """ROS messages to arrays and back: nothing behind this package handles a message itself."""
 
 from kinpole_ros.messages._cloud import MessageError
-from kinpole_ros.messages._diagnostics import DiagnosticsMaker
+from kinpole_ros.messages._diagnostics import DiagnosticsMaker, not_rigid
 from kinpole_ros.messages._markers import (
     MARKER_TYPES,
     ROS_TYPE_NAMES,
@@ -20,6 +20,7 @@ __all__ = [
     'MarkerReader',
     'MessageError',
     'Output',
+    'not_rigid',
     'ns_to_stamp',
     'read_markers',
     'result_outputs',

@@ -82,11 +82,13 @@ class DiagnosticsMaker:
         faults = _faults(tracker, since, trouble, self._nothing)
         faults += stamp_faults(stamps, seconds, tracker.settings.window)
         array.status = [self._input(tracker, since, seconds, faults)]
-        noise = tracker.noise()
+        noise, loose = tracker.noise(), tracker.looseness()
+        receiving = bool(since.get('frames'))
 
         def finish(now: Estimate | None) -> DiagnosticArray:
             for b, body in enumerate(tracker.bodies):
-                array.status.append(self._body(b, body, now, noise, bool(since.get('frames'))))
+                status = self._body(b, body, now, float(noise[b]), float(loose[b]), receiving)
+                array.status.append(status)
             if now is not None and (len(tracker.bodies) > 1 or self._theory is not None):
                 array.status.append(self._linkage(now))
             return array
@@ -137,12 +139,18 @@ class DiagnosticsMaker:
         return _status(f'{self._name}: markers', level, message, values)
 
     def _body(
-        self, b: int, body: str, now: Estimate | None, noise: np.ndarray, receiving: bool
+        self,
+        b: int,
+        body: str,
+        now: Estimate | None,
+        noise: float,
+        loose: float,
+        receiving: bool,
     ) -> DiagnosticStatus:
         name = f'{self._name}: {body}'
         values: dict[str, object] = {}
-        if np.isfinite(noise[b]):
-            values['noise of a marker per axis (m)'] = float(noise[b])
+        if np.isfinite(noise):
+            values['noise of a marker per axis (m)'] = noise
         if not receiving:
             return _status(name, DiagnosticStatus.STALE, 'no markers received', values)
         if now is None:
@@ -161,10 +169,20 @@ class DiagnosticsMaker:
             values['pin (m)'] = f'{now.pin[b].real:.6g}, {now.pin[b].imag:.6g}'
         for quantity, reason in reasons.items():
             values[f'{quantity} undetermined'] = reason
-        message = 'tracking'
+        level, message = DiagnosticStatus.OK, 'tracking'
+        if loose:
+            level, message = DiagnosticStatus.WARN, not_rigid(loose)
         if reasons:
             message += '; undetermined: ' + ', '.join(reasons)
-        return _status(name, DiagnosticStatus.OK, message, values)
+        return _status(name, level, message, values)
+
+
+def not_rigid(off: float) -> str:
+    """What is to be said of a body whose markers are so far (m) off one rigid body."""
+    return (
+        f'its markers are {off:.2g} m off one rigid body, far more than their noise: name those of '
+        'one link only'
+    )
 
 
 def _faults(
