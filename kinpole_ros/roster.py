@@ -27,17 +27,20 @@ class Roster:
     The markers of the bodies of `settings`.
 
     `width` is for how many markers a body there is room, `wanted` how many there are of all bodies,
-    and `unknown` how many of the last new layout no body names.
+    and `unknown` how many of the last new layout no body names. `absent` are the markers of each
+    body that the last message lacks, and `identities` those it has.
     """
 
     def __init__(self, settings: Settings) -> None:
         self._markers = [list(markers) for markers in settings.bodies.values()]
         self._all_markers = not any(self._markers)
         self._axes = AXES[settings.plane]
-        self._places: dict[tuple[str, ...], tuple[np.ndarray, bool]] = {}
+        self._places: dict[tuple[str, ...], tuple[np.ndarray, bool, list[list[str]]]] = {}
         self.width = max(2, *(len(markers) for markers in self._markers))
         self.wanted = sum(map(len, self._markers))
         self.unknown = 0
+        self.absent: list[list[str]] = []
+        self.identities: tuple[str, ...] = ()
 
     def sort(self, frames: MarkerFrames) -> tuple[np.ndarray, np.ndarray]:
         """
@@ -45,7 +48,8 @@ class Roster:
 
         A body of all markers takes those not met before; it may be wider afterwards.
         """
-        place, complete = self._place(frames.identities)
+        self.identities = frames.identities
+        place, complete, self.absent = self._place(frames.identities)
         rows = frames.points
         if not complete:
             # One more row of NaN stands for every marker that is not in the message.
@@ -60,24 +64,30 @@ class Roster:
         flat.real, flat.imag = solid[..., self._axes[0]], solid[..., self._axes[1]]
         return flat, solid[..., self._axes[2]]
 
-    def _place(self, identities: tuple[str, ...]) -> tuple[np.ndarray, bool]:
+    def _place(self, identities: tuple[str, ...]) -> tuple[np.ndarray, bool, list[list[str]]]:
         """
-        Where (B, n) each body's markers are in a message, and whether there are all.
+        Where (B, n) each body's markers are in a message, whether there are n of each in it, and
+        which of each body it lacks.
 
-        One that is not in it has the last place + 1.
+        What is not there has the last place + 1.
         """
         found = self._places.get(identities)
         if found is None:
             if self._all_markers:
                 self._take_new(identities)
-            place = np.full((len(self._markers), self.width), len(identities))
+            nowhere = len(identities)
+            place = np.full((len(self._markers), self.width), nowhere)
             for body, markers in enumerate(self._markers):
-                for k, marker in enumerate(markers):
-                    place[body, k] = find_marker(marker, identities)
-            self.unknown = len(set(range(len(identities))) - set(place.ravel().tolist()))
+                place[body, : len(markers)] = [find_marker(name, identities) for name in markers]
+            absent = [
+                [name for name, where in zip(markers, places, strict=False) if where == nowhere]
+                for markers, places in zip(self._markers, place.tolist(), strict=True)
+            ]
+            self.unknown = len(set(range(nowhere)) - set(place.ravel().tolist()))
             if len(self._places) > _MOST_LAYOUTS:
                 self._places.clear()
-            self._places[identities] = found = place, bool((place < len(identities)).all())
+            complete = bool((place < nowhere).all())
+            self._places[identities] = found = place, complete, absent
         return found
 
     def _take_new(self, identities: tuple[str, ...]) -> None:

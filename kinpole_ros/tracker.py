@@ -158,6 +158,17 @@ class Tracker:
         loose = (off > _LOOSE * noise) & (off > _LOOSE_SHARE * self._size())
         return np.where(loose, off, 0.0)
 
+    def lacking(self) -> dict[str, list[str]]:
+        """Markers by body that the last message has not, where less than two of the body are."""
+        named = self.settings.bodies
+        lacks = dict(zip(self.bodies, self._roster.absent, strict=False))
+        return {b: names for b, names in lacks.items() if len(named[b]) - len(names) < 2 and names}
+
+    @property
+    def identities(self) -> tuple[str, ...]:
+        """The markers that the last message has."""
+        return self._roster.identities
+
     def add(self, frames: MarkerFrames, order: int | None) -> list[Estimate]:
         """
         Take frames; return what is now known, stamped `lag` earlier, an instant for most frames.

@@ -464,3 +464,24 @@ def test_a_body_whose_markers_are_of_several_links_is_warned_of() -> None:
     assert status.level == DiagnosticStatus.WARN
     assert 'm off one rigid body' in status.message
     assert 'one link only' in status.message
+
+
+def test_markers_that_no_message_has_are_named_until_they_come() -> None:
+    tracker = Tracker(Settings(bodies={'rod': ('tip', 'heel', 'toe'), 'all': ('a', 'b')}))
+    maker = DiagnosticsMaker('kinpole')
+
+    def told(*names: str) -> tuple[bytes, str]:
+        for _ in range(3):
+            stamps = np.array([10**18 + STEP * (tracker.counts['frames'] + 1)])
+            points = np.random.default_rng(0).normal(size=(1, len(names), 3))
+            tracker.add(MarkerFrames(stamps, FRAME, names, points), None)
+        status = maker.make(10**18, tracker, None, 1.0, {}).status[1]
+        return status.level, status.message
+
+    level, words = told('a', 'b', 'Tip', 'heel')
+    assert level == DiagnosticStatus.WARN
+    assert words.startswith("messages lack tip, toe of rod; the last one has 'a', 'b', 'Tip', ")
+    assert words.endswith('correct the parameter rod.markers, or marker_identity')
+    assert 'lack' not in told('a', 'b', 'tip', 'heel')[1]
+    assert 'lack' in told('a', 'b', 'Tip', 'heel')[1]
+    assert 'lack' not in told('a', 'b', 'tip', 'heel')[1]

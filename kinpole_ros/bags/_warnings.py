@@ -3,11 +3,8 @@
 from collections.abc import Iterator
 
 from kinpole_ros.bags._replay import Replayed
-from kinpole_ros.messages import not_rigid
+from kinpole_ros.messages import not_rigid, not_there
 from kinpole_ros.parameters import Settings
-
-# Of the names of markers in a bag, which may be anything.
-_MOST_NAMES, _MOST_TOLD = 12, 80
 
 
 def warnings_of(result: Replayed, settings: Settings) -> list[str]:
@@ -15,24 +12,12 @@ def warnings_of(result: Replayed, settings: Settings) -> list[str]:
     lines = []
     if result.unreadable:
         lines.append(f'{result.unreadable} messages left out, the first: {result.problem}')
-    lines += _absent(result)
+    if result.frames:
+        absent = result.absent.items()
+        lines += [not_there(body, names, result.identities) for body, names in absent]
     lines += [f'{body}: {not_rigid(off)}' for body, off in result.looseness.items() if off]
     lines += _untold(result, settings)
     return lines
-
-
-def _absent(result: Replayed) -> Iterator[str]:
-    """Lines on the markers that were asked for and never came."""
-    if not result.frames:
-        return
-    there = [repr(name)[:_MOST_TOLD] for name in result.identities[:_MOST_NAMES]]
-    if len(result.identities) > _MOST_NAMES:
-        there.append('...')
-    for body, names in result.absent.items():
-        yield (
-            f'no message has {", ".join(names)} of {body}; the last one has {", ".join(there)}; '
-            f'correct the parameter {body}.markers, or marker_identity'
-        )
 
 
 def _untold(result: Replayed, settings: Settings) -> Iterator[str]:

@@ -1,7 +1,7 @@
 """ROS messages to arrays and back: nothing behind this package handles a message itself."""
 
 from kinpole_ros.messages._cloud import MessageError
-from kinpole_ros.messages._diagnostics import DiagnosticsMaker, not_rigid
+from kinpole_ros.messages._diagnostics import DiagnosticsMaker, not_rigid, not_there
 from kinpole_ros.messages._markers import (
     MARKER_TYPES,
     ROS_TYPE_NAMES,
@@ -21,6 +21,7 @@ __all__ = [
     'MessageError',
     'Output',
     'not_rigid',
+    'not_there',
     'ns_to_stamp',
     'read_markers',
     'result_outputs',

@@ -13,6 +13,8 @@ from kinpole_ros.theory import Theory, joint_offsets, rate_differences
 from kinpole_ros.tracker import Tracker
 from kinpole_ros.window import FEWEST_SAMPLES
 
+# Of the names of markers in a message, which may be anything.
+_MOST_NAMES, _MOST_TOLD = 12, 80
 _WORDS = {
     'frames': 'frames received',
     'repeated': 'frames with the stamp of the one before, left out',
@@ -84,9 +86,17 @@ class DiagnosticsMaker:
         array.status = [self._input(tracker, since, seconds, faults)]
         noise, loose = tracker.noise(), tracker.looseness()
         receiving = bool(since.get('frames'))
+        lacking = {
+            body: not_there(body, names, tracker.identities)
+            for body, names in tracker.lacking().items()
+        }
 
         def finish(now: Estimate | None) -> DiagnosticArray:
             for b, body in enumerate(tracker.bodies):
+                if receiving and body in lacking:
+                    name = f'{self._name}: {body}'
+                    array.status.append(_status(name, DiagnosticStatus.WARN, lacking[body], {}))
+                    continue
                 status = self._body(b, body, now, float(noise[b]), float(loose[b]), receiving)
                 array.status.append(status)
             if now is not None and (len(tracker.bodies) > 1 or self._theory is not None):
@@ -175,6 +185,17 @@ class DiagnosticsMaker:
         if reasons:
             message += '; undetermined: ' + ', '.join(reasons)
         return _status(name, level, message, values)
+
+
+def not_there(body: str, names: Sequence[str], identities: Sequence[str]) -> str:
+    """What is to be said of markers of a body that messages with these identities lack."""
+    there = [repr(name)[:_MOST_TOLD] for name in identities[:_MOST_NAMES]]
+    if len(identities) > _MOST_NAMES:
+        there.append('...')
+    return (
+        f'messages lack {", ".join(names)} of {body}; the last one has '
+        f'{", ".join(there) or "none"}; correct the parameter {body}.markers, or marker_identity'
+    )
 
 
 def not_rigid(off: float) -> str:
