@@ -93,6 +93,7 @@ class KinpoleNode(LifecycleNode):
         self._lossless = False
         # Of the frames since the last diagnostics.
         self._stamps: list[int] = []
+        self._amid_markers = False
         self._timers_made: list[Any] = []
         self._latest: Estimate | None = None
         self._trouble: dict[str, str] = {}
@@ -353,6 +354,7 @@ class KinpoleNode(LifecycleNode):
 
     def _on_markers(self, message: bytes, info: Mapping[str, Any]) -> None:
         """Take all that waits at once: what is behind catches up, and loses the oldest first."""
+        self._amid_markers = True
         kind = MARKER_TYPES[self._kind]
         waiting = [(message, info)]
         with self._subscription.handle:
@@ -379,6 +381,7 @@ class KinpoleNode(LifecycleNode):
                     for _, data in output.build(estimate):
                         publisher.publish(data)
         self._tracker.settle()
+        self._amid_markers = False
 
     def _newest_last(
         self, read: list[MarkerFrames | MessageError]
@@ -425,12 +428,16 @@ class KinpoleNode(LifecycleNode):
         self._status.publish(array)
 
     def survive(self, error: Exception) -> None:
-        """Start anew after what no callback caught, and tell of it."""
-        self._tracker.reset()
-        self._latest = None
+        """After what no callback caught: tell of it, and if it was amid markers start anew."""
+        what = 'goes on'
+        if self._amid_markers:
+            self._amid_markers = False
+            self._tracker.reset()
+            self._latest = None
+            what = 'starts anew'
         self._tracker.counts['failures'] += 1
         text = ' '.join(str(error).split())
-        self._warn('failure', f'the node failed ({type(error).__name__}: {text}) and starts anew')
+        self._warn('failure', f'the node failed ({type(error).__name__}: {text}) and {what}')
 
 
 def _change_if_possible(change: Callable[..., Any], request: Any, response: Any) -> Any:

@@ -68,15 +68,26 @@ CHECKED: dict[str, tuple[Callable[[Any], complex], complex, float]] = {
 
 
 class Rig(Peer):
-    """A tracker that can do wrong, and ears for all the node says."""
+    """
+    A tracker that can do wrong, and ears for all the node says.
 
-    def __init__(self) -> None:
+    A node that runs beside that of the other tests here has a name and a topic of its own, lest one
+    be taken for the other.
+    """
+
+    def __init__(self, name: str = 'kinpole', topic: str = '/markers') -> None:
         super().__init__()
+        self.name, self.topic = name, topic
         self.frame = 0.0
         self.stamp = 1_000_000_000_000
         self._next = 0.0
         self._ears: dict[str, Any] = {}
         self._heard_so_far: dict[str, list[Any]] = {}
+
+    def words(self, config: FilePath, **parameters: Any) -> list[str]:
+        """What starts the node."""
+        words = node_words(config, marker_topic=self.topic, **parameters)
+        return [*words, '-r', f'__node:={self.name}']
 
     def listen(self) -> None:
         """
@@ -85,7 +96,8 @@ class Rig(Peer):
         No executor has to wait for them: the middleware keeps them until they are looked at.
         """
         ears = rclpy.create_node('ears', context=self.node.context)
-        topics = {f'/kinpole/{o.topic}': o.message_type for o in result_outputs(('rod',), 'xy')}
+        outputs = result_outputs(('rod',), 'xy')
+        topics = {f'/{self.name}/{o.topic}': o.message_type for o in outputs}
         for topic, kind in {**topics, '/diagnostics': DiagnosticArray}.items():
             qos = QoSProfile(depth=2000)
             self._ears[topic] = ears.create_subscription(kind, topic, lambda _: None, qos)
@@ -112,11 +124,11 @@ class Rig(Peer):
             self._executor.spin_once(timeout_sec=0.002)
 
     @contextmanager
-    def publisher(self, message_type: type, topic: str = '/markers') -> Iterator[Any]:
+    def publisher(self, message_type: type) -> Iterator[Any]:
         """A publisher that the node has found, gone whatever happens meanwhile."""
-        made = self.node.create_publisher(message_type, topic, QoSProfile(depth=1000))
+        made = self.node.create_publisher(message_type, self.topic, QoSProfile(depth=1000))
         try:
-            self.until(made.get_subscription_count, f'the node on {topic}')
+            self.until(made.get_subscription_count, f'the node on {self.topic}')
             yield made
         finally:
             self.node.destroy_publisher(made)
@@ -152,13 +164,13 @@ class Rig(Peer):
 
     def newest(self) -> int:
         """The last instant that all the results are there of that are checked."""
-        last = [self.heard(f'/kinpole/rod/{topic}')[-1:] for topic in CHECKED]
+        last = [self.heard(f'/{self.name}/rod/{topic}')[-1:] for topic in CHECKED]
         return min(stamp_of(found[0]) for found in last) if all(last) else 0
 
     def check_right(self, since: int) -> None:
         """All that holds for instants from `since` on is right, and there is enough of it."""
         for topic, (read, expected, tolerance) in CHECKED.items():
-            found = [m for m in self.heard(f'/kinpole/rod/{topic}') if stamp_of(m) >= since]
+            found = [m for m in self.heard(f'/{self.name}/rod/{topic}') if stamp_of(m) >= since]
             assert len(found) >= 5, topic
             off = max(abs(read(m) - expected) for m in found)
             assert off < tolerance, f'{topic} {off} off'
@@ -176,7 +188,8 @@ class Rig(Peer):
     def named(self, level: bytes | None, words: str, counted: str | None, status: int = 0) -> bool:
         """Whether diagnostics were heard of this level, with these words and a count."""
         for told in (heard.status[status] for heard in self.heard('/diagnostics')):
-            if words in told.message and level in (None, told.level):
+            ours = told.name.startswith(f'{self.name}: ')
+            if ours and words in told.message and level in (None, told.level):
                 values = {pair.key: pair.value for pair in told.values}
                 if counted is None or int(values[counted]) > 0:
                     return True
@@ -484,19 +497,28 @@ def test_mutilated_messages(rig: Rig, kind: str) -> None:
 
 
 def test_a_simulated_clock_may_tell_any_time(tmp_path: FilePath) -> None:
-    config = write_config(tmp_path / 'rod.yaml', SETTINGS, marker_identity='index', **RELIABLE)
-    rig = Rig()
+    config = write_config(tmp_path / 'rod.yaml', SETTINGS, marker_identity='index')
+    rig = Rig('simulated', '/simulated')
     try:
-        with process(*node_words(config, use_sim_time=True), log=tmp_path / 'stderr') as node:
+        words = rig.words(config, use_sim_time=True)
+        with process(*words, log=tmp_path / 'stderr') as node:
             rig.listen()
             clock = rig.node.create_publisher(Clock, '/clock', 1)
             rig.until(clock.get_subscription_count, 'the clock of the node')
-            told = itertools.cycle((Time(sec=-5), Time(sec=2**31 - 1, nanosec=2**32 - 1)))
-            say = lambda: clock.publish(Clock(clock=next(told)))  # noqa: E731
-            rig.diagnosed(say, STALE, 'no markers received', None)
-            clock.publish(b'\x00\x01\x00\x00\xff')
             with rig.publisher(MARKER_TYPES['marker_array']) as publisher:
                 rig.begin(publisher)
+                times = itertools.cycle((Time(sec=-5), Time(sec=2**31 - 1, nanosec=2**32 - 1)))
+
+                def say() -> None:
+                    clock.publish(Clock(clock=next(times)))
+                    rig.send_next(publisher)
+
+                start = rig.stamp
+                rig.diagnosed(say, ERROR, 'must not be negative) and goes on', None)
+                clock.publish(b'\x00\x01\x00\x00\xff')
+                rig.until(lambda: rig.newest() >= rig.stamp - LAG - STEP, 'the results')
+                # Nothing started anew.
+                rig.check_right(start)
             rig.check_finite()
             assert node.poll() is None
     finally:
@@ -518,10 +540,10 @@ sys.exit(main(['kinpole', *sys.argv[1:]]))
 
 
 def test_a_failure_of_its_own_is_told_of_and_ridden_out(tmp_path: FilePath) -> None:
-    config = write_config(tmp_path / 'rod.yaml', SETTINGS, marker_identity='index', **RELIABLE)
-    rig = Rig()
+    config = write_config(tmp_path / 'rod.yaml', SETTINGS, marker_identity='index')
+    rig = Rig('failing', '/failing')
     words = ['timeout', '--foreground', '-k', '2', '60', sys.executable, '-c', FAILING]
-    with subprocess.Popen([*words, *node_words(config)[1:]]) as node:
+    with subprocess.Popen([*words, *rig.words(config)[1:]]) as node:
         try:
             rig.listen()
             with rig.publisher(MARKER_TYPES['marker_array']) as publisher:
@@ -640,15 +662,12 @@ def test_told_to_stop_again_and_again_amid_markers_the_node_ends_well(
     sign: signal.Signals, tmp_path: FilePath
 ) -> None:
     """As by a terminal and by the launch file that it told too: no call is broken off by it."""
-    # Not to be taken for the node of the other tests here, which may be up as well.
-    config = write_config(
-        tmp_path / 'rod.yaml', SETTINGS, marker_identity='index', marker_topic='/seen'
-    )
-    rig = Rig()
+    config = write_config(tmp_path / 'rod.yaml', SETTINGS, marker_identity='index')
+    rig = Rig('stopped', '/seen')
     try:
-        with process(*node_words(config), '-r', '__node:=k', log=tmp_path / 'stderr') as node:
-            with rig.publisher(MARKER_TYPES['marker_array'], '/seen') as publisher:
-                heard = rig.hear('/k/rod/icr', PointStamped)
+        with process(*rig.words(config), log=tmp_path / 'stderr') as node:
+            with rig.publisher(MARKER_TYPES['marker_array']) as publisher:
+                heard = rig.hear('/stopped/rod/icr', PointStamped)
                 rig.until(lambda: rig.send_next(publisher) or heard, 'the first results')
 
                 def ended() -> bool:
@@ -723,15 +742,15 @@ def crowd(count: int = 100) -> Callable[[int, int], bytes]:
 def test_a_flood_is_told_of_and_the_newest_wins(tmp_path: FilePath) -> None:
     """100 markers at 1 kHz and more, for a node with one core that it shares with the sender."""
     frame = crowd()
-    rig = Rig()
+    rig = Rig('flooded', '/flood')
     cores = os.sched_getaffinity(0)
     os.sched_setaffinity(0, {min(cores)})
     config = write_config(tmp_path / 'rod.yaml', Settings(bodies={'rod': ()}))
     try:
-        with process(*node_words(config), log=tmp_path / 'stderr') as node:
+        with process(*rig.words(config), log=tmp_path / 'stderr') as node:
             rig.listen()
             qos = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
-            publisher = rig.node.create_publisher(MarkerArray, '/markers', qos)
+            publisher = rig.node.create_publisher(MarkerArray, rig.topic, qos)
             rig.until(publisher.get_subscription_count, 'the node')
 
             def send() -> None:
