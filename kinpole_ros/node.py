@@ -209,6 +209,9 @@ class KinpoleNode(LifecycleNode):
             if not self.get_parameter('autostart').value:
                 self.get_logger().error(str(error))
             return TransitionCallbackReturn.FAILURE
+        if self._subscription is None:
+            topic = self.resolve_topic_name(self.settings.marker_topic)
+            self.get_logger().info(f'waits for markers on {topic}')
         return result
 
     def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
@@ -325,6 +328,8 @@ class KinpoleNode(LifecycleNode):
             ) from None
         self._kind = kinds[0]
         self._reader = MarkerReader(kinds[0], self.settings.marker_identity)
+        bodies = ', '.join(self.settings.bodies)
+        self.get_logger().info(f'follows {bodies} on {resolved} ({ROS_TYPE_NAMES[self._kind]})')
 
     def _note_sources(self, seen: set[bytes]) -> None:
         """Where another publisher has taken over, its markers may be other ones: start anew."""
