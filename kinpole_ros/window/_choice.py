@@ -441,15 +441,14 @@ def _calm(energy: Real, signal: Real, known: np.ndarray) -> Real:
     seen now, by the last of these alone.
     """
     now = np.divide(energy, signal, out=np.zeros_like(energy), where=known)
-
-    def mean(chosen: np.ndarray, least: int) -> Real:
-        count = chosen.sum(axis=1, keepdims=True)
-        total = now.sum(axis=1, keepdims=True, where=chosen)
-        return np.where(count >= least, np.minimum(_CALM * total / np.maximum(count, 1), 1.0), 1.0)
-
-    after = known[:, ::-1].cumsum(axis=1)[:, ::-1]
-    all_of_it, rest = mean(known, 1), mean(known & (after <= _LAST), _LAST)
-    return np.where(after > 0, all_of_it, np.minimum(all_of_it, rest))
+    # How many are known from a degree on.
+    left = known[:, ::-1].cumsum(axis=1)[:, ::-1]
+    count = left[:, :1]
+    calm = np.minimum(_CALM / np.maximum(count, 1) * now.sum(axis=1, keepdims=True), 1.0)
+    calm[count == 0] = 1.0
+    now *= left <= _LAST
+    rest = np.where(count < _LAST, calm, _CALM / _LAST * now.sum(axis=1, keepdims=True))
+    return np.where(left > 0, calm, np.minimum(calm, rest))
 
 
 def _disagreement(mix: Real, apart: Real) -> Real:
