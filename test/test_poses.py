@@ -177,6 +177,35 @@ def test_a_frame_is_answered_before_it_is_judged_and_settling_changes_nothing(
     assert judged.count('asked') < 200 / 20
 
 
+def test_what_is_judged_anew_ends_where_instants_are_missing() -> None:
+    count, ahead, rng = 61, 20, np.random.default_rng(8)
+    time = np.arange(400 + count) * STEP * 1e-9
+    noise = np.array([1e-3, 1e-4])
+    signals = np.zeros((len(time), 2, 2))
+    signals[:, 0, 0] = np.sin(9 * time) + np.maximum(time - 1, 0) ** 3
+    signals[:, 1] = 0.1 * signals[:, :1, 0]
+    signals += noise[:, None] * rng.normal(size=signals.shape)
+    signals[:, 0, 1] = 0.0
+    # Three or four instants follow on each other, then one is missing.
+    numbers = np.arange(400)[np.isin(np.arange(400) % 9, (3, 8), invert=True)]
+    times = np.broadcast_to((np.arange(count) - count + 1 + ahead) * STEP, (len(numbers), count)).T
+    samples = signals[numbers + np.arange(count)[:, None]]
+
+    def derivatives(at_once: int) -> np.ndarray:
+        found, poses = [], _poses.PoseFilter()
+        for first in range(0, len(numbers), at_once):
+            some = slice(first, first + at_once)
+            shape = len(numbers[some])
+            given = numbers[some], times[:, some], samples[:, some], None
+            limits = np.broadcast_to(noise, (shape, 2)), np.full((shape, 1), 100.0)
+            found.append(poses.derivatives(*given, *limits, 3).angle)
+        return np.concatenate(found, axis=1)
+
+    alone = derivatives(1)
+    for at_once in (2, 3, 5, 7, 64):
+        np.testing.assert_allclose(derivatives(at_once), alone, rtol=1e-9, atol=1e-9)
+
+
 def test_bodies_are_asked_six_times_while_a_judgment_holds(monkeypatch: pytest.MonkeyPatch) -> None:
     asked: list[int] = []
     refuted = _poses._refuted

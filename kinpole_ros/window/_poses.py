@@ -117,7 +117,7 @@ class PoseFilter:
         self._order = 0
         self._longest = 0
         self._number = -1
-        # For the next instant alone.
+        # For the next few instants.
         self._fresh: _Fresh | None = None
         # What the last instant is still to be asked for.
         self._later: Callable[[], None] | None = None
@@ -211,7 +211,9 @@ class PoseFilter:
             which = which + bodies * changed
         held = applied(judged, which, fits)
 
-        fresh, self._fresh = None if at_once[0] else self._fresh, None
+        fresh, self._fresh = self._fresh, None
+        if fresh is not None and np.count_nonzero(at_once):
+            fresh = fresh._replace(end=np.minimum(fresh.end, at_once.argmax()))
         # What is still to be looked at is not given away.
         found = PoseDerivatives(*map(np.copy, held)) if alone or fresh is not None else held
         if fresh is not None:
