@@ -65,6 +65,10 @@ def play(
             if all(p.get_subscription_count() for p in publishers.values()):
                 break
             time.sleep(_LOOK_EVERY / 10)
+        if context.ok():
+            counts = {name: p.get_subscription_count() for name, p in publishers.items()}
+            if unheard := [name for name, count in counts.items() if not count]:
+                node.get_logger().warning(f'nobody listens to {", ".join(unheard)}')
         start, first = time.monotonic(), None
         for message in read_messages(bag, chosen, progress):
             first = message.log_time if first is None else first

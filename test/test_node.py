@@ -26,10 +26,11 @@ from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile
 from visualization_msgs.msg import MarkerArray
 
-from kinpole_ros.bags import BagError, read_messages, replay
+from kinpole_ros.bags import BagError, BagWriter, read_messages, replay
 from kinpole_ros.demo import live_run
 from kinpole_ros.estimate import Estimate
 from kinpole_ros.frame import MarkerFrames
+from kinpole_ros.live import play
 from kinpole_ros.messages import MARKER_TYPES, read_markers, to_message
 from kinpole_ros.node import KinpoleNode
 from kinpole_ros.parameters import PARAMETERS, Settings
@@ -436,6 +437,18 @@ def written(recording: Path, topic: str) -> int:
     except BagError:
         pass  # not there yet, or cut off at its end
     return count
+
+
+def test_play_says_to_what_nobody_listens(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    bag = tmp_path / 'unheard.mcap'
+    with BagWriter(bag) as writer:
+        for k in range(3):
+            cloud = to_message('point_cloud2', k, 'world', ['a'], np.zeros((1, 3)))
+            writer.write('/unheard', cloud, k)
+    assert play(bag, wait=0.1) == 3
+    assert 'nobody listens to /unheard' in capfd.readouterr().err
 
 
 @pytest.mark.parametrize('sign', [signal.SIGINT, signal.SIGTERM], ids=lambda sign: sign.name)
