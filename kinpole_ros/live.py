@@ -6,7 +6,6 @@ installation, and for the demo and the tests, which must run there.
 """
 
 import math
-import re
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -21,7 +20,7 @@ from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 
 from kinpole_ros.bags import BagError, BagWriter, message_class, read_messages, topics
-from kinpole_ros.node import end_signals, start_ros
+from kinpole_ros.node import end_signals, reason_of, start_ros
 
 # What a kill may lose of a recording.
 _FLUSH_EVERY = 1.0
@@ -101,9 +100,7 @@ def _starting() -> Iterator[None]:
     try:
         yield
     except rclpy_implementation.RCLError as error:
-        # Less the places in rcl's source.
-        reason = re.sub(r', at \S+:\d+', '', str(error))
-        raise BagError(f'ROS cannot start in this environment: {reason}') from None
+        raise BagError(f'ROS cannot start in this environment: {reason_of(error)}') from None
 
 
 class Recorder(Node):

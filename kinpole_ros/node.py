@@ -530,8 +530,7 @@ def main(args: Sequence[str] | None = None) -> int:
             return 0
         if isinstance(error, (ParameterError, ParameterException)):
             return _refuse(str(error))
-        # Less the places in rcl's source.
-        reason = re.sub(r', at \S+:\d+', '', str(error))
+        reason = reason_of(error)
         if not started:
             return _refuse(f'ROS cannot start with these words and this environment: {reason}')
         if node is None and isinstance(error, rclpy_implementation.RCLError):
@@ -545,6 +544,11 @@ def main(args: Sequence[str] | None = None) -> int:
             node.destroy_node()
         rclpy.try_shutdown()
     return 0
+
+
+def reason_of(error: Exception) -> str:
+    """What rcl says is wrong, less the places in its source."""
+    return re.sub(r', at \S+:\d+', '', str(error))
 
 
 def _refuse(reason: str) -> int:

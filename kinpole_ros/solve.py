@@ -132,7 +132,7 @@ def _solve(scene: Scene, at: str | None, count: int | None) -> Solved:
     rate = float(now[1, 0, 0]) or 1.0
     limits: tuple[float | None, float | None] = (None, None)
     if count is None:
-        values = np.array([quantity('--at', at, _kind(scene, 0))])
+        values = np.array([quantity('--at', at, scene.mechanism.kind(0))])
     else:
         low, high, limits = _range(scene, float(now[0, 0, 0]))
         values = np.linspace(low, high, count)
@@ -152,7 +152,7 @@ def _sound(motion: Motion) -> Motion:
 def _range(scene: Scene, start: float) -> tuple[float, float, tuple[float | None, float | None]]:
     """The range of the one driver: a full turn, what the scene drives, or up to the limits."""
     driver = scene.mechanism.drivers[0]
-    angle = _kind(scene, 0) == 'angle'
+    angle = scene.mechanism.kind(0) == 'angle'
     if angle:
         low, high = start - _TURN, start + _TURN
     else:
@@ -333,7 +333,7 @@ def _effort_lines(scene: Scene, first: np.ndarray) -> list[str]:
     lines = []
     borne = efforts(scene.mechanism, first, scene.loads)
     for k, driver in enumerate(scene.mechanism.drivers):
-        unit = 'N m' if _kind(scene, k) == 'angle' else 'N'
+        unit = 'N m' if scene.mechanism.kind(k) == 'angle' else 'N'
         if not borne.determined[k, 0]:
             lines.append(f'{driver.name}: a dead point, where no finite effort balances the loads')
             continue
@@ -449,13 +449,7 @@ def _nearest(whole: Solved, here: Solved) -> int:
 
 def driver_unit(scene: Scene, k: int) -> tuple[str, float]:
     """The unit the values of a driver are shown in, and how large that is in SI."""
-    return ('deg', np.pi / 180) if _kind(scene, k) == 'angle' else ('m', 1.0)
-
-
-def _kind(scene: Scene, k: int) -> str:
-    """Whether a driver is an angle or a length."""
-    kinds = list(scene.mechanism.assembly.kinds.values())
-    return kinds[int(np.flatnonzero(scene.mechanism.drivers[k].row)[0])]
+    return ('deg', np.pi / 180) if scene.mechanism.kind(k) == 'angle' else ('m', 1.0)
 
 
 def _lengths(scene: Scene) -> dict[str, int]:

@@ -43,6 +43,14 @@ def one_by_one(seen: MarkerFrames, orders: list[int]) -> list[Estimate]:
     return found
 
 
+def told(recording: _record.Recording, quantity: str) -> tuple[np.ndarray, np.ndarray]:
+    """Errors of a quantity in the frames that are told of it, and its deviations there."""
+    found = _record.measure(recording)
+    where = _hindsight.counted(recording, found)[quantity]
+    errors = _hindsight.own_errors(recording, found)[quantity]
+    return errors[where], found.deviations[quantity][where]
+
+
 @pytest.mark.parametrize('begun', range(400, 400 + HELD, 2))
 def test_a_motion_that_sets_in_amid_a_judgment_is_followed_at_once(
     begun: int, monkeypatch: pytest.MonkeyPatch
@@ -99,10 +107,8 @@ def test_poles_together_are_judged_anew_where_they_part_from_those_apart(
 
     def worst() -> float:
         """Error of the IJP in stated deviations."""
-        found = _record.measure(recording)
-        told = _hindsight.counted(recording, found)['IJP']
-        errors = _hindsight.own_errors(recording, found)['IJP'] / found.deviations['IJP']
-        return float(errors[told].max())
+        errors, deviations = told(recording, 'IJP')
+        return float((errors / deviations).max())
 
     assert worst() < 3
     monkeypatch.setattr(_poses, '_OFF', np.inf)
@@ -137,10 +143,7 @@ def test_the_slow_part_of_a_turn_is_not_taken_to_be_as_rich_as_the_fast_one(
     recording = _record.make_recording(('four-bar coupler',), (1e-5,), 3, 4.0)
 
     def error() -> float:
-        found = _record.measure(recording)
-        told = _hindsight.counted(recording, found)['IJP']
-        errors = _hindsight.own_errors(recording, found)['IJP']
-        return float(np.sqrt(np.mean(errors[told] ** 2)))
+        return float(np.sqrt(np.mean(told(recording, 'IJP')[0] ** 2)))
 
     calm = error()
     monkeypatch.setattr(_choice, '_LAST', 10**9)

@@ -240,10 +240,12 @@ class Mechanism:
 
     def _shown(self, k: int, value: float) -> str:
         """A value of a driver, with its unit."""
+        return f'{np.degrees(value):.9g} deg' if self.kind(k) == 'angle' else f'{value:.9g} m'
+
+    def kind(self, k: int) -> str:
+        """Whether driver `k` drives an 'angle' (rad) or a 'length' (m)."""
         kinds = list(self.assembly.kinds.values())
-        if kinds[int(np.flatnonzero(self.drivers[k].row)[0])] == 'angle':
-            return f'{np.degrees(value):.9g} deg'
-        return f'{value:.9g} m'
+        return kinds[int(np.flatnonzero(self.drivers[k].row)[0])]
 
 
 def body_motion(assembly: Assembly, values: Real) -> tuple[Complex, Real]:
