@@ -58,7 +58,8 @@ class Poses(NamedTuple):
     """
     Poses with derivatives (K, ...) of `position`, complex, and `angle`; covariances (K, K, ...).
 
-    `turning` (K, ...) is the variance of the angle by which the windows differ.
+    `turning` (K, ...) is the variance of the angle by which the windows differ; `parted` (K, ...)
+    that by which they contradict each other about the angle by itself.
     """
 
     position: np.ndarray
@@ -66,6 +67,7 @@ class Poses(NamedTuple):
     position_covariance: np.ndarray
     angle_covariance: np.ndarray
     turning: np.ndarray
+    parted: np.ndarray
 
 
 class Estimate:
@@ -173,8 +175,10 @@ class Estimate:
 
     def rate(self, order: int) -> Numbers:
         """Derivative of the angle of that order (rad/s^order), order 1 to 4."""
-        value = self.angle[order]
-        return Numbers(value, self.angle_covariance[order, order], np.isfinite(value))
+        value, variance = self.angle[order], self.angle_covariance[order, order]
+        if self.together is not None:
+            variance = variance + self.together.parted[order]
+        return Numbers(value, variance, np.isfinite(value))
 
     @cached_property
     def _all_poses(self) -> tuple[np.ndarray, ...]:
@@ -307,7 +311,7 @@ class Estimate:
     def relative_rate(self) -> Numbers:
         """Angular velocity of j with respect to i (rad/s) for every pair."""
         j, i = self.pairs
-        rate, noise = self.angle[1], self.angle_covariance[1, 1]
+        rate, noise, _ = self.rate(1)
         value = rate[..., j] - rate[..., i]
         return Numbers(value, noise[..., j] + noise[..., i], np.isfinite(value))
 

@@ -11,7 +11,7 @@ import pytest
 from kinpole_ros import planar
 from kinpole_ros.bench import _long, hindsight_table, motions
 from kinpole_ros.bench._bounds import propagated
-from kinpole_ros.bench._hindsight import LEVELS, apply_weights, coverage, fixed_weights
+from kinpole_ros.bench._hindsight import LEVELS, apply_weights, coverage, fixed_weights, visible
 from kinpole_ros.bench._motions import cusped, swinging
 from kinpole_ros.bench._page_accuracy import _beyond
 from kinpole_ros.bench._page_limits import long_part
@@ -148,6 +148,23 @@ def test_figures_without_error_are_told_as_exact() -> None:
     nothing = np.zeros(recording.middle.shape, complex)
     for row in coverage(recording, stated(recording, nothing, 1e-4)):
         assert (row['exact'], row['covered']) == (1, 1)
+
+
+def test_bad_rates_could_be_marked_as_often_as_the_best_test_marks_them() -> None:
+    recording = make_recording(('rolling wheel',), (1e-3,), 1, 1.0)
+    weights, _ = fixed_weights(41, 9)
+    rng = np.random.default_rng(6)
+    deviation = recording.noise[0] / np.sqrt((np.abs(recording.shape[0]) ** 2).sum())
+    # Of all polynomials with this jerk the one that is least on the samples.
+    direction = weights[3] / np.linalg.norm(weights[3])
+    for far in (1.0, 2.5, 4.0):
+        least = deviation * np.linalg.norm(weights[3])
+        changed = far * deviation * direction
+        assert weights[3] @ changed == pytest.approx(far * least)
+        noisy = changed + deviation * rng.normal(size=(20_000, 41))
+        marked = np.mean(noisy @ direction > 2.054 * deviation)
+        chance = visible(recording, 'jerk', np.full((1, 1), far * least))
+        assert marked == pytest.approx(float(chance[0, 0]), abs=0.015)
 
 
 def test_ours_is_held_against_the_least_of_the_peers_named() -> None:

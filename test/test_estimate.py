@@ -24,7 +24,7 @@ def two_sets() -> tuple[list[np.ndarray], list[np.ndarray]]:
     for k in range(2):
         together[k][1:] = apart[k][1:, None] + 0.02 * together[k][1:]
         together[k][0] = apart[k][0]
-    return apart, [*together, np.zeros(together[1].shape)]
+    return apart, [*together, np.zeros(together[1].shape), np.zeros(apart[1].shape)]
 
 
 def estimate(apart: list[np.ndarray], together: list[np.ndarray] | None) -> Estimate:
@@ -90,6 +90,18 @@ def test_a_pole_of_which_nothing_is_known_gives_way_to_the_other(
     # Where neither is known, where it would be is still told.
     assert pole.value[0, 4] == first[0][4]
     assert not pole.determined[0, 4]
+
+
+def test_what_windows_contradict_adds_to_the_variance_of_rates() -> None:
+    apart, together = two_sets()
+    parted = together[-1]
+    parted[1:] = np.arange(1.0, COUNT + 1)
+    both = estimate(apart, together)
+    for order in range(1, ORDER + 1):
+        expected = apart[3][order, order] + parted[order]
+        assert both.rate(order).variance.tolist() == expected.tolist()
+    first, second = both.rate(1).variance[0, :2]
+    assert both.relative_rate.variance[0, 0] == first + second
 
 
 def test_without_poses_together_the_pole_is_that_of_the_poses() -> None:

@@ -115,6 +115,20 @@ def test_poles_together_are_judged_anew_where_they_part_from_those_apart(
     assert worst() > 5
 
 
+def test_rates_about_which_windows_contradict_each_other_are_not_told_as_sure(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    recording = _record.make_recording(('stop and go',), (1e-5,), 6, 6.0)
+
+    def far_off() -> int:
+        errors, deviations = told(recording, 'jerk')
+        return int((errors > 10 * deviations).sum())
+
+    few = far_off()
+    monkeypatch.setattr(_choice, '_CONTRADICTS', np.inf)
+    assert few < far_off() / 3
+
+
 def test_a_body_at_rest_is_quiet_at_once_and_followed_when_it_goes_on(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:

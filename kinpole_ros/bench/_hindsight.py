@@ -5,6 +5,7 @@ A fixed local polynomial on the same fitted poses, with the same window and lag 
 run in all its settings; for each quantity of each case the one that turns out best is the bound.
 """
 
+from statistics import NormalDist
 from typing import NamedTuple
 
 import numpy as np
@@ -14,6 +15,7 @@ from kinpole_ros.bench._record import (
     POLES,
     QUANTITIES,
     RATE,
+    RATES,
     WINDOW,
     Figures,
     Recording,
@@ -31,6 +33,9 @@ ORDER = dict(zip(QUANTITIES, (1, 2, 3, 1, 2, 3, 3), strict=True))
 FEWEST = 50
 # Chi-square of 2 is exponential: below -2 ln(1 - p) lies the share p.
 LEVELS = (0.5, 0.9, 0.95, 0.99)
+# Of the bound on marking bad rates: samples and degree of the polynomials by which two motions may
+# differ, and the share of false alarms.
+_DIFFERENCE, _FALSE = (41, 9), 0.02
 # An error below this share of the scale is rounding.
 _EXACT = 1e-9
 
@@ -176,8 +181,9 @@ def coverage(recording: Recording, ours: Figures) -> list[dict[str, object]]:
     does not exist is bad, and not covered where it is marked determined. `exact` is the share of
     determined frames without any error but rounding: where it is above 0.97 `covered` cannot be
     below. `scaled` is what `covered` would be, had the stated variances of the row been all as much
-    larger or smaller as makes that mean 1. `below_50` and so on are, for poles, the shares of
-    squared errors over the covariance below that percentile of chi-square.
+    larger or smaller as makes that mean 1. `bad_visible` is how many bad rates any test could mark,
+    see `visible`. `below_50` and so on are, for poles, the shares of squared errors over the
+    covariance below that percentile of chi-square.
     """
     errors = own_errors(recording, ours)
     rows: list[dict[str, object]] = []
@@ -198,12 +204,16 @@ def coverage(recording: Recording, ours: Figures) -> list[dict[str, object]]:
                 scale = np.maximum(np.abs(truth), 1 / recording.size)
             useful = ours.deviations[name] < 0.3 * scale
         good = ~bad & useful
+        seen = np.full(truth.shape, np.nan)
+        if name in RATES:
+            seen = np.where(bad, visible(recording, name, errors[name]), 0.0)
         columns = {
             'determined': ours.determined[name],
             'covered': covered(name, ours.squares[name]),
             'square': ours.squares[name] / freedom,
             'exact': errors[name] <= _EXACT * scale,
             'bad': bad,
+            'visible': seen,
             'good': good,
         }
         parts = {what: by_condition(recording, column) for what, column in columns.items()}
@@ -232,9 +242,28 @@ def coverage(recording: Recording, ours: Figures) -> list[dict[str, object]]:
                     'median_square': np.median(square) if enough else np.nan,
                     'bad': int(here['bad'].sum()),
                     'bad_let_through': int((here['bad'] & told).sum()),
+                    'bad_visible': float(here['visible'].sum()),
                     'good': int(here['good'].sum()),
                     'good_withheld': int((here['good'] & ~told).sum()),
                     **chi,
                 }
             )
     return rows
+
+
+def visible(recording: Recording, name: str, errors: np.ndarray) -> np.ndarray:
+    """
+    Chance (M, C) at most that a test marks frames with these errors (M, C) of the rate `name`.
+
+    There are motions for which what was told is right: the true one and a polynomial in the samples
+    about the instant. The one nearest to the truth is off it, in units of noise, by |error| over
+    the least deviation that a rate of such polynomials can be known to. By Neyman and Pearson no
+    test tells the two apart more often than that on their difference, for as many false alarms.
+    """
+    samples, degree = _DIFFERENCE
+    order = ORDER[name]
+    weights = derivative_weights((np.arange(samples) - samples // 2) / RATE, degree, order)[order]
+    spread = (np.abs(recording.shape) ** 2).sum(axis=1)
+    least = recording.noise * np.sqrt((weights**2).sum() / spread)
+    far = errors / least - NormalDist().inv_cdf(1 - _FALSE)
+    return np.vectorize(NormalDist().cdf)(far)

@@ -199,13 +199,14 @@ def _odometry(b: int, axes: Axes) -> Build:
             pose[:, 3 + normal], pose[:, 6] = turn.imag, turn.real
             twist[:, :3] = in_space(velocity / turn**2, 0.0, axes)
             twist[:, 3 + normal] = rate
-            for part, order in ((pose, 0), (twist, 1)):
+            of_angle = estimate.angle_covariance[0, 0], estimate.rate(1).variance
+            for order, part in enumerate((pose, twist)):
                 # The diagonal of a 6 x 6 matrix, which comes last.
                 diagonal = part[:, -36::7]
                 diagonal[:] = _UNMEASURED
                 spread = estimate.position_covariance[order, order, chosen, b]
                 diagonal[:, first] = diagonal[:, second] = spread
-                diagonal[:, 3 + normal] = estimate.angle_covariance[order, order, chosen, b]
+                diagonal[:, 3 + normal] = of_angle[order][chosen, b]
             return both
 
         return _messages(estimate, estimate.missing[:, b] == '', figures, estimate.bodies[b])

@@ -50,6 +50,8 @@ _SHARPNESS, _OUT = 2, 0.15
 # The errors of a mean of windows add up by this power of their shares: 1/2 were they all the same,
 # 1 were they independent.
 _KINSHIP = 0.75
+# A window contradicts the mean of all beyond so many deviations of their difference.
+_CONTRADICTS = 3.0
 # Degrees of freedom from which what a fit leaves is a measure of the noise.
 _ENOUGH_FREEDOM = 16
 
@@ -87,7 +89,8 @@ class Weights(NamedTuple):
     What makes derivatives of G signals out of their coefficients, as judged at M instants.
 
     `share` (L, D, M, G) are the weights of coefficients, `mix` (L, K, M, G) those of windows, NaN
-    where the samples are too few; `covariance`, `span` and `degree` are as in `Derivatives`.
+    where the samples are too few; `covariance`, `span` and `degree` are as in `Derivatives`;
+    `parted` (K, M, G) is the variance by which the windows contradict each other.
     Squares (L, D + 1, M, G) beyond `limits` refute the judgment; `means` and `among` are what
     `Past` gave.
     """
@@ -95,6 +98,7 @@ class Weights(NamedTuple):
     share: Real
     mix: Real
     covariance: Real
+    parted: Real
     span: Real
     degree: Real
     limits: Real
@@ -239,11 +243,13 @@ def weigh_apart(
     mix = shares.mix
     values -= (mix[:, :, None] * values).sum(axis=0)
     covariance = shares.covariance + _disagreement(mix / dimensions, values)
+    squares = np.einsum('lkc...,lkc...->lk...', values, values) / dimensions
+    parted = _contradiction(squares, shares.risk, np.einsum('kk...->k...', covariance))
     first = mix[:, min(1, order)]
     span = (first * fits.models.spans).sum(axis=0)
     degree = (first * shares.last).sum(axis=0)
     mix[:, shares.unknown] = np.nan
-    return Weights(shares.share, mix, covariance, span, degree, *shares[-3:])
+    return Weights(shares.share, mix, covariance, parted, span, degree, *shares[-3:])
 
 
 def weigh_together(
@@ -331,13 +337,15 @@ class _Shares(NamedTuple):
     """
     Weights of coefficients `share` (L, D, M, G) and of windows `mix` (L, K, M, G).
 
-    `covariance` (K, K, M, G) without what the windows disagree about; `last` (L, M, G) is the
-    degree of the last coefficient in use; `unknown` (K, M, G) says where no window will do; the
-    rest is as in `Weights`.
+    `risk` (L, K, M, G) is the mean square error of derivatives by each window, infinite where it
+    will not do; `covariance` (K, K, M, G) is without what the windows disagree about; `last`
+    (L, M, G) is the degree of the last coefficient in use; `unknown` (K, M, G) says where no window
+    will do; the rest is as in `Weights`.
     """
 
     share: Real
     mix: Real
+    risk: Real
     covariance: Real
     last: np.ndarray
     unknown: np.ndarray
@@ -430,7 +438,7 @@ def _weigh(
     limits[:, :-1] = stands_out * np.where(used & (calm == 1), np.inf, total)
     no_news = (left > most_left) | (freedom == 0)
     limits[:, -1] = np.where(no_news, np.inf, most_left)
-    return _Shares(share, mix, covariance, last[:, 0], unknown, limits, means, among)
+    return _Shares(share, mix, risk, covariance, last[:, 0], unknown, limits, means, among)
 
 
 def _calm(energy: Real, signal: Real, known: np.ndarray) -> Real:
@@ -455,6 +463,22 @@ def _disagreement(mix: Real, apart: Real) -> Real:
     """Covariance (K, K, ...) of windows that are off (L, K, C, ...) their mean."""
     parted = np.sqrt(mix)[:, :, None] * apart
     return np.asarray(np.einsum('lkc...,ljc...->kj...', parted, parted))
+
+
+def _contradiction(squares: Real, risk: Real, variance: Real) -> Real:
+    """
+    The square (K, M, G) by which the surest window that contradicts the mean is off it, 0 for none.
+
+    `squares` (L, K, M, G) are those by which each window is off it, `risk` their mean square
+    errors; `variance` (K, M, G) is that of the mean.
+    """
+    against = np.where(squares > _CONTRADICTS**2 * (risk + variance), risk, np.inf)
+    surest = against.argmin(axis=0)[None]
+    return np.where(
+        np.isfinite(np.take_along_axis(against, surest, axis=0)),
+        np.take_along_axis(squares, surest, axis=0),
+        0.0,
+    )[0]
 
 
 def _variance(mean_left: Real, freedom: Real, noise: Real) -> Real:

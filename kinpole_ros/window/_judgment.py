@@ -41,6 +41,7 @@ class PoseDerivatives(NamedTuple):
     position_covariance_together: Real  # (K, K, A, M, B)
     angle_covariance_together: Real
     turning: Real  # (K, A, M, B)
+    parted: Real  # (K, M, B), that of the angle by itself, as in `Weights`
 
 
 class Judged(NamedTuple):
@@ -62,6 +63,7 @@ class Judged(NamedTuple):
     covariance_together: Real  # (K, K, A, R)
     angle_covariance: Real
     turning: Real  # (K, A, R)
+    parted: Real  # (K, R), that of the angle
     means_together: Real  # (L, D + 1, A, R)
     among_together: Real  # (L, A, R)
 
@@ -126,6 +128,7 @@ def judge(seen: Seen, past: Past, past_together: Past, order: int, every: int) -
         flat(both.covariance),
         flat(of_angle),
         flat(both.turning),
+        flat(own.parted[..., :bodies]),
         flat(by_signal(both.means, bodies)),
         flat(by_signal(both.among, bodies)),
     )
@@ -157,6 +160,7 @@ def applied(judged: Judged, which: np.ndarray, fits: Projection) -> PoseDerivati
         taken(judged.covariance_together),
         taken(judged.angle_covariance),
         taken(judged.turning),
+        taken(judged.parted),
     )
 
 

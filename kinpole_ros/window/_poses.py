@@ -41,7 +41,7 @@ _OFF = 3.0
 # Squares beyond their limits by this factor are not of the motion that was judged.
 _SURPRISING = 2.0
 # The first axes of the fields of `PoseDerivatives`: orders K, arms A.
-_AXES = ('K', 'K', 'KK', 'KK', '', '', 'KA', 'KA', 'KKA', 'KKA', 'KA')
+_AXES = ('K', 'K', 'KK', 'KK', '', '', 'KA', 'KA', 'KKA', 'KKA', 'KA', 'K')
 
 
 class _Plan(NamedTuple):
