@@ -11,7 +11,7 @@ from kinpole_ros.estimate import Estimate
 from kinpole_ros.frame import MarkerFrames, part_of
 from kinpole_ros.parameters import settings_from
 from kinpole_ros.tracker import Tracker
-from kinpole_ros.window import _choice, _poses
+from kinpole_ros.window import _choice, _poses, _refuted
 
 pytestmark = pytest.mark.filterwarnings('error')
 
@@ -111,7 +111,7 @@ def test_poles_together_are_judged_anew_where_they_part_from_those_apart(
         return float((errors / deviations).max())
 
     assert worst() < 3
-    monkeypatch.setattr(_poses, '_OFF', np.inf)
+    monkeypatch.setattr(_refuted, '_OFF', np.inf)
     assert worst() > 5
 
 
@@ -175,7 +175,8 @@ def test_a_frame_is_answered_before_it_is_judged_and_settling_changes_nothing(
         judged.append(when)
         return judge(*given)
 
-    monkeypatch.setattr(_poses, 'judge', noted)
+    for module in (_poses, _refuted):
+        monkeypatch.setattr(module, 'judge', noted)
     seen = frames(2 * np.sin(np.arange(400) / 30), 1e-3)
     idle, asked = (Tracker(settings_from(VALUES)) for _ in range(2))
     for k in range(400):
@@ -225,13 +226,13 @@ def test_what_is_judged_anew_ends_where_instants_are_missing() -> None:
 
 def test_bodies_are_asked_six_times_while_a_judgment_holds(monkeypatch: pytest.MonkeyPatch) -> None:
     asked: list[int] = []
-    refuted = _poses._refuted
+    refuted = _poses.judge_refuted
 
     def noted(*given: Any) -> Any:
         asked.append(len(given[0].reach))
         return refuted(*given)
 
-    monkeypatch.setattr(_poses, '_refuted', noted)
+    monkeypatch.setattr(_poses, 'judge_refuted', noted)
     count = 50 * HELD
     found = one_by_one(frames(2 * np.sin(np.arange(count) / 30), 1e-3), [3] * count)
     # Not at the sixth, when all are judged; and a few are asked since they are far off.

@@ -27,8 +27,9 @@ from kinpole_ros.window import (
     stencil,
     weigh_together,
 )
-from kinpole_ros.window._choice import both_ways, squares_of, weigh_apart
+from kinpole_ros.window._choice import weigh_apart
 from kinpole_ros.window._projection import evaluate
+from kinpole_ros.window._weighted import both_ways, squares_of
 
 pytestmark = pytest.mark.filterwarnings('error')
 

@@ -7,7 +7,6 @@ their noise go in at true time stamps, derivatives with covariances come out.
 
 from kinpole_ros.window._choice import (
     Derivatives,
-    Spectrum,
     differentiate,
     weigh_together,
 )
@@ -20,6 +19,7 @@ from kinpole_ros.window._projection import FEWEST_SAMPLES, project
 from kinpole_ros.window._runs import Windows, joined, runs
 from kinpole_ros.window._samples import Samples
 from kinpole_ros.window._shape import Shapes
+from kinpole_ros.window._spectrum import Spectrum
 
 __all__ = [
     'FEWEST_SAMPLES',

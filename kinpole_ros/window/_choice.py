@@ -17,12 +17,14 @@ noise by itself counts, a window whose richest fit leaves more than noise is cha
 where all that is known well of a window is far below its average, there is less of all of it.
 """
 
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 import numpy as np
 
 from kinpole_ros.planar._plane import Complex, Real
 from kinpole_ros.window._projection import Models, Projection, evaluate, project
+from kinpole_ros.window._spectrum import Past, Spectrum
+from kinpole_ros.window._weighted import apart, evaluate_poses, squares_of
 
 # The averages of a window go back this many times its own length: a short one learns quickly.
 _MEMORY = 3.0
@@ -72,18 +74,6 @@ class Derivatives(NamedTuple):
     degree: Real
 
 
-class Past(Protocol):
-    """
-    Takes squares of some instants (L, D + 1, M, G), of coefficients and of what fits leave.
-
-    `known` (L, M, G) says where they mean anything; `memory` (L, G) or (L, 1) is the number of
-    instants that an average goes back. Returns their means as of each instant, and (L, M, G) how
-    many instants are in these.
-    """
-
-    def __call__(self, squares: Real, known: np.ndarray, memory: Real) -> tuple[Real, Real]: ...
-
-
 class Weights(NamedTuple):
     """
     What makes derivatives of G signals out of their coefficients, as judged at M instants.
@@ -124,41 +114,6 @@ class Together(NamedTuple):
     among: Real
 
 
-class Spectrum:
-    """What the signals of late were made of: mean energies by window, coefficient and signal."""
-
-    def __init__(self) -> None:
-        self._mean = np.zeros((0, 0, 0))
-        self._count = np.zeros((0, 0))
-
-    def follow(self, squares: Real, known: np.ndarray, memory: Real) -> tuple[Real, Real]:
-        """Take the squares of some instants, one after the other: see `Past`."""
-        levels, degrees, instants, groups = squares.shape
-        if self._mean.shape[1] != degrees:
-            self._mean = np.zeros((0, degrees, groups))
-            self._count = np.zeros((0, groups))
-        # Signals asked for from now on come last, and those before them go on.
-        kept, more = min(self._mean.shape[2], groups), max(groups - self._mean.shape[2], 0)
-        if kept < groups or self._mean.shape[2] > groups:
-            self._mean = np.pad(self._mean[:, :, :kept], ((0, 0), (0, 0), (0, more)))
-            self._count = np.pad(self._count[:, :kept], ((0, 0), (0, more)))
-        new = levels - len(self._count)
-        if new > 0:
-            self._mean = np.concatenate((self._mean, np.zeros((new, degrees, groups))))
-            self._count = np.concatenate((self._count, np.zeros((new, groups))))
-        count = self._count[:levels, None] + np.cumsum(known, axis=1)
-        self._count[:levels] = count[:, -1]
-        among = np.minimum(np.maximum(count, 1.0), memory[:, None])
-        gain = (known / among)[:, None]
-        means = np.empty_like(squares)
-        mean = self._mean[:levels]
-        # Each mean goes on from the one before: the one thing here that is not done all at once.
-        for m in range(instants):
-            mean += gain[:, :, m] * (squares[:, :, m] - mean)
-            means[:, :, m] = mean
-        return means, among
-
-
 def differentiate(
     times: np.ndarray,
     signals: Real,
@@ -176,48 +131,6 @@ def differentiate(
     values = apart(fits, found.share, found.mix).transpose(0, 2, 3, 1)
     values[0] += fits.base
     return Derivatives(values, found.covariance, found.span, found.degree)
-
-
-def squares_of(fits: Projection, dimensions: np.ndarray) -> Real:
-    """
-    Mean squares (L, D + 1, M, G) by component: of coefficients, and of what the fits leave.
-
-    The latter by degree of freedom; `dimensions` (G,) says how many components a signal has.
-    """
-    levels, degrees, _, *rest = fits.coefficients.shape
-    result = np.empty((levels, degrees + 1, *rest))
-    np.einsum('ldkmg,ldkmg->ldmg', fits.coefficients, fits.coefficients, out=result[:, :-1])
-    np.add(fits.squares[:, 0], fits.squares[:, 1], out=result[:, -1])
-    result[:, -1] /= np.maximum(fits.models.freedom, 1)
-    result /= dimensions
-    return result
-
-
-def apart(fits: Projection, share: Real, mix: Real) -> Real:
-    """Derivatives (K, 2, M, G) by the weights of `Weights`, from the sample at time 0."""
-    values = evaluate(fits.models.rows, share[:, :, None] * fits.coefficients)
-    return np.asarray((mix[:, :, None] * values).sum(axis=0))
-
-
-def both_ways(fits: Projection, share: Real, mix: Real) -> Real:
-    """
-    Derivatives (K, 3, A + 1, M, B) of angle, x and y, from the sample at time 0.
-
-    The weights, (L, D, A + 2, M, B) and (L, K, A + 2, M, B), are those of the angle by itself, of
-    `Together` for each arm, and of the position by itself. So the first of the angles and the last
-    of the positions are apart, the others together.
-    """
-    bodies = share.shape[-1]
-    # Copied, lest each product goes by pieces of B numbers.
-    angle = fits.coefficients[:, :, :1, :, :bodies].copy()
-    position = fits.coefficients[..., None, :, bodies:].copy()
-    members = np.empty((*share.shape[:2], 3, share.shape[2] - 1, *share.shape[3:]))
-    np.multiply(share[:, :, :-1], angle, out=members[:, :, 0])
-    np.multiply(share[:, :, None, 1:], position, out=members[:, :, 1:])
-    values = _evaluated(fits.models, members)
-    values[:, :, 0] *= mix[:, :, :-1]
-    values[:, :, 1:] *= mix[:, :, None, 1:]
-    return np.asarray(values.sum(axis=0))
 
 
 def weigh_apart(
@@ -314,23 +227,13 @@ def weigh_together(
     )
     share, mix = arms_of(shares.share), arms_of(shares.mix)
     members *= share[:, :, None]
-    values = _evaluated(fits.models, members)  # (L, K, 3, A, M, B)
+    values = evaluate_poses(fits.models, members)  # (L, K, 3, A, M, B)
     values -= (mix[:, :, None] * values).sum(axis=0)
     turning = (mix * values[:, :, 0] ** 2).sum(axis=0)
     values[:, :, 2] = scale * (values[:, :, 2] + reach * values[:, :, 0])
     covariance = arms_of(shares.covariance) + _disagreement(mix / 2, values[:, :, 1:])
     mix[:, arms_of(shares.unknown)] = np.nan
     return Together(share, mix, covariance, turning, shares.means, shares.among)
-
-
-def _evaluated(models: Models, members: Real) -> Real:
-    """Rows of angles and positions applied to members (L, D, 3, A, M, B): (L, K, 3, A, M, B)."""
-    if models.rows.shape[1] == 1:
-        return evaluate(models.rows, members)
-    bodies = members.shape[-1]
-    angle = evaluate(models.rows[:, :bodies], members[:, :, :1])
-    position = evaluate(models.rows[:, bodies:], members[:, :, 1:])
-    return np.concatenate((angle, position), axis=2)
 
 
 class _Shares(NamedTuple):

@@ -13,13 +13,12 @@ import numpy as np
 from kinpole_ros.planar import rotation_coefficient
 from kinpole_ros.planar._plane import Complex, Real
 from kinpole_ros.window._choice import (
-    Past,
-    apart,
-    both_ways,
     weigh_apart,
     weigh_together,
 )
 from kinpole_ros.window._projection import Projection
+from kinpole_ros.window._spectrum import Past
+from kinpole_ros.window._weighted import apart, both_ways
 
 
 class PoseDerivatives(NamedTuple):
@@ -42,6 +41,10 @@ class PoseDerivatives(NamedTuple):
     angle_covariance_together: Real
     turning: Real  # (K, A, M, B)
     parted: Real  # (K, M, B), that of the angle by itself, as in `Weights`
+
+
+# The first axes of these fields: orders K, arms A.
+AXES = ('K', 'K', 'KK', 'KK', '', '', 'KA', 'KA', 'KKA', 'KKA', 'KA', 'K')
 
 
 class Judged(NamedTuple):
@@ -162,6 +165,25 @@ def applied(judged: Judged, which: np.ndarray, fits: Projection) -> PoseDerivati
         taken(judged.turning),
         taken(judged.parted),
     )
+
+
+def of_order(found: PoseDerivatives, order: int) -> PoseDerivatives:
+    """The same up to another order, NaN where that is higher."""
+    sizes = {'K': order + 1, 'A': order}
+    return PoseDerivatives(
+        *(
+            _resized(array, [sizes[axis] for axis in axes])
+            for array, axes in zip(found, AXES, strict=True)
+        )
+    )
+
+
+def _resized(array: np.ndarray, sizes: list[int]) -> np.ndarray:
+    """The array with these sizes of its first axes, cut or with NaN."""
+    result = np.full((*sizes, *array.shape[len(sizes) :]), np.nan, array.dtype)
+    common = tuple(slice(min(pair)) for pair in zip(sizes, array.shape, strict=False))
+    result[common] = array[common]
+    return result
 
 
 def known(means: Real, among: Real) -> Past:

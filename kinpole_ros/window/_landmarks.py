@@ -9,8 +9,9 @@ import numpy as np
 
 from kinpole_ros.planar import landmark_kinematics, to_plane
 from kinpole_ros.planar._plane import Complex, Real
-from kinpole_ros.window._choice import Spectrum, differentiate
+from kinpole_ros.window._choice import differentiate
 from kinpole_ros.window._runs import Windows, joined, runs
+from kinpole_ros.window._spectrum import Spectrum
 
 
 class LandmarkFilter:
