@@ -21,7 +21,7 @@ from kinpole_ros.window import (
     Samples,
     Shapes,
     Spectrum,
-    _projection,
+    _models,
     derivative_weights,
     project,
     stencil,
@@ -259,7 +259,7 @@ def test_each_window_is_fitted_exactly_whatever_the_stamps(kind: str) -> None:
     for column in range(0, times.shape[1], 8):
         stamps = times[:, column : column + 1]
         now = int(np.flatnonzero(stamps == 0)[0])
-        models = _projection._models(stamps.T, now, None if weights is None else weights.T, 5)
+        models = _models.models_of(stamps.T, now, None if weights is None else weights.T, 5)
         highest = np.moveaxis(models.highest[:, 0], -1, 0)  # (g, L)
         first = 0
         for scale in models.scales:
@@ -857,7 +857,7 @@ def test_room_for_more_markers_keeps_what_is_known() -> None:
 @pytest.mark.parametrize('kind', ['even', 'jittered'])
 def test_figures_do_not_hang_on_what_was_asked_before(kind: str) -> None:
     times = stamps(kind, 5_000_000)
-    _projection._shared_models.cache_clear()
+    _models.shared_models.cache_clear()
     first, second = (differentiate(times, noisy(), None, LEVEL, TWO, 4) for _ in range(2))
     for one, other in zip(first, second, strict=True):
         assert np.array_equal(one, other)

@@ -10,12 +10,13 @@ from kinpole_ros.window._choice import (
     differentiate,
     weigh_together,
 )
+from kinpole_ros.window._ladder import FEWEST_SAMPLES
 from kinpole_ros.window._landmarks import LandmarkFilter
 from kinpole_ros.window._noise import Noise
 from kinpole_ros.window._pin import STRIKES, Pins
 from kinpole_ros.window._polynomial import derivative_weights, stencil
 from kinpole_ros.window._poses import PoseFilter
-from kinpole_ros.window._projection import FEWEST_SAMPLES, project
+from kinpole_ros.window._projection import project
 from kinpole_ros.window._runs import Windows, joined, runs
 from kinpole_ros.window._samples import Samples
 from kinpole_ros.window._shape import Shapes

@@ -22,7 +22,8 @@ from typing import NamedTuple
 import numpy as np
 
 from kinpole_ros.planar._plane import Complex, Real
-from kinpole_ros.window._projection import Models, Projection, evaluate, project
+from kinpole_ros.window._models import Models
+from kinpole_ros.window._projection import Projection, evaluate, project
 from kinpole_ros.window._spectrum import Past, Spectrum
 from kinpole_ros.window._weighted import apart, evaluate_poses, squares_of
 

@@ -26,8 +26,9 @@ from kinpole_ros.window._judgment import (
     judge,
     of_order,
 )
+from kinpole_ros.window._ladder import longest
 from kinpole_ros.window._plan import Plan, planned
-from kinpole_ros.window._projection import Projection, longest, project
+from kinpole_ros.window._projection import Projection, project
 from kinpole_ros.window._refuted import Fresh, judge_refuted, put
 from kinpole_ros.window._spectrum import Spectrum
 from kinpole_ros.window._weighted import squares_of

@@ -6,96 +6,17 @@ Their polynomials are orthonormal on the samples, so that every coefficient has 
 sample and knows nothing of the others. Which of them are to be believed is not asked here.
 """
 
-from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
 
 from kinpole_ros.planar._plane import Real
-from kinpole_ros.window._polynomial import orthonormal_members
+from kinpole_ros.window._models import Models, models_of, shared_models
 
-HIGHEST_ORDER = 4
-FEWEST_SAMPLES = 7
-_HIGHEST_DEGREE = 12
-_LADDER = 1.33
-# Windows of more samples are made of means: a polynomial of this degree is as well known by them.
-_FINEST = 128
 # ns. Steps of even sampling differ by no more, for stamps are whole ns.
 _UNEVEN = 1
 # Instants with stamps of their own that are projected at once: what a cache holds.
 _MOST_AT_ONCE = 32
-
-
-class _Scale(NamedTuple):
-    """
-    Windows of one scale, made of means of `each` samples together, for long ones need no more.
-
-    The B means start at the sample `start`; `root` (1 or G, B) are the square roots of their
-    weights; `basis` (S, l, D, B) are the members of the l windows, orthonormal on the weighted
-    means, and zero for means that are not `inside` (l, B). S is as in `_models`.
-    """
-
-    each: int
-    start: int
-    root: Real
-    basis: Real
-    inside: np.ndarray
-
-
-class _Shortcut(NamedTuple):
-    """
-    A scale whose models are shared and used again and again, as one matrix.
-
-    `matrix` (l D + R, B) makes of sums of samples the coefficients of the l windows, `members` in
-    all, and below what the fits leave of each mean inside, window after window from the rows
-    `starts` (l,) on.
-    """
-
-    matrix: Real
-    members: int
-    starts: np.ndarray
-
-
-class Models(NamedTuple):
-    """
-    All fits of one set of M instants of G signals.
-
-    Axes m and g are 1 where all instants, or all signals, share what has them, else M and G.
-    """
-
-    scales: tuple[_Scale, ...]  # to project on; none once that is done
-    shortcuts: tuple[_Shortcut, ...]  # of the scales, where they pay
-    rows: Real  # (m, g, L, K, D), derivatives of order 0 to K - 1 of the members at time 0
-    rim: Real  # (L, K, m, g), the larger square of the last two members in each row
-    own: Real  # (L, K, m, g), the square of the first member that each row knows
-    lengths: np.ndarray  # (L, 1, g) samples with weight in each window
-    freedom: np.ndarray  # (L, 1, g) means beyond the members of the richest fit
-    highest: np.ndarray  # (L, 1, g) degree of the richest fit
-    spans: Real  # (L, m, 1) s
-
-    def at(self, instants: np.ndarray) -> 'Models':
-        """The models of these instants, to evaluate and to judge by, not to project on."""
-        if len(self.rows) == 1:
-            return self
-        return self._replace(
-            rows=self.rows[instants],
-            rim=self.rim[:, :, instants],
-            own=self.own[:, :, instants],
-            spans=self.spans[:, instants],
-        )
-
-    def of(self, signals: np.ndarray) -> 'Models':
-        """The same of some signals."""
-        if self.rows.shape[1] == 1:
-            return self
-        return self._replace(
-            rows=self.rows[:, signals],
-            rim=self.rim[..., signals],
-            own=self.own[..., signals],
-            lengths=self.lengths[..., signals],
-            freedom=self.freedom[..., signals],
-            highest=self.highest[..., signals],
-        )
 
 
 _Found = tuple[Real, Real, Real]  # coefficients, squares and products as of a `Projection`
@@ -142,7 +63,7 @@ def project(
         base[missing] = 0.0
     centered = signals - base
     if weights is not None:
-        models = _models(times.T, int(places[0]), weights.T, order + 1)
+        models = models_of(times.T, int(places[0]), weights.T, order + 1)
         # What is missing may hold anything.
         some = np.where(weights[:, None, :, None] > 0, centered, 0.0).transpose(2, 3, 1, 0)
         found = _by_own(models, some, weights, bodies, (3, 0))
@@ -154,10 +75,10 @@ def project(
         stamps, part = times[:, instants], centered[:, instants]
         now = int(places[instants][0])
         if even:
-            models = _shared_models(stamps[:, 0].tobytes(), now, order + 1)
+            models = shared_models(stamps[:, 0].tobytes(), now, order + 1)
             found = _by_shared(models, part, bodies)
         else:
-            models = _models(stamps.T, now, None, order + 1)
+            models = models_of(stamps.T, now, None, order + 1)
             found = _by_own(models, part.transpose(1, 3, 2, 0), None, bodies, (0, 3))
         parts.append((instants, models, found))
     models, found = _joined(parts, len(places))
@@ -288,164 +209,3 @@ def evaluate(matrix: Real, members: Real) -> Real:
         flat = matrix[:, 0] @ apart.reshape(*apart.shape[:3], -1)
         return np.moveaxis(flat.reshape(*flat.shape[:3], *apart.shape[3:]), 0, -2)
     return np.einsum('glrd,ld...g->lr...g', matrix[0], members)
-
-
-@lru_cache(maxsize=32)
-def _shared_models(times: bytes, now: int, orders: int) -> Models:
-    """The models of equally weighted samples: even sampling asks for the same ones every frame."""
-    models = _models(np.frombuffer(times, np.int64)[None], now, None, orders)
-    return models._replace(shortcuts=tuple(map(_shortcut, models.scales)))
-
-
-def _shortcut(scale: _Scale) -> _Shortcut:
-    """One product instead of two for each window (of 61 samples, 10 us instead of 17)."""
-    basis = scale.basis[0]
-    left = np.eye(basis.shape[-1]) - np.swapaxes(basis, -1, -2) @ basis
-    # What lies outside of a window is none of what its fit leaves.
-    rest = np.where(scale.inside[:, None], left, 0.0)[scale.inside]
-    rows = scale.inside.sum(axis=-1)
-    project = basis.reshape(-1, basis.shape[-1])
-    matrix = np.concatenate((project, rest)) * (scale.root[0] / scale.each)
-    return _Shortcut(matrix, len(project), np.cumsum(rows) - rows)
-
-
-def longest(count: int) -> int:
-    """Samples in the longest window of those that `count` samples have room for."""
-    means, each = _ladder(count)[-1]
-    return means * each
-
-
-@lru_cache(maxsize=256)
-def newest_needed(count: int, after: int) -> int:
-    """How many of `count` samples, the newest, the windows about one with `after` after it hold."""
-    needed = 0
-    for means, each in _ladder(count):
-        blocks, ahead = count // each, after // each
-        ahead = max(min(ahead, (means - 1) // 2), means - (blocks - ahead))
-        needed = max(needed, (after // each - ahead + means) * each)
-    return needed
-
-
-@lru_cache(maxsize=256)
-def _ladder(count: int) -> list[tuple[int, int]]:
-    """Windows up to `count` samples: of how many means of how many samples each they are made."""
-    windows = [(min(FEWEST_SAMPLES, count), 1)]
-    while True:
-        means, each = windows[-1]
-        longer = max(int(means * each * _LADDER), means * each + 2)
-        while longer > _FINEST * each:
-            each *= 3
-        # Odd numbers are symmetric about the instant.
-        means = longer // 2 * 2 + 1 if each == 1 else (longer // each - 1) // 2 * 2 + 1
-        if means * each > count:
-            return windows
-        windows.append((means, each))
-
-
-class _Windows(NamedTuple):
-    """
-    The l windows of one scale about an instant, in g sets of weights: see `_Scale`.
-
-    They reach from the mean `first` to the mean `last` (l,); `given` (g, l, N') are the square
-    roots of the weights of their samples; `lengths` and `means` (g, l) say how many samples and
-    means have weight in each, and `highest` of which degree its richest fit is.
-    """
-
-    each: int
-    start: int
-    first: np.ndarray
-    last: np.ndarray
-    inside: np.ndarray
-    root: Real  # (g, B)
-    given: Real
-    lengths: np.ndarray
-    means: np.ndarray
-    highest: np.ndarray
-
-
-def _windows(now: int, weights: Real) -> list[_Windows]:
-    """All windows about the sample `now`: each reaches as far ahead as it does back."""
-    sets, count = weights.shape
-    ladder = _ladder(count)
-    result = []
-    for each in sorted({each for _, each in ladder}):
-        sizes = np.array([means for means, each_ in ladder if each_ == each])
-        blocks = count // each
-        # The newest samples count most.
-        start = count - blocks * each
-        here = (now - start) // each
-        ahead = np.maximum(np.minimum(blocks - 1 - here, (sizes - 1) // 2), sizes - 1 - here)
-        first, last = here + ahead - sizes + 1, here + ahead
-        lowest, blocks = first.min(), last.max() - first.min() + 1
-        start, first, last = start + lowest * each, first - lowest, last - lowest
-        index = np.arange(blocks)
-        inside = (index >= first[:, None]) & (index <= last[:, None])
-        taken = weights[:, start : start + blocks * each]
-        given = taken[:, None] * np.repeat(inside, each, axis=-1)
-        by_mean = given.reshape(sets, len(sizes), blocks, each)
-        means = (by_mean > 0).any(axis=-1).sum(axis=-1)
-        highest = np.maximum(means - 3, np.minimum(means - 1, HIGHEST_ORDER))
-        result.append(
-            _Windows(
-                each,
-                start,
-                first,
-                last,
-                inside,
-                np.sqrt(taken.reshape(sets, blocks, each).sum(axis=-1)),
-                np.sqrt(given),
-                (given > 0).sum(axis=-1),
-                means,
-                np.minimum(highest, _HIGHEST_DEGREE),
-            )
-        )
-    return result
-
-
-@lru_cache(maxsize=64)
-def _even_windows(now: int, count: int) -> list[_Windows]:
-    """The same where all samples have weight 1."""
-    return _windows(now, np.ones((1, count)))
-
-
-def _models(times: np.ndarray, now: int, weights: Real | None, orders: int) -> Models:
-    """
-    Fit bases for every window of the ladder.
-
-    In S sets: of samples at `times` (S, N) with weight 1, or at the same (1, N) with weights
-    (S, N).
-    """
-    count = times.shape[1]
-    windows = _even_windows(now, count) if weights is None else _windows(now, weights)
-    scales, parts = [], []
-    for each, start, first, last, inside, root, given, lengths, means, highest in windows:
-        seconds = times[:, start : start + given.shape[-1]] * 1e-9
-        spans = seconds[:, (last + 1) * each - 1] - seconds[:, first * each]
-        unit = np.where(spans > 0, spans / 2, 1.0)[..., None]
-        basis, rows = orthonormal_members(
-            seconds[:, None] / unit, given, highest, _HIGHEST_DEGREE + 1, orders - 1, each
-        )
-        rows = rows / unit[..., None] ** np.arange(orders)[:, None]
-        scales.append(_Scale(each, start, root, basis, inside))
-        parts.append((rows, spans, lengths, means - highest - 1, highest))
-    rows, *fields = (np.concatenate(part, axis=1) for part in zip(*parts, strict=True))
-    spans, lengths, freedom, highest = (field.T for field in fields)  # (L, m or g)
-    highest = highest[:, None]
-    squares = np.square(rows).transpose(1, 2, 3, 0)  # (L, K, D, S)
-    member = np.arange(rows.shape[-1])[:, None]
-    near_rim = (member <= highest) & (member >= highest - 1)
-    rim = np.where(near_rim[:, None], squares, 0.0).max(axis=2)
-    index = np.arange(orders)
-    # Sets as instants and signals.
-    sets = len(times), 1 if weights is None else len(weights)
-    return Models(
-        tuple(scales),
-        (),
-        rows.reshape(*sets, *rows.shape[1:]),
-        rim.reshape(*rim.shape[:2], *sets),
-        squares[:, index, index].reshape(*rim.shape[:2], *sets),
-        lengths[:, None],
-        freedom[:, None],
-        highest,
-        spans[..., None],
-    )

@@ -11,7 +11,7 @@ from typing import TypeAlias
 
 import numpy as np
 
-from kinpole_ros.window._projection import newest_needed
+from kinpole_ros.window._ladder import newest_needed
 
 # The frames (T,) that instants are, and the oldest and newest in their windows.
 Windows: TypeAlias = tuple[np.ndarray, np.ndarray, np.ndarray]

@@ -7,7 +7,8 @@ Which weights, is a choice (`_choice.py`); this is what every instant takes, cho
 import numpy as np
 
 from kinpole_ros.planar._plane import Real
-from kinpole_ros.window._projection import Models, Projection, evaluate
+from kinpole_ros.window._models import Models
+from kinpole_ros.window._projection import Projection, evaluate
 
 
 def squares_of(fits: Projection, dimensions: np.ndarray) -> Real:
