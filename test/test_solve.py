@@ -8,8 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from kinpole_ros import cli, solve, solve_plot
+from kinpole_ros import cli
 from kinpole_ros.mechanism import load_scene, scene_names
+from kinpole_ros.solve import _picture
+from kinpole_ros.solve._solved import solve_positions
 
 
 def told(capsys: pytest.CaptureFixture[str], *words: str) -> list[str]:
@@ -88,8 +90,8 @@ def test_all_that_is_drawn_lies_in_the_picture(name: str) -> None:
     figures = pytest.importorskip('matplotlib.figure')
     axis = figures.Figure().add_subplot()
     scene = load_scene(name)
-    solved = solve._solve(scene, None, 19)
-    solve_plot._draw_linkage(axis, solved, 0, centers=False)
+    solved = solve_positions(scene, None, 19)
+    _picture._draw_linkage(axis, solved, 0, centers=False)
     arrows = [text.xy for text in axis.texts if text.arrow_patch]
     assert arrows
     (left, right), (bottom, top) = axis.get_xlim(), axis.get_ylim()
@@ -186,7 +188,7 @@ def test_the_picture_is_one(capsys: pytest.CaptureFixture[str], tmp_path: Path) 
 def test_letters_on_lines_can_be_read() -> None:
     figures = pytest.importorskip('matplotlib.figure')
     axis = figures.Figure().add_subplot()
-    solve_plot._draw_linkage(axis, solve._solve(load_scene('four_bar'), None, 19), 0, centers=True)
+    _picture._draw_linkage(axis, solve_positions(load_scene('four_bar'), None, 19), 0, centers=True)
     letters = [text for text in axis.texts if text.get_text()]
     assert {'crank', 'coupler', 'rocker', 'I12'} <= {text.get_text() for text in letters}
     assert all(text.get_path_effects() for text in letters)

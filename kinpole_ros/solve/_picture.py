@@ -11,7 +11,7 @@ import numpy as np
 
 from kinpole_ros.mechanism import Rolling, instant_centers
 from kinpole_ros.planar import pole
-from kinpole_ros.solve import Solved, driver_unit, point_motions
+from kinpole_ros.solve._solved import Solved, driver_unit, point_motions
 
 _SIZE, _DPI = (12.5, 6.2), 150  # inches
 _DASHES: tuple[Any, ...] = ('-', '--', '-.', ':', (0, (5, 1, 1, 1, 1, 1)))
