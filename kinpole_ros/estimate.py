@@ -74,8 +74,9 @@ class Estimate:
     """
     Motion of B bodies at T instants `stamp` (T,), ns, up to the derivative of `order`.
 
-    `position` (order + 1, T, B) complex, m, and `angle` (order + 1, T, B), rad, are the poses of
-    the bodies' frames in the plane of `frame_id`; `position_covariance` and `angle_covariance`
+    `angle` (order + 1, T, B), rad, is that of the bodies' frames in the plane of `frame_id`, and
+    `position` (order + 1, T, B), complex, m, that of a point of each body, which is at `reference`
+    (T, B), complex, m, in its frame: see `origin`; `position_covariance` and `angle_covariance`
     (order + 1, order + 1, T, B) between orders, of one axis; `size` (T, B) is the diameter of
     each body and `height` (T, B) where its markers are along the normal, m; `span` (T, B) in s and
     `degree` (T, B) tell on how much time and by which polynomial the angular velocity was found.
@@ -111,6 +112,7 @@ class Estimate:
         shape: np.ndarray | None = None,
         due: np.ndarray | None = None,
         together: Poses | None = None,
+        reference: np.ndarray | None = None,
     ) -> None:
         self.stamp = stamp
         self.frame_id = frame_id
@@ -132,6 +134,7 @@ class Estimate:
         self.shape = np.empty((*each, 0), complex) if shape is None else shape
         self.due = np.arange(np.size(stamp)).reshape(np.shape(stamp)) if due is None else due
         self.together = together
+        self.reference = np.zeros(each, complex) if reference is None else reference
         self._poles: dict[int, Vectors] = {}
 
     def __len__(self) -> int:
@@ -160,6 +163,7 @@ class Estimate:
             self.shape[instant],
             self.due[instant],
             self.together and Poses(*(part[..., instant, :] for part in self.together)),
+            self.reference[instant],
         )
         # What was computed of all instants is not computed again of the one.
         one._poles = {order: _at(instant, pole) for order, pole in self._poles.items()}
@@ -172,6 +176,13 @@ class Estimate:
     def order(self) -> int:
         """The highest derivative known."""
         return len(self.angle) - 1
+
+    def origin(self, order: int) -> np.ndarray:
+        """The origins of the bodies' frames (T, B), or their derivatives, complex, m/s^order."""
+        place = self.position[0] - self.reference * np.exp(1j * self.angle[0])
+        if order == 0:
+            return np.asarray(place)
+        return planar.body_point_derivative(order, place, self.position, self.angle)
 
     def rate(self, order: int) -> Numbers:
         """Derivative of the angle of that order (rad/s^order), order 1 to 4."""

@@ -153,7 +153,7 @@ def joint_offsets(theory: Theory, estimate: Estimate) -> dict[str, Difference]:
             continue
         place, turn = frames[joint.one]
         point = place + joint.a * np.exp(1j * turn)
-        at = estimate.position[0, one] + point * np.exp(1j * estimate.angle[0, one])
+        at = estimate.origin(0)[one] + point * np.exp(1j * estimate.angle[0, one])
         distance, deviations = center_offset(center.value[k], at, center.covariance[k])
         if deviations > 0:
             found[joint.name] = Difference(float(distance), float(distance / deviations))
@@ -171,7 +171,7 @@ def balance(theory: Theory, estimate: Estimate) -> Numbers:
     if not needed <= set(frames):
         unknown = np.full(np.shape(estimate.stamp), np.nan)
         return Numbers(unknown, unknown, np.isfinite(unknown))
-    ports = [_port(theory, load, frames) for load in theory.scene.loads]
+    ports = [_port(theory, load, frames, estimate) for load in theory.scene.loads]
     value, variance, determined = measured_balance(
         Port(theory.places[theory.driver][0], 1.0),
         ports,
@@ -187,11 +187,13 @@ def balance(theory: Theory, estimate: Estimate) -> Numbers:
     )
 
 
-def _port(theory: Theory, load: Load, frames: Frames) -> Port:
+def _port(theory: Theory, load: Load, frames: Frames, estimate: Estimate) -> Port:
     b = theory.places[load.body][0]
     if isinstance(load, Force):
         place, turn = frames[load.body]
-        return Port(b, complex(load.force), place + load.point * np.exp(1j * turn))  # type: ignore[arg-type]
+        # From the point whose velocity is known.
+        arm = place + load.point * np.exp(1j * turn) - estimate.reference[..., b]
+        return Port(b, complex(load.force), arm)  # type: ignore[arg-type]
     return Port(b, complex(load.torque))  # type: ignore[arg-type]
 
 

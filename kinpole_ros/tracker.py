@@ -8,6 +8,7 @@ Header stamps drive it; it never asks for the time.
 
 from collections import Counter
 from collections.abc import Iterable
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -23,6 +24,7 @@ from kinpole_ros.window import (
     Noise,
     Pins,
     PoseFilter,
+    References,
     Samples,
     Shapes,
     Windows,
@@ -83,6 +85,8 @@ def _known_type(bodies: int, width: int) -> np.dtype:
         ('pin', complex, (bodies,)),
         ('pin_variance', float, (bodies,)),
         ('pin_since', np.int64, (bodies,)),
+        ('reference', complex, (bodies,)),
+        ('middle', complex, (bodies,)),
         ('shape', complex, (bodies, width)),
     ]
     return np.dtype(columns, align=True)
@@ -114,6 +118,7 @@ class Tracker:
         self._shapes = Shapes(count, self._roster.width)
         self._noise = Noise(count)
         self._pins = Pins(count)
+        self._references = References(count, self._window)
         self._filter = PoseFilter()
         self._landmark_filter = LandmarkFilter()
         self._frames = Samples((), _frame_type(count))
@@ -313,6 +318,7 @@ class Tracker:
             known['size'] = self._size()
             known['pin'], known['pin_variance'] = pins.center, pins.variance
             known['pin_since'] = pins.since
+            known['reference'], known['middle'] = self._references.point, self._shapes.middle
             known['shape'] = self._shapes.markers()
         return len(self._known) - 1
 
@@ -381,7 +387,9 @@ class Tracker:
         self._learned = True
         if self._points is None:
             variance = self._variance(news.information)
-            self._pins.add(news.stamps, news.position, news.angle, variance, size)
+            poses = news.stamps, news.position, news.angle, variance
+            self._pins.add(*poses, size)
+            self._references.add(*poses)
         self._noise.add(news.residual, news.freedom, ~news.gaps)
         self._shapes.learn()
 
@@ -464,7 +472,7 @@ class Tracker:
         measured, firm = known['measured'], known['firm']
         usable = seen & measured & firm
         differentiated = self._from_poses if self._points is None else self._from_landmarks
-        found, together = differentiated(windows, known['noise'], known['size'], order)
+        found, together = differentiated(windows, known, order)
         position, angle, position_covariance, angle_covariance, span, degree = found
         if np.count_nonzero(usable) < usable.size:
             for array in (*found, *(together or ())):
@@ -495,6 +503,7 @@ class Tracker:
             known['shape'],
             due,
             together,
+            known['reference'] if self._points is None else None,
         )
 
     def _pinned(self, windows: Windows, known: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -520,7 +529,7 @@ class Tracker:
         )
 
     def _from_poses(
-        self, windows: Windows, noise: np.ndarray, size: np.ndarray, order: int
+        self, windows: Windows, known: np.ndarray, order: int
     ) -> tuple[tuple[np.ndarray, ...], Poses | None]:
         """Derivatives of the fitted poses, angle and position each by itself and together."""
         now = windows[0]
@@ -531,17 +540,20 @@ class Tracker:
         turned = 2 * np.pi * (turns - turns[0])
         angles += turned
         turns[...] = 0.0
-        reach = FARTHEST * size
+        reach = FARTHEST * known['size']
         found = []
         numbers = now + self._dropped
+        noise = np.concatenate((known['noise'], known['noise']), axis=1)
         first = 0
-        information, both = frames['information'], np.concatenate((noise, noise), axis=1)
-        for run in runs(frames['stamp'], windows, signals, information, both):
-            end = first + run[1].shape[1]
-            found.append(
-                self._filter.derivatives(numbers[first:end], *run, reach[first:end], order)
-            )
-            first = end
+        for alike in _alike(known['reference']):
+            poses = _seen_at(known[alike.start], signals, frames['information'])
+            some = tuple(part[alike] for part in windows)
+            for run in runs(frames['stamp'], some, *poses, noise[alike]):
+                end = first + run[1].shape[1]
+                found.append(
+                    self._filter.derivatives(numbers[first:end], *run, reach[first:end], order)
+                )
+                first = end
         parts = joined(found)
         apart, together = parts[:6], Poses(*parts[6:])
         # Of all turns that are one, as it was measured.
@@ -550,13 +562,45 @@ class Tracker:
         return apart, together
 
     def _from_landmarks(
-        self, windows: Windows, noise: np.ndarray, size: np.ndarray, order: int
+        self, windows: Windows, known: np.ndarray, order: int
     ) -> tuple[tuple[np.ndarray, ...], Poses | None]:
         """The same from the derivatives of each landmark."""
         assert self._points is not None
         frames = self._frames.view()
         found = self._landmark_filter.derivatives(
-            frames['stamp'], windows, self._points.view(), noise, order
+            frames['stamp'], windows, self._points.view(), known['noise'], order
         )
         found[1][0] = frames['poses'][windows[0], : len(self.bodies), 0]
         return found, None
+
+
+def _alike(references: np.ndarray) -> list[slice]:
+    """Stretches of instants that have the same reference points (T, B)."""
+    changes = ((references[1:] != references[:-1]).any(axis=1).nonzero()[0] + 1).tolist()
+    return [slice(*ends) for ends in pairwise((0, *changes, len(references)))]
+
+
+def _seen_at(
+    known: np.ndarray, poses: np.ndarray, information: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """
+    Poses (frames, 2 B, 2) with the positions of the reference points, and their information.
+
+    `poses` and `information` (frames, 2 B) are of the origins; `known` is a row of what is known.
+    """
+    reference, middle = known['reference'], known['middle']
+    if not np.count_nonzero(reference):
+        return poses, information
+    count = len(reference)
+    poses, information = poses.copy(), information.copy()
+    arm = reference * np.exp(1j * poses[:, :count, 0])
+    poses[:, count:, 0] += arm.real
+    poses[:, count:, 1] += arm.imag
+    # Farther from the middle of the markers the angle's error tells more.
+    nearer, farther = np.abs(middle) ** 2, np.abs(reference - middle) ** 2
+    turned, placed = information[:, :count], information[:, count:]
+    seen = placed > 0
+    share = np.divide(placed, turned, out=np.zeros_like(placed), where=seen)
+    left = np.maximum(1 - nearer * share, 0.0) + farther * share
+    np.divide(placed, left, out=placed, where=seen & (left > 0))
+    return poses, information

@@ -41,7 +41,7 @@ def figures(estimate: Estimate, order: int) -> np.ndarray:
     """The figures named by `column_names` at T instants, (T, columns); NaN is undetermined."""
     shape = (np.size(estimate.stamp), len(estimate.bodies))
     known = np.reshape(np.asarray(estimate.missing), shape) == ''
-    place = estimate.position[0].reshape(shape)
+    place = estimate.origin(0).reshape(shape)
     pose = np.stack((place.real, place.imag, estimate.angle[0].reshape(shape)), axis=-1)
     numbers = [estimate.rate(k) for k in range(1, order + 1)]
     vectors = [estimate.pole(k) for k in range(1, order + 1)]

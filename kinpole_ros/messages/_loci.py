@@ -55,7 +55,7 @@ class Trail:
             return
         new = known[_spaced(estimate.stamp[known], _TRAIL_STEP)]
         fixed = pole.value[new, b]
-        moving = (fixed - estimate.position[0, new, b]) * np.exp(-1j * estimate.angle[0, new, b])
+        moving = (fixed - estimate.origin(0)[new, b]) * np.exp(-1j * estimate.angle[0, new, b])
         # What was drawn before is still needed by the drawings of these instants.
         old = slice(-_TRAIL_POINTS, None)
         self.stamps = np.concatenate((self.stamps[old], estimate.stamp[new]))
@@ -202,7 +202,7 @@ def _shown(estimate: Estimate, t: int, b: int, trail: Trail, part: slice) -> dic
     if part.stop - part.start > 1:
         found['centrode_fixed'] = trail.fixed[part]
         turn = np.exp(1j * estimate.angle[0, t, b])
-        found['centrode_moving'] = estimate.position[0, t, b] + turn * trail.moving[part]
+        found['centrode_moving'] = estimate.origin(0)[t, b] + turn * trail.moving[part]
     return found
 
 

@@ -190,7 +190,7 @@ def _odometry(b: int, axes: Axes) -> Build:
 
     def build(estimate: Estimate) -> list[tuple[int, bytes]]:
         def figures(chosen: Chosen) -> np.ndarray:
-            position, velocity = estimate.position[:2, chosen, b]
+            position, velocity = (estimate.origin(order)[chosen, b] for order in (0, 1))
             angle, rate = estimate.angle[:2, chosen, b]
             both = np.zeros((len(angle), 85))
             pose, twist = both[:, :43], both[:, 43:]
@@ -204,9 +204,11 @@ def _odometry(b: int, axes: Axes) -> Build:
                 # The diagonal of a 6 x 6 matrix, which comes last.
                 diagonal = part[:, -36::7]
                 diagonal[:] = _UNMEASURED
+                turned = of_angle[order][chosen, b]
                 spread = estimate.position_covariance[order, order, chosen, b]
+                spread = spread + np.abs(estimate.reference[chosen, b]) ** 2 * turned
                 diagonal[:, first] = diagonal[:, second] = spread
-                diagonal[:, 3 + normal] = of_angle[order][chosen, b]
+                diagonal[:, 3 + normal] = turned
             return both
 
         return _messages(estimate, estimate.missing[:, b] == '', figures, estimate.bodies[b])

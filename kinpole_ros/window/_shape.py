@@ -286,6 +286,11 @@ class Shapes:
         least = self._frames.min(where=known, initial=_MEMORY) if known.any() else 0
         self.beat = max(1, int(least * _BEAT))
 
+    @property
+    def middle(self) -> Complex:
+        """The weighted means (B,) of the markers in their bodies' frames."""
+        return self._grip.mean
+
     def markers(self) -> Complex:
         """Where the markers (B, n) are in their bodies' frames, NaN for those not seen yet."""
         return np.where(self._frames > 0, self.points, complex(np.nan, np.nan))
