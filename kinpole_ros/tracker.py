@@ -472,7 +472,7 @@ class Tracker:
         measured, firm = known['measured'], known['firm']
         usable = seen & measured & firm
         differentiated = self._from_poses if self._points is None else self._from_landmarks
-        found, together = differentiated(windows, known, order)
+        found, together, reference = differentiated(windows, known, order)
         position, angle, position_covariance, angle_covariance, span, degree = found
         if np.count_nonzero(usable) < usable.size:
             for array in (*found, *(together or ())):
@@ -503,7 +503,7 @@ class Tracker:
             known['shape'],
             due,
             together,
-            known['reference'] if self._points is None else None,
+            reference,
         )
 
     def _pinned(self, windows: Windows, known: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -530,8 +530,12 @@ class Tracker:
 
     def _from_poses(
         self, windows: Windows, known: np.ndarray, order: int
-    ) -> tuple[tuple[np.ndarray, ...], Poses | None]:
-        """Derivatives of the fitted poses, angle and position each by itself and together."""
+    ) -> tuple[tuple[np.ndarray, ...], Poses | None, np.ndarray | None]:
+        """
+        Derivatives of the fitted poses, angle and position each by itself and together.
+
+        Also of which points (T, B) of the bodies the positions are, None for the origins.
+        """
         now = windows[0]
         count = len(self.bodies)
         frames = self._frames.view()
@@ -559,11 +563,11 @@ class Tracker:
         # Of all turns that are one, as it was measured.
         for angle in (apart[1], together.angle):
             angle[0] -= turned[now]
-        return apart, together
+        return apart, together, known['reference']
 
     def _from_landmarks(
         self, windows: Windows, known: np.ndarray, order: int
-    ) -> tuple[tuple[np.ndarray, ...], Poses | None]:
+    ) -> tuple[tuple[np.ndarray, ...], Poses | None, np.ndarray | None]:
         """The same from the derivatives of each landmark."""
         assert self._points is not None
         frames = self._frames.view()
@@ -571,7 +575,7 @@ class Tracker:
             frames['stamp'], windows, self._points.view(), known['noise'], order
         )
         found[1][0] = frames['poses'][windows[0], : len(self.bodies), 0]
-        return found, None
+        return found, None, None
 
 
 def _alike(references: np.ndarray) -> list[slice]:

@@ -32,6 +32,7 @@ class Known:
         self.missing = np.where(draw.random(shape) < 0.2, 'no markers', '')
         self.position = draw.standard_normal((5, *shape)) * 1e-3 + 1j
         self.angle = draw.standard_normal((5, *shape))
+        self.origin = lambda order: self.position[order]
         pairs = (instants, len(bodies) * (len(bodies) - 1) // 2)
         numbers = [self._numbers(draw, shape) for _ in range(5)]
         vectors = [self._vectors(draw, shape) for _ in range(5)]

@@ -321,12 +321,12 @@ class FixedTracker(Tracker):
     """The same pipeline with a fixed local polynomial (41 samples, degree 4) for the choice."""
 
     def _from_poses(
-        self, windows: Windows, noise: np.ndarray, size: np.ndarray, order: int
-    ) -> tuple[tuple[np.ndarray, ...], None]:
-        frames = zip(*windows, noise, strict=True)
+        self, windows: Windows, known: np.ndarray, order: int
+    ) -> tuple[tuple[np.ndarray, ...], None, None]:
+        frames = zip(*windows, known['noise'], strict=True)
         found = [self._at(*frame, order) for frame in frames]
         axes = (1, 1, 2, 2, 0, 0)
-        return tuple(map(np.stack, zip(*found, strict=True), axes)), None
+        return tuple(map(np.stack, zip(*found, strict=True), axes)), None, None
 
     def _at(
         self, now: int, oldest: int, newest: int, noise: np.ndarray, order: int

@@ -14,11 +14,14 @@ from kinpole_ros.planar._plane import Complex, Real
 
 # Poses looked at in one window, and the fewest.
 _KEPT, _FEWEST = 32, 8
+# Of polynomials whose rests are looked at: the first says whether, the one that tells best where.
+_DEGREES = np.arange(2, 6)[:, None]
 # A point is taken when turning about it explains this share of what moves, and so many times what
-# the noise would have it explain.
+# the noise would have it explain; the angle must turn by as many times its noise.
 _SHARE, _CLEAR = 0.9, 25.0
-# It is put right when it is off by so many deviations; a window counts for this share of the next.
-_OFF, _FADING = 3.0, 0.9
+# So many windows must tell so, reckoned as many that turn alike; one counts for this share of the
+# next. A point is put right when it is off by so many deviations.
+_WINDOWS, _FADING, _OFF = 3.0, 0.95, 3.0
 
 
 class References:
@@ -34,10 +37,12 @@ class References:
         self._due: int | None = None
         self._stamps: list[int] = []
         self._poses: list[tuple[Complex, Real]] = []
-        # Sums over windows of what a parabola leaves of the origin's path z and of the turns
-        # e = exp(i angle): |z|^2, conj(e) z and |e|^2; and of how many there are, and of noise.
-        self._path, self._turn, self._count, self._still, self._even = np.zeros((5, bodies))
-        self._both = np.zeros(bodies, complex)
+        # Sums over windows, by degree, of what polynomials leave of the origin's path z and of the
+        # turns e = exp(i angle): conj(e) z; |z|^2, |e|^2, the noise in both, and how many.
+        self._both = np.zeros((len(_DEGREES), bodies), complex)
+        self._sums = np.zeros((5, len(_DEGREES), bodies))
+        # Of the squares of |e|^2 by the first degree.
+        self._squares = np.zeros(bodies)
 
     def add(self, stamps: np.ndarray, position: Complex, angle: Real, variance: Real) -> None:
         """
@@ -59,31 +64,48 @@ class References:
 
     def _judge(self, variance: Real, of_angle: Real) -> None:
         """See what turning explains of one window of poses, and of those before."""
-        stamps = np.array(self._stamps)
-        basis, _ = np.linalg.qr(np.vander((stamps - stamps[0]) / self._span - 0.5, 3))
         z, angle = (np.array(part) for part in zip(*self._poses, strict=True))
-        z, e = z - z[0], np.exp(1j * angle)
-        z, e = z - basis @ (basis.T @ z), e - basis @ (basis.T @ e)
-        known = np.isfinite(z).all(axis=0) & np.isfinite(variance)
-        count = len(stamps) - 3
-        for sums, new in (
-            (self._path, (z.real**2 + z.imag**2).sum(axis=0)),
-            (self._both, (e.conj() * z).sum(axis=0)),
-            (self._turn, (e.real**2 + e.imag**2).sum(axis=0)),
-            (self._count, count),
-            (self._even, 2 * count * variance),
-            (self._still, count * of_angle),
+        known = np.isfinite(angle).all(axis=0) & np.isfinite(variance) & np.isfinite(of_angle)
+        path = self._rests(np.where(known, z - z[0], 0.0))
+        turn = self._rests(np.exp(1j * np.where(known, angle, 0.0)))
+        count = len(z) - 1 - _DEGREES
+        even, still = (count * np.where(known, part, 0.0) for part in (2 * variance, of_angle))
+        counts = np.broadcast_to(count, even.shape)
+        new = np.stack((_energy(path), _energy(turn), even, still, counts))
+        for sums, one, share in (
+            (self._both, (turn.conj() * path).sum(axis=1), _FADING),
+            (self._sums, new, _FADING),
+            (self._squares, new[1, 0] ** 2, _FADING**2),
         ):
-            sums[known] = (_FADING * sums + new)[known]
-        turns = known & (self._turn > _CLEAR * self._still)
-        best = np.where(turns, -self._both / np.where(turns, self._turn, 1.0), 0.0)
+            sums[..., known] = (share * sums + one)[..., known]
+        moves, turns, even, still, counts = self._sums
+        counts = np.maximum(counts, 1.0)
+        clear = known & (turns > _CLEAR * still)
+        turns = np.where(clear, turns, 1.0)
+        best = np.where(clear, -self._both / turns, 0.0)
         gained = np.abs(self._both * best)
-        count = np.maximum(self._count, 1.0)
-        taken = gained > np.maximum(_SHARE * (self._path - self._even), _CLEAR * self._even / count)
-        # How much more than the best the present one leaves. One no better than the origin goes.
-        more = np.abs(self.point - best) ** 2 * self._turn
-        left = np.maximum(self._path - gained, 0.0) / count
-        moved = taken & (more > _OFF**2 * left)
-        gone = ~taken & (more > gained + _OFF**2 * left)
-        self.point[turns & moved] = best[turns & moved]
-        self.point[turns & gone] = 0.0
+        left = np.maximum(moves - gained, 0.0) / counts
+        enough = np.maximum(_SHARE * (moves - even), _CLEAR * even / counts)[0]
+        taken = (gained[0] > enough) & (turns[0] ** 2 > _WINDOWS * self._squares)
+
+        square = np.where(clear, left / turns, np.inf)
+        degree = square.argmin(axis=0), np.arange(len(known))
+        clear, best, square = clear[degree], best[degree], _OFF**2 * square[degree]
+        off = np.abs(self.point - best) ** 2
+        # One that is no better than the origin goes.
+        gone = clear & ~taken & (off > np.abs(best) ** 2 + square)
+        moved = clear & taken & (off > square)
+        self.point = np.where(moved, best, np.where(gone, 0.0, self.point))
+
+    def _rests(self, values: Complex) -> Complex:
+        """What polynomials of each degree leave (D, N, B) of values (N, B) at the stamps."""
+        stamps = np.array(self._stamps)
+        powers = (stamps - stamps[0]) / self._span - 0.5
+        basis, _ = np.linalg.qr(np.vander(powers, int(_DEGREES[-1, 0]) + 1, increasing=True))
+        some = (basis[:, : degree + 1] for degree in _DEGREES[:, 0])
+        return np.array([values - part @ (part.T @ values) for part in some])
+
+
+def _energy(values: Complex) -> Real:
+    """Sums (D, B) of the squares of values (D, N, B)."""
+    return np.asarray((values.real**2 + values.imag**2).sum(axis=1))
