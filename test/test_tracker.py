@@ -702,6 +702,46 @@ def test_frames_all_at_once_give_what_they_give_one_by_one(
             alike(*(np.stack([figure[part] for figure in all_])[told] for all_ in (one, other)))
 
 
+def block_and_single(frames: MarkerFrames, values: dict[str, Any]) -> tuple[list[Estimate], ...]:
+    """What a tracker finds of frames all at once, and what another does of them one by one."""
+    whole, single = Tracker(settings_from(values)), Tracker(settings_from(values))
+    together = whole.add(frames, 3)
+    one_by_one = []
+    for k in range(len(frames.stamps)):
+        one_by_one += single.add(part_of(frames, slice(k, k + 1)), 3)
+    assert whole.counts == single.counts
+    return instants(together), instants(one_by_one)
+
+
+def turning(shape: list[complex], noise: float, count: int) -> MarkerFrames:
+    """A body of that shape that turns by 3 rad/s as its middle goes round."""
+    t = np.arange(count) * STEP * 1e-9
+    normal = noise * np.random.default_rng(3).normal(size=(2, count, len(shape)))
+    markers = 0.3 * np.exp(2j * t)[:, None] + np.exp(3j * t)[:, None] * np.array(shape)
+    markers += normal[0] + 1j * normal[1]
+    points = np.stack((markers.real, markers.imag, np.zeros(markers.shape)), axis=-1)
+    names = tuple(map(str, range(len(shape))))
+    return MarkerFrames(START + STEP * np.arange(count), 'world', names, points)
+
+
+def test_a_frame_that_hardly_tells_the_angle_does_no_harm_to_the_frames_after_its_window() -> None:
+    """Of three markers two are next to each other, and the third is hidden in one frame."""
+    frames = turning([0.1, 0.1 + 1e-8, -0.2 + 0.05j], 1e-7, 220)
+    frames.points[60, 2] = np.nan
+    found = block_and_single(frames, {})
+    for name in ('angle', 'position', 'angle_covariance', 'position_covariance'):
+        one, other = (np.stack([getattr(e, name) for e in all_]) for all_ in found)
+        alike(one, other)
+
+
+def test_what_markers_are_exchanged_for_good_is_not_known_before() -> None:
+    frames = turning([0.1, -0.07 + 0.02j], 1e-4, 400)
+    frames.points[200:] = frames.points[200:, ::-1]
+    one, other = (np.stack([e.shape for e in all_]) for all_ in block_and_single(frames, {}))
+    np.testing.assert_array_equal(one, other)
+    assert (one[0] * one[-1].conj()).real.max() < 0  # each at the other's place
+
+
 def test_two_recordings_followed_in_turn_do_not_mix() -> None:
     """Of uneven stamps, and of such as take turns because they are whole ns."""
     both = [

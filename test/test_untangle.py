@@ -288,11 +288,13 @@ def test_markers_exchanged_for_good_are_taken_so_and_no_pose_jumps(shape: np.nda
     points = markers(shape, 400)
     _, straight, _ = fitted(points)
     shapes, found, _ = fitted(exchange(points, 90, 310))
-    assert shapes.mended == {'markers_exchanged': len(shape) * 100}
+    # Put back for a while, up to the next beat, then taken for each other.
+    assert set(shapes.mended) == {'markers_exchanged'}
+    assert 100 <= shapes.mended['markers_exchanged'] / len(shape) < 100 + 25
     assert np.abs(turns(found) - turns(straight)).max() < 20e-4
     # And back again, later.
     shapes, found, _ = fitted(exchange(points, 90, 200))
-    assert shapes.mended == {'markers_exchanged': len(shape) * 200}
+    assert 200 <= shapes.mended['markers_exchanged'] / len(shape) < 200 + 2 * 25
     assert np.abs(turns(found) - turns(straight)).max() < 20e-4
 
 

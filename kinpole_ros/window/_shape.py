@@ -35,7 +35,8 @@ _MATURE, _RULE_MEMORY, _RULE_CLIP = 20, 200, 9.0
 _RULE_SHARE = 1.15
 # What is less than this share of the body's size is rounding.
 _TINY = 1e-6
-# A marker that does not fit in so many frames running sits elsewhere now.
+# A marker that does not fit in so many frames running sits elsewhere from the next beat on, and
+# markers that turn their body by half a turn in so many have changed their names.
 _MOVED = 100
 
 
@@ -73,8 +74,9 @@ class Shapes:
         self._fits = np.zeros(bodies, int)
         self._before = np.full((bodies, markers), complex(np.nan, np.nan))
         self._turns = Turns(bodies)
-        # Frames running in which a body was turned back.
+        # Frames running in which a body was turned back, and by which order of its markers.
         self._turned = np.zeros(bodies, int)
+        self._order = np.zeros((bodies, markers), int)
         # Whether any of these, or of those astray, is not zero.
         self._disturbed = False
         self._news: list[_News] = []
@@ -179,6 +181,11 @@ class Shapes:
             body = moved.any(axis=-1)
             self._left[body] = np.nan
             self._fits[body] = 0
+        for b in np.flatnonzero(self._turned >= _MOVED):
+            # Exchanged for good: the names stand for each other's places, and no pose jumps.
+            for kept in (self.points, self._frames, self._drift, self._before):
+                kept[b] = kept[b, self._order[b]]
+            self._turned[b] = 0
         self._measure()
 
     def _take(self, fit: Fit, points: Complex, residual: Complex, freedom: Real) -> None:
@@ -223,19 +230,9 @@ class Shapes:
         for b in np.flatnonzero(jumped):
             order = half_turn(self.points[b], weights[b], float(self._limit[b]))
             self._turned[b] = 0 if order is None else self._turned[b] + 1
-            if order is None:
-                continue
-            if self._turned[b] <= _MOVED:
-                points[b] = points[b, order]
+            if order is not None:
+                points[b], self._order[b] = points[b, order], order
                 self.mended[EXCHANGED] += int((order != np.arange(len(order))).sum())
-                continue
-            # Exchanged for good: the names stand for each other's places, and no pose jumps.
-            for kept in (self.points, self._frames, self._first, self._drift, weights):
-                kept[b] = kept[b, order]
-            for news in self._news:
-                news.points[:, b] = news.points[:, b, order]
-            self._turned[b] = 0
-            self._measure()
         return fit_pose(points, self.points, weights) if jumped.any() else fit
 
     def _learn_rule(self, news: '_News') -> None:
@@ -266,6 +263,7 @@ class Shapes:
         self._astray = np.pad(self._astray, more)
         self._before = np.pad(self._before, more, constant_values=complex(np.nan, np.nan))
         self._drift = np.pad(self._drift, more)
+        self._order = np.pad(self._order, more)
         self._measure()
 
     def _measure(self) -> None:
