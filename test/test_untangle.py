@@ -298,6 +298,29 @@ def test_markers_exchanged_for_good_are_taken_so_and_no_pose_jumps(shape: np.nda
     assert np.abs(turns(found) - turns(straight)).max() < 20e-4
 
 
+@pytest.mark.parametrize('lost', [0.0, 0.1])
+@pytest.mark.parametrize('count', [3, 4])
+def test_two_of_several_that_are_exchanged_for_good_are_taken_so(count: int, lost: float) -> None:
+    """Else what they leave becomes the rule after a while, and nothing is out of it any more."""
+    points = markers(KITE[:count], 1400)
+    points[np.random.default_rng(4).random(points.shape) < lost] = np.nan
+    _, straight, _ = fitted(points)
+    spoiled = points.copy()
+    spoiled[200:, [0, 1]] = spoiled[200:, [1, 0]]
+    spoiled[1200] = points[1200]  # as it was at first: seen to be wrong, as ever
+    spoiled[1250, 0] += 0.02
+    shapes, found, level = fitted(spoiled)
+    assert 101 <= shapes.mended['markers_exchanged'] / 2 < 200
+    # Where one of the two is hidden the other has no place.
+    assert shapes.mended['markers_left_out'] <= 1 + 400 * lost
+    assert np.isnan(found[1250].residual[0, 0])
+    assert level[-1] < 1.1e-4
+    # Off by what one marker more or less among noisy ones makes.
+    off = np.abs(turns(found) - turns(straight))
+    assert np.nanmax(off[350:]) < 20e-4
+    assert np.nanmedian(off[350:]) < 1e-4
+
+
 @pytest.mark.parametrize('revolutions', [0.15, 0.25, 0.4, 0.45, 0.49])
 @pytest.mark.parametrize('lost', [0.0, 0.1, 0.5])
 def test_a_body_that_turns_fast_is_not_turned_back(revolutions: float, lost: float) -> None:
