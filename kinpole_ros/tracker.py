@@ -191,6 +191,8 @@ class Tracker:
         before = 0
         for frames in parts:
             stamps = np.asarray(frames.stamps)
+            if not len(stamps):
+                continue
             self.counts['frames'] += len(stamps)
             if frames.frame_id != self._frame_id:
                 if len(self._frames):
