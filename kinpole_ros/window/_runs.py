@@ -86,7 +86,9 @@ def _evenly(
         return np.ones(len(oldest), bool), 1 / np.sqrt(np.where(part[:1] > 0, part[:1], 1.0))
     with np.errstate(divide='ignore'):
         inverse = np.where(part > 0, 1 / part, 0.0)
-    sums = np.pad(np.stack((part, inverse, part <= 0)).transpose(0, 2, 1), ((0, 0), (0, 0), (0, 1)))
+    # With one place more, for the end of the last window.
+    sums = np.zeros((3, part.shape[1], len(part) + 1))
+    sums[..., :-1] = part.T, inverse.T, part.T <= 0
     count = (newest - oldest + 1)[:, None]
     # Window by window: differences of running sums lose all that is beside one immense inverse.
     bounds = np.stack((oldest, newest + 1), axis=1).reshape(-1) - oldest[0]
