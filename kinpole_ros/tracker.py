@@ -347,7 +347,9 @@ class Tracker:
             variance = self._variance(information)
             rows['strayed'] = self._pins.strayed(fit.position, fit.angle, variance)
         if self._points is not None:
-            self._points.room(len(points))[...] = points
+            # One line goes on, whatever the marker is called.
+            stand_in = np.broadcast_to(self._shapes.stand_in, points.shape)
+            self._points.room(len(points))[...] = np.take_along_axis(points, stand_in, axis=-1)
         self._news.append(
             _News(
                 rows['stamp'].copy(),

@@ -144,6 +144,19 @@ def test_landmarks_by_themselves_are_mended_alike() -> None:
         assert np.allclose(one.angle, other.angle, rtol=1e-9, equal_nan=True)
 
 
+@pytest.mark.parametrize('method', ['pose', 'landmarks'])
+def test_figures_go_on_as_they_were_when_two_markers_are_exchanged_for_good(method: str) -> None:
+    def swapped(points: np.ndarray) -> None:
+        points[150:, [3, 5]] = points[150:, [5, 3]]
+
+    tracker, found = track(swapped, method=method)
+    assert 200 <= tracker.counts['markers_exchanged'] < 300
+    (_, straight), truth = track(None, method=method), errors(found)
+    usual = np.sqrt(np.nanmean(np.square(list(errors(straight).values())), axis=0))
+    off = [abs(truth[frame] - error) for frame, error in errors(straight).items() if frame > 150]
+    assert (np.max(off, axis=0)[:, 1] < 0.1 * usual[:, 1]).all()
+
+
 # --- what is left of a fault later --------------------------------------------------------------
 
 

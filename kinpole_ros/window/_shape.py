@@ -57,12 +57,14 @@ class Shapes:
     `points` (B, n) are where the markers are, complex, m; `known` (B,) how many of them have been
     seen so far, and `spread` (B,) the sum of their squares about their mean, m^2; `beat` is in how
     many frames from the last time on `learn` is to be called; `farthest` is how far, m, from the
-    origin of the ground markers were until then. `mended` counts, see `untangle`.
+    origin of the ground markers were until then. `mended` counts, see `untangle`; `stand_in` (B, n)
+    says which marker goes on where each one was at first, for some are exchanged for good.
     """
 
     def __init__(self, bodies: int, markers: int) -> None:
         self.points = np.zeros((bodies, markers), complex)
         self.mended: Counter[str] = Counter()
+        self.stand_in = np.tile(np.arange(markers), (bodies, 1))
         self.farthest = 0.0
         self._frames = np.zeros((bodies, markers))
         # One for a marker that the last beat began with: no news of it yet.
@@ -183,6 +185,7 @@ class Shapes:
             # Exchanged for good: the names stand for each other's places, and no pose jumps.
             for kept in (self.points, self._frames, self._drift, self._before):
                 kept[b, self._order[b]] = kept[b].copy()
+            self.stand_in[b] = self._order[b, self.stand_in[b]]
             self._exchanged[b] = 0
             # What was left with the names of before is no rule.
             self._left[b] = np.nan
@@ -275,7 +278,9 @@ class Shapes:
         self._astray = np.pad(self._astray, more)
         self._before = np.pad(self._before, more, constant_values=complex(np.nan, np.nan))
         self._drift = np.pad(self._drift, more)
-        self._order = np.pad(self._order, more)
+        new = np.tile(np.arange(self.stand_in.shape[1], markers), (len(self.points), 1))
+        self.stand_in = np.hstack((self.stand_in, new))
+        self._order = np.hstack((self._order, new))
         self._measure()
 
     def _measure(self) -> None:
