@@ -753,6 +753,21 @@ def test_what_markers_are_exchanged_for_good_is_not_known_before() -> None:
     assert (one[0] * one[-1].conj()).real.max() < 0  # each at the other's place
 
 
+@pytest.mark.parametrize('size', [3, 4, 5, 6, 7])
+def test_one_body_is_followed_alike_in_blocks_of_a_few_frames(size: int) -> None:
+    """What is judged anew may be for one instant twice: as many as there are, but not all."""
+    frames = two_bodies(160, 3.0, 0.0, 1e-4)
+    frames = frames._replace(identities=frames.identities[:4], points=frames.points[:, :4])
+    whole, parts = Tracker(settings_from({})), Tracker(settings_from({}))
+    at_once = everything(whole.add(frames, 3))
+    found = []
+    for first in range(0, 160, size):
+        found += parts.add(part_of(frames, slice(first, first + size)), 3)
+    some = everything(found)
+    for name in ('position', 'angle', 'position together', 'angle together'):
+        alike(at_once[name], some[name])
+
+
 def test_two_recordings_followed_in_turn_do_not_mix() -> None:
     """Of uneven stamps, and of such as take turns because they are whole ns."""
     both = [
@@ -876,6 +891,7 @@ def everything(found: list[Estimate]) -> dict[str, np.ndarray]:
     st.sampled_from((0.0, 1e-3)),
     st.sampled_from(('pose', 'pose', 'landmarks')),
     st.integers(1, 4),
+    st.booleans(),
 )
 def test_any_partition_of_any_stream_gives_the_same(
     spoilt: list[Fault],
@@ -887,6 +903,7 @@ def test_any_partition_of_any_stream_gives_the_same(
     given_noise: float,
     method: str,
     order: int,
+    alone: bool,
 ) -> None:
     """One by one, now and then settled, all at once, and in blocks, some of them settled."""
     frames = two_bodies(110, speed, jitter, noise)
@@ -895,9 +912,9 @@ def test_any_partition_of_any_stream_gives_the_same(
         stamps, points = fault.spoil(stamps, points)
     frames = frames._replace(stamps=stamps, points=points)
     values = {
-        'bodies': ['kite', 'rectangle'],
+        'bodies': ['kite'] if alone else ['kite', 'rectangle'],
         'kite.markers': list('abcd'),
-        'rectangle.markers': list('efgh'),
+        **({} if alone else {'rectangle.markers': list('efgh')}),
         'window': window[0],
         'lag': window[1],
         'noise': given_noise,
