@@ -9,9 +9,10 @@ class MarkerFrames(NamedTuple):
     """
     Markers seen at T instants, one frame after the other, all of one layout.
 
-    `stamps` (T,) int64, ns, as they came. `points` (T, n, 3) float64, m, in the frame `frame_id`; a
-    row with a number that is not finite is a marker that was not seen. `identities` names the n
-    rows.
+    `stamps` (T,) int64, ns, as they came; those of messages are so far from the ends of int64 that
+    their differences fit, and so must others be. `points` (T, n, 3) float64, m, in the frame
+    `frame_id`; a row with a number that is not finite is a marker that was not seen. `identities`
+    names the n rows.
     """
 
     stamps: np.ndarray

@@ -196,6 +196,8 @@ class Tracker:
         before = 0
         for frames in parts:
             stamps = np.asarray(frames.stamps)
+            if not len(stamps):
+                continue
             self.counts['frames'] += len(stamps)
             if frames.frame_id != self._frame_id:
                 if len(self._frames):
@@ -351,7 +353,9 @@ class Tracker:
             variance = self._variance(information)
             rows['strayed'] = self._pins.strayed(fit.position, fit.angle, variance)
         if self._points is not None:
-            self._points.room(len(points))[...] = points
+            # One line goes on, whatever the marker is called.
+            stand_in = np.broadcast_to(self._shapes.stand_in, points.shape)
+            self._points.room(len(points))[...] = np.take_along_axis(points, stand_in, axis=-1)
         self._news.append(
             _News(
                 rows['stamp'].copy(),

@@ -200,8 +200,9 @@ def joined(first: Judged | None, then: Judged) -> Judged:
 
 def fits_at(fits: Projection, instants: np.ndarray, bodies: np.ndarray) -> Projection:
     """The fits of some bodies (m, b) at instants (m, b), to evaluate and to judge by."""
-    count = fits.products.shape[-1]
-    if fits.products.shape[-2:] == bodies.shape:  # all there are
+    all_there, count = fits.products.shape[-2:]
+    # All there are, unless one instant is twice among as many: as may be where there is one body.
+    if (all_there, count) == bodies.shape and (instants[:, 0] == np.arange(all_there)).all():
         return fits
     signals = np.concatenate((bodies, count + bodies), axis=1)
     at = (..., np.concatenate((instants, instants), axis=1), signals)

@@ -74,8 +74,12 @@ def _legendre_basis(times: Real, root: Real, degree: int, orders: int) -> tuple[
 def _orthonormal(members: Real, rows: Real) -> tuple[Real, Real]:
     """Members (..., n, D) made orthonormal, the first of them first, and their rows (..., K, D)."""
     basis, triangle = np.linalg.qr(members)
-    # Rank is lost in the last columns alone where samples are too few; keep the solve finite.
     diagonal = np.einsum('...ii->...i', triangle)
+    # Each goes the way it went: coefficients of angle and position are added up.
+    signs = np.where(diagonal < 0, -1.0, 1.0)
+    basis *= signs[..., None, :]
+    triangle *= signs[..., None]
+    # Rank is lost in the last columns alone where samples are too few; keep the solve finite.
     diagonal[np.abs(diagonal) < 1e-13] = 1.0
     rows = np.linalg.solve(np.swapaxes(triangle, -1, -2), np.swapaxes(rows, -1, -2))
     return basis, np.swapaxes(rows, -1, -2)

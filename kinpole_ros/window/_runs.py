@@ -86,14 +86,13 @@ def _evenly(
         return np.ones(len(oldest), bool), 1 / np.sqrt(np.where(part[:1] > 0, part[:1], 1.0))
     with np.errstate(divide='ignore'):
         inverse = np.where(part > 0, 1 / part, 0.0)
-    sums = np.stack((part, inverse, part <= 0))
+    # With one place more, for the end of the last window.
+    sums = np.zeros((3, part.shape[1], len(part) + 1))
+    sums[..., :-1] = part.T, inverse.T, part.T <= 0
     count = (newest - oldest + 1)[:, None]
-    if len(oldest) == 1:
-        total = sums.sum(axis=1)[:, None]
-    else:
-        before = np.cumsum(np.pad(sums, ((0, 0), (1, 0), (0, 0))), axis=1)
-        total = before[:, newest + 1 - oldest[0]] - before[:, oldest - oldest[0]]
-    seen, spread, dark = total
+    # Window by window: differences of running sums lose all that is beside one immense inverse.
+    bounds = np.stack((oldest, newest + 1), axis=1).reshape(-1) - oldest[0]
+    seen, spread, dark = np.add.reduceat(sums, bounds, axis=-1)[..., ::2].transpose(0, 2, 1)
     # A signal that is not there at all is no reason to weigh the others.
     even = (dark == count) | ((dark == 0) & (seen * spread < _WORTH * count**2))
     return even.all(axis=1), np.sqrt(np.where(dark < count, spread / count, 1.0))

@@ -35,7 +35,8 @@ _MATURE, _RULE_MEMORY, _RULE_CLIP = 20, 200, 9.0
 _RULE_SHARE = 1.15
 # What is less than this share of the body's size is rounding.
 _TINY = 1e-6
-# A marker that does not fit in so many frames running sits elsewhere now.
+# A marker that does not fit in so many frames running sits elsewhere from the next beat on, and
+# markers that are exchanged in so many have changed their names.
 _MOVED = 100
 
 
@@ -56,12 +57,14 @@ class Shapes:
     `points` (B, n) are where the markers are, complex, m; `known` (B,) how many of them have been
     seen so far, and `spread` (B,) the sum of their squares about their mean, m^2; `beat` is in how
     many frames from the last time on `learn` is to be called; `farthest` is how far, m, from the
-    origin of the ground markers were until then. `mended` counts, see `untangle`.
+    origin of the ground markers were until then. `mended` counts, see `untangle`; `stand_in` (B, n)
+    says which marker goes on where each one was at first, for some are exchanged for good.
     """
 
     def __init__(self, bodies: int, markers: int) -> None:
         self.points = np.zeros((bodies, markers), complex)
         self.mended: Counter[str] = Counter()
+        self.stand_in = np.tile(np.arange(markers), (bodies, 1))
         self.farthest = 0.0
         self._frames = np.zeros((bodies, markers))
         # One for a marker that the last beat began with: no news of it yet.
@@ -73,8 +76,9 @@ class Shapes:
         self._fits = np.zeros(bodies, int)
         self._before = np.full((bodies, markers), complex(np.nan, np.nan))
         self._turns = Turns(bodies)
-        # Frames running in which a body was turned back.
-        self._turned = np.zeros(bodies, int)
+        # Frames running in which markers of a body were exchanged, and which took whose place.
+        self._exchanged = np.zeros(bodies, int)
+        self._order = np.tile(np.arange(markers), (bodies, 1))
         # Whether any of these, or of those astray, is not zero.
         self._disturbed = False
         self._news: list[_News] = []
@@ -128,10 +132,8 @@ class Shapes:
             if quiet:
                 self._take(*part, part[0].residual, part[0].freedom)
                 if self._disturbed:
-                    seen = (~unseen[:quiet]).any(axis=0) & (self._weights > 0)
-                    self._astray[seen] = 0
-                    self._turned[seen.any(axis=-1)] = 0
-                    self._disturbed = bool(self._astray.any() or self._turned.any())
+                    self._in_place(~np.isnan(part[0].residual).all(axis=0))
+                    self._disturbed = bool(self._astray.any() or self._exchanged.any())
                 parts.append(part)
             if quiet < len(points):
                 here = Fit(*(field[quiet] for field in fit))
@@ -179,6 +181,14 @@ class Shapes:
             body = moved.any(axis=-1)
             self._left[body] = np.nan
             self._fits[body] = 0
+        for b in np.flatnonzero(self._exchanged >= _MOVED):
+            # Exchanged for good: the names stand for each other's places, and no pose jumps.
+            for kept in (self.points, self._frames, self._drift, self._before):
+                kept[b, self._order[b]] = kept[b].copy()
+            self.stand_in[b] = self._order[b, self.stand_in[b]]
+            self._exchanged[b] = 0
+            # What was left with the names of before is no rule.
+            self._left[b] = np.nan
         self._measure()
 
     def _take(self, fit: Fit, points: Complex, residual: Complex, freedom: Real) -> None:
@@ -186,56 +196,58 @@ class Shapes:
         self._news.append(_News(points, fit.position, fit.angle, residual, freedom))
         self._turns.follow(fit.angle)
 
+    def _in_place(self, fits: np.ndarray) -> None:
+        """Note the markers (B, n) that fit where they are: neither astray nor exchanged now."""
+        self._astray[fits] = 0
+        fits = fits & (self._order != np.arange(fits.shape[1]))
+        self._exchanged[fits.any(axis=-1)] = 0
+
     def _least_rule(self) -> Real:
         return np.maximum(self._rule, _TINY**2 * self.spread)
 
     def _mend(self, points: Complex, fit: Fit) -> tuple[Fit, Complex]:
         """Put right what can be of one frame (B, n); as `fit` gives it, with an axis of one."""
         points, weights = points.copy(), np.where(np.isnan(points), 0.0, self._weights)
-        fit = self._turn_back(points, weights, fit)
+        order = np.tile(np.arange(points.shape[1]), (len(points), 1))
+        fit = self._turn_back(points, weights, order, fit)
         residual, freedom = fit.residual[None], fit.freedom[None]
         with np.errstate(invalid='ignore'):
             far = (np.abs(fit.residual) > self._limit[:, None]).any(axis=-1) & self._mature
-        good = ~far[:, None] & (weights > 0)
-        self._astray[good] = 0
+        good = ~(far[:, None] | np.isnan(fit.residual))
         for b in np.flatnonzero(far):
             given = weights[b] > 0
             limit = float(self._limit[b])
-            points[b], what, count = untangle(points[b], self.points[b], weights[b], limit)
-            self.mended[what] += count
+            points[b], what, which = untangle(points[b], self.points[b], weights[b], limit)
+            self.mended[what] += len(which)
+            if what == EXCHANGED:
+                order[b, which] = order[b, which[::-1]]
             out = given & np.isnan(points[b])
             weights[b, out] = 0.0
             self._astray[b] = np.where(out, self._astray[b] + 1, 0)
+        changed = (order != np.arange(order.shape[1])).any(axis=-1)
+        again = (order == self._order).all(axis=-1)
+        running = np.where(again, self._exchanged + 1, 1)
+        self._in_place(good)
+        self._exchanged[changed], self._order[changed] = running[changed], order[changed]
         fit = Fit(*(field[None] for field in fit_pose(points, self.points, weights)))
         self._take(fit, points[None], residual, freedom)
         self._disturbed = True
         return fit, points[None]
 
-    def _turn_back(self, points: Complex, weights: Real, fit: Fit) -> Fit:
+    def _turn_back(self, points: Complex, weights: Real, order: np.ndarray, fit: Fit) -> Fit:
         """
         Put back markers that were exchanged so that a body seems to jump by half a turn.
 
-        No residual tells of it: two markers, or a rectangle of them, fit as well as before.
+        No residual tells of it: two markers, or a rectangle of them, fit as well as before. Which
+        marker (B, n) took whose place is written to `order`.
         """
         # A body lost in its noise may seem to be turned anyhow.
         jumped = self._turns.jumped(fit.angle) & (self._limit**2 < self.spread)
-        self._turned[np.isfinite(fit.angle) & ~jumped] = 0
         for b in np.flatnonzero(jumped):
-            order = half_turn(self.points[b], weights[b], float(self._limit[b]))
-            self._turned[b] = 0 if order is None else self._turned[b] + 1
-            if order is None:
-                continue
-            if self._turned[b] <= _MOVED:
-                points[b] = points[b, order]
-                self.mended[EXCHANGED] += int((order != np.arange(len(order))).sum())
-                continue
-            # Exchanged for good: the names stand for each other's places, and no pose jumps.
-            for kept in (self.points, self._frames, self._first, self._drift, weights):
-                kept[b] = kept[b, order]
-            for news in self._news:
-                news.points[:, b] = news.points[:, b, order]
-            self._turned[b] = 0
-            self._measure()
+            found = half_turn(self.points[b], weights[b], float(self._limit[b]))
+            if found is not None:
+                points[b], order[b] = points[b, found], found
+                self.mended[EXCHANGED] += int((found != np.arange(len(found))).sum())
         return fit_pose(points, self.points, weights) if jumped.any() else fit
 
     def _learn_rule(self, news: '_News') -> None:
@@ -266,6 +278,9 @@ class Shapes:
         self._astray = np.pad(self._astray, more)
         self._before = np.pad(self._before, more, constant_values=complex(np.nan, np.nan))
         self._drift = np.pad(self._drift, more)
+        new = np.tile(np.arange(self.stand_in.shape[1], markers), (len(self.points), 1))
+        self.stand_in = np.hstack((self.stand_in, new))
+        self._order = np.hstack((self._order, new))
         self._measure()
 
     def _measure(self) -> None:

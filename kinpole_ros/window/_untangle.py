@@ -20,13 +20,13 @@ DROPPED = 'markers_of_misfits'
 
 def untangle(
     points: Complex, shape: Complex, weights: Real, limit: float
-) -> tuple[Complex, str, int]:
+) -> tuple[Complex, str, np.ndarray]:
     """
     Mend one body's markers (n,) that do not fit its `shape` (n,) with `weights` (n,).
 
     Tries, in this order, every exchange of two markers, leaving out one marker, and leaving out
     two; the first kind that leaves no marker farther than `limit` (m) from its place is taken, at
-    its best. Returns the markers, NaN where left out, what was done, and how many markers it took.
+    its best. Returns the markers, NaN where left out, what was done, and to which of them.
     A body that none of it mends, or that fits mirrored, is left out as a whole.
     """
     seen = np.flatnonzero(weights > 0)
@@ -38,10 +38,10 @@ def untangle(
     if len(seen) > 2:
         best, worst = _best(exchanges, shape, np.tile(weights, (len(pairs), 1)))
         if worst <= limit:
-            return exchanges[best], EXCHANGED, 2
+            return exchanges[best], EXCHANGED, np.array(pairs[best])
         mirrored = points[None].conj()
         if _best(mirrored, shape, weights[None])[1] <= limit:
-            return nothing, MIRRORED, len(seen)
+            return nothing, MIRRORED, seen
     for leave in (1, 2):
         # At least two markers have to remain that agree on the distance between them.
         if len(seen) - leave < 2:
@@ -52,8 +52,8 @@ def untangle(
             lighter[row, list(left)] = 0.0
         best, worst = _best(np.tile(points, (len(sets), 1)), shape, lighter)
         if worst <= limit:
-            return np.where(lighter[best] > 0, points, nothing), LEFT_OUT, leave
-    return nothing, DROPPED, len(seen)
+            return np.where(lighter[best] > 0, points, nothing), LEFT_OUT, np.array(sets[best])
+    return nothing, DROPPED, seen
 
 
 def half_turn(shape: Complex, weights: Real, limit: float) -> np.ndarray | None:
