@@ -49,8 +49,9 @@ class Rolling(NamedTuple):
 
     On a line through `a` in the direction `along`, lying to its left; or on a circle of radius
     `circle` about `a`, outside of it, or inside if `circle` is negative. The variable of the
-    joint's name is the slide of the hub along the line, or the direction of the hub from `a`; with
-    all angles zero it is `start`.
+    joint's name is the slide of the hub along the line, or the direction from the point of contact
+    to the hub (outside, that of the hub from `a`, inside its opposite); with all angles zero it is
+    `start`.
     """
 
     name: str
@@ -204,8 +205,9 @@ def assemble(bodies: Sequence[str], joints: Sequence[Joint]) -> Assembly:
         np.zeros((0, len(variables))),
         tuple(around),
     )
+    starts = {joint.name: joint.start for joint in joints if isinstance(joint, Rolling)}
     return Assembly(
-        loops,
+        _tie_equal(loops, np.array([starts.get(name, 0.0) for name in variables])),
         tuple(bodies),
         np.array([_dense(places[body], count) for body in bodies]).reshape(len(bodies), count),
         np.eye(len(bodies), len(variables)),
@@ -264,6 +266,42 @@ def _ties(joints: Sequence[Joint], variables: Sequence[str]) -> tuple[Real, Real
         rows.append([row[name] for name in variables])
         right.append(value)
     return np.array(rows).reshape(-1, len(variables)), np.array(right)
+
+
+def _tie_equal(loops: Loops, near: Real) -> Loops:
+    """
+    Loops of two equal lengths, as an arm beside the wheels whose hubs it joins, as ties.
+
+    They close where the two point alike, one linear equation; as a loop they are two equations that
+    determine one unknown and, at any position, look like a dead point. Of angles whole turns apart
+    the tie takes those next to `near` (n,), what the variables are with all angles zero. Raises
+    LinkageError for two lengths that differ.
+    """
+    rows, right, kept = [], [], []
+    for m, loop in enumerate(loops.loops):
+        pair = np.flatnonzero(loop)
+        both = loops.length0[pair]
+        if len(pair) != 2 or loops.lengths[pair].any():
+            kept.append(m)
+            continue
+        if abs(both[0] - both[1]) > 1e-9 * both[0]:
+            raise LinkageError(
+                f'the loop {", ".join(loops.around[m])} never closes: its two lengths are '
+                f'{both[0]:.9g} and {both[1]:.9g} m: make them alike'
+            )
+        row = loops.angles[pair[0]] - loops.angles[pair[1]]
+        value = loops.angle0[pair[1]] - loops.angle0[pair[0]]
+        value += np.pi if loop[pair[0]] == loop[pair[1]] else 0.0
+        rows.append(row)
+        right.append(value + 2 * np.pi * np.round((row @ near - value) / (2 * np.pi)))
+    if not rows:
+        return loops
+    return loops._replace(
+        loops=loops.loops[kept],
+        around=tuple(loops.around[m] for m in kept),
+        ties=np.concatenate((loops.ties, rows)),
+        tie0=np.concatenate((loops.tie0, right)),
+    )
 
 
 def _sum(first: Chain, plus: Chain, minus: Chain) -> Chain:
