@@ -134,6 +134,21 @@ def test_exercise_machine_has_the_given_rates() -> None:
     assert np.degrees(np.angle(arm)) == pytest.approx(100, abs=1e-6)
 
 
+def test_exercise_seat_moves_as_its_loop_says_at_the_printed_angles() -> None:
+    # Example 5 has no answer printed. With links 2 and 4 along x, y of the loop
+    # 120 w2 + 538 w3 e^(i 117 deg) + 300 w4 = 0 (times i) leaves w3 = 0, x then w4 = -0.4 w2: the
+    # seat's link only shifts, as fast as its pin on the handle.
+    exact = scene('exercise_seat')
+    rates = {body: motion.angle[1] for body, motion in exact.motion(0.0).items()}
+    assert rates == pytest.approx({'link_2': 1.0, 'link_3': 0.0, 'link_4': -0.4}, abs=1e-8)
+    assert 100 * point(exact, 'link_3.Q')[1] == pytest.approx(120j, abs=1e-6)
+    assert 100 * point(exact, 'link_2.P')[1] == pytest.approx(500j, abs=1e-5)
+    angles = {body: np.degrees(motion.angle[0]) for body, motion in exact.motion(0.0).items()}
+    assert angles == pytest.approx({'link_2': 0, 'link_3': 117, 'link_4': 180}, abs=1e-6)
+    pivot = exact.points['ground.D'][1]
+    assert 100 * pivot == pytest.approx(510 * np.exp(1j * np.radians(70)), abs=1.4)
+
+
 def test_loader_with_its_cylinder_closes_both_loops() -> None:
     exact = scene('loader_cylinder')
     bodies = exact.motion(np.linspace(0, 4, 101))
