@@ -1,6 +1,7 @@
 """Scene files: what they say, the printed figures they give, and every way to get them wrong."""
 
 import copy
+import re
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -373,6 +374,16 @@ def test_rack_and_pinion(tmp_path: Path) -> None:
     rack = load_scene(save(tmp_path, data)).motion(np.linspace(0.0, 3.0, 4))['rack']
     np.testing.assert_allclose(rack.position[0], 0.1 * np.linspace(0.0, 3.0, 4) - 0.05j, atol=1e-15)
     np.testing.assert_allclose(rack.position[1], 0.1, atol=1e-15)
+
+
+def test_the_scenes_of_the_docs_can_be_used(tmp_path: Path) -> None:
+    text = (Path(__file__).parents[1] / 'docs' / 'scenes.md').read_text(encoding='utf-8')
+    blocks = re.findall(r'```yaml\n(.*?)```', text, re.DOTALL)
+    assert len(blocks) == 2
+    for block in blocks:
+        path = tmp_path / 'told.yaml'
+        path.write_text(block)
+        load_scene(path).motion(np.linspace(0, 1, 5))
 
 
 @pytest.mark.parametrize('name', NAMES)
