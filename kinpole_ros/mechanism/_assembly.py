@@ -273,27 +273,36 @@ def _tie_equal(loops: Loops, near: Real) -> Loops:
     Loops of two equal lengths, as an arm beside the wheels whose hubs it joins, as ties.
 
     They close where the two point alike, one linear equation; as a loop they are two equations that
-    determine one unknown and, at any position, look like a dead point. Of angles whole turns apart
-    the tie takes those next to `near` (n,), what the variables are with all angles zero. Raises
-    LinkageError for two lengths that differ.
+    determine one unknown and, at any position, look like a dead point. What stands still in a loop
+    counts as one length. Of angles whole turns apart the tie takes those next to `near` (n,), what
+    the variables are with all angles zero. Raises LinkageError for two lengths that differ.
     """
     rows, right, kept = [], [], []
+    still = ~(loops.lengths.any(axis=1) | loops.angles.any(axis=1))
+    vectors = loops.length0 * np.exp(1j * loops.angle0)
     for m, loop in enumerate(loops.loops):
-        pair = np.flatnonzero(loop)
-        both = loops.length0[pair]
-        if len(pair) != 2 or loops.lengths[pair].any():
+        moving = np.flatnonzero((loop != 0) & ~still)
+        if loops.lengths[moving].any():
             kept.append(m)
             continue
-        if abs(both[0] - both[1]) > 1e-9 * both[0]:
+        # Each a vector at angle zero, and the variables that turn it.
+        parts = [(loop[k] * vectors[k], loops.angles[k]) for k in moving]
+        rest = complex(loop @ np.where(still, vectors, 0.0))
+        size = max((abs(vector) for vector, _ in parts), default=0.0)
+        if abs(rest) > 1e-9 * size:
+            parts.append((rest, np.zeros(len(near))))
+        if len(parts) != 2:
+            kept.append(m)
+            continue
+        (one, turns), (other, against) = parts
+        if abs(abs(one) - abs(other)) > 1e-9 * size:
             raise LinkageError(
                 f'the loop {", ".join(loops.around[m])} never closes: its two lengths are '
-                f'{both[0]:.9g} and {both[1]:.9g} m: make them alike'
+                f'{abs(one):.9g} and {abs(other):.9g} m: make them alike'
             )
-        row = loops.angles[pair[0]] - loops.angles[pair[1]]
-        value = loops.angle0[pair[1]] - loops.angle0[pair[0]]
-        value += np.pi if loop[pair[0]] == loop[pair[1]] else 0.0
-        rows.append(row)
-        right.append(value + 2 * np.pi * np.round((row @ near - value) / (2 * np.pi)))
+        value = float(np.angle(-other / one))
+        rows.append(turns - against)
+        right.append(value + 2 * np.pi * np.round((rows[-1] @ near - value) / (2 * np.pi)))
     if not rows:
         return loops
     return loops._replace(
