@@ -358,6 +358,17 @@ def test_a_planetary_gear_obeys_willis(tmp_path: Path, held: str, ratio: float) 
         assert np.abs(np.abs(bodies[gear].position[0]) - sun - planet).max() < 1e-16
 
 
+def test_a_scene_of_this_folder_is_named_with_its_suffix(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    edited(tmp_path, 'four_bar', lambda data: None)
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(SceneError, match=r'give the path of one as edited\.yaml, or a name: anti'):
+        load_scene('edited')
+    with pytest.raises(SceneError, match=r'give the path of one, or a name: anti'):
+        load_scene('other')
+
+
 def test_gears_on_fixed_hubs_drive_a_four_bar_by_dyads(tmp_path: Path) -> None:
     data = {
         'bodies': {
