@@ -143,7 +143,7 @@ def _why_open(linkage: Linkage, guess: Real) -> str:
     def told(values: Real, which: Sequence[int]) -> str:
         return ', '.join(
             f'{loops.variables[k]}: '
-            + (f'{np.degrees(values[k]):.4g} deg' if angles[k] else f'{values[k]:.4g} m')
+            + (f'{round(float(np.degrees(values[k])), 2) + 0.0:g} deg' if angles[k] else f'{values[k]:.4g} m')
             for k in which
         )
 
