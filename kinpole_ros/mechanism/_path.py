@@ -140,12 +140,13 @@ def _why_open(linkage: Linkage, guess: Real) -> str:
     """What is said of loops that do not close from `guess` (n,): where they do, or that nowhere."""
     loops, angles = linkage.loops, _angles(linkage)
 
+    def shown(k: int, value: float) -> str:
+        # Rounded so that nothing is a rounding error, or minus zero, of a degree.
+        of = f'{round(np.degrees(value), 2) + 0.0:g} deg' if angles[k] else f'{value:.4g} m'
+        return f'{loops.variables[k]}: {of}'
+
     def told(values: Real, which: Sequence[int]) -> str:
-        return ', '.join(
-            f'{loops.variables[k]}: '
-            + (f'{round(float(np.degrees(values[k])), 2) + 0.0:g} deg' if angles[k] else f'{values[k]:.4g} m')
-            for k in which
-        )
+        return ', '.join(shown(k, float(values[k])) for k in which)
 
     driven = [int(k) for k in np.flatnonzero(loops.drives.any(axis=0))]
     at = f' with {{{told(guess, driven)}}}' if driven else ''
