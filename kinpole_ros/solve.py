@@ -330,8 +330,9 @@ def _static_lines(solved: Solved) -> list[str]:
         for part, turn in ((found.along[j, 0], 1), (found.across[j, 0], 1j)):
             if np.isfinite(part) and not np.isfinite(found.force[j, 0]):
                 force = part * turn * found.axis[j, 0]
-                way = f'{round(np.degrees(np.angle(force)), 4) % 360:g} deg'
-                lines.append(f'{name}: of its force the part along {way} is unique: {abs(part):.6g} N')
+                way = round(np.degrees(np.angle(force)), 4) % 360
+                size = f'{abs(part):.6g} N'
+                lines.append(f'{name}: of its force the part along {way:g} deg is unique: {size}')
     return [*lines, *undetermined(scene.mechanism, first[:, 0])]
 
 
