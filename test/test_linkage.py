@@ -374,6 +374,22 @@ def test_a_third_crank_that_changes_nothing_is_borne() -> None:
         mechanism(bent, constant_rate(1.0, 0.5), 'crank', rocker=0.5, third=0.5).motion(0.0)
 
 
+def test_a_loop_of_which_all_is_driven_is_held_against_its_closing() -> None:
+    free = mechanism(four_bar(0.4, 0.1, 0.3, 0.25), constant_rate(1.0, 0.5), 'crank', rocker=1.5)
+    closed = free.motion(0.0).values[0]
+    for off in (0.0, 0.01):
+        drivers = tuple(
+            Driver(name, np.eye(3)[k], constant_rate(0.0, closed[k] + off * (k == 2)))
+            for k, name in enumerate(free.bodies)
+        )
+        held = Mechanism(free.assembly, drivers, closed)
+        if not off:
+            np.testing.assert_allclose(held.motion(0.0).angle[0], closed, atol=1e-14)
+            continue
+        with pytest.raises(LinkageError, match='the loops do not close with'):
+            held.motion(0.0)
+
+
 # Dead points
 
 

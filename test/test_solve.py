@@ -134,6 +134,17 @@ def test_statics_answer_the_questions_of_the_seed(
     assert effort == pytest.approx(0.0, abs=1e-9)
 
 
+def test_teeth_of_gears_bear_what_turns_them(capsys: pytest.CaptureFixture[str]) -> None:
+    """What presses gears apart is not unique where an arm holds their hubs, what turns them is."""
+    lines = told(capsys, 'planetary_gear', '--statics')
+    assert 'sun balances the loads with 1 N m' in lines
+    # 1 N m over 24 mm; the arm bears the sum of both teeth.
+    assert 'sun_teeth: of its force the part along 90 deg is unique: 41.6667 N' in lines
+    assert 'ring_teeth: of its force the part along 90 deg is unique: 41.6667 N' in lines
+    assert 'P: of its force the part along 270 deg is unique: 83.3333 N' in lines
+    assert any(line.startswith('overconstrained: ') for line in lines)
+
+
 def test_right_in_a_dead_point_nothing_is_made_up(capsys: pytest.CaptureFixture[str]) -> None:
     lines = told(capsys, 'antiparallelogram', '--at', '180 deg')
     assert 'a dead point of the loop O, A, B, C: the drivers do not tell how it moves on' in lines

@@ -49,8 +49,9 @@ class Rolling(NamedTuple):
 
     On a line through `a` in the direction `along`, lying to its left; or on a circle of radius
     `circle` about `a`, outside of it, or inside if `circle` is negative. The variable of the
-    joint's name is the slide of the hub along the line, or the direction of the hub from `a`; with
-    all angles zero it is `start`.
+    joint's name is the slide of the hub along the line, or the direction from the point of contact
+    to the hub (outside, that of the hub from `a`, inside its opposite); with all angles zero it is
+    `start`.
     """
 
     name: str
@@ -204,8 +205,9 @@ def assemble(bodies: Sequence[str], joints: Sequence[Joint]) -> Assembly:
         np.zeros((0, len(variables))),
         tuple(around),
     )
+    starts = {joint.name: joint.start for joint in joints if isinstance(joint, Rolling)}
     return Assembly(
-        loops,
+        _tie_equal(loops, np.array([starts.get(name, 0.0) for name in variables])),
         tuple(bodies),
         np.array([_dense(places[body], count) for body in bodies]).reshape(len(bodies), count),
         np.eye(len(bodies), len(variables)),
@@ -264,6 +266,51 @@ def _ties(joints: Sequence[Joint], variables: Sequence[str]) -> tuple[Real, Real
         rows.append([row[name] for name in variables])
         right.append(value)
     return np.array(rows).reshape(-1, len(variables)), np.array(right)
+
+
+def _tie_equal(loops: Loops, near: Real) -> Loops:
+    """
+    Loops of two equal lengths, as an arm beside the wheels whose hubs it joins, as ties.
+
+    They close where the two point alike, one linear equation; as a loop they are two equations that
+    determine one unknown and, at any position, look like a dead point. What stands still in a loop
+    counts as one length. Of angles whole turns apart the tie takes those next to `near` (n,), what
+    the variables are with all angles zero. Raises LinkageError for two lengths that differ.
+    """
+    rows, right, kept = [], [], []
+    still = ~(loops.lengths.any(axis=1) | loops.angles.any(axis=1))
+    vectors = loops.length0 * np.exp(1j * loops.angle0)
+    for m, loop in enumerate(loops.loops):
+        moving = np.flatnonzero((loop != 0) & ~still)
+        if loops.lengths[moving].any():
+            kept.append(m)
+            continue
+        # Each a vector at angle zero, and the variables that turn it.
+        parts = [(loop[k] * vectors[k], loops.angles[k]) for k in moving]
+        rest = complex(loop @ np.where(still, vectors, 0.0))
+        size = max((abs(vector) for vector, _ in parts), default=0.0)
+        if abs(rest) > 1e-9 * size:
+            parts.append((rest, np.zeros(len(near))))
+        if len(parts) != 2:
+            kept.append(m)
+            continue
+        (one, turns), (other, against) = parts
+        if abs(abs(one) - abs(other)) > 1e-9 * size:
+            raise LinkageError(
+                f'the loop {", ".join(loops.around[m])} never closes: its two lengths are '
+                f'{abs(one):.9g} and {abs(other):.9g} m: make them alike'
+            )
+        value = float(np.angle(-other / one))
+        rows.append(turns - against)
+        right.append(value + 2 * np.pi * np.round((rows[-1] @ near - value) / (2 * np.pi)))
+    if not rows:
+        return loops
+    return loops._replace(
+        loops=loops.loops[kept],
+        around=tuple(loops.around[m] for m in kept),
+        ties=np.concatenate((loops.ties, rows)),
+        tie0=np.concatenate((loops.tie0, right)),
+    )
 
 
 def _sum(first: Chain, plus: Chain, minus: Chain) -> Chain:

@@ -2,6 +2,7 @@
 
 import re
 from itertools import combinations
+from math import pi
 from typing import Any
 
 from kinpole_ros.mechanism._assembly import (
@@ -179,7 +180,9 @@ def _rolling(
             f'{where}: circle is {said["circle"]!r}: give the radius to roll on, or, to roll '
             'inside of it, one less than minus that of the wheel'
         )
-    start = quantity(f'{where}: start', said.get('start', 0.0), 'angle')
+    # Inside, the hub lies opposite to the direction that says where it is: by default along x.
+    usual = pi if circle < 0 else 0.0
+    start = quantity(f'{where}: start', said.get('start', usual), 'angle')
     return Rolling(name, *on, *hub, radius, circle=circle, start=start)
 
 

@@ -8,7 +8,7 @@ driver cannot turn on (a dead point), or could go on in two ways (a change point
 by driving another variable, in which the same place is ordinary.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from math import factorial, pi
 from typing import NamedTuple
 
@@ -16,6 +16,7 @@ import numpy as np
 
 from kinpole_ros.mechanism._loops import Linkage, LinkageError, reduce
 from kinpole_ros.mechanism._solution import Solution, solve
+from kinpole_ros.mechanism._start import closing_starts
 from kinpole_ros.planar._plane import Real
 
 # The largest error of a foretold variable, rad or lengths over the largest, and the longest step.
@@ -94,9 +95,9 @@ def trace(
     way = _Way(linkage, inputs)
     first = way.at(start, guess)
     if not first.closed[0]:
-        raise LinkageError(
-            f'the loops do not close at {start:.6g}: check lengths, and the angles it starts from'
-        )
+        drives = linkage.loops.drives
+        lacks = inputs(np.array([start]))[0, :, 0] - drives @ guess
+        raise LinkageError(_why_open(linkage, guess + np.linalg.pinv(drives) @ lacks))
     if not (np.abs(first.determinant[:, 0]) > _AT_REST).all():
         loop = ', '.join(loop_of(linkage, flattest(first)))
         raise LinkageError(
@@ -132,6 +133,35 @@ def trace(
         tuple(sorted(dead_down + dead_up, key=lambda dead: dead.at)),
         (low, high),
         len(down),
+    )
+
+
+def _why_open(linkage: Linkage, guess: Real) -> str:
+    """What is said of loops that do not close from `guess` (n,): where they do, or that nowhere."""
+    loops, angles = linkage.loops, _angles(linkage)
+
+    def shown(k: int, value: float) -> str:
+        # Rounded so that nothing is a rounding error, or minus zero, of a degree.
+        of = f'{round(np.degrees(value), 2) + 0.0:g} deg' if angles[k] else f'{value:.4g} m'
+        return f'{loops.variables[k]}: {of}'
+
+    def told(values: Real, which: Sequence[int]) -> str:
+        return ', '.join(shown(k, float(values[k])) for k in which)
+
+    driven = [int(k) for k in np.flatnonzero(loops.drives.any(axis=0))]
+    at = f' with {{{told(guess, driven)}}}' if driven else ''
+    starts = closing_starts(loops, guess)
+    if not starts:
+        return (
+            f'the loops do not close{at}, from wherever they were tried: check the lengths, and '
+            'where the drivers are at time 0'
+        )
+    # What slides and struts do follows from the angles of the bodies.
+    free = [k for k in linkage.unknown if angles[k]] or list(linkage.unknown)
+    ways = ', or '.join(f'{{{told(values, free)}}}' for values in starts)
+    return (
+        f'the loops do not close{at} from {{{told(guess, free)}}}, but they do near {ways}: write '
+        'the one that is meant as start'
     )
 
 

@@ -439,7 +439,8 @@ def _scene_path(path_or_name: str | Path) -> Path:
     if path.suffix == '' and len(path.parts) <= 1:
         try:
             path = scenes_folder() / f'{path_or_name}.yaml'
-            known = f', or a name: {", ".join(scene_names())}'
+            here = f' as {path_or_name}.yaml' if Path(f'{path_or_name}.yaml').is_file() else ''
+            known = f'{here}, or a name: {", ".join(scene_names())}'
         except FileNotFoundError as error:
             raise SceneError(str(error)) from None
     if not path.is_file():

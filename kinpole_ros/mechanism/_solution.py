@@ -211,7 +211,7 @@ def _newton(
     _move(linkage, block, known, turn, slide)
     both = _sum(block, slice(None), turn, slide)
     gap = both[:m]
-    inverse, determinant = _inverse(both[m:].reshape(m, n, -1))
+    inverse, determinant = _inverse(both[m:].reshape(m, n, both.shape[-1]))
     step = _apply(inverse, gap)
     most = np.abs(step).max(axis=0, initial=0.0)
     worst = most.max(initial=0.0)
@@ -268,7 +268,7 @@ def _differentiate(
     m, unknown = len(block.loops), list(block.unknown)
     rows, upto = block.turns, block.turns.stop
     columns = _sum(block, slice(m, None), turns[0], slides[0])
-    inverse, determinant = _inverse(columns.reshape(m, len(unknown), -1))
+    inverse, determinant = _inverse(columns.reshape(m, len(unknown), known.shape[-1]))
     turning, slide_rows = 1j * linkage.turns[rows], linkage.slides[block.slides]
     # i α^(k) of the block's angles.
     rates = np.empty((len(known), rows.stop - rows.start, known.shape[-1]), complex)

@@ -15,6 +15,8 @@ from kinpole_ros.planar._plane import Complex, Real
 
 # A singular value below this share of the largest counts as lost rank.
 _LOST = 1e-9
+# Positions from which it is tried to close loops that did not close from where they were said to.
+_TRIALS = 24
 
 
 def start_near(assembly: Assembly, said: Mapping[str, float], drives: Real, inputs: Real) -> Real:
@@ -69,6 +71,30 @@ def close_near(loops: Loops, values: Real) -> tuple[Real, bool]:
         values += step
         gap, matrix = _gaps(loops, values)
     return values, bool(np.abs(gap).max(initial=0.0) <= 1e-9 * size)
+
+
+def closing_starts(loops: Loops, values: Real, most: int = 4) -> list[Real]:
+    """
+    Up to `most` different positions (n,) that close all loops, meet the ties and keep the drivers
+    where they are at `values` (n,): found from angles all round, the same at each call.
+    """
+    angles = ~(loops.lengths != 0).any(axis=0)
+    held = loops._replace(
+        ties=np.concatenate((loops.ties, loops.drives)),
+        tie0=np.concatenate((loops.tie0, loops.drives @ values)),
+    )
+    size, draw = _size(loops, values), np.random.default_rng(0)
+    found: list[Real] = []
+    for _ in range(_TRIALS):
+        spread = np.where(angles, np.pi, size) * draw.uniform(-1.0, 1.0, len(values))
+        near, closed = close_near(held, values + spread)
+        turned = np.where(angles, (near + np.pi) % (2 * np.pi) - np.pi, near)
+        apart = [np.abs(np.exp(1j * turned) - np.exp(1j * other)) for other in found]
+        if closed and all(gaps.max() > 1e-6 for gaps in apart):
+            found.append(turned)
+            if len(found) == most:
+                break
+    return found
 
 
 def mobility(assembly: Assembly, values: Real) -> tuple[int, int]:

@@ -165,6 +165,14 @@ def static_lines(solved: Solved) -> list[str]:
     ]
     if rows:
         lines += ['', *_table(['joint', 'Fx N', 'Fy N', 'F N', 'moment N m'], rows)]
+    for j, name in enumerate(found.joints):
+        # Of a force that is not unique one part may be, as that of teeth along their wheel.
+        for part, turn in ((found.along[j, 0], 1), (found.across[j, 0], 1j)):
+            if np.isfinite(part) and not np.isfinite(found.force[j, 0]):
+                force = part * turn * found.axis[j, 0]
+                way = round(np.degrees(np.angle(force)), 4) % 360
+                size = f'{abs(part):.6g} N'
+                lines.append(f'{name}: of its force the part along {way:g} deg is unique: {size}')
     return [*lines, *undetermined(scene.mechanism, first[:, 0])]
 
 
