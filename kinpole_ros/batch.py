@@ -15,7 +15,7 @@ import signal
 import threading
 import uuid
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager, nullcontext, suppress
 from dataclasses import replace
 from io import StringIO
 from pathlib import Path
@@ -82,20 +82,12 @@ def batch(
     except OSError as error:
         raise _unwritable(folder, error) from None
     rows: dict[str, Row] = {}
-    # Progress comes from another thread, and must not run through a report.
-    lock = threading.Lock()
-
-    def tell(share: float) -> None:
-        with lock:
-            if progress is not None:
-                progress(share)
-
-    telling = None if progress is None else tell
+    bar = None if progress is None else _Progress(progress)
     try:
-        for row in _rows(paths, folder, settings, topic, kinds, scheduler, workers, telling):
+        for row in _rows(paths, folder, settings, topic, kinds, scheduler, workers, bar):
             rows[row['bag']] = row
             if report is not None:
-                with lock:
+                with nullcontext() if bar is None else bar.lock:
                     report(row)
     finally:
         # What was finished while we were being stopped counts too.
@@ -113,7 +105,7 @@ def _rows(
     kinds: list[str],
     scheduler: str | None,
     workers: int | None,
-    progress: Callable[[float], None] | None,
+    bar: '_Progress | None',
 ) -> Iterator[Row]:
     """The row of each bag as it comes: first those that are there, then those made now."""
     left = []
@@ -129,12 +121,12 @@ def _rows(
         with _cluster(scheduler, min(workers or os.cpu_count() or 1, len(left))) as client:
             from distributed import as_completed
 
-            told = _Progress([_size(bag) for bag in left], progress) if progress else None
-            if told is not None:
-                client.subscribe_topic(_TOPIC, lambda event: told.take(*event[1]))
+            if bar is not None:
+                bar.begin([_size(bag) for bag in left])
+                client.subscribe_topic(_TOPIC, lambda event: bar.take(*event[1]))
             jobs = {}
             for number, bag in enumerate(left):
-                known_as = None if told is None else (told.run, number)
+                known_as = None if bar is None else (bar.run, number)
                 job = client.submit(
                     _replay_one, bag, folder, settings, topic, kinds, known_as, pure=False
                 )
@@ -142,8 +134,8 @@ def _rows(
             for job in as_completed(jobs):
                 bag = left[jobs[job]]
                 error = job.exception()
-                if told is not None:
-                    told.take(told.run, jobs[job], 1.0)
+                if bar is not None:
+                    bar.take(bar.run, jobs[job], 1.0)
                 if error is None:
                     yield job.result()
                 else:  # a worker that died, or one without this package; or a fault of ours
@@ -157,23 +149,31 @@ def _rows(
 
 
 class _Progress:
-    """The share done of all bags by bytes, from what workers tell of each by its number."""
+    """
+    The share done of all bags by bytes, from what workers tell of each by its number.
 
-    def __init__(self, sizes: list[int], progress: Callable[[float], None]) -> None:
+    They are heard in another thread, which holds the `lock` while it tells.
+    """
+
+    def __init__(self, progress: Callable[[float], None]) -> None:
+        self.lock = threading.Lock()
         # Others may use the same cluster.
         self.run = uuid.uuid4().hex
-        self._sizes, self._progress = sizes, progress
-        self._done = [0] * len(sizes)
-        self._sum, self._whole = 0, sum(sizes)
-        progress(0.0)
+        self._progress = progress
+
+    def begin(self, sizes: list[int]) -> None:
+        self._sizes, self._whole = sizes, sum(sizes)
+        self._done, self._sum = [0] * len(sizes), 0
+        self._progress(0.0)
 
     def take(self, run: str, number: int, share: float) -> None:
-        done = int(share * self._sizes[number]) if run == self.run else 0
-        # What was told of a bag before its end may arrive after it.
-        if done > self._done[number]:
-            self._sum += done - self._done[number]
-            self._done[number] = done
-            self._progress(self._sum / self._whole)
+        with self.lock:
+            done = int(share * self._sizes[number]) if run == self.run else 0
+            # What was told of a bag before its end may arrive after it.
+            if done > self._done[number]:
+                self._sum += done - self._done[number]
+                self._done[number] = done
+                self._progress(self._sum / self._whole)
 
 
 def _size(bag: str) -> int:
@@ -324,9 +324,11 @@ def _finished(
 def _ours(path: str, folder: Path) -> bool:
     """Whether it is a result of an earlier run into the folder of its bags, and no bag of these."""
     result = Path(path)
+    if result.parent != folder:
+        return False
     try:
         told = json.loads(result.with_suffix('.json').read_text('utf-8'))
-        return result.parent == folder and result.name in str(told['row']['results'])
+        return result.name in str(told['row']['results'])
     except (OSError, ValueError, LookupError, TypeError, AttributeError):
         return False
 

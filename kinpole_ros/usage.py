@@ -71,12 +71,12 @@ def make_parser() -> argparse.ArgumentParser:
     batch = commands.add_parser(
         'batch',
         help='many bags, on all cores or a Dask cluster, and a table over all',
-        description='Replays every bag by itself and writes summary.csv, a line a bag: frames,\n'
-        'time span (s), noise (m), resets, share of instants with each pole, and what went wrong.\n'
-        'A bag that fails is reported, and the rest go on. Run again, it does what is not done\n'
-        'yet: results appear under their names only when whole, and stay as long as bag and\n'
-        'settings are the same. A folder is one bag: name recordings that lie in one folder by\n'
-        "FOLDER/*.mcap. Needs Dask: pip install 'kinpole_ros[batch]'.",
+        description='Replays every bag by itself and writes summary.csv, a line for each named:\n'
+        'frames, time span (s), noise (m), resets, share of instants with each pole, and what\n'
+        'went wrong. A bag that fails is reported, and the rest go on. Run again, it does what is\n'
+        'not done yet: results appear under their names only when whole, and stay as long as bag\n'
+        'and settings are the same. A folder is one bag: name recordings that lie in one folder\n'
+        "by FOLDER/*.mcap. Needs Dask: pip install 'kinpole_ros[batch]'.",
         epilog='examples:\n'
         '  kinpole batch runs/*.mcap --config rig.yaml --output results\n'
         '  kinpole batch runs/*/ --config rig.yaml --output results --parquet --workers 4\n'

@@ -345,7 +345,8 @@ def test_progress_goes_by_bytes_within_bags_and_over_what_is_left(
     assert (told[0], told[-1]) == (0.0, 1.0)  # what was finished before is none of it
 
     told.clear()
-    progress = module._Progress([300, 100], told.append)
+    progress = module._Progress(told.append)
+    progress.begin([300, 100])
     progress.take(progress.run, 0, 0.5)
     progress.take('of another run', 1, 1.0)
     progress.take(progress.run, 0, 1.0)
