@@ -13,9 +13,11 @@ import logging
 import os
 import signal
 import threading
+import uuid
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext, suppress
 from dataclasses import replace
+from io import StringIO
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +27,7 @@ from kinpole_ros.mechanism import LinkageError, SceneError
 from kinpole_ros.parameters import ParameterError, Settings
 
 KINDS = ('mcap', 'csv', 'parquet')
+_TOPIC = 'kinpole'  # of Dask's events
 _PATIENCE = 30  # s, for a scheduler and its first worker
 _FIRST = ('bag', 'error', 'truncated', 'results', 'frames', 'estimates', 'start', 'end', 'seconds')
 _EXPECTED = (BagError, LinkageError, ParameterError, SceneError, OSError)
@@ -55,13 +58,22 @@ def batch(
 
     A row has the bag and its results, frames, estimates, the span of time, noise, resets, what
     was unreadable, the share of instants with each pole, where the bag was cut off ('truncated'),
-    and why it failed ('error'). A failed bag does not stop the rest; `report` is called with each
-    row as it comes, `progress` with the share of bags done. Rows are in the order of `bags`.
-    Raises BagError when there is no Dask, no scheduler, or no place to write. An interruption
-    leaves what is finished, and a summary of it.
+    bodies known at no instant ('unknown'), and why it failed ('error'). A failed bag does not stop
+    the rest; `report` is called with each row as it comes, `progress` with the share done of what
+    was left to do, by bytes. Rows are in the order of `bags`, without results of earlier runs
+    among them. Raises BagError when there is no Dask, no scheduler, or no place to write. An
+    interruption leaves what is finished, and a summary of it.
     """
     folder = Path(os.path.abspath(output))
-    paths = {os.path.abspath(bag): None for bag in bags}
+    paths = [path for path in dict.fromkeys(map(os.path.abspath, bags)) if not _ours(path, folder)]
+    if not paths:
+        raise BagError(f'all bags named are results of earlier runs in {folder}; name others')
+    whole_folder = str(folder) in paths and not (folder / 'metadata.yaml').exists()
+    if 'mcap' in kinds and whole_folder:
+        raise BagError(
+            f'{folder} is a bag to be replayed, and results would become a part of it, which is '
+            'all .mcap files of its folder; name another folder for the results'
+        )
     if settings.scene and Path(settings.scene).is_file():
         settings = replace(settings, scene=os.path.abspath(settings.scene))
     kinds = [kind for kind in KINDS if kind in kinds]
@@ -70,13 +82,13 @@ def batch(
     except OSError as error:
         raise _unwritable(folder, error) from None
     rows: dict[str, Row] = {}
+    bar = None if progress is None else _Progress(progress)
     try:
-        for row in _rows(list(paths), folder, settings, topic, kinds, scheduler, workers):
+        for row in _rows(paths, folder, settings, topic, kinds, scheduler, workers, bar):
             rows[row['bag']] = row
             if report is not None:
-                report(row)
-            if progress is not None:
-                progress(len(rows) / len(paths))
+                with nullcontext() if bar is None else bar.lock:
+                    report(row)
     finally:
         # What was finished while we were being stopped counts too.
         told = [rows.get(path) or _finished(path, folder, settings, topic, kinds) for path in paths]
@@ -93,6 +105,7 @@ def _rows(
     kinds: list[str],
     scheduler: str | None,
     workers: int | None,
+    bar: '_Progress | None',
 ) -> Iterator[Row]:
     """The row of each bag as it comes: first those that are there, then those made now."""
     left = []
@@ -104,20 +117,71 @@ def _rows(
             yield row
     if not left:
         return
-    with _cluster(scheduler, min(workers or os.cpu_count() or 1, len(left))) as client:
-        from distributed import as_completed
+    try:
+        with _cluster(scheduler, min(workers or os.cpu_count() or 1, len(left))) as client:
+            from distributed import as_completed
 
-        jobs = {
-            client.submit(_replay_one, bag, folder, settings, topic, kinds, pure=False): bag
-            for bag in left
-        }
-        for job in as_completed(jobs):
-            error = job.exception()
-            if error is None:
-                yield job.result()
-            else:  # a worker that died, or one without this package; or a fault of ours
-                text = ' '.join(f'{type(error).__name__}: {error}'.split())
-                yield {'bag': jobs[job], 'error': text}
+            if bar is not None:
+                bar.begin([_size(bag) for bag in left])
+                client.subscribe_topic(_TOPIC, lambda event: bar.take(*event[1]))
+            jobs = {}
+            for number, bag in enumerate(left):
+                known_as = None if bar is None else (bar.run, number)
+                job = client.submit(
+                    _replay_one, bag, folder, settings, topic, kinds, known_as, pure=False
+                )
+                jobs[job] = number
+            for job in as_completed(jobs):
+                bag = left[jobs[job]]
+                error = job.exception()
+                if bar is not None:
+                    bar.take(bar.run, jobs[job], 1.0)
+                if error is None:
+                    yield job.result()
+                else:  # a worker that died, or one without this package; or a fault of ours
+                    text = ' '.join(f'{type(error).__name__}: {error}'.split())
+                    yield {'bag': bag, 'error': text}
+    finally:
+        # Workers of our own are gone; others go on with what they began, and finish it.
+        if scheduler is None:
+            for bag in left:
+                _remove_parts(bag, folder)
+
+
+class _Progress:
+    """
+    The share done of all bags by bytes, from what workers tell of each by its number.
+
+    They are heard in another thread, which holds the `lock` while it tells.
+    """
+
+    def __init__(self, progress: Callable[[float], None]) -> None:
+        self.lock = threading.Lock()
+        # Others may use the same cluster.
+        self.run = uuid.uuid4().hex
+        self._progress = progress
+
+    def begin(self, sizes: list[int]) -> None:
+        self._sizes, self._whole = sizes, sum(sizes)
+        self._done, self._sum = [0] * len(sizes), 0
+        self._progress(0.0)
+
+    def take(self, run: str, number: int, share: float) -> None:
+        with self.lock:
+            done = int(share * self._sizes[number]) if run == self.run else 0
+            # What was told of a bag before its end may arrive after it.
+            if done > self._done[number]:
+                self._sum += done - self._done[number]
+                self._done[number] = done
+                self._progress(self._sum / self._whole)
+
+
+def _size(bag: str) -> int:
+    """Bytes of a bag, 1 at least."""
+    try:
+        return max(1, sum(file.stat().st_size for file in bag_files(bag)))
+    except _EXPECTED:
+        return 1
 
 
 @contextmanager
@@ -170,11 +234,29 @@ def _interrupts_ignored() -> Iterator[None]:
 
 
 def _replay_one(
-    bag: str, folder: Path, settings: Settings, topic: str | None, kinds: list[str]
+    bag: str,
+    folder: Path,
+    settings: Settings,
+    topic: str | None,
+    kinds: list[str],
+    known_as: tuple[str, int] | None = None,
 ) -> Row:
-    """Replay one bag, in whatever process this is; what is wrong with it is in the row."""
+    """
+    Replay one bag, in whatever process this is; what is wrong with it is in the row.
+
+    A worker tells how far it is to whoever has the bag `known_as` this run and number.
+    """
     name = _name(bag)
     parts = {kind: folder / f'{name}.{kind}.part' for kind in kinds}
+    progress = None
+    if known_as is not None:
+        from distributed import get_worker
+
+        worker = get_worker()
+
+        def progress(share: float) -> None:
+            worker.log_event(_TOPIC, (*known_as, share))
+
     try:
         made_of = _made_of(bag, settings, topic)
         result = replay(
@@ -183,6 +265,7 @@ def _replay_one(
             output=parts.get('mcap'),
             csv=parts.get('csv'),
             topic=topic,
+            progress=progress,
             parquet=parts.get('parquet'),
         )
         row: Row = {
@@ -201,6 +284,7 @@ def _replay_one(
             'frame_changes': result.frame_changes,
             'unreadable': result.unreadable,
             'problem': result.problem,
+            'unknown': ' '.join(result.unknown),
             'warnings': '; '.join(warnings_of(result, settings)),
         }
         for body, poles in result.determined.items():
@@ -210,10 +294,17 @@ def _replay_one(
             part.replace(folder / f'{name}.{kind}')
         _write_whole(folder / f'{name}.json', json.dumps({'made_of': made_of, 'row': row}))
     except _EXPECTED as error:
-        for part in parts.values():
-            part.unlink(missing_ok=True)
         return {'bag': bag, 'error': ' '.join(str(error).split())}
+    finally:
+        _remove_parts(bag, folder)
     return row
+
+
+def _remove_parts(bag: str, folder: Path) -> None:
+    """Remove what is left of results that were not finished, of this run or of one before."""
+    for kind in (*KINDS, 'json'):
+        with suppress(OSError):
+            (folder / f'{_name(bag)}.{kind}.part').unlink()
 
 
 def _finished(
@@ -230,10 +321,22 @@ def _finished(
     return row if isinstance(row, dict) and row.get('bag') == bag else None
 
 
+def _ours(path: str, folder: Path) -> bool:
+    """Whether it is a result of an earlier run into the folder of its bags, and no bag of these."""
+    result = Path(path)
+    if result.parent != folder:
+        return False
+    try:
+        told = json.loads(result.with_suffix('.json').read_text('utf-8'))
+        return result.name in str(told['row']['results'])
+    except (OSError, ValueError, LookupError, TypeError, AttributeError):
+        return False
+
+
 def _name(bag: str) -> str:
     """What the results of a bag are called: its own name, and a number that only its path has."""
     short = Path(bag).name.removesuffix('.zstd').removesuffix('.mcap')
-    return f'{short}-{hashlib.sha256(bag.encode()).hexdigest()[:10]}'
+    return f'{short}-{hashlib.sha256(os.fsencode(bag)).hexdigest()[:10]}'
 
 
 def _made_of(bag: str, settings: Settings, topic: str | None) -> list[Any]:
@@ -249,21 +352,24 @@ def _made_of(bag: str, settings: Settings, topic: str | None) -> list[Any]:
 def _write_summary(path: Path, rows: list[Row]) -> None:
     """One line a bag; a column for all that any of them has."""
     columns = dict.fromkeys(_FIRST) | dict.fromkeys(name for row in rows for name in row)
-    part = path.with_name(f'{path.name}.part')
+    text = StringIO(newline='')
+    table = csv.DictWriter(text, list(columns))
+    table.writeheader()
+    table.writerows(rows)
     try:
-        with open(part, 'w', newline='', encoding='utf-8') as file:
-            table = csv.DictWriter(file, list(columns))
-            table.writeheader()
-            table.writerows(rows)
-        part.replace(path)
+        _write_whole(path, text.getvalue())
     except OSError as error:
         raise _unwritable(path, error) from None
 
 
 def _write_whole(path: Path, text: str) -> None:
     part = path.with_name(f'{path.name}.part')
-    part.write_text(text, 'utf-8')
-    part.replace(path)
+    try:
+        # A file name need not be text.
+        part.write_bytes(text.encode('utf-8', 'backslashreplace'))
+        part.replace(path)
+    finally:
+        part.unlink(missing_ok=True)
 
 
 def _unwritable(path: Path, error: OSError) -> BagError:

@@ -12,11 +12,11 @@ import shutil
 import sys
 import time
 from collections.abc import Callable, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from kinpole_ros import __version__
+from kinpole_ros.usage import make_parser
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -25,15 +25,12 @@ if TYPE_CHECKING:
 # than it computes where other processes run: 207 us a frame of replay on 2 busy cores against 60.
 os.environ.setdefault('OPENBLAS_NUM_THREADS', '1')
 
-_EPILOG = """examples:
-  kinpole simulate four_bar --output four_bar.mcap --noise 0.0002
-  kinpole replay four_bar.mcap --config config/four_bar.yaml --output result.mcap
-  kinpole batch runs/*.mcap --config rig.yaml --output results
-  kinpole plot result.mcap --output result.png
-  kinpole solve four_bar --sweep --centers --plot four_bar.png
-  kinpole import tracked.csv --rate 240 --scale 0.001 --y-down --output markers.mcap
-  kinpole node --ros-args --params-file config/kinpole.yaml
-"""
+# Packages that may be missing, and how to come by them.
+_MENDS = {
+    'matplotlib': "drawing needs matplotlib; install it with pip install 'kinpole_ros[plot]'",
+    'mcap': "reading and writing bags needs mcap; install it with pip install 'mcap>=1.5'",
+}
+_NO_ROS = 'source a ROS 2 installation first, or the .venv that `make demo` sets up'
 
 
 def main(args: Sequence[str] | None = None) -> int:
@@ -48,8 +45,8 @@ def main(args: Sequence[str] | None = None) -> int:
             from kinpole_ros.node import main as run_node
 
             return run_node(['kinpole', *words[1:]])
-        options = _parser().parse_args(words)
-        return int(options.run(options) or 0)
+        options = make_parser().parse_args(words)
+        return _COMMANDS[options.command](options)
     except KeyboardInterrupt:
         return 130
     except BrokenPipeError:
@@ -71,265 +68,37 @@ def node() -> int:
 
 def _is_for_the_user(error: Exception) -> bool:
     """Whether it is one of our own one-line errors, not a bug that deserves its traceback."""
-    from kinpole_ros.bags import BagError
+    if isinstance(error, OSError) or _package_missing(error):
+        return True
     from kinpole_ros.mechanism import LinkageError, SceneError
     from kinpole_ros.parameters import ParameterError
 
-    ours = (BagError, LinkageError, ParameterError, SceneError, OSError)
-    return isinstance(error, ours) or _lacks_matplotlib(error)
+    ours: tuple[type[Exception], ...] = (LinkageError, ParameterError, SceneError)
+    with suppress(ImportError):  # without ROS, nothing can have raised it
+        from kinpole_ros.bags import BagError
+
+        ours = (*ours, BagError)
+    return isinstance(error, ours)
 
 
-def _lacks_matplotlib(error: object) -> bool:
-    return isinstance(error, ImportError) and 'matplotlib' in str(error)
+def _package_missing(error: object) -> str:
+    """The package, not one of ours, that could not be imported; '' if that is not the error."""
+    name = (error.name or '') if isinstance(error, ImportError) else ''
+    package = name.partition('.')[0]
+    return '' if package == 'kinpole_ros' else package
 
 
 def _line(error: object) -> str:
-    if _lacks_matplotlib(error):
-        return "drawing needs matplotlib; install it with pip install 'kinpole_ros[plot]'"
+    if package := _package_missing(error):
+        ros = package == 'rclpy' or package.endswith(('_msgs', '_interfaces'))
+        mend = _NO_ROS if ros else f'install it with pip install {package}'
+        return _MENDS.get(package, f'the Python package {package} cannot be imported; {mend}')
     return ' '.join(str(error).split())
 
 
 def _on_terminal() -> bool:
     """Whether somebody watches stderr, which may be closed."""
     return sys.stderr is not None and sys.stderr.isatty()
-
-
-def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
-        prog='kinpole',
-        description='Planar kinematics of mechanisms from tracked markers: angular rates, poles '
-        'and centrodes of every body, and between bodies, with their uncertainty.',
-        epilog=_EPILOG,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
-    parser.add_argument('--version', action='version', version=f'kinpole {__version__}')
-    commands = parser.add_subparsers(dest='command', required=True, metavar='COMMAND')
-
-    node = commands.add_parser(
-        'node',
-        help='the live node',
-        description='The live node. Everything after it goes to ROS: '
-        'kinpole node --ros-args --params-file config/kinpole.yaml -r markers:=/mocap/markers',
-    )
-    node.set_defaults(run=lambda options: 0)
-
-    replay = commands.add_parser(
-        'replay',
-        help='a bag of markers to results, as fast as the machine goes',
-        description='Runs the markers of a bag through the same pipeline as the node. The same '
-        'bag and parameters give the same figures every time. What is written before a kill or a '
-        'full disk can be read; a Parquet table only when whole.',
-    )
-    replay.add_argument('bag', metavar='BAG', help='an .mcap file or a rosbag2 folder')
-    replay.add_argument(
-        '--config',
-        metavar='FILE',
-        help='ROS 2 parameter file, as for the node; without it one body, "body", of all markers',
-    )
-    replay.add_argument('--output', metavar='OUT.mcap', help='bag of results, under /kinpole/...')
-    replay.add_argument(
-        '--csv', metavar='OUT.csv', help='the same as a table, in SI units, with sigmas'
-    )
-    replay.add_argument(
-        '--parquet',
-        metavar='OUT.parquet',
-        help="the same table for pandas and the like (pip install 'kinpole_ros[parquet]')",
-    )
-    replay.add_argument('--topic', metavar='T', help="topic of the markers (config's, /markers)")
-    replay.set_defaults(run=_replay)
-
-    batch = commands.add_parser(
-        'batch',
-        help='many bags, on all cores or a Dask cluster, and a table over all',
-        description='Replays every bag by itself and writes summary.csv, a line a bag: frames,\n'
-        'time span (s), noise (m), resets, share of instants with each pole, and what went wrong.\n'
-        'A bag that fails is reported, and the rest go on. Run again, it does what is not done\n'
-        'yet: results appear under their names only when whole, and stay as long as bag and\n'
-        "settings are the same. Needs Dask: pip install 'kinpole_ros[batch]'.",
-        epilog='examples:\n'
-        '  kinpole batch runs/*.mcap --config rig.yaml --output results\n'
-        '  kinpole batch runs/*/ --config rig.yaml --output results --parquet --workers 4\n'
-        '  kinpole batch runs/*/ --config rig.yaml --output results --scheduler tcp://hub:8786\n'
-        '\n'
-        'A cluster is `dask scheduler` on one machine and `dask worker tcp://hub:8786 --nthreads 1`'
-        '\non each of the others. All of them have kinpole_ros installed, and see bags and output\n'
-        'under the same paths. Dask takes code from whoever reaches it: keep it inside your lab.\n'
-        'Exit status: 0 all bags done, 2 some failed or are cut off; see the column error.',
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
-    batch.add_argument('bags', metavar='BAG', nargs='+', help='.mcap files and rosbag2 folders')
-    batch.add_argument(
-        '--config', metavar='FILE', help='ROS 2 parameter file for all of them, as for replay'
-    )
-    batch.add_argument(
-        '--output', metavar='DIR', default='batch', help='folder for results and summary (batch)'
-    )
-    batch.add_argument('--topic', metavar='T', help="topic of the markers (config's, /markers)")
-    batch.add_argument(
-        '--mcap', action='store_true', help='a bag of results for each (if nothing else is asked)'
-    )
-    batch.add_argument('--csv', action='store_true', help='a CSV table for each')
-    batch.add_argument('--parquet', action='store_true', help='a Parquet table for each')
-    batch.add_argument(
-        '--scheduler', metavar='ADDRESS', help='of a Dask cluster; without it, this machine'
-    )
-    batch.add_argument('--workers', type=int, metavar='N', help='processes here (one a core)')
-    batch.set_defaults(run=_batch)
-
-    simulate = commands.add_parser(
-        'simulate',
-        help='a bag of markers from a mechanism, with the exact answer beside it',
-        description='Writes markers on /markers and the exact motion on /kinpole/truth/...',
-    )
-    simulate.add_argument(
-        'scene', metavar='SCENE', help='a file, or the name of one in config/scenes: see --list'
-    )
-    simulate.add_argument('--list', action=_ListScenes, help='name the scenes that come along')
-    simulate.add_argument('--output', metavar='BAG', required=True, help='.mcap file to write')
-    simulate.add_argument('--rate', type=float, default=200.0, metavar='HZ', help='frames (200)')
-    simulate.add_argument('--duration', type=float, default=5.0, metavar='S', help='length (5)')
-    simulate.add_argument(
-        '--noise', type=float, default=0.0, metavar='M', help='noise of a marker per axis, m (0)'
-    )
-    simulate.add_argument('--seed', type=int, default=0, metavar='N', help='of the noise (0)')
-    simulate.add_argument(
-        '--dropout', type=float, default=0.0, metavar='P', help='share of markers not seen (0)'
-    )
-    simulate.add_argument(
-        '--jitter',
-        type=float,
-        default=0.0,
-        metavar='S',
-        help='how unevenly the frames are taken, s (0); the stamps tell the true instants',
-    )
-    simulate.add_argument(
-        '--message',
-        default='marker_array',
-        metavar='TYPE',
-        help='marker_array (the default), marker, pose_array or point_cloud2',
-    )
-    simulate.set_defaults(run=_simulate)
-
-    solve = commands.add_parser(
-        'solve',
-        help='the analysis of a mechanism: motion, dead points, centers, forces',
-        description='Solves a scene exactly: positions and rates at time 0, at a value of its '
-        'driver, or over its whole range, with limits and dead points.',
-        epilog='examples:\n'
-        '  kinpole solve four_bar --at "45 deg" --centers\n'
-        '  kinpole solve slider_crank --sweep --csv crank.csv --plot crank.png\n'
-        '  kinpole solve loader_cylinder --statics\n'
-        '  kinpole solve antiparallelogram --pitch crank follower gears.svg\n',
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
-    solve.add_argument('scene', metavar='SCENE', help='name or path of a scene, see simulate')
-    where = solve.add_mutually_exclusive_group()
-    where.add_argument('--at', metavar='VALUE', help='value of the driver: 0.5, "45 deg", "12 cm"')
-    where.add_argument('--sweep', action='store_true', help='the whole range of the driver')
-    solve.add_argument('--centers', action='store_true', help='instant centers, as deduced by hand')
-    solve.add_argument('--statics', action='store_true', help='what drivers and joints bear')
-    solve.add_argument('--csv', metavar='FILE', help='all figures as a table, SI units')
-    solve.add_argument('--plot', metavar='FILE.png', help='the linkage, and rates over the range')
-    solve.add_argument(
-        '--pitch',
-        nargs=3,
-        metavar=('BODY', 'BODY', 'FILE'),
-        help='centrodes of two bodies as pitch curves: .csv, or .svg true to scale',
-    )
-    solve.set_defaults(run=_solve)
-
-    plot = commands.add_parser(
-        'plot',
-        help='a picture of a result bag',
-        description='Draws centrodes, poles and rates with their bands.',
-    )
-    plot.add_argument('bag', metavar='BAG', help='bag of results, from replay or recorded live')
-    plot.add_argument('--output', metavar='FILE.png', required=True, help='picture to write')
-    plot.set_defaults(run=_plot)
-
-    imported = commands.add_parser(
-        'import',
-        help='tracked points from a spreadsheet to a bag',
-        description='Columns NAME_x, NAME_y and maybe NAME_z make the marker NAME; empty cells are '
-        'markers that were not seen. Column t holds seconds, unless --rate is given.',
-    )
-    imported.add_argument('csv', metavar='CSV', help='the table')
-    imported.add_argument('--output', metavar='BAG', required=True, help='.mcap file to write')
-    imported.add_argument('--rate', type=float, metavar='HZ', help='frames per second')
-    imported.add_argument(
-        '--scale', type=float, default=1.0, metavar='M_PER_UNIT', help='m per unit of the table (1)'
-    )
-    imported.add_argument(
-        '--y-down', action='store_true', help='y of the table points down, as in pictures'
-    )
-    imported.set_defaults(run=_import)
-
-    play = commands.add_parser(
-        'play',
-        help='publish a bag, where there is no ros2 bag play',
-        description='Publishes a bag at the pace it was recorded, once somebody listens.',
-    )
-    play.add_argument('bag', metavar='BAG', help='an .mcap file or a rosbag2 folder')
-    play.add_argument('--topic', action='append', metavar='T', help='only this one; repeatable')
-    play.add_argument('--speed', type=float, default=1.0, metavar='X', help='times the pace (1)')
-    play.set_defaults(run=_play)
-
-    record = commands.add_parser(
-        'record',
-        help='record the results of a running node, where there is no ros2 bag record',
-        description='Records until Ctrl-C. A kill loses no more than the last second.',
-    )
-    record.add_argument('--output', metavar='BAG', required=True, help='.mcap file to write')
-    record.add_argument(
-        '--topic',
-        action='append',
-        metavar='PREFIX',
-        help='beginning of the topics to record; repeatable (/kinpole/ and /diagnostics)',
-    )
-    record.set_defaults(run=_record)
-
-    demo = commands.add_parser(
-        'demo',
-        help='the main job, shown: node, bag, recording and picture',
-        description='Starts the node, plays a bag of a four-bar into it, records what it '
-        'publishes, prints a table and draws a picture.',
-    )
-    demo.add_argument('--output', metavar='FOLDER', default='out', help='where to write (out)')
-    demo.set_defaults(run=_demo)
-
-    bench = commands.add_parser(
-        'bench',
-        help='measure errors, uncertainty, peers and limits, and draw the charts of the docs',
-        description='Writes benchmarks.md and charts/ anew. Takes several minutes; wants '
-        'matplotlib, and compares with PyNumDiff where it is installed: '
-        "pip install 'kinpole_ros[bench]'.",
-    )
-    bench.add_argument('--output', metavar='FOLDER', default='docs', help='where to write (docs)')
-    bench.add_argument('--quick', action='store_true', help='little data: shows that it works')
-    bench.add_argument(
-        '--long', action='store_true', help='only the run of 1e7 frames: some minutes'
-    )
-    bench.add_argument(
-        '--soak',
-        type=float,
-        metavar='MINUTES',
-        help='only the live node, for so long at 500 Hz with dropouts, outliers and clock jumps',
-    )
-    bench.set_defaults(run=_bench)
-    return parser
-
-
-class _ListScenes(argparse.Action):
-    """--list: print the scenes and end, as --version does."""
-
-    def __init__(self, **words: Any) -> None:
-        super().__init__(nargs=0, **words)
-
-    def __call__(self, parser: argparse.ArgumentParser, *_: Any) -> None:
-        from kinpole_ros.mechanism import scene_names
-
-        print('\n'.join(scene_names()))
-        parser.exit()
 
 
 def _replay(options: argparse.Namespace) -> int:
@@ -368,8 +137,7 @@ def _replay(options: argparse.Namespace) -> int:
         print(f'kinpole replay: {line}', file=sys.stderr)
     if result.truncated is not None:
         print(f'kinpole replay: {_line(result.truncated)}', file=sys.stderr)
-    lost = any(len(settings.bodies[b]) - len(names) < 2 for b, names in result.absent.items())
-    return 2 if result.truncated is not None or lost or not result.estimates else 0
+    return 2 if result.truncated is not None or result.unknown else 0
 
 
 def _batch(options: argparse.Namespace) -> int:
@@ -405,18 +173,32 @@ def _batch(options: argparse.Namespace) -> int:
         )
     failed = sum(bool(row['error']) for row in rows)
     cut = sum(bool(row.get('truncated')) for row in rows)
+    lacking = sum(bool(row.get('unknown')) for row in rows)
     frames = sum(row.get('frames', 0) for row in rows)
-    print(f'{len(rows)} bags, {failed} failed, {cut} cut off; {frames} frames in')
+    lack = f', {lacking} know a body at no instant' if lacking else ''
+    print(f'{len(rows)} bags, {failed} failed, {cut} cut off{lack}; {frames} frames in')
     print(f'written to {options.output}, with a table over all in {options.output}/summary.csv')
-    return 2 if failed or cut else 0
+    return 2 if failed or cut or lacking else 0
 
 
 def _keep(given: str | None, *outputs: str | None) -> None:
-    """Refuse to write over a file that is read."""
-    from kinpole_ros.bags import BagError
+    """Refuse to write over a file that is read, or a recording, which cannot be made again."""
+    for output in filter(None, outputs):
+        if given is not None and Path(given).resolve() == Path(output).resolve():
+            raise FileExistsError(f'{given} is to be read; name another file to write')
+        if Path(output).is_file() and (recorder := _recorder_of(output)):
+            raise FileExistsError(
+                f'{output} is a recording, made by {recorder!r}; name another file to write, or '
+                'remove that one first'
+            )
 
-    if given is not None and Path(given).resolve() in {Path(o).resolve() for o in outputs if o}:
-        raise BagError(f'{given} is to be read; name another file to write')
+
+def _recorder_of(path: str) -> str:
+    with suppress(ImportError):  # solve does without ROS
+        from kinpole_ros.bags import recorder_of
+
+        return recorder_of(path)
+    return ''
 
 
 def _simulate(options: argparse.Namespace) -> int:
@@ -454,6 +236,7 @@ def _plot(options: argparse.Namespace) -> int:
 def _import(options: argparse.Namespace) -> int:
     from kinpole_ros.bags import import_csv
 
+    _keep(options.csv, options.output)
     with _progress('import') as progress:
         count = import_csv(
             options.csv,
@@ -487,6 +270,8 @@ def _record(options: argparse.Namespace) -> int:
 def _solve(options: argparse.Namespace) -> int:
     from kinpole_ros.solve import solve_scene
 
+    pitch = options.pitch[2] if options.pitch else None
+    _keep(options.scene, options.csv, options.plot, pitch)
     lines = solve_scene(
         options.scene,
         options.at,
@@ -555,6 +340,20 @@ def _width() -> int:
 
 def _cleared() -> str:
     return f'\r{"":{_width()}}\r'
+
+
+_COMMANDS: dict[str, Callable[[argparse.Namespace], int]] = {
+    'replay': _replay,
+    'batch': _batch,
+    'simulate': _simulate,
+    'solve': _solve,
+    'plot': _plot,
+    'import': _import,
+    'play': _play,
+    'record': _record,
+    'demo': _demo,
+    'bench': _bench,
+}
 
 
 if __name__ == '__main__':

@@ -146,6 +146,7 @@ def test_a_run_that_was_stopped_keeps_what_is_finished_and_goes_on(
             assert started.returncode == 130
             assert said == complaints == ''
             assert len(summary(out)) >= 1
+            assert not list(out.glob('*.part'))
     done = files(out)
     finished = [name for name in done if name.endswith('.csv')]
     assert 1 <= len(finished) < 4
@@ -274,3 +275,93 @@ def test_what_makes_results_worse_is_reported_and_kept_in_the_summary(
     assert f'{bag}: body: its markers are' in links[2]
     (row,) = summary(tmp_path / 'links')
     assert 'off one rigid body' in row['warnings']
+
+
+def test_a_body_known_at_no_instant_is_status_2_and_in_the_summary(
+    simulated: Simulated, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    bag = simulated('four_bar', rate=100, duration=0.6)
+    bodies = {'crank': bodies_of('four_bar')['crank'], 'rocker': ('rokcer_1', 'rokcer_2')}
+    config = write_config(tmp_path / 'rig.yaml', Settings(bodies=bodies))
+    out = tmp_path / 'out'
+    for _ in range(2):  # made, and found there
+        status, said, complaints = run(bag, '--config', config, '--output', out)
+        assert status == 2
+        assert said.startswith(
+            '1 bags, 0 failed, 0 cut off, 1 know a body at no instant; 60 frames'
+        )
+        assert 'messages lack rokcer_1, rokcer_2 of rocker' in complaints
+        (row,) = summary(out)
+        assert (row['error'], row['unknown']) == ('', 'rocker')
+
+
+def test_results_among_the_bags_are_no_bags(simulated: Simulated, tmp_path: Path) -> None:
+    bag = simulated('cardan', rate=100, duration=0.6)
+    # A name that is no text costs nothing either.
+    odd = os.fsdecode(b'no text \xff.mcap')
+    link(bag, tmp_path / 'run.mcap', tmp_path / odd)
+
+    def every_bag() -> list[Path]:
+        return sorted(tmp_path.glob('*.mcap'))
+
+    rows = batch(every_bag(), tmp_path, SETTINGS, workers=1)
+    assert {Path(row['bag']).name: row['error'] for row in rows} == {'run.mcap': '', odd: ''}
+    assert len(every_bag()) == 4
+    before = files(tmp_path)
+    assert batch(every_bag(), tmp_path, SETTINGS) == rows
+    assert files(tmp_path) == before
+    assert [row['bag'].replace('\udcff', '\\udcff') for row in rows] == [
+        row['bag'] for row in summary(tmp_path)
+    ]
+    with pytest.raises(BagError, match='all bags named are results of earlier runs in'):
+        batch([path for path in every_bag() if '-' in path.name], tmp_path, SETTINGS)
+    # A bag is not what merely lies beside a file of notes.
+    (tmp_path / 'run.json').write_text('{"row": "by hand"}')
+    assert batch(every_bag(), tmp_path, SETTINGS) == rows
+
+
+def test_results_do_not_become_a_part_of_the_folder_they_are_of(
+    simulated: Simulated, tmp_path: Path
+) -> None:
+    link(simulated('cardan', rate=100, duration=0.6), tmp_path / 'runs' / 'run.mcap')
+    with pytest.raises(BagError, match=r'runs is a bag to be replayed, .* another folder'):
+        batch([tmp_path / 'runs'], tmp_path / 'runs', Settings())
+    assert [path.name for path in (tmp_path / 'runs').iterdir()] == ['run.mcap']
+
+
+def test_progress_goes_by_bytes_within_bags_and_over_what_is_left(
+    simulated: Simulated, tmp_path: Path
+) -> None:
+    bag = simulated('cardan', rate=500, duration=4)
+    short = simulated('cardan', rate=100, duration=0.6)
+    told: list[float] = []
+    batch([bag], tmp_path, SETTINGS, workers=1, progress=told.append)
+    assert told == sorted(told)
+    assert (told[0], told[-1]) == (0.0, 1.0)
+    assert len(told) > 3
+
+    told.clear()
+    batch([bag, short], tmp_path, SETTINGS, workers=1, progress=told.append)
+    assert (told[0], told[-1]) == (0.0, 1.0)  # what was finished before is none of it
+
+    told.clear()
+    progress = module._Progress(told.append)
+    progress.begin([300, 100])
+    progress.take(progress.run, 0, 0.5)
+    progress.take('of another run', 1, 1.0)
+    progress.take(progress.run, 0, 1.0)
+    progress.take(progress.run, 0, 0.9)  # told before the end, arrived after it
+    progress.take(progress.run, 1, 1.0)
+    assert told == [0.0, 0.375, 0.75, 1.0]
+
+
+def test_a_summary_that_does_not_fit_the_disk_leaves_the_one_before(tmp_path: Path) -> None:
+    path = tmp_path / 'summary.csv'
+    module._write_summary(path, [{'bag': 'a', 'error': ''}])
+    before = path.read_bytes()
+    (tmp_path / 'summary.csv.part').symlink_to('/dev/full')
+    with pytest.raises(BagError, match='cannot be written: No space left on device; mend'):
+        module._write_summary(path, [{'bag': 'b', 'error': ''}])
+    assert [(file.name, file.read_bytes()) for file in tmp_path.iterdir()] == [
+        ('summary.csv', before)
+    ]

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from kinpole_ros import planar
+from kinpole_ros import cli, planar
 from kinpole_ros.bench import _long, hindsight_table, motions
 from kinpole_ros.bench._bounds import propagated
 from kinpole_ros.bench._hindsight import LEVELS, apply_weights, coverage, fixed_weights, visible
@@ -26,7 +26,7 @@ from kinpole_ros.bench._record import (
     quantities,
     rms,
 )
-from kinpole_ros.bench._report import _read_csv, _write_csv
+from kinpole_ros.bench._report import _SECONDS, _read_csv, _write_csv, progress_of_parts
 from kinpole_ros.frame import MarkerFrames
 from kinpole_ros.tracker import Tracker
 
@@ -276,3 +276,33 @@ def test_rms_counts_only_the_frames_that_count() -> None:
     error = np.array([[3.0], [np.nan], [4.0], [1e9]])
     where = np.array([[True], [False], [True], [False]])
     assert rms(error, where) == pytest.approx([np.sqrt(12.5)])
+
+
+@pytest.mark.parametrize('quick', [False, True])
+def test_the_bar_goes_with_the_time_that_parts_take(quick: bool) -> None:
+    told: list[float] = []
+    part = progress_of_parts(told.append, quick)
+    for name in _SECONDS:
+        for share in (0.0, 0.5, 1.0):
+            part(name)(share)
+    assert told == sorted(told)
+    assert (told[0], told[-1]) == (0.0, pytest.approx(1.0))
+    # The live node takes a third of all and more.
+    part('live')(0.0)
+    part('live')(1.0)
+    assert told[-1] - told[-2] > 0.33
+
+
+def test_a_table_that_cannot_be_written_is_named(tmp_path: Path) -> None:
+    full = tmp_path / 'speed.csv'
+    full.symlink_to('/dev/full')
+    with pytest.raises(OSError, match=r'No space left on device: .*speed\.csv'):
+        _write_csv(full, [{'ours': 1.0}])
+
+
+@pytest.mark.parametrize('minutes', ['0', '-1', 'nan'])
+def test_no_time_is_no_soak(
+    minutes: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert cli.main(['bench', f'--soak={minutes}', '--output', str(tmp_path)]) == 2
+    assert 'it must be more than 0 minutes' in capsys.readouterr().err

@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from conftest import bodies_of, decoded, figures, stamp_of, write_config
 from geometry_msgs.msg import PoseArray
+from mcap.writer import Writer
 
 from kinpole_ros import cli
 from kinpole_ros.bags import BagWriter, Truncated, read_messages
@@ -385,6 +386,7 @@ def test_no_command_writes_over_what_it_reads(kinpole: Any, rod: Path, tmp_path:
         (config, 'replay', rod, '--config', config, '--csv', config),
         (table, 'import', table, '--output', table),
         (scene, 'simulate', scene, '--output', scene),
+        (scene, 'solve', scene, '--csv', scene),
         (rod, 'plot', rod, '--output', rod),
     ):
         assert str(target) in refusal(kinpole(*words))
@@ -413,6 +415,32 @@ def test_results_do_not_become_a_part_of_the_bag_they_are_of(kinpole: Any, rod: 
     assert f'{output} would be a part of the bag to be replayed' in line
     assert not output.exists()
     assert kinpole('replay', rod.parent, '--csv', rod.parent / 'results.csv').status == 0
+
+
+def test_a_recording_of_another_program_is_not_written_over(
+    kinpole: Any, rod: Path, tmp_path: Path
+) -> None:
+    recording, table = tmp_path / 'recorded.mcap', tmp_path / 'table.csv'
+    with open(recording, 'wb') as file:
+        writer = Writer(file)
+        writer.start('ros2', 'libmcap 1.4')
+        writer.finish()
+    table.write_text('t,a_x,a_y\n0,1,2\n')
+    before = recording.read_bytes()
+    for words in (
+        ['replay', rod, '--output'],
+        ['replay', rod, '--csv'],
+        ['simulate', 'cardan', '--output'],
+        ['import', table, '--output'],
+        ['solve', 'cardan', '--csv'],
+    ):
+        line = refusal(kinpole(*words, recording))
+        assert f"{recording} is a recording, made by 'libmcap 1.4'; name another file" in line
+        assert recording.read_bytes() == before
+    # What is made here can be made again.
+    output = tmp_path / 'out.mcap'
+    for _ in range(2):
+        assert kinpole('replay', rod, '--output', output).status == 0
 
 
 def test_a_recording_is_not_written_over_by_the_next(rod: Path) -> None:
@@ -456,10 +484,53 @@ def test_markers_that_are_in_no_message_are_named_with_those_that_are(
     assert decoded(output)['/kinpole/crank/odom']
 
 
+@pytest.mark.parametrize('kind', ['nan', 'single', 'one place'])
+def test_a_body_known_at_no_instant_is_told_with_status_2(
+    kinpole: Any, tmp_path: Path, kind: str
+) -> None:
+    bag = tmp_path / 'bag.mcap'
+    points = np.full((3, 3), np.nan) if kind == 'nan' else np.zeros((3, 3))
+    names = ['a', 'b', 'c'][: 1 if kind == 'single' else 3]
+    with BagWriter(bag) as writer:
+        for stamp in range(10**9, 2 * 10**9, 10**7):
+            message = to_message('point_cloud2', stamp, 'world', names, points[: len(names)])
+            writer.write('/markers', message, stamp)
+    line = refusal(kinpole('replay', bag))
+    assert 'body is known at no instant: too few markers seen, or all at one place; see' in line
+
+
+def test_files_of_a_folder_that_do_not_run_on_are_told_to_be_read_as_one(
+    kinpole: Any, rod: Path, simulated: Bag, tmp_path: Path
+) -> None:
+    joined = 'rod.mcap to rod_2.mcap, 2 files, were read as one recording'
+    os.link(rod, rod.parent / 'rod_2.mcap')
+    assert joined in kinpole('replay', rod.parent).err
+    (rod.parent / 'metadata.yaml').write_text(
+        'rosbag2_bagfile_information:\n'
+        '  {storage_identifier: mcap, relative_file_paths: [rod.mcap, rod_2.mcap]}\n'
+    )
+    assert joined not in kinpole('replay', rod.parent).err
+
+    # One recording that was split.
+    folder = tmp_path / 'split'
+    messages = list(read_messages(simulated('cardan', rate=100, duration=0.6), ['/markers']))
+    for name, part in (('a.mcap', messages[:30]), ('b.mcap', messages[30:])):
+        with BagWriter(folder / name) as writer:
+            for message in part:
+                writer.write_raw(message.topic, message.type_name, message.data, message.log_time)
+    said = kinpole('replay', folder)
+    assert (said.status, said.err) == (0, '')
+    assert said.out.startswith('60 frames in')
+
+
 @pytest.mark.parametrize(
     'stamps, complaint',
     [
         ([], 'the topic has no messages'),
+        (
+            range(10**9, 2 * 10**9, 10**8),
+            'the parameter window, 0.3 s, must hold 7 frames, and they come every 0.1 s; raise it',
+        ),
         ([0] * 30, 'all stamps are the same; see that the driver sets header.stamp'),
         (range(0, 30 * 10**9, 10**9), 'jump by more than the parameter window, 0.3 s; raise it'),
         (
@@ -649,7 +720,7 @@ def test_interrupted_in_an_extension_it_ends_as_at_any_place(
     def interrupted(*_: object) -> None:
         raise SystemError('<class> returned a result with an exception set') from KeyboardInterrupt
 
-    monkeypatch.setattr(cli, '_plot', interrupted)
+    monkeypatch.setitem(cli._COMMANDS, 'plot', interrupted)
     assert kinpole('plot', 'results.mcap', '--output', 'picture.png') == (130, '', '')
 
 
@@ -663,6 +734,29 @@ def test_missing_matplotlib_is_told_with_the_mend(
     monkeypatch.setitem(sys.modules, 'matplotlib', None)
     line = refusal(kinpole(*words))
     assert "needs matplotlib; install it with pip install 'kinpole_ros[plot]'" in line
+
+
+@pytest.mark.parametrize(
+    'package, words, told',
+    [
+        ('rclpy', ['replay', 'a.mcap'], 'rclpy cannot be imported; source a ROS 2 installation'),
+        ('rclpy', ['node'], 'rclpy cannot be imported; source a ROS 2 installation'),
+        ('rclpy', ['solve', 'five_bar'], 'five_bar.yaml: there is no such scene'),
+        ('mcap', ['import', 'a.csv', '--output', 'x'], "install it with pip install 'mcap>=1.5'"),
+        ('yaml', ['solve', 'four_bar'], 'yaml cannot be imported; install it with'),
+    ],
+)
+def test_a_package_that_is_not_there_is_told_with_the_mend(
+    tmp_path: Path, package: str, words: list[str], told: str
+) -> None:
+    program = (
+        f'import sys; sys.modules[{package!r}] = None\n'
+        f'from kinpole_ros import cli; sys.exit(cli.main({words!r}))'
+    )
+    done = subprocess.run(
+        [sys.executable, '-c', program], cwd=tmp_path, capture_output=True, text=True, timeout=60
+    )
+    assert told in refusal(Said(done.returncode, done.stdout, done.stderr))
 
 
 def test_a_reader_that_goes_away_is_no_error(rod: Path) -> None:

@@ -1,5 +1,6 @@
 """Pictures of result bags: drawn whatever is missing, and the curves in them are the right ones."""
 
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -235,10 +236,43 @@ def test_a_curve_of_few_instants_is_not_called_one_of_none(bags, tmp_path) -> No
     assert b'determined at less than 1% of the instants' in drawn(few, tmp_path / 'out.svg')
 
 
-@pytest.mark.parametrize('name', ['out', 'out.mcap', 'nowhere/out.png'])
+@pytest.mark.parametrize('name', ['out', 'out.mcap', 'file/out.png'])
 def test_output_that_cannot_be_written_is_named(bags, tmp_path, name) -> None:
+    (tmp_path / 'file').write_text('')
     with pytest.raises(BagError, match=name):
         plot(bags['cardan'], tmp_path / name)
+
+
+@pytest.mark.skipif(not Path('/dev/full').exists(), reason='needs /dev/full')
+def test_a_full_disk_is_told_as_one(bags, tmp_path) -> None:
+    (tmp_path / 'full.png').symlink_to('/dev/full')
+    with pytest.raises(BagError, match=r'full\.png cannot be written: No space left.* the disk'):
+        plot(bags['cardan'], tmp_path / 'full.png')
+
+
+@pytest.mark.parametrize('name', [b'cost $5_$.mcap', '日本.mcap'.encode(), b'no text \xff.mcap'])
+def test_any_name_of_a_bag_is_drawn_in_a_folder_that_is_made(bags, tmp_path, name, recwarn) -> None:
+    bag = tmp_path / os.fsdecode(name)
+    os.link(bags['cardan'], bag)
+    plot(bag, tmp_path / 'new' / 'folder' / 'out.png')
+    assert (tmp_path / 'new' / 'folder' / 'out.png').read_bytes().startswith(b'\x89PNG')
+    assert not recwarn.list
+
+
+def test_progress_is_not_over_before_the_picture_is_there(bags, tmp_path) -> None:
+    picture = tmp_path / 'out.png'
+    told: list[tuple[float, bool]] = []
+    plot(bags['cardan'], picture, lambda share: told.append((share, picture.exists())))
+    assert told == sorted(told)
+    assert told[-1] == (1.0, True)
+    assert all(share <= 0.9 for share, drawn in told if not drawn)
+
+
+def test_the_mend_of_a_bag_without_results_can_be_typed(bags, tmp_path) -> None:
+    bag = tmp_path / 'run 1.mcap'
+    os.link(bags['markers'], bag)
+    with pytest.raises(BagError, match=rf"kinpole replay '{bag}' --output"):
+        plot(bag, tmp_path / 'out.png')
 
 
 def test_missing_matplotlib_is_told_with_the_mend(monkeypatch, bags, tmp_path) -> None:

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from kinpole_ros import cli
-from kinpole_ros.mechanism import load_scene, scene_names
+from kinpole_ros.mechanism import load_scene, scene_names, scenes_folder
 from kinpole_ros.solve import _picture
 from kinpole_ros.solve._solved import solve_positions
 
@@ -237,3 +237,11 @@ def test_what_cannot_be_solved_is_said_in_one_line(
     err = capsys.readouterr().err
     assert says in err
     assert len(err.splitlines()) == 1
+
+
+def test_a_scene_of_any_name_is_drawn(tmp_path: Path) -> None:
+    pytest.importorskip('matplotlib')
+    scene = tmp_path / 'cost $5_$.yaml'
+    scene.write_text((scenes_folder() / 'cardan.yaml').read_text())
+    assert cli.main(['solve', str(scene), '--plot', str(tmp_path / 'out.png')]) == 0
+    assert (tmp_path / 'out.png').read_bytes().startswith(b'\x89PNG')

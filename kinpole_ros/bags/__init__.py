@@ -1,5 +1,6 @@
 """MCAP bags in rosbag2's conventions, in and out, and spreadsheets into them."""
 
+from kinpole_ros.bags._files import recorder_of
 from kinpole_ros.bags._import import import_csv
 from kinpole_ros.bags._reader import (
     BagError,
@@ -29,6 +30,7 @@ __all__ = [
     'message_class',
     'read_blocks',
     'read_messages',
+    'recorder_of',
     'replay',
     'simulate',
     'topics',

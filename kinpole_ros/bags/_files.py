@@ -6,13 +6,21 @@ neither disk nor memory, whatever it claims to hold.
 
 import io
 import re
+import struct
+from contextlib import suppress
+from io import BytesIO
 from pathlib import Path, PurePath
 from typing import BinaryIO, cast
 
 import yaml
 import zstandard
+from mcap.data_stream import ReadDataStream
+from mcap.exceptions import EndOfFile
+from mcap.records import Header
 from mcap.writer import MCAP0_MAGIC
 
+LIBRARY = 'kinpole_ros'  # who writes bags here
+_HEADER = 1000  # bytes of the first record that are looked at
 ZSTD_MAGIC = b'\x28\xb5\x2f\xfd'  # no CDR starts with it
 _FARTHEST = 2**62
 _PIECE = 1 << 20
@@ -126,6 +134,20 @@ def check_magic(path: Path) -> None:
             f'{path} is not an MCAP file: it starts otherwise; '
             'mend: give an .mcap file or a rosbag2 folder'
         )
+
+
+def recorder_of(path: str | Path) -> str:
+    """What other program says in a file that it recorded it; '' if none does, or it is ours."""
+    path = Path(path)
+    with suppress(OSError, *_MALFORMED, struct.error, EndOfFile):
+        if path.is_file():
+            with open_file(path) as file:
+                if file.read(len(MCAP0_MAGIC)) == MCAP0_MAGIC:
+                    head = file.read(_HEADER)
+                    length = int.from_bytes(head[1:9], 'little')
+                    library = Header.read(ReadDataStream(BytesIO(head[9 : 9 + length]))).library
+                    return '' if library == LIBRARY else library or 'another program'
+    return ''
 
 
 def unreadable(path: Path, error: OSError) -> BagError:

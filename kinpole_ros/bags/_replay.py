@@ -45,7 +45,9 @@ class Replayed(NamedTuple):
     of a marker of each body at the end, per axis, m, NaN where it is not known, and `looseness` how
     far markers are off one rigid body, m, 0 where they may be of one; `first` and `last` are the
     stamps of these frames, ns. `absent` are the markers of each body that are in no message, and
-    `identities` those of the last one.
+    `identities` those of the last one. `unknown` are the bodies known at no instant, and why not at
+    the last ('' where there is none). `joined` are the files that were read as one recording only
+    because they lie in one folder.
     """
 
     frames: int
@@ -64,6 +66,8 @@ class Replayed(NamedTuple):
     last: int
     absent: dict[str, list[str]]
     identities: tuple[str, ...]
+    unknown: dict[str, str]
+    joined: list[str]
 
 
 def replay(
@@ -85,9 +89,11 @@ def replay(
     Raises BagError when the bag, its topic or an output cannot be used.
     """
     name, kind = _marker_topic(bag, settings, topic)
-    taken = {file.resolve(): 'the bag to be replayed' for file in bag_files(bag)}
+    files = bag_files(bag)
+    taken = {file.resolve(): 'the bag to be replayed' for file in files}
     # Without metadata all that lies in a folder is the bag.
     folder = None if (Path(bag) / 'metadata.yaml').exists() else Path(bag).resolve()
+    joined = [file.name for file in files] if folder is not None and len(files) > 1 else []
     for target in (output, csv, parquet):
         if target is None:
             continue
@@ -114,6 +120,7 @@ def replay(
     ]
     beat = _Beat(DiagnosticsMaker(NODE_NAME, theory))
     found = {body: dict.fromkeys(POLE_NAMES[:order], 0) for body in tracker.bodies}
+    unknown = dict.fromkeys(tracker.bodies, '')
     estimates = 0
     problem = ''
     first, last = None, 0
@@ -146,6 +153,7 @@ def replay(
             for estimate in known:
                 estimates += len(estimate)
                 _count(found, estimate)
+                unknown = _still_unknown(unknown, estimate)
                 for table in tables:
                     table.add(estimate)
             if writer is not None:
@@ -184,6 +192,8 @@ def replay(
         last,
         absent,
         identities,
+        unknown,
+        joined,
     )
 
 
@@ -295,6 +305,12 @@ def _count(found: dict[str, dict[str, int]], estimate: Estimate) -> None:
     for b, poles in enumerate(found.values()):
         for order, pole in enumerate(poles, 1):
             poles[pole] += int(estimate.pole(order).determined[:, b].sum())
+
+
+def _still_unknown(unknown: dict[str, str], estimate: Estimate) -> dict[str, str]:
+    """Those of the bodies that are known at none of these instants either, and why not."""
+    reasons = {body: estimate.missing[:, estimate.bodies.index(body)] for body in unknown}
+    return {body: str(said[-1]) for body, said in reasons.items() if (said != '').all()}
 
 
 def _marker_topic(bag: str | Path, settings: Settings, topic: str | None) -> tuple[str, str]:

@@ -5,6 +5,18 @@ from collections.abc import Iterator
 from kinpole_ros.bags._replay import Replayed
 from kinpole_ros.messages import not_rigid, not_there
 from kinpole_ros.parameters import Settings
+from kinpole_ros.window import FEWEST_SAMPLES
+
+# What can be done about the reasons that the tracker gives.
+_MENDS = {
+    'too few markers seen, or all at one place': (
+        'see that two of them, apart in the plane, are in a frame at once and finite'
+    ),
+    'markers too close together for their noise': (
+        'put them farther apart, or set the parameter noise'
+    ),
+    'window not full': f'raise the parameter window: it must hold {FEWEST_SAMPLES} frames with it',
+}
 
 
 def warnings_of(result: Replayed, settings: Settings) -> list[str]:
@@ -12,9 +24,19 @@ def warnings_of(result: Replayed, settings: Settings) -> list[str]:
     lines = []
     if result.unreadable:
         lines.append(f'{result.unreadable} messages left out, the first: {result.problem}')
+    if result.joined and (result.resets or result.late):
+        lines.append(
+            f'{result.joined[0]} to {result.joined[-1]}, {len(result.joined)} files, were read as '
+            'one recording, since the folder has no metadata.yaml to tell, but the stamps do not '
+            'run on; if they are several, give each file by itself'
+        )
     if result.frames:
         absent = result.absent.items()
         lines += [not_there(body, names, result.identities) for body, names in absent]
+    for body, reason in result.unknown.items():
+        if reason and body not in result.absent:
+            mend = f'; {_MENDS[reason]}' if reason in _MENDS else ''
+            lines.append(f'{body} is known at no instant: {reason}{mend}')
     lines += [f'{body}: {not_rigid(off)}' for body, off in result.looseness.items() if off]
     lines += _untold(result, settings)
     return lines
@@ -24,6 +46,8 @@ def _untold(result: Replayed, settings: Settings) -> Iterator[str]:
     """A line on why there are no results, where there are none."""
     if result.estimates:
         return
+    seconds = (result.last - result.first) / 1e9
+    taken = result.frames - result.repeated - result.late
     if not result.frames:
         yield 'no results, since the topic has no messages; record again, or name another --topic'
     elif result.repeated and result.repeated + 1 == result.frames:
@@ -36,8 +60,14 @@ def _untold(result: Replayed, settings: Settings) -> Iterator[str]:
             f'no results, since the stamps jump by more than the parameter window, '
             f'{settings.window:g} s; raise it, or see to the stamps'
         )
-    else:
+    elif seconds <= settings.lag:
         yield (
             f'no results, since a frame has one when it is {settings.lag:g} s old (the parameter '
-            f'lag), and there are {(result.last - result.first) / 1e9:.3g} s; record longer'
+            f'lag), and there are {seconds:.3g} s; record longer, or see to the stamps'
+        )
+    else:
+        yield (
+            f'no results, since the parameter window, {settings.window:g} s, must hold '
+            f'{FEWEST_SAMPLES} frames, and they come every {seconds / max(taken - 1, 1):.3g} s; '
+            'raise it, or see to the stamps'
         )

@@ -32,7 +32,7 @@ from mcap.records import (
 from mcap.writer import MCAP0_MAGIC
 from rclpy.serialization import serialize_message
 
-from kinpole_ros.bags._reader import BagError
+from kinpole_ros.bags._files import LIBRARY, BagError
 from kinpole_ros.bags._schema import definition, message_class, type_name
 
 # What a kill can lose, and what a reader must hold: small enough for both, large for zstd.
@@ -122,7 +122,7 @@ class BagWriter:
         try:
             self._path.parent.mkdir(parents=True, exist_ok=True)
             self._file = open(self._path, 'wb')  # noqa: SIM115 - close() does
-            self._put(MCAP0_MAGIC + _packed(Header('ros2', 'kinpole_ros')))
+            self._put(MCAP0_MAGIC + _packed(Header('ros2', LIBRARY)))
         except OSError as error:
             raise self._failed(error) from error
 

@@ -103,16 +103,23 @@ def cells() -> Iterator[Cell]:
 METHODS: dict[str, Callable[[Settings], Tracker]] = {'ours': Tracker, 'fixed 41/4': FixedTracker}
 
 
-def survey(quick: bool = False) -> list[dict[str, object]]:
+def survey(
+    quick: bool = False, progress: Callable[[float], None] | None = None
+) -> list[dict[str, object]]:
     """
     One row by cell and method: median error, share determined, and what must not be.
 
     Errors are medians over determined frames of |error| over the larger of the truth's own size
     and the rms of ω to the power of the order; of poles over the body's size, of κ over the larger
-    of the truth and the inverse of the size.
+    of the truth and the inverse of the size. `progress` is called with the share of cells done.
     """
     chosen = list(cells())[:: 9 if quick else 1]
-    return [_row(cell, name, kind) for cell in chosen for name, kind in METHODS.items()]
+    rows = []
+    for count, cell in enumerate(chosen):
+        if progress is not None:
+            progress(count / len(chosen))
+        rows += [_row(cell, name, kind) for name, kind in METHODS.items()]
+    return rows
 
 
 def _row(cell: Cell, name: str, kind: Callable[[Settings], Tracker]) -> dict[str, object]:

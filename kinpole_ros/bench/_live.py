@@ -146,11 +146,11 @@ class Asker:
         self._context.try_shutdown()
 
     def until(self, condition: Callable[[], Any], what: str) -> None:
-        """Let things happen until the condition holds; RuntimeError if it does not in time."""
+        """Let things happen until the condition holds; TimeoutError if it does not in time."""
         deadline = time.monotonic() + _WAIT
         while not condition():
             if time.monotonic() > deadline:
-                raise RuntimeError(f'live bench: {what}: not within {_WAIT:g} s')
+                raise TimeoutError(f'live bench: {what}: not within {_WAIT:g} s')
             self.executor.spin_once(timeout_sec=0.02)
 
     def hear(self, topic: str, message_type: type, qos: Any = 10) -> list[tuple[Any, int]]:
@@ -185,7 +185,9 @@ def node_words(folder: Path) -> list[str]:
         f'{_BODY}}}, marker_topic: /{NODE}/markers, marker_type: point_cloud2, '
         f'lag: {LAG * 1e-9}}}}}\n'
     )
-    return ['-m', 'kinpole_ros.cli', 'node', '--ros-args', '--params-file', str(config)]
+    # What it says of itself would run through the bar of progress.
+    quiet = ['--log-level', 'kinpole:=warn']
+    return ['-m', 'kinpole_ros.cli', 'node', '--ros-args', *quiet, '--params-file', str(config)]
 
 
 def _relay_words() -> list[str]:
@@ -207,13 +209,20 @@ def started(words: list[str]) -> Iterator['subprocess.Popen[bytes]']:
             process.wait()
 
 
-def measure_live(messages: int = 2000, rate: float = 200.0, step_up: float = _STEP_UP) -> Live:
+def measure_live(
+    messages: int = 2000,
+    rate: float = 200.0,
+    step_up: float = _STEP_UP,
+    progress: Callable[[float], None] | None = None,
+) -> Live:
     """
     Measure all of it.
 
     `messages` are sent to each of the two at `rate` Hz for the latency; of the rates they hold,
-    each tried is `step_up` times the one before.
+    each tried is `step_up` times the one before. `progress` is called with the share done, by time.
     """
+    tell = progress or (lambda share: None)
+    tell(0.0)
     with processes():
         asker = Asker()
         try:
@@ -227,9 +236,10 @@ def measure_live(messages: int = 2000, rate: float = 200.0, step_up: float = _ST
         try:
             for name, publisher in asker.publishers.items():
                 asker.until(publisher.get_subscription_count, f'{name} at its markers')
-            rates = _rates(asker, step_up)
+            rates = _rates(asker, step_up, lambda share: tell(0.05 + 0.9 * share))
         finally:
             asker.close()
+    tell(0.95)
     starts = [_first_answer() for _ in range(3)]
     helps = [_help() for _ in range(5)]
     return Live(latency, rates, float(np.median(starts)), float(np.median(helps)))
@@ -277,7 +287,7 @@ def _latency(asker: Asker, messages: int, rate: float) -> dict[str, Latency]:
     return found
 
 
-def _rates(asker: Asker, step_up: float) -> dict[str, float]:
+def _rates(asker: Asker, step_up: float, tell: Callable[[float], None]) -> dict[str, float]:
     """The highest rate (Hz) at which each loses nothing, while its answers are subscribed to."""
     # Subscribed to and never taken: so they are sent, and cost this process next to nothing.
     sink = rclpy.create_node('sink', context=asker.node.context)
@@ -300,10 +310,14 @@ def _rates(asker: Asker, step_up: float) -> dict[str, float]:
         return after - before == count and achieved >= 0.95 * rate
 
     best = {}
-    for name in (NODE, RELAY):
+    for number, name in enumerate((NODE, RELAY)):
         rate = _LOWEST
         best[name] = 0.0
-        while rate < _HIGHEST and any(held(name, rate) for _ in range(_TRIES)):
+        while rate < _HIGHEST:
+            # As if both came to the highest: one that does not is done sooner, not later.
+            tell((number + math.log(rate / _LOWEST) / math.log(_HIGHEST / _LOWEST)) / 2)
+            if not any(held(name, rate) for _ in range(_TRIES)):
+                break
             best[name] = rate
             rate *= step_up
     sink.destroy_node()

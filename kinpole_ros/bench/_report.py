@@ -6,12 +6,14 @@ Seeds are fixed: except for the times everything comes out the same again.
 
 import csv
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from kinpole_ros.bags import BagError
 from kinpole_ros.bench import _charts as charts
 from kinpole_ros.bench._atlas import survey
 from kinpole_ros.bench._bounds import bounds
@@ -42,6 +44,19 @@ from kinpole_ros.bench._speed import speed_rows
 
 Rows = list[dict[str, Any]]
 _LONG, _SOAK = 'long.csv', 'soak.csv'
+# What each part takes, in full and quick, s, for whoever watches it go on. As measured once on two
+# busy cores; PyNumDiff and the pendulum were not at hand and are guessed.
+_SECONDS = {
+    'costs': (15, 2),
+    'speed': (202, 16),
+    'live': (273, 72),
+    'hindsight': (33, 2),
+    'equal lag': (12, 4),
+    'over lag': (14, 2),
+    'PyNumDiff': (60, 0),
+    'atlas': (98, 11),
+    'pendulum': (10, 0),
+}
 
 
 def hindsight_table(
@@ -92,7 +107,7 @@ def bench(
     folder = Path(output)
     (folder / 'charts').mkdir(parents=True, exist_ok=True)
     names = tuple(motions())
-    tell = progress or (lambda share: None)
+    tell = progress_of_parts(progress or (lambda share: None), quick)
     written: list[Path] = []
 
     def write(name: str, rows: Rows, draw: Callable[[Rows, Path], None] | None) -> None:
@@ -100,44 +115,45 @@ def bench(
         _write_csv(path, rows)
         written.append(path)
         if draw is not None:
-            draw(rows, path.with_suffix('.png'))
+            with _writing(path.with_suffix('.png')):
+                draw(rows, path.with_suffix('.png'))
             written.append(path.with_suffix('.png'))
 
     spent = costs(1 if quick else 5)
-    tell(0.02)
-    fast = speed_rows(quick)
-    fast += live_rows(measure_live(300, step_up=4.0) if quick else measure_live())
+    fast = speed_rows(quick, tell('speed'))
+    little: dict[str, Any] = {'messages': 300, 'step_up': 4.0} if quick else {}
+    fast += live_rows(measure_live(**little, progress=tell('live')))
     write('speed', fast, None)
-    tell(0.2)
+    tell('hindsight')(0.0)
     ratios, covered, bounded = hindsight_table(names, NOISES, *((1, 3.0) if quick else (9, 6.0)))
     write('hindsight', ratios, charts.hindsight)
     write('coverage', covered, None)
     write('bounds', bounded, None)
-    tell(0.3)
+    tell('equal lag')(0.0)
     tables = equal_lag(make_recording(names, NOISES, *((1, 3.0) if quick else (2, 6.0))))
-    tell(0.4)
+    tell('over lag')(0.0)
     lags = (0, 20) if quick else (0, 2, 5, 10, 20, 40)
     lagged = over_lag(names, lags, *((1, 3.0) if quick else (2, 6.0)))
-    tell(0.6)
+    tell('PyNumDiff')(0.0)
     few = names[:1] if quick else names
     offline, offline_costs, version = pynumdiff_errors(make_recording(few, NOISES[1:2], 1, 4.5))
-    tell(0.8)
     spent |= offline_costs
     write('peers', _peer_rows(tables) + _peer_rows(offline)[len(offline.get(OURS, ())) :], None)
     timed = _time_rows(tables, spent) + _time_rows(offline, spent)[1:]
     write('error_over_time', timed, charts.error_over_time)
     write('error_over_lag', _lag_rows(lagged), charts.error_over_lag)
-    cells = survey(quick)
+    cells = survey(quick, tell('atlas'))
     write('atlas', cells, charts.atlas)
     written.append(folder / 'charts' / 'atlas_higher.png')
-    charts.atlas(cells, written[-1], ('IAP', 'κ'))
-    tell(0.92)
+    with _writing(written[-1]):
+        charts.atlas(cells, written[-1], ('IAP', 'κ'))
+    tell('pendulum')(0.0)
     # Its data do not come with the project, and it takes long.
     swung: Rows = []
     if TABLE.exists() and not quick:
         swung = pendulum()
         write('pendulum', swung, None)
-    tell(1.0)
+    tell('pendulum')(1.0)
 
     page = folder / 'benchmarks.md'
     results = Results(
@@ -156,8 +172,24 @@ def bench(
         _read_csv(folder / 'charts' / _LONG),
         _read_csv(folder / 'charts' / _SOAK),
     )
-    page.write_text(make_page(results), encoding='utf-8')
+    with _writing(page):
+        page.write_text(make_page(results), encoding='utf-8')
     return [page, *written]
+
+
+def progress_of_parts(
+    progress: Callable[[float], None], quick: bool
+) -> Callable[[str], Callable[[float], None]]:
+    """Progress of a part by its name: its share done, as a share of the whole run."""
+    seconds = {name: both[quick] for name, both in _SECONDS.items()}
+    whole = sum(seconds.values())
+    names = list(seconds)
+
+    def part(name: str) -> Callable[[float], None]:
+        before = sum(seconds[earlier] for earlier in names[: names.index(name)])
+        return lambda share: progress((before + share * seconds[name]) / whole)
+
+    return part
 
 
 def bench_long(output: str | Path, progress: Callable[[float], None] | None = None) -> list[Path]:
@@ -179,18 +211,29 @@ def bench_soak(
     """
     Run the live node for so long and write `charts/soak.csv` in the folder `output`.
 
-    The page quotes it from the next `bench` on. Raises OSError where it cannot be written,
-    RuntimeError if the node ends.
+    The page quotes it from the next `bench` on. Raises OSError where it cannot be written, if the
+    node ends or does not answer, and BagError for minutes that are none.
     """
+    if not 0 < minutes < np.inf:
+        raise BagError(f'--soak is {minutes}; it must be more than 0 minutes')
     path = Path(output) / 'charts' / _SOAK
     path.parent.mkdir(parents=True, exist_ok=True)
     _write_csv(path, soak_rows(soak(minutes, progress)))
     return [path]
 
 
+@contextmanager
+def _writing(path: Path) -> Iterator[None]:
+    """Say which file it was that could not be written, which a full disk does not."""
+    try:
+        yield
+    except OSError as error:
+        raise OSError(error.errno, error.strerror, str(path)) from None
+
+
 def _write_csv(path: Path, rows: Rows) -> None:
     fields = list(dict.fromkeys(field for row in rows for field in row))
-    with path.open('w', newline='', encoding='utf-8') as file:
+    with _writing(path), path.open('w', newline='', encoding='utf-8') as file:
         writer = csv.DictWriter(file, fields, restval='', lineterminator='\n')
         writer.writeheader()
         for row in rows:

@@ -43,8 +43,8 @@ def soak(
     """
     Run node and publisher at `rate` (Hz) for that many minutes; figures of each.
 
-    Latency is from sending a frame to the arrival of its angular velocity. Raises RuntimeError if
-    the node ends, or does not answer.
+    Latency is from sending a frame to the arrival of its angular velocity. Raises OSError if the
+    node ends, or does not answer.
     """
     with processes() as running:
         asker = Asker()
@@ -70,7 +70,7 @@ def soak(
                         done = (time.monotonic() - start) / _PERIOD
                         progress(min(1.0, (minute + done) * _PERIOD / 60 / minutes))
                 if running[NODE].poll() is not None:
-                    raise RuntimeError('soak: the node ended; see what it printed')
+                    raise ChildProcessError('soak: the node ended; see what it printed')
                 before, counts = counts, _counts(told)
                 told.clear()
                 times = [answers[s] - sent for s, sent in run.sent.items() if s in answers]

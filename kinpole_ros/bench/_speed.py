@@ -35,22 +35,26 @@ _READING = {'marker_array': 30.0, 'pose_array': 8.0, 'marker': 4.0, 'point_cloud
 _MOST_BODIES, _LONGEST_WINDOW = 100, 1000
 
 
-def speed_rows(quick: bool = False) -> Rows:
+def speed_rows(quick: bool = False, progress: Callable[[float], None] | None = None) -> Rows:
     """
     One row by comparison: `what`, `ours` and `other` with their `unit`, `ratio`, and `bar`.
 
     The ratio is ours over the other where `bar` is the most it may be; where it is the `least`
-    that it must be, the other over ours.
+    that it must be, the other over ours. `progress` is called with the share done, by time.
     """
+    tell = progress or (lambda share: None)
     with tempfile.TemporaryDirectory() as folder:
+        tell(0.0)
         bag = Path(folder) / 'markers.mcap'
         _write_markers(bag, 2_000 if quick else 100_000)
-        return [
-            *_reading(),
-            *_replaying(bag, Path(folder)),
-            *_estimating(100 if quick else 400),
-            *_memory(Path(folder), 1_000 if quick else 10_000),
-        ]
+        rows = _reading()
+        tell(0.04)
+        rows += _replaying(bag, Path(folder))
+        tell(0.42)
+        rows += _estimating(100 if quick else 400)
+        tell(0.45)
+        rows += _memory(Path(folder), 1_000 if quick else 10_000, lambda: tell(0.75))
+    return rows
 
 
 def compared(
@@ -199,13 +203,15 @@ def _estimating(count: int) -> Rows:
     ]
 
 
-def _memory(folder: Path, few: int) -> Rows:
+def _memory(folder: Path, few: int, written: Callable[[], None]) -> Rows:
     """Peak memory of a replay of a hundred times as many frames."""
     words = 'from kinpole_ros.bench._speed import peak; import sys; print(peak(sys.argv[1]))'
     peaks = []
     for count in (few, 100 * few):
         bag = folder / f'{count}.mcap'
         _write_markers(bag, count)
+        if count > few:
+            written()
         done = subprocess.run(
             [sys.executable, '-c', words, str(bag)], check=True, capture_output=True, text=True
         )

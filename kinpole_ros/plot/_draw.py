@@ -5,6 +5,8 @@ One row per body: the plane with both centrodes and the poles of one instant, th
 and how the ICR runs along the fixed centrode.
 """
 
+import os
+import warnings
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -15,6 +17,7 @@ from kinpole_ros.bags import BagError
 from kinpole_ros.plot._read import Body, Centrodes, Results, Series, centrodes, read_results
 
 _MOST_BODIES = 4
+_READING = 0.9  # of the time, the rest is drawing
 _WIDTH, _ROW_HEIGHT, _DPI = 12.0, 4.1, 150  # inches; 1800 px across
 # Longer than this many periods without a sample is a gap, not a lost frame.
 _GAP = 2.5
@@ -45,9 +48,9 @@ def plot(
     """
     Draw the results in `bag` (an .mcap file or a rosbag2 folder) to `output`.
 
-    The format goes by the suffix of `output`: png, pdf, svg or whatever else matplotlib writes.
-    `progress` is called with the fraction of the bag that is read. Raises BagError when the bag
-    holds no results, `output` cannot be written or matplotlib is missing.
+    The format goes by the suffix of `output`: png, pdf, svg or whatever else matplotlib writes;
+    folders above it are made. `progress` is called with the share done, by time. Raises BagError
+    when the bag holds no results, `output` cannot be written or matplotlib is missing.
     """
     try:
         from matplotlib.figure import Figure
@@ -60,14 +63,23 @@ def plot(
     formats = sorted(figure.canvas.get_supported_filetypes())
     if Path(output).suffix[1:].lower() not in formats:
         raise BagError(f'{output} is no picture; end its name in one of {", ".join(formats)}')
-    results = read_results(bag, progress)
-    _draw(figure, Path(bag).name, results)
+    told = None if progress is None else lambda share: progress(_READING * share)
+    results = read_results(bag, told)
+    # A file name need not be text.
+    _draw(figure, os.fsencode(Path(bag).name).decode(errors='replace'), results)
     try:
-        figure.savefig(output, dpi=_DPI)
+        Path(output).parent.mkdir(parents=True, exist_ok=True)
+        with warnings.catch_warnings():
+            # A letter that the font lacks is drawn as a box.
+            warnings.filterwarnings('ignore', 'Glyph .* missing from', UserWarning)
+            figure.savefig(output, dpi=_DPI)
     except OSError as error:
         raise BagError(
-            f'{output} cannot be written: {error.strerror}; name a file in a folder that is there'
+            f'{output} cannot be written: {error.strerror}; '
+            'mend: check the path, its rights and the space on the disk'
         ) from error
+    if progress is not None:
+        progress(1.0)
 
 
 def _draw(figure: Any, bag: str, results: Results) -> None:
@@ -87,7 +99,8 @@ def _draw(figure: Any, bag: str, results: Results) -> None:
         + (f' (not drawn: {", ".join(left_out)})' if left_out else '')
         + f'\n{(end - start) * 1e-9:.3g} s from stamp {start * 1e-9:.3f} s'
         + (', bag cut off' if results.cut else '')
-        + f'; poles and moving centrode at t = {(instant - start) * 1e-9:.3f} s'
+        + f'; poles and moving centrode at t = {(instant - start) * 1e-9:.3f} s',
+        parse_math=False,
     )
     columns: dict[int, list[Any]] = {0: [], 1: [], 2: []}
     grid = figure.add_gridspec(len(bodies), 3, width_ratios=[1.2, 1, 1])
@@ -237,7 +250,7 @@ def _draw_plane(
     axis.set_box_aspect(1)
     axis.locator_params(nbins=6)
     axis.grid(True, linewidth=0.3)
-    axis.set_title(body.name, fontweight='bold')
+    axis.set_title(body.name, fontweight='bold', parse_math=False)
 
 
 def _draw_relative(axis: Any, body: Body, other: Body, series: Series, instant: int) -> None:
@@ -257,6 +270,7 @@ def _draw_relative(axis: Any, body: Body, other: Body, series: Series, instant: 
             color=_GREEN,
             fontsize='small',
             annotation_clip=True,
+            parse_math=False,
         )
 
 

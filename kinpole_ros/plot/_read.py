@@ -4,6 +4,7 @@ The results in a bag, as series over time: all that a picture is drawn of.
 Read from the messages alone, so a recording of the live node is as good as a replay.
 """
 
+import shlex
 from collections.abc import Callable, Collection
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -97,7 +98,7 @@ def read_results(bag: str | Path, progress: Callable[[float], None] | None = Non
     if not prefixes:
         raise BagError(
             f'{bag} holds no results (no odometry of a body); make them first: '
-            f'kinpole replay {bag} --output RESULT.mcap'
+            f'kinpole replay {shlex.quote(str(bag))} --output RESULT.mcap'
         )
     wanted = {f'{prefix}/{part}' for prefix in prefixes for part in ('odom', *_PARTS)}
     # Of a pole that comes with its covariance the plain one says nothing more.

@@ -4,6 +4,7 @@ The picture of `kinpole solve`: the linkage, its velocities and centers, and rat
 Readable in black and white: lines differ by dashes and markers too.
 """
 
+import os
 from pathlib import Path
 from typing import Any
 
@@ -50,7 +51,9 @@ def draw(path: Path, solved: Solved, k: int, centers: bool) -> None:
         if not row:
             axis.legend(fontsize=8, ncols=2)
     rate = f'{solved.rates[0] / size:.4g} {unit}/s'
-    figure.suptitle(f'{solved.scene.name} at {label} = {at[k]:.4g}, driven at {rate}')
+    # A scene is called after its file, whose name may hold what text or formulas must not.
+    scene = os.fsencode(solved.scene.name).decode(errors='replace')
+    figure.suptitle(f'{scene} at {label} = {at[k]:.4g}, driven at {rate}', parse_math=False)
     path.parent.mkdir(parents=True, exist_ok=True)
     figure.savefig(path, dpi=_DPI)
 

@@ -1,0 +1,256 @@
+"""
+What the command `kinpole` understands, and what its --help tells.
+
+It comes at once, so nothing heavy is imported here.
+"""
+
+import argparse
+from typing import Any
+
+from kinpole_ros import __version__
+
+_EPILOG = """examples:
+  kinpole simulate four_bar --output four_bar.mcap --noise 0.0002
+  kinpole replay four_bar.mcap --config config/four_bar.yaml --output result.mcap
+  kinpole batch runs/*.mcap --config rig.yaml --output results
+  kinpole plot result.mcap --output result.png
+  kinpole solve four_bar --sweep --centers --plot four_bar.png
+  kinpole import tracked.csv --rate 240 --scale 0.001 --y-down --output markers.mcap
+  kinpole node --ros-args --params-file config/kinpole.yaml
+"""
+
+
+def make_parser() -> argparse.ArgumentParser:
+    """The parser of all words; `command` is which was given."""
+    parser = argparse.ArgumentParser(
+        prog='kinpole',
+        description='Planar kinematics of mechanisms from tracked markers: angular rates, poles '
+        'and centrodes of every body, and between bodies, with their uncertainty.',
+        epilog=_EPILOG,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument('--version', action='version', version=f'kinpole {__version__}')
+    commands = parser.add_subparsers(dest='command', required=True, metavar='COMMAND')
+
+    commands.add_parser(
+        'node',
+        help='the live node',
+        description='The live node. Everything after it goes to ROS: '
+        'kinpole node --ros-args --params-file config/kinpole.yaml -r markers:=/mocap/markers',
+    )
+
+    replay = commands.add_parser(
+        'replay',
+        help='a bag of markers to results, as fast as the machine goes',
+        description='Runs the markers of a bag through the same pipeline as the node. The same '
+        'bag and parameters give the same figures every time. What is written before a kill or a '
+        'full disk can be read; a Parquet table only when whole.',
+    )
+    replay.add_argument(
+        'bag',
+        metavar='BAG',
+        help='an .mcap file or a rosbag2 folder; one without metadata.yaml is read as one '
+        'recording of all its .mcap files',
+    )
+    replay.add_argument(
+        '--config',
+        metavar='FILE',
+        help='ROS 2 parameter file, as for the node; without it one body, "body", of all markers',
+    )
+    replay.add_argument('--output', metavar='OUT.mcap', help='bag of results, under /kinpole/...')
+    replay.add_argument(
+        '--csv', metavar='OUT.csv', help='the same as a table, in SI units, with sigmas'
+    )
+    replay.add_argument(
+        '--parquet',
+        metavar='OUT.parquet',
+        help="the same table for pandas and the like (pip install 'kinpole_ros[parquet]')",
+    )
+    replay.add_argument('--topic', metavar='T', help="topic of the markers (config's, /markers)")
+
+    batch = commands.add_parser(
+        'batch',
+        help='many bags, on all cores or a Dask cluster, and a table over all',
+        description='Replays every bag by itself and writes summary.csv, a line for each named:\n'
+        'frames, time span (s), noise (m), resets, share of instants with each pole, and what\n'
+        'went wrong. A bag that fails is reported, and the rest go on. Run again, it does what is\n'
+        'not done yet: results appear under their names only when whole, and stay as long as bag\n'
+        'and settings are the same. A folder is one bag: name recordings that lie in one folder\n'
+        "by FOLDER/*.mcap. Needs Dask: pip install 'kinpole_ros[batch]'.",
+        epilog='examples:\n'
+        '  kinpole batch runs/*.mcap --config rig.yaml --output results\n'
+        '  kinpole batch runs/*/ --config rig.yaml --output results --parquet --workers 4\n'
+        '  kinpole batch runs/*/ --config rig.yaml --output results --scheduler tcp://hub:8786\n'
+        '\n'
+        'A cluster is `dask scheduler` on one machine and `dask worker tcp://hub:8786 --nthreads 1`'
+        '\non each of the others. All of them have kinpole_ros installed, and see bags and output\n'
+        'under the same paths. Dask takes code from whoever reaches it: keep it inside your lab.\n'
+        'Exit status: 0 all bags done; 2 some failed, are cut off, or know a body at no instant:\n'
+        'see the columns error, truncated, unknown and warnings.',
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    batch.add_argument('bags', metavar='BAG', nargs='+', help='.mcap files and rosbag2 folders')
+    batch.add_argument(
+        '--config', metavar='FILE', help='ROS 2 parameter file for all of them, as for replay'
+    )
+    batch.add_argument(
+        '--output', metavar='DIR', default='batch', help='folder for results and summary (batch)'
+    )
+    batch.add_argument('--topic', metavar='T', help="topic of the markers (config's, /markers)")
+    batch.add_argument(
+        '--mcap', action='store_true', help='a bag of results for each (if nothing else is asked)'
+    )
+    batch.add_argument('--csv', action='store_true', help='a CSV table for each')
+    batch.add_argument('--parquet', action='store_true', help='a Parquet table for each')
+    batch.add_argument(
+        '--scheduler', metavar='ADDRESS', help='of a Dask cluster; without it, this machine'
+    )
+    batch.add_argument('--workers', type=int, metavar='N', help='processes here (one a core)')
+
+    simulate = commands.add_parser(
+        'simulate',
+        help='a bag of markers from a mechanism, with the exact answer beside it',
+        description='Writes markers on /markers and the exact motion on /kinpole/truth/...',
+    )
+    simulate.add_argument(
+        'scene', metavar='SCENE', help='a file, or the name of one in config/scenes: see --list'
+    )
+    simulate.add_argument('--list', action=_ListScenes, help='name the scenes that come along')
+    simulate.add_argument('--output', metavar='BAG', required=True, help='.mcap file to write')
+    simulate.add_argument('--rate', type=float, default=200.0, metavar='HZ', help='frames (200)')
+    simulate.add_argument('--duration', type=float, default=5.0, metavar='S', help='length (5)')
+    simulate.add_argument(
+        '--noise', type=float, default=0.0, metavar='M', help='noise of a marker per axis, m (0)'
+    )
+    simulate.add_argument('--seed', type=int, default=0, metavar='N', help='of the noise (0)')
+    simulate.add_argument(
+        '--dropout', type=float, default=0.0, metavar='P', help='share of markers not seen (0)'
+    )
+    simulate.add_argument(
+        '--jitter',
+        type=float,
+        default=0.0,
+        metavar='S',
+        help='how unevenly the frames are taken, s (0); the stamps tell the true instants',
+    )
+    simulate.add_argument(
+        '--message',
+        default='marker_array',
+        metavar='TYPE',
+        help='marker_array (the default), marker, pose_array or point_cloud2',
+    )
+
+    solve = commands.add_parser(
+        'solve',
+        help='the analysis of a mechanism: motion, dead points, centers, forces',
+        description='Solves a scene exactly: positions and rates at time 0, at a value of its '
+        'driver, or over its whole range, with limits and dead points.',
+        epilog='examples:\n'
+        '  kinpole solve four_bar --at "45 deg" --centers\n'
+        '  kinpole solve slider_crank --sweep --csv crank.csv --plot crank.png\n'
+        '  kinpole solve loader_cylinder --statics\n'
+        '  kinpole solve antiparallelogram --pitch crank follower gears.svg\n',
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    solve.add_argument('scene', metavar='SCENE', help='name or path of a scene, see simulate')
+    where = solve.add_mutually_exclusive_group()
+    where.add_argument('--at', metavar='VALUE', help='value of the driver: 0.5, "45 deg", "12 cm"')
+    where.add_argument('--sweep', action='store_true', help='the whole range of the driver')
+    solve.add_argument('--centers', action='store_true', help='instant centers, as deduced by hand')
+    solve.add_argument('--statics', action='store_true', help='what drivers and joints bear')
+    solve.add_argument('--csv', metavar='FILE', help='all figures as a table, SI units')
+    solve.add_argument('--plot', metavar='FILE.png', help='the linkage, and rates over the range')
+    solve.add_argument(
+        '--pitch',
+        nargs=3,
+        metavar=('BODY', 'BODY', 'FILE'),
+        help='centrodes of two bodies as pitch curves: .csv, or .svg true to scale',
+    )
+
+    plot = commands.add_parser(
+        'plot',
+        help='a picture of a result bag',
+        description='Draws centrodes, poles and rates with their bands.',
+    )
+    plot.add_argument('bag', metavar='BAG', help='bag of results, from replay or recorded live')
+    plot.add_argument('--output', metavar='FILE.png', required=True, help='picture to write')
+
+    imported = commands.add_parser(
+        'import',
+        help='tracked points from a spreadsheet to a bag',
+        description='Columns NAME_x, NAME_y and maybe NAME_z make the marker NAME; empty cells are '
+        'markers that were not seen. Column t holds seconds, unless --rate is given.',
+    )
+    imported.add_argument('csv', metavar='CSV', help='the table')
+    imported.add_argument('--output', metavar='BAG', required=True, help='.mcap file to write')
+    imported.add_argument('--rate', type=float, metavar='HZ', help='frames per second')
+    imported.add_argument(
+        '--scale', type=float, default=1.0, metavar='M_PER_UNIT', help='m per unit of the table (1)'
+    )
+    imported.add_argument(
+        '--y-down', action='store_true', help='y of the table points down, as in pictures'
+    )
+
+    play = commands.add_parser(
+        'play',
+        help='publish a bag, where there is no ros2 bag play',
+        description='Publishes a bag at the pace it was recorded, once somebody listens.',
+    )
+    play.add_argument('bag', metavar='BAG', help='an .mcap file or a rosbag2 folder')
+    play.add_argument('--topic', action='append', metavar='T', help='only this one; repeatable')
+    play.add_argument('--speed', type=float, default=1.0, metavar='X', help='times the pace (1)')
+
+    record = commands.add_parser(
+        'record',
+        help='record the results of a running node, where there is no ros2 bag record',
+        description='Records until Ctrl-C. A kill loses no more than the last second.',
+    )
+    record.add_argument('--output', metavar='BAG', required=True, help='.mcap file to write')
+    record.add_argument(
+        '--topic',
+        action='append',
+        metavar='PREFIX',
+        help='beginning of the topics to record; repeatable (/kinpole/ and /diagnostics)',
+    )
+
+    demo = commands.add_parser(
+        'demo',
+        help='the main job, shown: node, bag, recording and picture',
+        description='Starts the node, plays a bag of a four-bar into it, records what it '
+        'publishes, prints a table and draws a picture.',
+    )
+    demo.add_argument('--output', metavar='FOLDER', default='out', help='where to write (out)')
+
+    bench = commands.add_parser(
+        'bench',
+        help='measure errors, uncertainty, peers and limits, and draw the charts of the docs',
+        description='Writes benchmarks.md and charts/ anew. Takes several minutes; wants '
+        'matplotlib, and compares with PyNumDiff where it is installed: '
+        "pip install 'kinpole_ros[bench]'.",
+    )
+    bench.add_argument('--output', metavar='FOLDER', default='docs', help='where to write (docs)')
+    part = bench.add_mutually_exclusive_group()
+    part.add_argument('--quick', action='store_true', help='little data: shows that it works')
+    part.add_argument(
+        '--long', action='store_true', help='only the run of 1e7 frames: some minutes'
+    )
+    part.add_argument(
+        '--soak',
+        type=float,
+        metavar='MINUTES',
+        help='only the live node, for so long at 500 Hz with dropouts, outliers and clock jumps',
+    )
+    return parser
+
+
+class _ListScenes(argparse.Action):
+    """--list: print the scenes and end, as --version does."""
+
+    def __init__(self, **words: Any) -> None:
+        super().__init__(nargs=0, **words)
+
+    def __call__(self, parser: argparse.ArgumentParser, *_: Any) -> None:
+        from kinpole_ros.mechanism import scene_names
+
+        print('\n'.join(scene_names()))
+        parser.exit()
