@@ -14,13 +14,13 @@ from pathlib import Path
 import rclpy
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
-from rclpy.executors import ExternalShutdownException
+from rclpy.executors import SingleThreadedExecutor
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
-from rclpy.qos import QoSProfile, ReliabilityPolicy
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 
 from kinpole_ros.bags import BagError, BagWriter, message_class, read_messages, topics
-from kinpole_ros.node import end_signals, reason_of, start_ros
+from kinpole_ros.process import reason_of, start_ros
 
 # What a kill may lose of a recording.
 _FLUSH_EVERY = 1.0
@@ -110,51 +110,46 @@ class Recorder(Node):
         super().__init__('kinpole_recorder')
         self._writer = writer
         self._prefixes = tuple(p if p.startswith('/') else f'/{p}' for p in prefixes)
-        self._taken: set[str] = set()
-        self.messages = 0
-        self.error: BagError | None = None
+        self._seen: set[str] = set()
+        self._recorded = self.messages = 0
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self.create_timer(_LOOK_EVERY, self._look, clock=steady)
-        self.create_timer(_FLUSH_EVERY, self._flush, clock=steady)
+        self.create_timer(_FLUSH_EVERY, writer.flush, clock=steady)
+        awaited = ', '.join(f'{prefix}...' for prefix in self._prefixes)
+        self.get_logger().info(f'waits for topics {awaited}')
         self._look()
 
     def _look(self) -> None:
+        before = self._recorded
         for name, types in self.get_topic_names_and_types():
-            if name in self._taken or not name.startswith(self._prefixes):
+            if name in self._seen or not name.startswith(self._prefixes):
                 continue
+            offers = [o.qos_profile for o in self.get_publishers_info_by_topic(name)]
+            if not offers:
+                continue
+            self._seen.add(name)
             try:
                 cls = message_class(types[0])
-            except BagError:
+            except BagError as error:
+                self.get_logger().warning(f'{name} is not recorded: {error}')
                 continue
-            self._taken.add(name)
-            # Take what the publisher offers: reliable where all of them are.
-            offers = self.get_publishers_info_by_topic(name)
-            best = ReliabilityPolicy.BEST_EFFORT
-            unreliable = any(o.qos_profile.reliability == best for o in offers)
-            qos = QoSProfile(
-                depth=_DEEP, reliability=best if unreliable else ReliabilityPolicy.RELIABLE
-            )
+            # Take what is offered: reliable, and what was sent before, where all of them are.
+            qos = QoSProfile(depth=_DEEP)
+            if any(o.reliability == ReliabilityPolicy.BEST_EFFORT for o in offers):
+                qos.reliability = ReliabilityPolicy.BEST_EFFORT
+            if all(o.durability == DurabilityPolicy.TRANSIENT_LOCAL for o in offers):
+                qos.durability = DurabilityPolicy.TRANSIENT_LOCAL
             self.create_subscription(cls, name, self._saver(name, cls), qos, raw=True)
+            self._recorded += 1
+        if self._recorded > before:
+            self.get_logger().info(f'topics recorded: {self._recorded}')
 
     def _saver(self, name: str, cls: type) -> Callable[[bytes], None]:
         def save(data: bytes) -> None:
-            self._guard(
-                lambda: self._writer.write_raw(name, cls, data, self.get_clock().now().nanoseconds)
-            )
+            self._writer.write_raw(name, cls, data, self.get_clock().now().nanoseconds)
             self.messages += 1
 
         return save
-
-    def _flush(self) -> None:
-        self._guard(self._writer.flush)
-
-    def _guard(self, write: Callable[[], None]) -> None:
-        """Stop spinning on a full disk, with what was recorded before it kept."""
-        try:
-            write()
-        except BagError as error:
-            self.error = error
-            self.context.try_shutdown()
 
 
 def record(output: str | Path, prefixes: list[str]) -> int:
@@ -168,31 +163,19 @@ def record(output: str | Path, prefixes: list[str]) -> int:
     there = Path(output)
     if there.is_file() and there.stat().st_size:
         raise BagError(f'{output} is there already; name another file, or remove that one first')
-    with BagWriter(output) as writer:
-        try:
-            with _starting():
-                start_ros([])
-        except BagError:
-            if there.is_file():
-                there.unlink()
-            raise
-        recorder = None
-        try:
+    with _starting():
+        told_to_stop = start_ros([])
+    try:
+        with BagWriter(output) as writer:
             recorder = Recorder(writer, prefixes)
-            rclpy.spin(recorder)
-        except ExternalShutdownException:
-            pass
-        except Exception:
-            # Told to stop amid a call, rclpy raises whatever that call makes of it.
-            if rclpy.ok():
-                raise
-        finally:
-            end_signals()
-            if recorder is not None:
+            executor = SingleThreadedExecutor()
+            executor.add_node(recorder)
+            try:
+                while not told_to_stop():
+                    executor.spin_once()
+            finally:
+                executor.shutdown()
                 recorder.destroy_node()
-            rclpy.try_shutdown()
-        if recorder is None:
-            return 0
-        if recorder.error is not None:
-            raise recorder.error
-        return recorder.messages
+            return recorder.messages
+    finally:
+        rclpy.try_shutdown()

@@ -6,9 +6,8 @@ and publishes the rows of the results table that have subscribers.
 """
 
 import gc
-import re
-import signal
 import sys
+import time
 import warnings
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import partial
@@ -21,14 +20,13 @@ from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
 from rclpy.event_handler import PublisherEventCallbacks, SubscriptionEventCallbacks
 from rclpy.exceptions import ParameterException
-from rclpy.executors import SingleThreadedExecutor
+from rclpy.executors import Executor, SingleThreadedExecutor
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 from rclpy.logging import LoggingSeverity, set_logger_level
 from rclpy.parameter import Parameter as RosParameter
 from rclpy.qos import QoSProfile, ReliabilityPolicy, qos_policy_name_from_kind
 from rclpy.qos_overriding_options import QoSOverridingOptions
-from rclpy.signals import uninstall_signal_handlers
 from rclpy.utilities import remove_ros_args
 
 from kinpole_ros.estimate import Estimate
@@ -43,6 +41,7 @@ from kinpole_ros.messages import (
     result_outputs,
 )
 from kinpole_ros.parameters import AUTOSTART, MARKERS, PARAMETERS, ParameterError, settings_from
+from kinpole_ros.process import reason_of, start_ros
 from kinpole_ros.theory import load_theory
 from kinpole_ros.tracker import Tracker
 
@@ -55,8 +54,8 @@ _BEHIND = 25
 # Results kept for a reliable reader that is slow, such as a recorder on a busy machine: what waits
 # is taken at once, so they come in bunches. Those who asked for less do not get more.
 _KEPT = 1000
-# So many failures with nothing done between them are no weather to ride out.
-_MOST_FAILURES = 100
+# So many failures, for so long (s), with nothing done between them are no weather to ride out.
+_MOST_FAILURES, _LONGEST_FAILURE = 100, 10.0
 # rclpy's own callbacks only log, and cost 6 us a publisher whenever it waits.
 _NO_EVENTS = PublisherEventCallbacks(use_default_callbacks=False)
 _LATEST_STAMP = 2**31 * 10**9 - 1
@@ -94,11 +93,17 @@ class KinpoleNode(LifecycleNode):
         # Of the frames since the last diagnostics.
         self._stamps: list[int] = []
         self._amid_markers = False
-        self._timers_made: list[Any] = []
         self._latest: Estimate | None = None
         self._trouble: dict[str, str] = {}
         self._told = self._steady.now()
         self._status: Any = None
+        self._active = False
+        # A steady clock: these beat even where simulated time stands still. The second one does so
+        # in every state, for whoever spins.
+        self._telling = self.create_timer(
+            _DIAGNOSTICS_EVERY, self._tell, clock=self._steady, autostart=False
+        )
+        self.create_timer(_LOOK_EVERY, self._look, clock=self._steady)
         self.add_on_set_parameters_callback(self._check_parameters)
         self.add_post_set_parameters_callback(self._take_parameters)
         service = self._service_change_state
@@ -196,11 +201,8 @@ class KinpoleNode(LifecycleNode):
         self._start_anew()
         self._trouble.clear()
         self._told = self._steady.now()
-        # A steady clock: these beat even where simulated time stands still.
-        self._timers_made = [
-            self.create_timer(_DIAGNOSTICS_EVERY, self._tell, clock=self._steady),
-            self.create_timer(_LOOK_EVERY, self._look, clock=self._steady),
-        ]
+        self._telling.reset()
+        self._active = True
         try:
             self._look()
         except ParameterError as error:
@@ -216,9 +218,8 @@ class KinpoleNode(LifecycleNode):
 
     def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Stop listening."""
-        for timer in self._timers_made:
-            self.destroy_timer(timer)
-        self._timers_made = []
+        self._telling.cancel()
+        self._active = False
         self._unsubscribe()
         return super().on_deactivate(state)
 
@@ -239,11 +240,6 @@ class KinpoleNode(LifecycleNode):
         """After a transition that failed, be as before the first."""
         return self.on_shutdown(state)
 
-    @property
-    def listening(self) -> bool:
-        """Whether the node is active, with timers that beat."""
-        return bool(self._timers_made)
-
     def _make_outputs(self) -> None:
         highest = self.settings.derivative_order or 4
         bodies = tuple(self.settings.bodies)
@@ -262,7 +258,7 @@ class KinpoleNode(LifecycleNode):
                     _KEPT,
                     event_callbacks=_NO_EVENTS,
                 )
-                if self.listening:
+                if self._active:
                     publisher.on_activate(LifecycleState('active', 0))
                 self._publishers_made[output.topic] = publisher
             self._outputs.append((output, publisher))
@@ -280,8 +276,9 @@ class KinpoleNode(LifecycleNode):
 
     def _look(self) -> None:
         """See who is there, to read and to be read."""
-        self._note_readers()
-        self._find_markers()
+        if self._active:
+            self._note_readers()
+            self._find_markers()
 
     def _find_markers(self) -> None:
         """Subscribe as soon as the type of the markers is known; tell when none can be read."""
@@ -454,49 +451,19 @@ def _change_if_possible(change: Callable[..., Any], request: Any, response: Any)
         return response
 
 
-def start_ros(words: Sequence[str]) -> None:
-    """
-    Start rclpy, so that it is shut down at SIGINT and at SIGTERM.
-
-    SIGINT breaks off no call after that: what waits or works notes that rclpy is not ok any more.
-    """
-    started = False
-
-    def interrupt(*_: object) -> None:
-        if not started:
-            raise KeyboardInterrupt
-
-    signal.signal(signal.SIGINT, interrupt)
-    rclpy.init(args=list(words))
-    started = True
-
-
-def end_signals() -> None:
-    """
-    Be told to stop no more: what is taken down from now on is taken down whole.
-
-    At a signal, a thread of rclpy's own wakes the executors by a list that it reads while one that
-    goes takes itself out, and reads on in freed memory: so it has to end before any of them goes.
-    """
-    for sign in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(sign, signal.SIG_IGN)
-    uninstall_signal_handlers()
-
-
-def _spin(node: KinpoleNode, executor: SingleThreadedExecutor) -> None:
+def _spin(node: KinpoleNode, executor: Executor, told_to_stop: Callable[[], bool]) -> None:
     """As rclpy.spin, but a node that others rely upon does not end with its first failure."""
     executor.add_node(node)
-    failures = 0
-    while rclpy.ok():
+    failures, well = 0, time.monotonic()
+    while not told_to_stop():
         try:
-            # A signal may shut rclpy down just after it woke us: without timers, look again.
-            executor.spin_once(None if node.listening else _LOOK_EVERY)
-            failures = 0
+            executor.spin_once()
+            failures, well = 0, time.monotonic()
         except ParameterError:
             raise
         except Exception as error:
             failures += 1
-            if not rclpy.ok() or failures > _MOST_FAILURES:
+            if failures > _MOST_FAILURES and time.monotonic() - well > _LONGEST_FAILURE:
                 raise
             node.survive(error)
 
@@ -504,14 +471,12 @@ def _spin(node: KinpoleNode, executor: SingleThreadedExecutor) -> None:
 def main(args: Sequence[str] | None = None) -> int:
     """Run the node until it is told to stop; returns the exit status."""
     words = list(sys.argv if args is None else args)
-    node = executor = None
-    started = False
+    node = executor = told_to_stop = None
     try:
         # rcl logs what it also raises, and one line says it all.
         set_logger_level('rcl', LoggingSeverity.FATAL)
-        start_ros(words)
+        told_to_stop = start_ros(words)
         set_logger_level('rcl', LoggingSeverity.UNSET)
-        started = True
         # It warns of what it also raises.
         warnings.filterwarnings('ignore', 'Failed to fini', RuntimeWarning)
         if unknown := remove_ros_args(words)[1:]:
@@ -521,34 +486,25 @@ def main(args: Sequence[str] | None = None) -> int:
         gc.freeze()
         node = KinpoleNode()
         executor = SingleThreadedExecutor()
-        _spin(node, executor)
+        _spin(node, executor, told_to_stop)
     except KeyboardInterrupt:
         pass
     except Exception as error:
-        # Told to stop, rclpy raises whatever the call makes of it that it was amid.
-        if started and not rclpy.ok():
-            return 0
         if isinstance(error, (ParameterError, ParameterException)):
             return _refuse(str(error))
         reason = reason_of(error)
-        if not started:
+        if told_to_stop is None:
             return _refuse(f'ROS cannot start with these words and this environment: {reason}')
         if node is None and isinstance(error, rclpy_implementation.RCLError):
             return _refuse(f'ROS cannot make the node: {reason}')
         raise
     finally:
-        end_signals()
         if executor is not None:
             executor.shutdown()
         if node is not None:
             node.destroy_node()
         rclpy.try_shutdown()
     return 0
-
-
-def reason_of(error: Exception) -> str:
-    """What rcl says is wrong, less the places in its source."""
-    return re.sub(r', at \S+:\d+', '', str(error))
 
 
 def _refuse(reason: str) -> int:
