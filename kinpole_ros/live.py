@@ -26,6 +26,8 @@ from kinpole_ros.process import reason_of, start_ros
 _FLUSH_EVERY = 1.0
 _LOOK_EVERY = 0.1
 _DEEP = 1000
+# A recorder without a topic for so long (s) says so.
+_PATIENCE = 5.0
 
 
 def play(
@@ -111,16 +113,21 @@ class Recorder(Node):
         self._writer = writer
         self._prefixes = tuple(p if p.startswith('/') else f'/{p}' for p in prefixes)
         self._seen: set[str] = set()
-        self._recorded = self.messages = 0
+        self.messages = 0
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self.create_timer(_LOOK_EVERY, self._look, clock=steady)
         self.create_timer(_FLUSH_EVERY, writer.flush, clock=steady)
-        awaited = ', '.join(f'{prefix}...' for prefix in self._prefixes)
-        self.get_logger().info(f'waits for topics {awaited}')
+        self._waiting = self.create_timer(_PATIENCE, self._complain, clock=steady)
         self._look()
 
+    def _complain(self) -> None:
+        self._waiting.cancel()
+        lacking = [p for p in self._prefixes if not any(name.startswith(p) for name in self._seen)]
+        if lacking:
+            names = ' or '.join(lacking)
+            self.get_logger().warning(f'nobody publishes on a topic that begins with {names} yet')
+
     def _look(self) -> None:
-        before = self._recorded
         for name, types in self.get_topic_names_and_types():
             if name in self._seen or not name.startswith(self._prefixes):
                 continue
@@ -140,9 +147,6 @@ class Recorder(Node):
             if all(o.durability == DurabilityPolicy.TRANSIENT_LOCAL for o in offers):
                 qos.durability = DurabilityPolicy.TRANSIENT_LOCAL
             self.create_subscription(cls, name, self._saver(name, cls), qos, raw=True)
-            self._recorded += 1
-        if self._recorded > before:
-            self.get_logger().info(f'topics recorded: {self._recorded}')
 
     def _saver(self, name: str, cls: type) -> Callable[[bytes], None]:
         def save(data: bytes) -> None:

@@ -15,7 +15,7 @@ from typing import Any
 
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
-from rcl_interfaces.msg import FloatingPointRange, ParameterDescriptor, SetParametersResult
+from rcl_interfaces.msg import SetParametersResult
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
 from rclpy.event_handler import PublisherEventCallbacks, SubscriptionEventCallbacks
@@ -29,6 +29,7 @@ from rclpy.qos import QoSProfile, ReliabilityPolicy, qos_policy_name_from_kind
 from rclpy.qos_overriding_options import QoSOverridingOptions
 from rclpy.utilities import remove_ros_args
 
+from kinpole_ros.declare import declare, given_in_vain, given_to, values_of
 from kinpole_ros.estimate import Estimate
 from kinpole_ros.frame import MarkerFrames, part_of
 from kinpole_ros.messages import (
@@ -40,7 +41,7 @@ from kinpole_ros.messages import (
     Output,
     result_outputs,
 )
-from kinpole_ros.parameters import AUTOSTART, MARKERS, PARAMETERS, ParameterError, settings_from
+from kinpole_ros.parameters import PARAMETERS, ParameterError, settings_from
 from kinpole_ros.process import reason_of, start_ros
 from kinpole_ros.theory import load_theory
 from kinpole_ros.tracker import Tracker
@@ -75,8 +76,14 @@ class KinpoleNode(LifecycleNode):
                 f'parameter {", ".join(names)} has no value; leave it out or give it one'
             ) from None
         self._steady = Clock(clock_type=ClockType.STEADY_TIME)
-        self._declare()
-        self.settings = settings_from(self._values())
+        self.given_nothing = not {*PARAMETERS, 'autostart'} & given_to(self).keys()
+        self.settings = declare(self)
+        topic = self.resolve_topic_name(self.settings.marker_topic)
+        if in_vain := given_in_vain(self, topic):
+            self.get_logger().warning(
+                f'{", ".join(in_vain)} set nothing: the markers come on {topic}; write '
+                f'qos_overrides.{topic}.subscription...'
+            )
         self._theory = load_theory(self.settings)
         self._tracker = Tracker(self.settings)
         self._diagnostics = self._make_diagnostics()
@@ -89,6 +96,8 @@ class KinpoleNode(LifecycleNode):
         # Where the markers come from, and the number of the last message of a sole source.
         self._sources: set[bytes] = set()
         self._number: int | None = None
+        # How often, of late, the number was no higher: another source of several took its turn.
+        self._turns = 0
         self._lossless = False
         # Of the frames since the last diagnostics.
         self._stamps: list[int] = []
@@ -113,33 +122,6 @@ class KinpoleNode(LifecycleNode):
             if self.trigger_activate() != TransitionCallbackReturn.SUCCESS:
                 raise ParameterError(self._trouble['start'])
 
-    def _declare(self) -> None:
-        """Declare every parameter with its description and range; unknown ones are refused."""
-        given = {name: p.value for name, p in self.get_parameters_by_prefix('').items()}
-        settings = settings_from(given)
-        rows = {**PARAMETERS, 'autostart': AUTOSTART}
-        rows.update({f'{body}.markers': MARKERS for body in settings.bodies})
-        for name, row in rows.items():
-            descriptor = ParameterDescriptor(
-                description=row.description,
-                additional_constraints=row.allowed,
-                read_only=row.fixed,
-                dynamic_typing=True,
-            )
-            value = given.get(name, row.default)
-            if row.lowest is not None and row.highest is not None:
-                descriptor.floating_point_range = [
-                    FloatingPointRange(from_value=row.lowest, to_value=row.highest)
-                ]
-                value = float(value)
-            if self.has_parameter(name):
-                self.undeclare_parameter(name)
-            self.declare_parameter(name, value, descriptor, ignore_override=True)
-
-    def _values(self) -> dict[str, Any]:
-        names = {*PARAMETERS, *(f'{b}.markers' for b in self.get_parameter('bodies').value)}
-        return {name: self.get_parameter(name).value for name in names}
-
     def set_parameters_atomically(self, parameter_list: list[RosParameter]) -> SetParametersResult:
         """As in rclpy, but tell the names that are known, where it raises without any."""
         if not all(self.has_parameter(p.name) for p in parameter_list):
@@ -155,7 +137,7 @@ class KinpoleNode(LifecycleNode):
                 reason = f'parameter {p.name} is read at the start only; set it there'
                 return SetParametersResult(successful=False, reason=reason)
         try:
-            load_theory(settings_from({**self._values(), **{p.name: p.value for p in changes}}))
+            load_theory(settings_from({**values_of(self), **{p.name: p.value for p in changes}}))
         except ParameterError as error:
             return SetParametersResult(successful=False, reason=str(error))
         return SetParametersResult(successful=True)
@@ -164,7 +146,7 @@ class KinpoleNode(LifecycleNode):
         """Start anew with the changed settings; publishers that stay in use are not touched."""
         if not any(self._is_ours(p.name) for p in changes):
             return
-        self.settings = settings_from(self._values())
+        self.settings = settings_from(values_of(self))
         self._theory = load_theory(self.settings)
         self._start_anew()
         if self._outputs:
@@ -172,7 +154,9 @@ class KinpoleNode(LifecycleNode):
 
     def _make_diagnostics(self) -> DiagnosticsMaker:
         topic = self.resolve_topic_name(self.settings.marker_topic)
-        return DiagnosticsMaker(self.get_name(), self._theory, topic)
+        # With the namespace, if any: nodes of several rigs tell on one topic.
+        name = self.get_fully_qualified_name().lstrip('/')
+        return DiagnosticsMaker(name, self._theory, topic)
 
     def _start_anew(self) -> None:
         """Forget all frames, and the counts."""
@@ -300,6 +284,7 @@ class KinpoleNode(LifecycleNode):
             self._trouble.pop('type', None)
         kinds = found if wanted == 'auto' else readable
         if not kinds or self._kind in kinds:
+            self._note_others(resolved, published)
             return
         self._unsubscribe()
         # Drivers mostly send as sensors do; what is late is not worth waiting for.
@@ -327,6 +312,19 @@ class KinpoleNode(LifecycleNode):
         self._reader = MarkerReader(kinds[0], self.settings.marker_identity)
         bodies = ', '.join(self.settings.bodies)
         self.get_logger().info(f'follows {bodies} on {resolved} ({ROS_TYPE_NAMES[self._kind]})')
+
+    def _note_others(self, topic: str, published: set[str]) -> None:
+        """Warn of messages on the topic of a type that is not followed, if one is."""
+        followed = ROS_TYPE_NAMES.get(self._kind)
+        if followed in published and len(published) > 1:
+            others = ', '.join(sorted(published - {followed}))
+            self._warn(
+                'other types',
+                f'{topic} is published as {others} too, and that is not read: {followed} is '
+                'followed; set the parameter marker_type, or publish only one of them',
+            )
+        else:
+            self._trouble.pop('other types', None)
 
     def _note_sources(self, seen: set[bytes]) -> None:
         """Where another publisher has taken over, its markers may be other ones: start anew."""
@@ -405,8 +403,11 @@ class KinpoleNode(LifecycleNode):
     def _count_dropped(self, numbers: Iterable[int | None]) -> None:
         """Count what is missing between messages, where they have numbers and one source."""
         for number in numbers:
-            if number and self._number is not None and len(self._sources) == 1:
-                self._tracker.counts['dropped'] += max(0, number - self._number - 1)
+            if number and self._number is not None:
+                if len(self._sources) == 1:
+                    self._tracker.counts['dropped'] += max(0, number - self._number - 1)
+                elif number <= self._number:
+                    self._turns += 1
             self._number = number
 
     def _warn(self, topic: str, text: str) -> None:
@@ -421,13 +422,50 @@ class KinpoleNode(LifecycleNode):
         self._told = now
         # A simulated clock may tell any time.
         stamp = min(max(0, self.get_clock().now().nanoseconds), _LATEST_STAMP)
+        self._note_rivals()
         array = self._diagnostics.make(
             stamp, self._tracker, self._latest, seconds, self._trouble, self._stamps
         )
         self._stamps = []
+        self._turns = 0
         for passing in ('message', 'failure'):
             self._trouble.pop(passing, None)
         self._status.publish(array)
+
+    def _note_rivals(self) -> None:
+        """Warn where others send markers beside their source, or results beside this node."""
+        markers = self.resolve_topic_name(self.settings.marker_topic)
+        # Once may be a source that was killed and is back, before its end was noticed.
+        if self._turns > 1:
+            names = self._publishers_of(markers)
+            self._warn(
+                'sources',
+                f'several publishers send markers on {markers} in turn ({", ".join(names)}), and '
+                'results are of all of them mixed: stop all but one',
+            )
+        else:
+            self._trouble.pop('sources', None)
+        results = next(iter(self._publishers_made.values())).topic_name
+        # Asked for by number first, which is cheaper.
+        if self.count_publishers(results) > 1:
+            names = self._publishers_of(results)
+            own = self.get_fully_qualified_name()
+            if own in names:
+                names.remove(own)
+            told = ', '.join('another node of this name' if n == own else n for n in names)
+            self._warn(
+                'rivals',
+                f'{results} and the like are published by {told} too: give each node a name of its '
+                'own (-r __node:=NAME), and play of a bag the markers alone; what was killed '
+                'counts for some seconds more',
+            )
+        else:
+            self._trouble.pop('rivals', None)
+
+    def _publishers_of(self, topic: str) -> list[str]:
+        """Full names of the nodes that publish a topic, once for each publisher."""
+        sources = self.get_publishers_info_by_topic(topic)
+        return sorted(f'{s.node_namespace.rstrip("/")}/{s.node_name}' for s in sources)
 
     def survive(self, error: Exception) -> None:
         """After what no callback caught: tell of it, and if it was amid markers start anew."""
@@ -485,6 +523,12 @@ def main(args: Sequence[str] | None = None) -> int:
         # not, so that it goes with the interpreter and not after it.
         gc.freeze()
         node = KinpoleNode()
+        if '--params-file' in words and node.given_nothing:
+            name = node.get_fully_qualified_name()
+            node.get_logger().warning(
+                f'no parameter file has anything for {name}, and all is as by default: call its '
+                f'section {name}, or /**'
+            )
         executor = SingleThreadedExecutor()
         _spin(node, executor, told_to_stop)
     except KeyboardInterrupt:

@@ -7,6 +7,7 @@ Here a signal is but noted; who spins asks for it after each callback, and needs
 since nothing else ends a wait.
 """
 
+import atexit
 import re
 import signal
 from collections.abc import Callable, Sequence
@@ -25,7 +26,14 @@ def start_ros(words: Sequence[str]) -> Callable[[], bool]:
     come: list[int] = []
     for sign in (signal.SIGINT, signal.SIGTERM):
         signal.signal(sign, lambda number, _: come.append(number))
+    atexit.register(_ignore_signals)
     return lambda: bool(come)
+
+
+def _ignore_signals() -> None:
+    """What it handles would kill the interpreter again while it goes, and spoil the exit status."""
+    for sign in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(sign, signal.SIG_IGN)
 
 
 def reason_of(error: Exception) -> str:

@@ -487,6 +487,8 @@ def test_told_to_stop_node_and_recorder_end_at_once_and_the_recording_is_whole(
         (['-p', "marker_topic:='a b'"], "parameter marker_topic is 'a b'"),
         (['-p', 'marker_type:=marker', '-p', 'qos_overrides./markers.subscription.history:=much'],
          'parameters qos_overrides./markers.subscription cannot be used'),
+        (['-p', 'qos_overrides./markers.subscription.relability:=reliable'],
+         'unknown parameter qos_overrides./markers.subscription.relability; known are'),
         (['--params-file', 'none.yaml'], "parse params file: '--params-file none.yaml'"),
         (['--params-file', 'broken.yaml'], "parse params file: '--params-file broken.yaml'"),
         (['--unknown'], '--unknown'),
@@ -505,6 +507,32 @@ def test_a_node_that_cannot_start_as_told_says_why_in_one_line(
     assert done.stderr.startswith('kinpole node: ')
     assert done.stderr.count('\n') == 1, done.stderr
     assert complaint in done.stderr
+
+
+def test_in_a_namespace_the_node_tells_under_its_full_name_and_of_what_was_given_in_vain(
+    peer: Peer, tmp_path: Path
+) -> None:
+    config = tmp_path / 'other.yaml'
+    config.write_text('kinpole: {ros__parameters: {lag: 0.05}}')
+    slip = 'qos_overrides./markers.subscription.reliability'
+    words = [*node_words(config, **{slip: 'reliable'}), '-r', '__ns:=/left']
+    with process(*words, log=tmp_path / 'stderr'):
+        arrays = peer.hear('/diagnostics', DiagnosticArray)
+        peer.until(lambda: arrays, 'diagnostics')
+        names = [status.name for status in arrays[-1].status]
+        assert names == ['left/kinpole: markers', 'left/kinpole: body']
+    told = complaints(tmp_path / 'stderr')
+    assert len(told) == 2, told
+    assert f'{slip} set nothing: the markers come on /left/markers' in told[0]
+    assert 'no parameter file has anything for /left/kinpole' in told[1]
+
+
+def test_one_file_may_hold_the_qos_of_several_nodes(peer: Peer, tmp_path: Path) -> None:
+    qos = {f'qos_overrides./{n}.subscription.depth': 10 for n in ('markers', 'left/markers')}
+    with process(*node_words(write_config(tmp_path / 'c.yaml', Settings(), **qos)),
+                 log=tmp_path / 'stderr'):  # fmt: skip
+        assert peer.state() == 'active'
+    assert complaints(tmp_path / 'stderr') == []
 
 
 # What nobody asks for
