@@ -14,6 +14,7 @@ from pathlib import Path
 import rclpy
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
+from rclpy.duration import Duration
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
@@ -81,7 +82,9 @@ def play(
             publishers[message.topic].publish(message.data)
             count += 1
         for publisher in publishers.values():
-            publisher.wait_for_all_acked()
+            # Step by step, so that Ctrl-C ends it: who reads may have stopped to.
+            while not publisher.wait_for_all_acked(Duration(seconds=_LOOK_EVERY)):
+                pass
     finally:
         node.destroy_node()
         context.try_shutdown()

@@ -21,8 +21,10 @@ from lifecycle_msgs.srv import ChangeState, GetState
 from nav_msgs.msg import Odometry
 from rcl_interfaces.msg import Parameter as ParameterMessage
 from rcl_interfaces.srv import DescribeParameters, SetParameters
+from rclpy.duration import Duration
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.parameter import Parameter
+from rclpy.publisher import Publisher
 from rclpy.qos import QoSProfile
 from visualization_msgs.msg import MarkerArray
 
@@ -439,16 +441,36 @@ def written(recording: Path, topic: str) -> int:
     return count
 
 
-def test_play_says_to_what_nobody_listens(
-    tmp_path: Path, capfd: pytest.CaptureFixture[str]
-) -> None:
+@pytest.fixture
+def unheard(tmp_path: Path) -> Path:
+    """A bag of three messages on a topic of its own."""
     bag = tmp_path / 'unheard.mcap'
     with BagWriter(bag) as writer:
         for k in range(3):
             cloud = to_message('point_cloud2', k, 'world', ['a'], np.zeros((1, 3)))
             writer.write('/unheard', cloud, k)
-    assert play(bag, wait=0.1) == 3
+    return bag
+
+
+def test_play_says_to_what_nobody_listens(unheard: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    assert play(unheard, wait=0.1) == 3
     assert 'nobody listens to /unheard' in capfd.readouterr().err
+
+
+def test_play_can_be_interrupted_while_it_waits_for_a_reader_that_has_stopped(
+    unheard: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked: list[float] = []
+
+    def wait(_: Publisher, timeout: Duration = Duration(seconds=-1)) -> bool:  # noqa: B008
+        asked.append(timeout.nanoseconds * 1e-9)
+        return len(asked) == 3
+
+    monkeypatch.setattr(Publisher, 'wait_for_all_acked', wait)
+    assert play(unheard, wait=0.1) == 3
+    assert len(asked) == 3
+    # Within rclpy nothing interrupts it.
+    assert 0 < min(asked) <= max(asked) <= 1
 
 
 @pytest.mark.parametrize('sign', [signal.SIGINT, signal.SIGTERM], ids=lambda sign: sign.name)
