@@ -296,6 +296,14 @@ def test_wrong_stamps(rig: Rig, fault: str) -> None:
         rig.fault(publisher, faulty, *expected)
 
 
+def test_frames_too_seldom_for_the_window_are_told_of(rig: Rig) -> None:
+    with rig.publisher(MARKER_TYPES['marker_array']) as publisher:
+        rig.begin(publisher)
+        send = lambda: rig.send_next(publisher, step=WINDOW + STEP)  # noqa: E731
+        words = 'if frames come so seldom, raise the parameter window, 0.3 s, to hold 7'
+        rig.diagnosed(send, WARN, words, RESETS)
+
+
 def test_frames_that_come_late_disturb_nothing(rig: Rig) -> None:
     with rig.publisher(MARKER_TYPES['marker_array']) as publisher:
         rig.begin(publisher)

@@ -246,8 +246,14 @@ def _faults(
     if late := since.get('late'):
         text = f'{late} frames came late, after newer ones, and are left out'
         faults.append((DiagnosticStatus.WARN, text))
-    if since.get('resets'):
-        faults.append((DiagnosticStatus.WARN, 'stamps jumped: the window starts anew'))
+    if resets := since.get('resets'):
+        text = 'stamps jumped: the window starts anew'
+        if resets >= since.get('frames', 0):
+            text += (
+                '; they do at every frame: if frames come so seldom, raise the parameter window, '
+                f'{tracker.settings.window:g} s, to hold {FEWEST_SAMPLES} of them or more'
+            )
+        faults.append((DiagnosticStatus.WARN, text))
     elif since.get('repeated'):
         text = 'stamps repeat: see that the driver sets header.stamp to the time of capture'
         faults.append((DiagnosticStatus.WARN, text))
