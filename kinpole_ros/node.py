@@ -1,15 +1,15 @@
 """
 The live node: markers in, results out, nothing computed that nobody reads.
 
-A thin shell around the tracker: it declares the parameters, finds the type of the marker topic,
-and publishes the rows of the results table that have subscribers.
+A thin shell around the tracker: it takes parameters, transitions and markers, and publishes the
+rows of the results table that have subscribers, and the diagnostics.
 """
 
 import gc
 import sys
 import time
 import warnings
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from typing import Any
 
@@ -18,38 +18,32 @@ from diagnostic_msgs.msg import DiagnosticArray
 from rcl_interfaces.msg import SetParametersResult
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
-from rclpy.event_handler import PublisherEventCallbacks, SubscriptionEventCallbacks
+from rclpy.event_handler import PublisherEventCallbacks
 from rclpy.exceptions import ParameterException
 from rclpy.executors import Executor, SingleThreadedExecutor
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 from rclpy.logging import LoggingSeverity, set_logger_level
 from rclpy.parameter import Parameter as RosParameter
-from rclpy.qos import QoSProfile, ReliabilityPolicy, qos_policy_name_from_kind
-from rclpy.qos_overriding_options import QoSOverridingOptions
 from rclpy.utilities import remove_ros_args
 
 from kinpole_ros.declare import declare, given_in_vain, given_to, values_of
 from kinpole_ros.estimate import Estimate
 from kinpole_ros.frame import MarkerFrames, part_of
 from kinpole_ros.messages import (
-    MARKER_TYPES,
-    ROS_TYPE_NAMES,
     DiagnosticsMaker,
-    MarkerReader,
     MessageError,
     Output,
     result_outputs,
 )
 from kinpole_ros.parameters import PARAMETERS, ParameterError, settings_from
 from kinpole_ros.process import reason_of, start_ros
+from kinpole_ros.source import MarkerSource, publishers_of
 from kinpole_ros.theory import load_theory
 from kinpole_ros.tracker import Tracker
 
 _DIAGNOSTICS_EVERY = 1.0
 _LOOK_EVERY = 0.1
-# Messages that wait while others are worked on; beyond, the newest push out the oldest.
-_DEPTH = 50
 # With so many waiting the node is behind: all are taken into the window, the newest alone is told.
 _BEHIND = 25
 # Results kept for a reliable reader that is slow, such as a recorder on a busy machine: what waits
@@ -78,11 +72,11 @@ class KinpoleNode(LifecycleNode):
         self._steady = Clock(clock_type=ClockType.STEADY_TIME)
         self.given_nothing = not {*PARAMETERS, 'autostart'} & given_to(self).keys()
         self.settings = declare(self)
-        topic = self.resolve_topic_name(self.settings.marker_topic)
-        if in_vain := given_in_vain(self, topic):
+        self._source = MarkerSource(self, self.settings, self._on_markers, self._note)
+        if in_vain := given_in_vain(self, self._source.topic):
             self.get_logger().warning(
-                f'{", ".join(in_vain)} set nothing: the markers come on {topic}; write '
-                f'qos_overrides.{topic}.subscription...'
+                f'{", ".join(in_vain)} set nothing: the markers come on {self._source.topic}; '
+                f'write qos_overrides.{self._source.topic}.subscription...'
             )
         self._theory = load_theory(self.settings)
         self._tracker = Tracker(self.settings)
@@ -91,14 +85,6 @@ class KinpoleNode(LifecycleNode):
         # Those that somebody reads, looked up now and then: it takes 0.6 us each.
         self._wanted: list[tuple[Output, Any]] = []
         self._publishers_made: dict[str, Any] = {}
-        self._subscription: Any = None
-        self._kind = ''
-        # Where the markers come from, and the number of the last message of a sole source.
-        self._sources: set[bytes] = set()
-        self._number: int | None = None
-        # How often, of late, the number was no higher: another source of several took its turn.
-        self._turns = 0
-        self._lossless = False
         # Of the frames since the last diagnostics.
         self._stamps: list[int] = []
         self._amid_markers = False
@@ -153,19 +139,16 @@ class KinpoleNode(LifecycleNode):
             self._make_outputs()
 
     def _make_diagnostics(self) -> DiagnosticsMaker:
-        topic = self.resolve_topic_name(self.settings.marker_topic)
         # With the namespace, if any: nodes of several rigs tell on one topic.
         name = self.get_fully_qualified_name().lstrip('/')
-        return DiagnosticsMaker(name, self._theory, topic)
+        return DiagnosticsMaker(name, self._theory, self._source.topic)
 
     def _start_anew(self) -> None:
         """Forget all frames, and the counts."""
         self._tracker = Tracker(self.settings)
         self._diagnostics = self._make_diagnostics()
-        if self._kind:
-            self._reader = MarkerReader(self._kind, self.settings.marker_identity)
+        self._source.start_anew(self.settings)
         self._latest = None
-        self._number = None
         self._stamps = []
 
     def _is_ours(self, name: str) -> bool:
@@ -195,16 +178,15 @@ class KinpoleNode(LifecycleNode):
             if not self.get_parameter('autostart').value:
                 self.get_logger().error(str(error))
             return TransitionCallbackReturn.FAILURE
-        if self._subscription is None:
-            topic = self.resolve_topic_name(self.settings.marker_topic)
-            self.get_logger().info(f'waits for markers on {topic}')
+        if not self._source.found:
+            self.get_logger().info(f'waits for markers on {self._source.topic}')
         return result
 
     def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Stop listening."""
         self._telling.cancel()
         self._active = False
-        self._unsubscribe()
+        self._source.close()
         return super().on_deactivate(state)
 
     def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
@@ -260,119 +242,27 @@ class KinpoleNode(LifecycleNode):
 
     def _look(self) -> None:
         """See who is there, to read and to be read."""
-        if self._active:
-            self._note_readers()
-            self._find_markers()
-
-    def _find_markers(self) -> None:
-        """Subscribe as soon as the type of the markers is known; tell when none can be read."""
-        topic = self.settings.marker_topic
-        resolved = self.resolve_topic_name(topic)
-        sources = self.get_publishers_info_by_topic(resolved)
-        published = {source.topic_type for source in sources}
-        self._note_sources({bytes(source.endpoint_gid) for source in sources})
-        wanted = self.settings.marker_type
-        readable = [wanted] if wanted != 'auto' else list(MARKER_TYPES)
-        found = [kind for kind in readable if ROS_TYPE_NAMES[kind] in published]
-        if published and not found:
-            self._warn(
-                'type',
-                f'{resolved} is published as {", ".join(sorted(published))}; it must be '
-                f'one of {", ".join(ROS_TYPE_NAMES[kind] for kind in readable)}',
-            )
-        else:
-            self._trouble.pop('type', None)
-        kinds = found if wanted == 'auto' else readable
-        if not kinds or self._kind in kinds:
-            self._note_others(resolved, published)
+        if not self._active:
             return
-        self._unsubscribe()
-        # Drivers mostly send as sensors do; what is late is not worth waiting for.
-        qos = QoSProfile(depth=_DEPTH, reliability=ReliabilityPolicy.BEST_EFFORT)
-        try:
-            self._subscription = self.create_subscription(
-                MARKER_TYPES[kinds[0]],
-                topic,
-                self._on_markers,
-                qos,
-                event_callbacks=SubscriptionEventCallbacks(
-                    incompatible_qos=self._mismatched, use_default_callbacks=False
-                ),
-                qos_overriding_options=QoSOverridingOptions.with_default_policies(),
-                raw=True,
-            )
-            reliability = f'qos_overrides.{resolved}.subscription.reliability'
-            self._lossless = self.get_parameter(reliability).value == 'reliable'
-        except Exception as error:  # rclpy raises many things, some without words
-            raise ParameterError(
-                f'parameters qos_overrides.{resolved}.subscription cannot be used '
-                f'({str(error) or type(error).__name__}); correct them or leave them out'
-            ) from None
-        self._kind = kinds[0]
-        self._reader = MarkerReader(kinds[0], self.settings.marker_identity)
-        bodies = ', '.join(self.settings.bodies)
-        self.get_logger().info(f'follows {bodies} on {resolved} ({ROS_TYPE_NAMES[self._kind]})')
-
-    def _note_others(self, topic: str, published: set[str]) -> None:
-        """Warn of messages on the topic of a type that is not followed, if one is."""
-        followed = ROS_TYPE_NAMES.get(self._kind)
-        if followed in published and len(published) > 1:
-            others = ', '.join(sorted(published - {followed}))
-            self._warn(
-                'other types',
-                f'{topic} is published as {others} too, and that is not read: {followed} is '
-                'followed; set the parameter marker_type, or publish only one of them',
-            )
-        else:
-            self._trouble.pop('other types', None)
-
-    def _note_sources(self, seen: set[bytes]) -> None:
-        """Where another publisher has taken over, its markers may be other ones: start anew."""
-        if not seen or seen == self._sources:
-            return
-        if self._sources and not seen & self._sources:
+        self._note_readers()
+        if self._source.look():
             self._tracker.reset()
             self._tracker.counts['restarts'] += 1
-        self._sources, self._number = seen, None
-
-    def _unsubscribe(self) -> None:
-        if self._subscription is not None:
-            self.destroy_subscription(self._subscription)
-        self._subscription = None
-        self._kind = ''
-        self._number = None
-
-    def _mismatched(self, event: Any) -> None:
-        policy = qos_policy_name_from_kind(event.last_policy_kind).lower()
-        topic = self._subscription.topic_name
-        self._warn(
-            'qos',
-            f'a publisher of {topic} offers less than this node asks for in the QoS policy '
-            f'{policy}, and nothing is received from it: set the parameter '
-            f'qos_overrides.{topic}.subscription.{policy} to what it offers',
-        )
 
     def _on_markers(self, message: bytes, info: Mapping[str, Any]) -> None:
         """Take all that waits at once: what is behind catches up, and loses the oldest first."""
         self._amid_markers = True
-        kind = MARKER_TYPES[self._kind]
-        waiting = [(message, info)]
-        with self._subscription.handle:
-            take = self._subscription.handle.take_message
-            while len(waiting) < _DEPTH and (more := take(kind, True)) is not None:
-                waiting.append(more)
-        self._trouble.pop('qos', None)
-        self._count_dropped(info.get('publication_sequence_number') for _, info in waiting)
         order = max((output.order for output, _ in self._wanted), default=None)
         if order is None:
             self._latest = None
-        read = self._reader.read(data for data, _ in waiting)
-        if len(waiting) >= _BEHIND and not self._lossless:
+        read, messages, dropped = self._source.take(message, info)
+        self._tracker.counts['dropped'] += dropped
+        if messages >= _BEHIND and not self._source.lossless:
             read = self._newest_last(read)
         for frames in read:
             if isinstance(frames, MessageError):
                 self._tracker.counts['unreadable'] += 1
-                self._warn('message', str(frames))
+                self._note('message', str(frames))
                 continue
             self._stamps.extend(frames.stamps.tolist())
             for estimate in self._tracker.add(frames, order):
@@ -400,21 +290,14 @@ class KinpoleNode(LifecycleNode):
         self._tracker.add(frames, None)
         self._tracker.counts['untold'] += len(frames.stamps)
 
-    def _count_dropped(self, numbers: Iterable[int | None]) -> None:
-        """Count what is missing between messages, where they have numbers and one source."""
-        for number in numbers:
-            if number and self._number is not None:
-                if len(self._sources) == 1:
-                    self._tracker.counts['dropped'] += max(0, number - self._number - 1)
-                elif number <= self._number:
-                    self._turns += 1
-            self._number = number
-
-    def _warn(self, topic: str, text: str) -> None:
-        """Keep what is wrong for the diagnostics, and say it when it begins."""
-        if topic not in self._trouble:
+    def _note(self, trouble: str, text: str) -> None:
+        """Keep what is wrong for the diagnostics, and say it when it begins; '' is its end."""
+        if not text:
+            self._trouble.pop(trouble, None)
+            return
+        if trouble not in self._trouble:
             self.get_logger().warning(text)
-        self._trouble[topic] = text
+        self._trouble[trouble] = text
 
     def _tell(self) -> None:
         now = self._steady.now()
@@ -422,50 +305,33 @@ class KinpoleNode(LifecycleNode):
         self._told = now
         # A simulated clock may tell any time.
         stamp = min(max(0, self.get_clock().now().nanoseconds), _LATEST_STAMP)
+        self._source.note_turns()
         self._note_rivals()
         array = self._diagnostics.make(
             stamp, self._tracker, self._latest, seconds, self._trouble, self._stamps
         )
         self._stamps = []
-        self._turns = 0
         for passing in ('message', 'failure'):
-            self._trouble.pop(passing, None)
+            self._note(passing, '')
         self._status.publish(array)
 
     def _note_rivals(self) -> None:
-        """Warn where others send markers beside their source, or results beside this node."""
-        markers = self.resolve_topic_name(self.settings.marker_topic)
-        # Once may be a source that was killed and is back, before its end was noticed.
-        if self._turns > 1:
-            names = self._publishers_of(markers)
-            self._warn(
-                'sources',
-                f'several publishers send markers on {markers} in turn ({", ".join(names)}), and '
-                'results are of all of them mixed: stop all but one',
-            )
-        else:
-            self._trouble.pop('sources', None)
+        """Note where others publish results beside this node."""
         results = next(iter(self._publishers_made.values())).topic_name
+        text = ''
         # Asked for by number first, which is cheaper.
         if self.count_publishers(results) > 1:
-            names = self._publishers_of(results)
+            names = publishers_of(self, results)
             own = self.get_fully_qualified_name()
             if own in names:
                 names.remove(own)
             told = ', '.join('another node of this name' if n == own else n for n in names)
-            self._warn(
-                'rivals',
+            text = (
                 f'{results} and the like are published by {told} too: give each node a name of its '
                 'own (-r __node:=NAME), and play of a bag the markers alone; what was killed '
-                'counts for some seconds more',
+                'counts for some seconds more'
             )
-        else:
-            self._trouble.pop('rivals', None)
-
-    def _publishers_of(self, topic: str) -> list[str]:
-        """Full names of the nodes that publish a topic, once for each publisher."""
-        sources = self.get_publishers_info_by_topic(topic)
-        return sorted(f'{s.node_namespace.rstrip("/")}/{s.node_name}' for s in sources)
+        self._note('rivals', text)
 
     def survive(self, error: Exception) -> None:
         """After what no callback caught: tell of it, and if it was amid markers start anew."""
@@ -477,7 +343,7 @@ class KinpoleNode(LifecycleNode):
             what = 'starts anew'
         self._tracker.counts['failures'] += 1
         text = ' '.join(str(error).split())
-        self._warn('failure', f'the node failed ({type(error).__name__}: {text}) and {what}')
+        self._note('failure', f'the node failed ({type(error).__name__}: {text}) and {what}')
 
 
 def _change_if_possible(change: Callable[..., Any], request: Any, response: Any) -> Any:
