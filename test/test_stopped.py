@@ -240,3 +240,18 @@ def test_a_full_disk_ends_a_recording_in_one_line(tmp_path: Path) -> None:
     assert complaints.count('\n') == 1
     assert f'{path} cannot be written: File too large; mend: ' in complaints
     assert 20 <= len(readable(path)) < sent
+
+
+def test_a_demo_that_is_terminated_takes_its_processes_with_it(tmp_path: Path) -> None:
+    with kinpole('demo', '--output', tmp_path) as process:
+        children = Path(f'/proc/{process.pid}/task/{process.pid}/children')
+        until(lambda: len(children.read_text().split()) == 2)
+        begun = children.read_text().split()
+        try:
+            process.terminate()
+            assert process.wait(30) == 128 + signal.SIGTERM
+            until(lambda: not any(Path(f'/proc/{pid}').exists() for pid in begun), 15)
+        finally:
+            for pid in begun:
+                with suppress(ProcessLookupError):
+                    os.kill(int(pid), signal.SIGKILL)
