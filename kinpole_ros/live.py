@@ -49,8 +49,9 @@ def play(
     if not (math.isfinite(speed) and speed > 0):
         raise BagError(f'--speed is {speed}; it must be more than 0')
     there = topics(bag)
+    only = [_whole(name) for name in only or []]
     ordinary = [name for name in there if '/truth/' not in name]
-    for name in only or []:
+    for name in only:
         if name not in there:
             raise BagError(f'{bag}: no topic {name}; it holds {", ".join(sorted(ordinary))}')
     chosen = only or ordinary
@@ -91,6 +92,11 @@ def play(
     return count
 
 
+def _whole(topic: str) -> str:
+    """A topic, or the beginning of one, that may lack its slash."""
+    return topic if topic.startswith('/') else f'/{topic}'
+
+
 def own_context() -> rclpy.Context:
     """Start ROS beside whatever else there is of it; raises BagError where it cannot."""
     context = rclpy.Context()
@@ -114,7 +120,7 @@ class Recorder(Node):
     def __init__(self, writer: BagWriter, prefixes: list[str]) -> None:
         super().__init__('kinpole_recorder')
         self._writer = writer
-        self._prefixes = tuple(p if p.startswith('/') else f'/{p}' for p in prefixes)
+        self._prefixes = tuple(map(_whole, prefixes))
         self._seen: set[str] = set()
         self.messages = 0
         steady = Clock(clock_type=ClockType.STEADY_TIME)

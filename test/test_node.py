@@ -457,6 +457,10 @@ def test_play_says_to_what_nobody_listens(unheard: Path, capfd: pytest.CaptureFi
     assert 'nobody listens to /unheard' in capfd.readouterr().err
 
 
+def test_a_topic_to_be_played_may_lack_its_slash(unheard: Path) -> None:
+    assert play(unheard, ['unheard'], wait=0.1) == 3
+
+
 def test_play_can_be_interrupted_while_it_waits_for_a_reader_that_has_stopped(
     unheard: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
