@@ -245,8 +245,9 @@ def test_a_full_disk_ends_a_recording_in_one_line(tmp_path: Path) -> None:
 def test_a_demo_that_is_terminated_takes_its_processes_with_it(tmp_path: Path) -> None:
     with kinpole('demo', '--output', tmp_path) as process:
         children = Path(f'/proc/{process.pid}/task/{process.pid}/children')
-        until(lambda: len(children.read_text().split()) == 2)
+        until((tmp_path / 'demo.mcap').exists)
         begun = children.read_text().split()
+        assert len(begun) == 2
         try:
             process.terminate()
             assert process.wait(30) == 128 + signal.SIGTERM
