@@ -325,12 +325,13 @@ class KinpoleNode(LifecycleNode):
             own = self.get_fully_qualified_name()
             if own in names:
                 names.remove(own)
-            told = ', '.join('another node of this name' if n == own else n for n in names)
-            text = (
-                f'{results} and the like are published by {told} too: give each node a name of its '
-                'own (-r __node:=NAME), and play of a bag the markers alone; what was killed '
-                'counts for some seconds more'
-            )
+            if names:
+                told = ', '.join('another node of this name' if n == own else n for n in names)
+                text = (
+                    f'{results} and the like are published by {told} too: give each node a name of '
+                    'its own (-r __node:=NAME), and play of a bag the markers alone; what was '
+                    'killed counts for some seconds more'
+                )
         self._note('rivals', text)
 
     def survive(self, error: Exception) -> None:

@@ -192,6 +192,8 @@ class MarkerSource:
 
 
 def publishers_of(node: Node, topic: str) -> list[str]:
-    """Full names of the nodes that publish a topic, once for each publisher."""
+    """Full names of the nodes that publish a topic, as far as known; once for each publisher."""
     offers = node.get_publishers_info_by_topic(topic)
-    return sorted(f'{o.node_namespace.rstrip("/")}/{o.node_name}' for o in offers)
+    # A publisher is known a little before its node.
+    known = [o for o in offers if o.node_name != '_NODE_NAME_UNKNOWN_']
+    return sorted(f'{o.node_namespace.rstrip("/")}/{o.node_name}' for o in known)
