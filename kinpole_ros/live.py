@@ -14,18 +14,21 @@ from pathlib import Path
 import rclpy
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
-from rclpy.executors import ExternalShutdownException
+from rclpy.duration import Duration
+from rclpy.executors import SingleThreadedExecutor
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
-from rclpy.qos import QoSProfile, ReliabilityPolicy
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 
 from kinpole_ros.bags import BagError, BagWriter, message_class, read_messages, topics
-from kinpole_ros.node import end_signals, reason_of, start_ros
+from kinpole_ros.process import reason_of, start_ros
 
 # What a kill may lose of a recording.
 _FLUSH_EVERY = 1.0
 _LOOK_EVERY = 0.1
 _DEEP = 1000
+# A recorder without a topic for so long (s) says so.
+_PATIENCE = 5.0
 
 
 def play(
@@ -46,8 +49,9 @@ def play(
     if not (math.isfinite(speed) and speed > 0):
         raise BagError(f'--speed is {speed}; it must be more than 0')
     there = topics(bag)
+    only = [_whole(name) for name in only or []]
     ordinary = [name for name in there if '/truth/' not in name]
-    for name in only or []:
+    for name in only:
         if name not in there:
             raise BagError(f'{bag}: no topic {name}; it holds {", ".join(sorted(ordinary))}')
     chosen = only or ordinary
@@ -79,11 +83,18 @@ def play(
             publishers[message.topic].publish(message.data)
             count += 1
         for publisher in publishers.values():
-            publisher.wait_for_all_acked()
+            # Step by step, so that Ctrl-C ends it: who reads may have stopped to.
+            while not publisher.wait_for_all_acked(Duration(seconds=_LOOK_EVERY)):
+                pass
     finally:
         node.destroy_node()
         context.try_shutdown()
     return count
+
+
+def _whole(topic: str) -> str:
+    """A topic, or the beginning of one, that may lack its slash."""
+    return topic if topic.startswith('/') else f'/{topic}'
 
 
 def own_context() -> rclpy.Context:
@@ -109,52 +120,49 @@ class Recorder(Node):
     def __init__(self, writer: BagWriter, prefixes: list[str]) -> None:
         super().__init__('kinpole_recorder')
         self._writer = writer
-        self._prefixes = tuple(p if p.startswith('/') else f'/{p}' for p in prefixes)
-        self._taken: set[str] = set()
+        self._prefixes = tuple(map(_whole, prefixes))
+        self._seen: set[str] = set()
         self.messages = 0
-        self.error: BagError | None = None
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self.create_timer(_LOOK_EVERY, self._look, clock=steady)
-        self.create_timer(_FLUSH_EVERY, self._flush, clock=steady)
+        self.create_timer(_FLUSH_EVERY, writer.flush, clock=steady)
+        self._waiting = self.create_timer(_PATIENCE, self._complain, clock=steady)
         self._look()
+
+    def _complain(self) -> None:
+        self._waiting.cancel()
+        lacking = [p for p in self._prefixes if not any(name.startswith(p) for name in self._seen)]
+        if lacking:
+            names = ' or '.join(lacking)
+            self.get_logger().warning(f'nobody publishes on a topic that begins with {names} yet')
 
     def _look(self) -> None:
         for name, types in self.get_topic_names_and_types():
-            if name in self._taken or not name.startswith(self._prefixes):
+            if name in self._seen or not name.startswith(self._prefixes):
                 continue
+            offers = [o.qos_profile for o in self.get_publishers_info_by_topic(name)]
+            if not offers:
+                continue
+            self._seen.add(name)
             try:
                 cls = message_class(types[0])
-            except BagError:
+            except BagError as error:
+                self.get_logger().warning(f'{name} is not recorded: {error}')
                 continue
-            self._taken.add(name)
-            # Take what the publisher offers: reliable where all of them are.
-            offers = self.get_publishers_info_by_topic(name)
-            best = ReliabilityPolicy.BEST_EFFORT
-            unreliable = any(o.qos_profile.reliability == best for o in offers)
-            qos = QoSProfile(
-                depth=_DEEP, reliability=best if unreliable else ReliabilityPolicy.RELIABLE
-            )
+            # Take what is offered: reliable, and what was sent before, where all of them are.
+            qos = QoSProfile(depth=_DEEP)
+            if any(o.reliability == ReliabilityPolicy.BEST_EFFORT for o in offers):
+                qos.reliability = ReliabilityPolicy.BEST_EFFORT
+            if all(o.durability == DurabilityPolicy.TRANSIENT_LOCAL for o in offers):
+                qos.durability = DurabilityPolicy.TRANSIENT_LOCAL
             self.create_subscription(cls, name, self._saver(name, cls), qos, raw=True)
 
     def _saver(self, name: str, cls: type) -> Callable[[bytes], None]:
         def save(data: bytes) -> None:
-            self._guard(
-                lambda: self._writer.write_raw(name, cls, data, self.get_clock().now().nanoseconds)
-            )
+            self._writer.write_raw(name, cls, data, self.get_clock().now().nanoseconds)
             self.messages += 1
 
         return save
-
-    def _flush(self) -> None:
-        self._guard(self._writer.flush)
-
-    def _guard(self, write: Callable[[], None]) -> None:
-        """Stop spinning on a full disk, with what was recorded before it kept."""
-        try:
-            write()
-        except BagError as error:
-            self.error = error
-            self.context.try_shutdown()
 
 
 def record(output: str | Path, prefixes: list[str]) -> int:
@@ -168,31 +176,19 @@ def record(output: str | Path, prefixes: list[str]) -> int:
     there = Path(output)
     if there.is_file() and there.stat().st_size:
         raise BagError(f'{output} is there already; name another file, or remove that one first')
-    with BagWriter(output) as writer:
-        try:
-            with _starting():
-                start_ros([])
-        except BagError:
-            if there.is_file():
-                there.unlink()
-            raise
-        recorder = None
-        try:
+    with _starting():
+        told_to_stop = start_ros([])
+    try:
+        with BagWriter(output) as writer:
             recorder = Recorder(writer, prefixes)
-            rclpy.spin(recorder)
-        except ExternalShutdownException:
-            pass
-        except Exception:
-            # Told to stop amid a call, rclpy raises whatever that call makes of it.
-            if rclpy.ok():
-                raise
-        finally:
-            end_signals()
-            if recorder is not None:
+            executor = SingleThreadedExecutor()
+            executor.add_node(recorder)
+            try:
+                while not told_to_stop():
+                    executor.spin_once()
+            finally:
+                executor.shutdown()
                 recorder.destroy_node()
-            rclpy.try_shutdown()
-        if recorder is None:
-            return 0
-        if recorder.error is not None:
-            raise recorder.error
-        return recorder.messages
+            return recorder.messages
+    finally:
+        rclpy.try_shutdown()

@@ -1,62 +1,56 @@
 """
 The live node: markers in, results out, nothing computed that nobody reads.
 
-A thin shell around the tracker: it declares the parameters, finds the type of the marker topic,
-and publishes the rows of the results table that have subscribers.
+A thin shell around the tracker: it takes parameters, transitions and markers, and publishes the
+rows of the results table that have subscribers, and the diagnostics.
 """
 
 import gc
-import re
-import signal
 import sys
+import time
 import warnings
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from typing import Any
 
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
-from rcl_interfaces.msg import FloatingPointRange, ParameterDescriptor, SetParametersResult
+from rcl_interfaces.msg import SetParametersResult
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
-from rclpy.event_handler import PublisherEventCallbacks, SubscriptionEventCallbacks
+from rclpy.event_handler import PublisherEventCallbacks
 from rclpy.exceptions import ParameterException
-from rclpy.executors import SingleThreadedExecutor
+from rclpy.executors import Executor, SingleThreadedExecutor
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 from rclpy.logging import LoggingSeverity, set_logger_level
 from rclpy.parameter import Parameter as RosParameter
-from rclpy.qos import QoSProfile, ReliabilityPolicy, qos_policy_name_from_kind
-from rclpy.qos_overriding_options import QoSOverridingOptions
-from rclpy.signals import uninstall_signal_handlers
 from rclpy.utilities import remove_ros_args
 
+from kinpole_ros.declare import declare, given_in_vain, given_to, values_of
 from kinpole_ros.estimate import Estimate
 from kinpole_ros.frame import MarkerFrames, part_of
 from kinpole_ros.messages import (
-    MARKER_TYPES,
-    ROS_TYPE_NAMES,
     DiagnosticsMaker,
-    MarkerReader,
     MessageError,
     Output,
     result_outputs,
 )
-from kinpole_ros.parameters import AUTOSTART, MARKERS, PARAMETERS, ParameterError, settings_from
+from kinpole_ros.parameters import PARAMETERS, ParameterError, settings_from
+from kinpole_ros.process import reason_of, start_ros
+from kinpole_ros.source import MarkerSource, publishers_of
 from kinpole_ros.theory import load_theory
 from kinpole_ros.tracker import Tracker
 
 _DIAGNOSTICS_EVERY = 1.0
 _LOOK_EVERY = 0.1
-# Messages that wait while others are worked on; beyond, the newest push out the oldest.
-_DEPTH = 50
 # With so many waiting the node is behind: all are taken into the window, the newest alone is told.
 _BEHIND = 25
 # Results kept for a reliable reader that is slow, such as a recorder on a busy machine: what waits
 # is taken at once, so they come in bunches. Those who asked for less do not get more.
 _KEPT = 1000
-# So many failures with nothing done between them are no weather to ride out.
-_MOST_FAILURES = 100
+# So many failures, for so long (s), with nothing done between them are no weather to ride out.
+_MOST_FAILURES, _LONGEST_FAILURE = 100, 10.0
 # rclpy's own callbacks only log, and cost 6 us a publisher whenever it waits.
 _NO_EVENTS = PublisherEventCallbacks(use_default_callbacks=False)
 _LATEST_STAMP = 2**31 * 10**9 - 1
@@ -76,8 +70,14 @@ class KinpoleNode(LifecycleNode):
                 f'parameter {", ".join(names)} has no value; leave it out or give it one'
             ) from None
         self._steady = Clock(clock_type=ClockType.STEADY_TIME)
-        self._declare()
-        self.settings = settings_from(self._values())
+        self.given_nothing = not {*PARAMETERS, 'autostart'} & given_to(self).keys()
+        self.settings = declare(self)
+        self._source = MarkerSource(self, self.settings, self._on_markers, self._note)
+        if in_vain := given_in_vain(self, self._source.topic):
+            self.get_logger().warning(
+                f'{", ".join(in_vain)} set nothing: the markers come on {self._source.topic}; '
+                f'write qos_overrides.{self._source.topic}.subscription...'
+            )
         self._theory = load_theory(self.settings)
         self._tracker = Tracker(self.settings)
         self._diagnostics = self._make_diagnostics()
@@ -85,20 +85,20 @@ class KinpoleNode(LifecycleNode):
         # Those that somebody reads, looked up now and then: it takes 0.6 us each.
         self._wanted: list[tuple[Output, Any]] = []
         self._publishers_made: dict[str, Any] = {}
-        self._subscription: Any = None
-        self._kind = ''
-        # Where the markers come from, and the number of the last message of a sole source.
-        self._sources: set[bytes] = set()
-        self._number: int | None = None
-        self._lossless = False
         # Of the frames since the last diagnostics.
         self._stamps: list[int] = []
         self._amid_markers = False
-        self._timers_made: list[Any] = []
         self._latest: Estimate | None = None
         self._trouble: dict[str, str] = {}
         self._told = self._steady.now()
         self._status: Any = None
+        self._active = False
+        # A steady clock: these beat even where simulated time stands still. The second one does so
+        # in every state, for whoever spins.
+        self._telling = self.create_timer(
+            _DIAGNOSTICS_EVERY, self._tell, clock=self._steady, autostart=False
+        )
+        self.create_timer(_LOOK_EVERY, self._look, clock=self._steady)
         self.add_on_set_parameters_callback(self._check_parameters)
         self.add_post_set_parameters_callback(self._take_parameters)
         service = self._service_change_state
@@ -107,33 +107,6 @@ class KinpoleNode(LifecycleNode):
             self.trigger_configure()
             if self.trigger_activate() != TransitionCallbackReturn.SUCCESS:
                 raise ParameterError(self._trouble['start'])
-
-    def _declare(self) -> None:
-        """Declare every parameter with its description and range; unknown ones are refused."""
-        given = {name: p.value for name, p in self.get_parameters_by_prefix('').items()}
-        settings = settings_from(given)
-        rows = {**PARAMETERS, 'autostart': AUTOSTART}
-        rows.update({f'{body}.markers': MARKERS for body in settings.bodies})
-        for name, row in rows.items():
-            descriptor = ParameterDescriptor(
-                description=row.description,
-                additional_constraints=row.allowed,
-                read_only=row.fixed,
-                dynamic_typing=True,
-            )
-            value = given.get(name, row.default)
-            if row.lowest is not None and row.highest is not None:
-                descriptor.floating_point_range = [
-                    FloatingPointRange(from_value=row.lowest, to_value=row.highest)
-                ]
-                value = float(value)
-            if self.has_parameter(name):
-                self.undeclare_parameter(name)
-            self.declare_parameter(name, value, descriptor, ignore_override=True)
-
-    def _values(self) -> dict[str, Any]:
-        names = {*PARAMETERS, *(f'{b}.markers' for b in self.get_parameter('bodies').value)}
-        return {name: self.get_parameter(name).value for name in names}
 
     def set_parameters_atomically(self, parameter_list: list[RosParameter]) -> SetParametersResult:
         """As in rclpy, but tell the names that are known, where it raises without any."""
@@ -150,7 +123,7 @@ class KinpoleNode(LifecycleNode):
                 reason = f'parameter {p.name} is read at the start only; set it there'
                 return SetParametersResult(successful=False, reason=reason)
         try:
-            load_theory(settings_from({**self._values(), **{p.name: p.value for p in changes}}))
+            load_theory(settings_from({**values_of(self), **{p.name: p.value for p in changes}}))
         except ParameterError as error:
             return SetParametersResult(successful=False, reason=str(error))
         return SetParametersResult(successful=True)
@@ -159,24 +132,23 @@ class KinpoleNode(LifecycleNode):
         """Start anew with the changed settings; publishers that stay in use are not touched."""
         if not any(self._is_ours(p.name) for p in changes):
             return
-        self.settings = settings_from(self._values())
+        self.settings = settings_from(values_of(self))
         self._theory = load_theory(self.settings)
         self._start_anew()
         if self._outputs:
             self._make_outputs()
 
     def _make_diagnostics(self) -> DiagnosticsMaker:
-        topic = self.resolve_topic_name(self.settings.marker_topic)
-        return DiagnosticsMaker(self.get_name(), self._theory, topic)
+        # With the namespace, if any: nodes of several rigs tell on one topic.
+        name = self.get_fully_qualified_name().lstrip('/')
+        return DiagnosticsMaker(name, self._theory, self._source.topic)
 
     def _start_anew(self) -> None:
         """Forget all frames, and the counts."""
         self._tracker = Tracker(self.settings)
         self._diagnostics = self._make_diagnostics()
-        if self._kind:
-            self._reader = MarkerReader(self._kind, self.settings.marker_identity)
+        self._source.start_anew(self.settings)
         self._latest = None
-        self._number = None
         self._stamps = []
 
     def _is_ours(self, name: str) -> bool:
@@ -196,11 +168,8 @@ class KinpoleNode(LifecycleNode):
         self._start_anew()
         self._trouble.clear()
         self._told = self._steady.now()
-        # A steady clock: these beat even where simulated time stands still.
-        self._timers_made = [
-            self.create_timer(_DIAGNOSTICS_EVERY, self._tell, clock=self._steady),
-            self.create_timer(_LOOK_EVERY, self._look, clock=self._steady),
-        ]
+        self._telling.reset()
+        self._active = True
         try:
             self._look()
         except ParameterError as error:
@@ -209,17 +178,15 @@ class KinpoleNode(LifecycleNode):
             if not self.get_parameter('autostart').value:
                 self.get_logger().error(str(error))
             return TransitionCallbackReturn.FAILURE
-        if self._subscription is None:
-            topic = self.resolve_topic_name(self.settings.marker_topic)
-            self.get_logger().info(f'waits for markers on {topic}')
+        if not self._source.found:
+            self.get_logger().info(f'waits for markers on {self._source.topic}')
         return result
 
     def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Stop listening."""
-        for timer in self._timers_made:
-            self.destroy_timer(timer)
-        self._timers_made = []
-        self._unsubscribe()
+        self._telling.cancel()
+        self._active = False
+        self._source.close()
         return super().on_deactivate(state)
 
     def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
@@ -239,11 +206,6 @@ class KinpoleNode(LifecycleNode):
         """After a transition that failed, be as before the first."""
         return self.on_shutdown(state)
 
-    @property
-    def listening(self) -> bool:
-        """Whether the node is active, with timers that beat."""
-        return bool(self._timers_made)
-
     def _make_outputs(self) -> None:
         highest = self.settings.derivative_order or 4
         bodies = tuple(self.settings.bodies)
@@ -262,7 +224,7 @@ class KinpoleNode(LifecycleNode):
                     _KEPT,
                     event_callbacks=_NO_EVENTS,
                 )
-                if self.listening:
+                if self._active:
                     publisher.on_activate(LifecycleState('active', 0))
                 self._publishers_made[output.topic] = publisher
             self._outputs.append((output, publisher))
@@ -280,104 +242,27 @@ class KinpoleNode(LifecycleNode):
 
     def _look(self) -> None:
         """See who is there, to read and to be read."""
+        if not self._active:
+            return
         self._note_readers()
-        self._find_markers()
-
-    def _find_markers(self) -> None:
-        """Subscribe as soon as the type of the markers is known; tell when none can be read."""
-        topic = self.settings.marker_topic
-        resolved = self.resolve_topic_name(topic)
-        sources = self.get_publishers_info_by_topic(resolved)
-        published = {source.topic_type for source in sources}
-        self._note_sources({bytes(source.endpoint_gid) for source in sources})
-        wanted = self.settings.marker_type
-        readable = [wanted] if wanted != 'auto' else list(MARKER_TYPES)
-        found = [kind for kind in readable if ROS_TYPE_NAMES[kind] in published]
-        if published and not found:
-            self._warn(
-                'type',
-                f'{resolved} is published as {", ".join(sorted(published))}; it must be '
-                f'one of {", ".join(ROS_TYPE_NAMES[kind] for kind in readable)}',
-            )
-        else:
-            self._trouble.pop('type', None)
-        kinds = found if wanted == 'auto' else readable
-        if not kinds or self._kind in kinds:
-            return
-        self._unsubscribe()
-        # Drivers mostly send as sensors do; what is late is not worth waiting for.
-        qos = QoSProfile(depth=_DEPTH, reliability=ReliabilityPolicy.BEST_EFFORT)
-        try:
-            self._subscription = self.create_subscription(
-                MARKER_TYPES[kinds[0]],
-                topic,
-                self._on_markers,
-                qos,
-                event_callbacks=SubscriptionEventCallbacks(
-                    incompatible_qos=self._mismatched, use_default_callbacks=False
-                ),
-                qos_overriding_options=QoSOverridingOptions.with_default_policies(),
-                raw=True,
-            )
-            reliability = f'qos_overrides.{resolved}.subscription.reliability'
-            self._lossless = self.get_parameter(reliability).value == 'reliable'
-        except Exception as error:  # rclpy raises many things, some without words
-            raise ParameterError(
-                f'parameters qos_overrides.{resolved}.subscription cannot be used '
-                f'({str(error) or type(error).__name__}); correct them or leave them out'
-            ) from None
-        self._kind = kinds[0]
-        self._reader = MarkerReader(kinds[0], self.settings.marker_identity)
-        bodies = ', '.join(self.settings.bodies)
-        self.get_logger().info(f'follows {bodies} on {resolved} ({ROS_TYPE_NAMES[self._kind]})')
-
-    def _note_sources(self, seen: set[bytes]) -> None:
-        """Where another publisher has taken over, its markers may be other ones: start anew."""
-        if not seen or seen == self._sources:
-            return
-        if self._sources and not seen & self._sources:
+        if self._source.look():
             self._tracker.reset()
             self._tracker.counts['restarts'] += 1
-        self._sources, self._number = seen, None
-
-    def _unsubscribe(self) -> None:
-        if self._subscription is not None:
-            self.destroy_subscription(self._subscription)
-        self._subscription = None
-        self._kind = ''
-        self._number = None
-
-    def _mismatched(self, event: Any) -> None:
-        policy = qos_policy_name_from_kind(event.last_policy_kind).lower()
-        topic = self._subscription.topic_name
-        self._warn(
-            'qos',
-            f'a publisher of {topic} offers less than this node asks for in the QoS policy '
-            f'{policy}, and nothing is received from it: set the parameter '
-            f'qos_overrides.{topic}.subscription.{policy} to what it offers',
-        )
 
     def _on_markers(self, message: bytes, info: Mapping[str, Any]) -> None:
         """Take all that waits at once: what is behind catches up, and loses the oldest first."""
         self._amid_markers = True
-        kind = MARKER_TYPES[self._kind]
-        waiting = [(message, info)]
-        with self._subscription.handle:
-            take = self._subscription.handle.take_message
-            while len(waiting) < _DEPTH and (more := take(kind, True)) is not None:
-                waiting.append(more)
-        self._trouble.pop('qos', None)
-        self._count_dropped(info.get('publication_sequence_number') for _, info in waiting)
         order = max((output.order for output, _ in self._wanted), default=None)
         if order is None:
             self._latest = None
-        read = self._reader.read(data for data, _ in waiting)
-        if len(waiting) >= _BEHIND and not self._lossless:
+        read, messages, dropped = self._source.take(message, info)
+        self._tracker.counts['dropped'] += dropped
+        if messages >= _BEHIND and not self._source.lossless:
             read = self._newest_last(read)
         for frames in read:
             if isinstance(frames, MessageError):
                 self._tracker.counts['unreadable'] += 1
-                self._warn('message', str(frames))
+                self._note('message', str(frames))
                 continue
             self._stamps.extend(frames.stamps.tolist())
             for estimate in self._tracker.add(frames, order):
@@ -405,18 +290,14 @@ class KinpoleNode(LifecycleNode):
         self._tracker.add(frames, None)
         self._tracker.counts['untold'] += len(frames.stamps)
 
-    def _count_dropped(self, numbers: Iterable[int | None]) -> None:
-        """Count what is missing between messages, where they have numbers and one source."""
-        for number in numbers:
-            if number and self._number is not None and len(self._sources) == 1:
-                self._tracker.counts['dropped'] += max(0, number - self._number - 1)
-            self._number = number
-
-    def _warn(self, topic: str, text: str) -> None:
-        """Keep what is wrong for the diagnostics, and say it when it begins."""
-        if topic not in self._trouble:
+    def _note(self, trouble: str, text: str) -> None:
+        """Keep what is wrong for the diagnostics, and say it when it begins; '' is its end."""
+        if not text:
+            self._trouble.pop(trouble, None)
+            return
+        if trouble not in self._trouble:
             self.get_logger().warning(text)
-        self._trouble[topic] = text
+        self._trouble[trouble] = text
 
     def _tell(self) -> None:
         now = self._steady.now()
@@ -424,13 +305,34 @@ class KinpoleNode(LifecycleNode):
         self._told = now
         # A simulated clock may tell any time.
         stamp = min(max(0, self.get_clock().now().nanoseconds), _LATEST_STAMP)
+        self._source.note_turns()
+        self._note_rivals()
         array = self._diagnostics.make(
             stamp, self._tracker, self._latest, seconds, self._trouble, self._stamps
         )
         self._stamps = []
         for passing in ('message', 'failure'):
-            self._trouble.pop(passing, None)
+            self._note(passing, '')
         self._status.publish(array)
+
+    def _note_rivals(self) -> None:
+        """Note where others publish results beside this node."""
+        results = next(iter(self._publishers_made.values())).topic_name
+        text = ''
+        # Asked for by number first, which is cheaper.
+        if self.count_publishers(results) > 1:
+            names = publishers_of(self, results)
+            own = self.get_fully_qualified_name()
+            if own in names:
+                names.remove(own)
+            if names:
+                told = ', '.join('another node of this name' if n == own else n for n in names)
+                text = (
+                    f'{results} and the like are published by {told} too: give each node a name of '
+                    'its own (-r __node:=NAME), and play of a bag the markers alone; what was '
+                    'killed counts for some seconds more'
+                )
+        self._note('rivals', text)
 
     def survive(self, error: Exception) -> None:
         """After what no callback caught: tell of it, and if it was amid markers start anew."""
@@ -442,7 +344,7 @@ class KinpoleNode(LifecycleNode):
             what = 'starts anew'
         self._tracker.counts['failures'] += 1
         text = ' '.join(str(error).split())
-        self._warn('failure', f'the node failed ({type(error).__name__}: {text}) and {what}')
+        self._note('failure', f'the node failed ({type(error).__name__}: {text}) and {what}')
 
 
 def _change_if_possible(change: Callable[..., Any], request: Any, response: Any) -> Any:
@@ -454,49 +356,19 @@ def _change_if_possible(change: Callable[..., Any], request: Any, response: Any)
         return response
 
 
-def start_ros(words: Sequence[str]) -> None:
-    """
-    Start rclpy, so that it is shut down at SIGINT and at SIGTERM.
-
-    SIGINT breaks off no call after that: what waits or works notes that rclpy is not ok any more.
-    """
-    started = False
-
-    def interrupt(*_: object) -> None:
-        if not started:
-            raise KeyboardInterrupt
-
-    signal.signal(signal.SIGINT, interrupt)
-    rclpy.init(args=list(words))
-    started = True
-
-
-def end_signals() -> None:
-    """
-    Be told to stop no more: what is taken down from now on is taken down whole.
-
-    At a signal, a thread of rclpy's own wakes the executors by a list that it reads while one that
-    goes takes itself out, and reads on in freed memory: so it has to end before any of them goes.
-    """
-    for sign in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(sign, signal.SIG_IGN)
-    uninstall_signal_handlers()
-
-
-def _spin(node: KinpoleNode, executor: SingleThreadedExecutor) -> None:
+def _spin(node: KinpoleNode, executor: Executor, told_to_stop: Callable[[], bool]) -> None:
     """As rclpy.spin, but a node that others rely upon does not end with its first failure."""
     executor.add_node(node)
-    failures = 0
-    while rclpy.ok():
+    failures, well = 0, time.monotonic()
+    while not told_to_stop():
         try:
-            # A signal may shut rclpy down just after it woke us: without timers, look again.
-            executor.spin_once(None if node.listening else _LOOK_EVERY)
-            failures = 0
+            executor.spin_once()
+            failures, well = 0, time.monotonic()
         except ParameterError:
             raise
         except Exception as error:
             failures += 1
-            if not rclpy.ok() or failures > _MOST_FAILURES:
+            if failures > _MOST_FAILURES and time.monotonic() - well > _LONGEST_FAILURE:
                 raise
             node.survive(error)
 
@@ -504,14 +376,12 @@ def _spin(node: KinpoleNode, executor: SingleThreadedExecutor) -> None:
 def main(args: Sequence[str] | None = None) -> int:
     """Run the node until it is told to stop; returns the exit status."""
     words = list(sys.argv if args is None else args)
-    node = executor = None
-    started = False
+    node = executor = told_to_stop = None
     try:
         # rcl logs what it also raises, and one line says it all.
         set_logger_level('rcl', LoggingSeverity.FATAL)
-        start_ros(words)
+        told_to_stop = start_ros(words)
         set_logger_level('rcl', LoggingSeverity.UNSET)
-        started = True
         # It warns of what it also raises.
         warnings.filterwarnings('ignore', 'Failed to fini', RuntimeWarning)
         if unknown := remove_ros_args(words)[1:]:
@@ -520,35 +390,32 @@ def main(args: Sequence[str] | None = None) -> int:
         # not, so that it goes with the interpreter and not after it.
         gc.freeze()
         node = KinpoleNode()
+        if '--params-file' in words and node.given_nothing:
+            name = node.get_fully_qualified_name()
+            node.get_logger().warning(
+                f'no parameter file has anything for {name}, and all is as by default: call its '
+                f'section {name}, or /**'
+            )
         executor = SingleThreadedExecutor()
-        _spin(node, executor)
+        _spin(node, executor, told_to_stop)
     except KeyboardInterrupt:
         pass
     except Exception as error:
-        # Told to stop, rclpy raises whatever the call makes of it that it was amid.
-        if started and not rclpy.ok():
-            return 0
         if isinstance(error, (ParameterError, ParameterException)):
             return _refuse(str(error))
         reason = reason_of(error)
-        if not started:
+        if told_to_stop is None:
             return _refuse(f'ROS cannot start with these words and this environment: {reason}')
         if node is None and isinstance(error, rclpy_implementation.RCLError):
             return _refuse(f'ROS cannot make the node: {reason}')
         raise
     finally:
-        end_signals()
         if executor is not None:
             executor.shutdown()
         if node is not None:
             node.destroy_node()
         rclpy.try_shutdown()
     return 0
-
-
-def reason_of(error: Exception) -> str:
-    """What rcl says is wrong, less the places in its source."""
-    return re.sub(r', at \S+:\d+', '', str(error))
 
 
 def _refuse(reason: str) -> int:

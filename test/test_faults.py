@@ -15,7 +15,7 @@ from array import array
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path as FilePath
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -34,6 +34,7 @@ from rosgraph_msgs.msg import Clock
 from test_node import LIMIT, RELIABLE, Peer, complaints, node_words, process
 from visualization_msgs.msg import MarkerArray
 
+import kinpole_ros.node as node_module
 from kinpole_ros.messages import MARKER_TYPES, result_outputs, to_message
 from kinpole_ros.parameters import Settings
 
@@ -295,6 +296,14 @@ def test_wrong_stamps(rig: Rig, fault: str) -> None:
         rig.fault(publisher, faulty, *expected)
 
 
+def test_frames_too_seldom_for_the_window_are_told_of(rig: Rig) -> None:
+    with rig.publisher(MARKER_TYPES['marker_array']) as publisher:
+        rig.begin(publisher)
+        send = lambda: rig.send_next(publisher, step=WINDOW + STEP)  # noqa: E731
+        words = 'if frames come so seldom, raise the parameter window, 0.3 s, to hold 7'
+        rig.diagnosed(send, WARN, words, RESETS)
+
+
 def test_frames_that_come_late_disturb_nothing(rig: Rig) -> None:
     with rig.publisher(MARKER_TYPES['marker_array']) as publisher:
         rig.begin(publisher)
@@ -456,6 +465,60 @@ def test_a_publisher_that_offers_less_than_the_node_asks_for(rig: Rig) -> None:
         rig.begin(publisher)
         send = lambda: rig.send_next(publisher)  # noqa: E731
         rig.diagnosed(send, OK, 'receiving markers', None)
+
+
+def test_publishers_that_take_turns_on_the_topic_are_named(rig: Rig) -> None:
+    kind = MARKER_TYPES['marker_array']
+    with rig.publisher(kind) as publisher:
+        rig.begin(publisher)
+        send = lambda: rig.send_next(publisher)  # noqa: E731
+        with rig.publisher(kind) as other:
+
+            def in_turn() -> None:
+                send()
+                rig.send(other, message(rig.stamp, rod(rig.frame)))
+
+            words = 'several publishers send markers on /markers in turn (/peer, /peer)'
+            rig.diagnosed(in_turn, WARN, words, None)
+            # That it is there is no fault: one that was killed is there for a while.
+            rig.diagnosed(send, OK, 'receiving markers', None)
+
+
+def test_a_type_on_the_topic_that_is_not_followed_is_named(rig: Rig) -> None:
+    other = Peer()
+    try:
+        with rig.publisher(MARKER_TYPES['marker_array']) as publisher:
+            rig.begin(publisher)
+            send = lambda: rig.send_next(publisher)  # noqa: E731
+            poses = other.node.create_publisher(MARKER_TYPES['pose_array'], rig.topic, 1)
+            words = '/markers is published as geometry_msgs/msg/PoseArray too'
+            rig.diagnosed(send, WARN, words, None)
+            other.node.destroy_publisher(poses)
+            rig.diagnosed(send, OK, 'receiving markers', None)
+    finally:
+        other.close()
+
+
+def test_another_node_of_the_name_is_told_of(tmp_path: FilePath) -> None:
+    config = write_config(tmp_path / 'rod.yaml', SETTINGS, marker_identity='index')
+    rig = Rig('twin', '/twins')
+    words = 'published by another node of this name too: give each node a name'
+    logs = (tmp_path / 'one', tmp_path / 'other')
+    both = lambda: all(words in log.read_text() for log in logs)  # noqa: E731
+    try:
+        with process(*rig.words(config), log=logs[0]):
+            rig.listen()
+            with process(*rig.words(config), log=logs[1]):
+                rig.diagnosed(lambda: None, STALE, words, None)
+                rig.until(both, 'the same in both logs')
+            rig.forget_heard('/diagnostics')
+            gone = lambda: any(  # noqa: E731
+                told.status[0].message == 'no markers received on /twins'
+                for told in rig.heard('/diagnostics')
+            )
+            rig.until(gone, 'the end of the complaint')
+    finally:
+        rig.close()
 
 
 def mutilated(good: bytes) -> Iterator[bytes]:
@@ -682,40 +745,63 @@ def test_told_to_stop_again_and_again_amid_markers_the_node_ends_well(
         rig.close()
 
 
-TELLING = """
-import sys
-import kinpole_ros.node as module
-def tell(owner, name):
-    call = getattr(owner, name)
-    def told(*words):
-        print(name, flush=True)
-        return call(*words)
-    setattr(owner, name, told)
-tell(module, 'end_signals')
-tell(module.SingleThreadedExecutor, 'shutdown')
-tell(module.KinpoleNode, 'destroy_node')
-tell(module.rclpy, 'try_shutdown')
-sys.exit(module.main(['kinpole', *sys.argv[1:]]))
+AMID = """
+import os, signal, sys
+from kinpole_ros.node import KinpoleNode, main
+from rclpy.signals import get_current_signal_handlers_options
+activate = KinpoleNode.on_activate
+def interrupted(self, state):
+    os.kill(os.getpid(), signal.SIGINT)
+    os.kill(os.getpid(), signal.SIGTERM)
+    result = activate(self, state)
+    print('whole', get_current_signal_handlers_options(), flush=True)
+    return result
+KinpoleNode.on_activate = interrupted
+sys.exit(main(['kinpole', *sys.argv[1:]]))
 """
 
 
-def test_nothing_goes_before_rclpy_is_done_with_it(tmp_path: FilePath) -> None:
-    """Its signal thread reads on in what it woke: on a busy machine, one stop in many crashed."""
+def test_told_to_stop_amid_a_transition_the_node_finishes_it_first(tmp_path: FilePath) -> None:
+    """And has no thread of rclpy's that shuts ROS down meanwhile: one stop in many crashed."""
     config = write_config(tmp_path / 'rod.yaml', SETTINGS, marker_identity='index')
-    peer = Peer()
-    words = ['timeout', '--foreground', '-k', '2', '60', sys.executable, '-c', TELLING]
-    with subprocess.Popen(
-        [*words, *node_words(config)[1:], '-r', '__node:=k'], stdout=subprocess.PIPE, text=True
-    ) as node:
-        try:
-            found = peer.call('/k/get_state', GetState, GetState.Request())
-            assert found.current_state.label == 'active'
-        finally:
-            node.send_signal(signal.SIGINT)
-            said, _ = node.communicate(timeout=LIMIT)
-            peer.close()
-    assert node.returncode == 0
-    assert said.split() == ['end_signals', 'shutdown', 'destroy_node', 'try_shutdown']
+    words = ['timeout', '-k', '2', '30', sys.executable, '-c', AMID, *node_words(config)[1:]]
+    done = subprocess.run(words, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.split() == ['whole', 'SignalHandlerOptions.NO']
+    assert [line for line in done.stderr.splitlines() if '[INFO]' not in line] == []
+
+
+class Failing:
+    """Stands for a node and for its executor, which fails as often as it is asked."""
+
+    def __init__(self) -> None:
+        self.survived = 0
+
+    def add_node(self, node: Any) -> None:
+        pass
+
+    def spin_once(self) -> None:
+        raise ValueError('again')
+
+    def survive(self, error: Exception) -> None:
+        self.survived += 1
+
+
+def test_failures_in_a_row_however_many_end_nothing_at_once() -> None:
+    """A clock before 1970 makes one of each of its messages, hundreds a second."""
+    failing = Failing()
+    node_module._spin(cast(Any, failing), cast(Any, failing), lambda: failing.survived == 1000)
+    assert failing.survived == 1000
+
+
+def test_failures_with_nothing_between_for_too_long_end_the_node(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(node_module, '_LONGEST_FAILURE', 0.0)
+    failing = Failing()
+    with pytest.raises(ValueError, match='again'):
+        node_module._spin(cast(Any, failing), cast(Any, failing), lambda: False)
+    assert failing.survived == node_module._MOST_FAILURES
 
 
 DROPPED = 'messages dropped, since the node or the network could not keep up'

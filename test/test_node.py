@@ -21,8 +21,10 @@ from lifecycle_msgs.srv import ChangeState, GetState
 from nav_msgs.msg import Odometry
 from rcl_interfaces.msg import Parameter as ParameterMessage
 from rcl_interfaces.srv import DescribeParameters, SetParameters
+from rclpy.duration import Duration
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.parameter import Parameter
+from rclpy.publisher import Publisher
 from rclpy.qos import QoSProfile
 from visualization_msgs.msg import MarkerArray
 
@@ -439,16 +441,40 @@ def written(recording: Path, topic: str) -> int:
     return count
 
 
-def test_play_says_to_what_nobody_listens(
-    tmp_path: Path, capfd: pytest.CaptureFixture[str]
-) -> None:
+@pytest.fixture
+def unheard(tmp_path: Path) -> Path:
+    """A bag of three messages on a topic of its own."""
     bag = tmp_path / 'unheard.mcap'
     with BagWriter(bag) as writer:
         for k in range(3):
             cloud = to_message('point_cloud2', k, 'world', ['a'], np.zeros((1, 3)))
             writer.write('/unheard', cloud, k)
-    assert play(bag, wait=0.1) == 3
+    return bag
+
+
+def test_play_says_to_what_nobody_listens(unheard: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    assert play(unheard, wait=0.1) == 3
     assert 'nobody listens to /unheard' in capfd.readouterr().err
+
+
+def test_a_topic_to_be_played_may_lack_its_slash(unheard: Path) -> None:
+    assert play(unheard, ['unheard'], wait=0.1) == 3
+
+
+def test_play_can_be_interrupted_while_it_waits_for_a_reader_that_has_stopped(
+    unheard: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked: list[float] = []
+
+    def wait(_: Publisher, timeout: Duration = Duration(seconds=-1)) -> bool:  # noqa: B008
+        asked.append(timeout.nanoseconds * 1e-9)
+        return len(asked) == 3
+
+    monkeypatch.setattr(Publisher, 'wait_for_all_acked', wait)
+    assert play(unheard, wait=0.1) == 3
+    assert len(asked) == 3
+    # Within rclpy nothing interrupts it.
+    assert 0 < min(asked) <= max(asked) <= 1
 
 
 @pytest.mark.parametrize('sign', [signal.SIGINT, signal.SIGTERM], ids=lambda sign: sign.name)
@@ -487,6 +513,8 @@ def test_told_to_stop_node_and_recorder_end_at_once_and_the_recording_is_whole(
         (['-p', "marker_topic:='a b'"], "parameter marker_topic is 'a b'"),
         (['-p', 'marker_type:=marker', '-p', 'qos_overrides./markers.subscription.history:=much'],
          'parameters qos_overrides./markers.subscription cannot be used'),
+        (['-p', 'qos_overrides./markers.subscription.relability:=reliable'],
+         'unknown parameter qos_overrides./markers.subscription.relability; known are'),
         (['--params-file', 'none.yaml'], "parse params file: '--params-file none.yaml'"),
         (['--params-file', 'broken.yaml'], "parse params file: '--params-file broken.yaml'"),
         (['--unknown'], '--unknown'),
@@ -505,6 +533,32 @@ def test_a_node_that_cannot_start_as_told_says_why_in_one_line(
     assert done.stderr.startswith('kinpole node: ')
     assert done.stderr.count('\n') == 1, done.stderr
     assert complaint in done.stderr
+
+
+def test_in_a_namespace_the_node_tells_under_its_full_name_and_of_what_was_given_in_vain(
+    peer: Peer, tmp_path: Path
+) -> None:
+    config = tmp_path / 'other.yaml'
+    config.write_text('kinpole: {ros__parameters: {lag: 0.05}}')
+    slip = 'qos_overrides./markers.subscription.reliability'
+    words = [*node_words(config, **{slip: 'reliable'}), '-r', '__ns:=/left']
+    with process(*words, log=tmp_path / 'stderr'):
+        arrays = peer.hear('/diagnostics', DiagnosticArray)
+        peer.until(lambda: arrays, 'diagnostics')
+        names = [status.name for status in arrays[-1].status]
+        assert names == ['left/kinpole: markers', 'left/kinpole: body']
+    told = complaints(tmp_path / 'stderr')
+    assert len(told) == 2, told
+    assert f'{slip} set nothing: the markers come on /left/markers' in told[0]
+    assert 'no parameter file has anything for /left/kinpole' in told[1]
+
+
+def test_one_file_may_hold_the_qos_of_several_nodes(peer: Peer, tmp_path: Path) -> None:
+    qos = {f'qos_overrides./{n}.subscription.depth': 10 for n in ('markers', 'left/markers')}
+    with process(*node_words(write_config(tmp_path / 'c.yaml', Settings(), **qos)),
+                 log=tmp_path / 'stderr'):  # fmt: skip
+        assert peer.state() == 'active'
+    assert complaints(tmp_path / 'stderr') == []
 
 
 # What nobody asks for

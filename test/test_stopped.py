@@ -13,12 +13,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 import rclpy
+from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.publisher import Publisher
-from rclpy.qos import QoSProfile
+from rclpy.qos import DurabilityPolicy, QoSProfile
 from std_msgs.msg import String
 
 from kinpole_ros.bags import BagError, BagMessage, BagWriter, read_messages
+from kinpole_ros.live import Recorder
 from kinpole_ros.messages import to_message
 
 ROOT = Path(__file__).parents[1]
@@ -64,12 +66,12 @@ def kinpole(*words: object, most: int | None = None) -> Iterator['subprocess.Pop
 
 
 @contextmanager
-def publisher() -> Iterator[Publisher]:
+def publisher(qos: QoSProfile | None = None) -> Iterator[Publisher]:
     context = rclpy.Context()
     rclpy.init(args=[], context=context)
     node = Node('test_stopped', context=context)
     try:
-        yield node.create_publisher(String, TOPIC, QoSProfile(depth=1000))
+        yield node.create_publisher(String, TOPIC, qos or QoSProfile(depth=1000))
     finally:
         node.destroy_node()
         context.try_shutdown()
@@ -118,6 +120,67 @@ def test_a_topic_to_be_recorded_may_lack_its_slash(tmp_path: Path) -> None:
         until(lambda: source.get_subscription_count() > 0, 15)
         process.send_signal(signal.SIGINT)
         assert process.wait(30) == 0
+
+
+def test_what_was_sent_before_and_is_kept_for_those_who_come_late_is_recorded(
+    tmp_path: Path,
+) -> None:
+    path = tmp_path / 'live.mcap'
+    kept = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+    with publisher(kept) as source:
+        source.publish(String(data='early'))
+        with kinpole('record', '--output', path, '--topic', TOPIC):
+            until(lambda: len(readable(path)) == 1, 15)
+
+
+def test_a_recorder_names_what_it_cannot_record_and_what_nobody_publishes(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    def unknown(name: str) -> type:
+        raise BagError(f'message type {name} is not installed')
+
+    monkeypatch.setattr('kinpole_ros.live.message_class', unknown)
+    monkeypatch.setattr('kinpole_ros.live._PATIENCE', 0.3)
+    told = ''
+    rclpy.init(args=[])
+    executor = SingleThreadedExecutor()
+    with publisher(), BagWriter(tmp_path / 'live.mcap') as writer:
+        recorder = Recorder(writer, [TOPIC, '/nowhere/'])
+        executor.add_node(recorder)
+
+        def heard() -> bool:
+            nonlocal told
+            executor.spin_once(timeout_sec=0.1)
+            told += capfd.readouterr().err
+            return 'begins with' in told and 'not recorded' in told
+
+        try:
+            until(heard, 15)
+        finally:
+            executor.shutdown()
+            recorder.destroy_node()
+            rclpy.try_shutdown()
+    assert f'{TOPIC} is not recorded: message type std_msgs/msg/String is not installed' in told
+    assert 'nobody publishes on a topic that begins with /nowhere/ yet' in told
+    assert len(told.splitlines()) == 2
+
+
+def test_where_ros_cannot_start_no_recording_is_begun(tmp_path: Path) -> None:
+    path = tmp_path / 'live.mcap'
+    path.touch()
+    os.utime(path, ns=(7, 7))
+    done = subprocess.run(
+        [sys.executable, '-m', 'kinpole_ros.cli', 'record', '--output', str(path)],
+        cwd=ROOT,
+        env={**os.environ, 'ROS_DOMAIN_ID': 'none'},
+        capture_output=True,
+        text=True,
+        timeout=30,
+    )
+    assert done.returncode == 2
+    assert done.stderr.startswith('kinpole record: ROS cannot start in this environment: ')
+    assert done.stderr.count('\n') == 1
+    assert path.stat().st_mtime_ns == 7
 
 
 def test_recording_killed_on_the_way_keeps_what_came_before_the_last_second(
@@ -177,3 +240,19 @@ def test_a_full_disk_ends_a_recording_in_one_line(tmp_path: Path) -> None:
     assert complaints.count('\n') == 1
     assert f'{path} cannot be written: File too large; mend: ' in complaints
     assert 20 <= len(readable(path)) < sent
+
+
+def test_a_demo_that_is_terminated_takes_its_processes_with_it(tmp_path: Path) -> None:
+    with kinpole('demo', '--output', tmp_path) as process:
+        children = Path(f'/proc/{process.pid}/task/{process.pid}/children')
+        until((tmp_path / 'demo.mcap').exists)
+        begun = children.read_text().split()
+        assert len(begun) == 2
+        try:
+            process.terminate()
+            assert process.wait(30) == 128 + signal.SIGTERM
+            until(lambda: not any(Path(f'/proc/{pid}').exists() for pid in begun), 15)
+        finally:
+            for pid in begun:
+                with suppress(ProcessLookupError):
+                    os.kill(int(pid), signal.SIGKILL)

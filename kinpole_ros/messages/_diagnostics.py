@@ -35,6 +35,10 @@ _WORDS = {
 }
 
 
+# Troubles beside which figures still come.
+_MILD = ('other types', 'sources', 'rivals')
+
+
 class DiagnosticsMaker:
     """
     Makes the diagnostics of a tracker; remembers the last ones to tell rates by.
@@ -215,13 +219,15 @@ def _faults(
     As REP-107 has them: with WARN figures still come and may suffer, with ERROR they cannot be
     relied upon. STALE is when nothing came, and `nothing` says so.
     """
-    mostly_good = since.get('frames', 0) > since.get('unreadable', 0)
-    faults = []
-    for topic, text in trouble.items():
-        mild = topic == 'message' and mostly_good
-        faults.append((DiagnosticStatus.WARN if mild else DiagnosticStatus.ERROR, text))
-    if not since.get('frames') and not faults:
-        return [(DiagnosticStatus.STALE, nothing)]
+    mild = {*_MILD}
+    if since.get('frames', 0) > since.get('unreadable', 0):
+        mild.add('message')
+    faults = [
+        (DiagnosticStatus.WARN if topic in mild else DiagnosticStatus.ERROR, text)
+        for topic, text in trouble.items()
+    ]
+    if not since.get('frames') and mild.issuperset(trouble):
+        return [(DiagnosticStatus.STALE, nothing), *faults]
     if dropped := since.get('dropped'):
         text = (
             f'{dropped} messages dropped: the node or the network cannot keep up; send fewer '
@@ -240,8 +246,14 @@ def _faults(
     if late := since.get('late'):
         text = f'{late} frames came late, after newer ones, and are left out'
         faults.append((DiagnosticStatus.WARN, text))
-    if since.get('resets'):
-        faults.append((DiagnosticStatus.WARN, 'stamps jumped: the window starts anew'))
+    if resets := since.get('resets'):
+        text = 'stamps jumped: the window starts anew'
+        if resets >= since.get('frames', 0):
+            text += (
+                '; they do at every frame: if frames come so seldom, raise the parameter window, '
+                f'{tracker.settings.window:g} s, to hold {FEWEST_SAMPLES} of them or more'
+            )
+        faults.append((DiagnosticStatus.WARN, text))
     elif since.get('repeated'):
         text = 'stamps repeat: see that the driver sets header.stamp to the time of capture'
         faults.append((DiagnosticStatus.WARN, text))

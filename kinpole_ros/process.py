@@ -1,0 +1,41 @@
+"""
+ROS in a process of its own: started, and told to stop.
+
+Not by rclpy's own signal handlers. They shut ROS down amid whatever is done, so that any call may
+raise anything then, and a thread of theirs wakes executors that may be gone already, which crashes.
+Here a signal is but noted; who spins asks for it after each callback, and needs a timer that beats,
+since nothing else ends a wait.
+"""
+
+import atexit
+import re
+import signal
+from collections.abc import Callable, Sequence
+
+import rclpy
+from rclpy.signals import SignalHandlerOptions
+
+
+def start_ros(words: Sequence[str]) -> Callable[[], bool]:
+    """
+    Start rclpy with these words; returns what tells whether SIGINT or SIGTERM has come since.
+
+    Until it is started both do as ever. Raises RCLError where ROS cannot start.
+    """
+    rclpy.init(args=list(words), signal_handler_options=SignalHandlerOptions.NO)
+    come: list[int] = []
+    for sign in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(sign, lambda number, _: come.append(number))
+    atexit.register(_ignore_signals)
+    return lambda: bool(come)
+
+
+def _ignore_signals() -> None:
+    """What it handles would kill the interpreter again while it goes, and spoil the exit status."""
+    for sign in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(sign, signal.SIG_IGN)
+
+
+def reason_of(error: Exception) -> str:
+    """What rcl says is wrong, less the places in its source."""
+    return re.sub(r', at \S+:\d+', '', str(error))
