@@ -320,7 +320,8 @@ class Tracker:
             known['size'] = self._size()
             known['pin'], known['pin_variance'] = pins.center, pins.variance
             known['pin_since'] = pins.since
-            known['reference'], known['middle'] = self._references.point, self._shapes.middle
+            references = self._references
+            known['reference'], known['middle'] = references.point, references.middle
             known['shape'] = self._shapes.markers()
         return len(self._known) - 1
 
@@ -393,7 +394,7 @@ class Tracker:
             variance = self._variance(news.information)
             poses = news.stamps, news.position, news.angle, variance
             self._pins.add(*poses, size)
-            self._references.add(*poses)
+            self._references.add(*poses, self._shapes.middle)
         self._noise.add(news.residual, news.freedom, ~news.gaps)
         self._shapes.learn()
 

@@ -28,11 +28,12 @@ class References:
     """
     The reference points of B bodies: `point` (B,), complex, m, in the bodies' own frames.
 
-    `span` is the length of a window in ns.
+    `middle` (B,) is where the means of their markers were when the points were set; `span` is the
+    length of a window in ns.
     """
 
     def __init__(self, bodies: int, span: int) -> None:
-        self.point = np.zeros(bodies, complex)
+        self.point, self.middle = np.zeros((2, bodies), complex)
         self._span = span
         self._due: int | None = None
         self._stamps: list[int] = []
@@ -44,11 +45,19 @@ class References:
         # Of the squares of |e|^2 by the first degree.
         self._squares = np.zeros(bodies)
 
-    def add(self, stamps: np.ndarray, position: Complex, angle: Real, variance: Real) -> None:
+    def add(
+        self,
+        stamps: np.ndarray,
+        position: Complex,
+        angle: Real,
+        variance: Real,
+        middle: Complex,
+    ) -> None:
         """
         Take the poses (T, B) of some frames of `stamps` (T,), NaN where not known.
 
-        `variance` (T, 2, B) is that of one coordinate of the position, m^2, and of the angle.
+        `variance` (T, 2, B) is that of one coordinate of the position, m^2, and of the angle;
+        `middle` (B,) is the mean of the markers now, in the bodies' frames.
         """
         frame = 0 if self._due is None else int(stamps.searchsorted(self._due))
         while frame < len(stamps):
@@ -57,12 +66,12 @@ class References:
             self._poses.append((position[frame], angle[frame]))
             if stamp - self._stamps[0] >= self._span:
                 if len(self._stamps) >= _FEWEST:
-                    self._judge(*variance[frame])
+                    self._judge(variance[frame, 0], variance[frame, 1], middle)
                 self._stamps, self._poses = [], []
             self._due = stamp + self._span // _KEPT
             frame = int(stamps.searchsorted(self._due))
 
-    def _judge(self, variance: Real, of_angle: Real) -> None:
+    def _judge(self, variance: Real, of_angle: Real, middle: Complex) -> None:
         """See what turning explains of one window of poses, and of those before."""
         z, angle = (np.array(part) for part in zip(*self._poses, strict=True))
         known = np.isfinite(angle).all(axis=0) & np.isfinite(variance) & np.isfinite(of_angle)
@@ -72,10 +81,16 @@ class References:
         even, still = (count * np.where(known, part, 0.0) for part in (2 * variance, of_angle))
         counts = np.broadcast_to(count, even.shape)
         new = np.stack((_energy(path), _energy(turn), even, still, counts))
+        both = (turn.conj() * path).sum(axis=1)
+        # One that is no better than the origin now is left, and all begins anew.
+        wrong = np.abs(both + self.point * new[1]) ** 2 > np.abs(both) ** 2
+        wrong = wrong[0] & known & (new[1] > _CLEAR * new[3])[0] & (self.point != 0)
+        self.point = np.where(wrong, 0.0, self.point)
+        kept = np.where(wrong, 0.0, _FADING)
         for sums, one, share in (
-            (self._both, (turn.conj() * path).sum(axis=1), _FADING),
-            (self._sums, new, _FADING),
-            (self._squares, new[1, 0] ** 2, _FADING**2),
+            (self._both, both, kept),
+            (self._sums, new, kept),
+            (self._squares, new[1, 0] ** 2, kept**2),
         ):
             sums[..., known] = (share * sums + one)[..., known]
         moves, turns, even, still, counts = self._sums
@@ -91,11 +106,9 @@ class References:
         square = np.where(clear, left / turns, np.inf)
         degree = square.argmin(axis=0), np.arange(len(known))
         clear, best, square = clear[degree], best[degree], _OFF**2 * square[degree]
-        off = np.abs(self.point - best) ** 2
-        # One that is no better than the origin goes.
-        gone = clear & ~taken & (off > np.abs(best) ** 2 + square)
-        moved = clear & taken & (off > square)
-        self.point = np.where(moved, best, np.where(gone, 0.0, self.point))
+        moved = clear & taken & (np.abs(self.point - best) ** 2 > square)
+        self.point = np.where(moved, best, self.point)
+        self.middle = np.where(moved, middle, self.middle)
 
     def _rests(self, values: Complex) -> Complex:
         """What polynomials of each degree leave (D, N, B) of values (N, B) at the stamps."""

@@ -1,0 +1,160 @@
+"""Reference points: which point of a body is differentiated, and what that is good for."""
+
+import numpy as np
+import pytest
+from stretches import instants
+
+from kinpole_ros.bench import _record
+from kinpole_ros.estimate import Estimate
+from kinpole_ros.frame import MarkerFrames, part_of
+from kinpole_ros.parameters import settings_from
+from kinpole_ros.tracker import Tracker
+from kinpole_ros.window import References, _reference
+
+pytestmark = pytest.mark.filterwarnings('error')
+
+STEP = 5_000_000
+NAMES = ('a', 'b', 'c', 'd')
+VALUES = {'bodies': ['rod'], 'rod.markers': list(NAMES), 'window': 0.5, 'lag': 0.1}
+ARMS = 0.1 * np.exp(2j * np.pi * np.array([0.0, 0.2, 0.45, 0.8]))
+# Where the hub is from the middle of the markers.
+HUB = 0.3 - 0.1j
+
+
+def frames(angle: np.ndarray, hub: np.ndarray, noise: float = 1e-4) -> MarkerFrames:
+    """A body at an angle whose hub goes along a path (N,)."""
+    rng = np.random.default_rng(0)
+    flat = hub[:, None] + (ARMS - ARMS.mean() - HUB) * np.exp(1j * angle)[:, None]
+    flat = flat + noise * (rng.normal(size=(*flat.shape, 2)) @ (1, 1j))
+    points = np.zeros((*flat.shape, 3))
+    points[..., 0], points[..., 1] = flat.real, flat.imag
+    return MarkerFrames(10**18 + STEP * np.arange(len(angle)), 'world', NAMES, points)
+
+
+def rolling(count: int = 1000) -> MarkerFrames:
+    """Eight times round in five seconds, the hub straight on."""
+    time = STEP * 1e-9 * np.arange(count)
+    return frames(10 * time, 0.7 * time + 0j)
+
+
+def followed(seen: MarkerFrames) -> list[Estimate]:
+    return instants(Tracker(settings_from(VALUES)).add(seen, 3))
+
+
+def test_the_hub_of_a_wheel_stands_for_it() -> None:
+    found = followed(rolling())
+    # Its frame has the axes of the ground in the first frame, at its own angle then.
+    assert found[0].reference[0] == 0
+    assert found[-1].reference[0] == pytest.approx(HUB, abs=1e-4)
+
+
+@pytest.mark.parametrize(
+    ('motion', 'gains'),
+    [('fast rotation', (1.7, 2.5, 3)), ('rolling wheel', (1.4, 2.5, 4))],
+    ids=['a rotor on an orbit', 'a wheel'],
+)
+@pytest.mark.parametrize('noise', [1e-5, 1e-3])
+def test_poles_of_what_turns_about_a_point_are_better_known(
+    motion: str, noise: float, gains: tuple[float, ...], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    recording = _record.make_recording((motion,), (noise,), 3, 9.0)
+    late = slice(700, None)
+
+    def errors() -> list[np.ndarray]:
+        found = _record.measure(recording)
+        return [
+            np.abs(found.values[name] - recording.truth[name][found.frames])[late]
+            for name in _record.POLES
+        ]
+
+    found = _record.measure(recording)
+    for name in _record.POLES:
+        assert found.determined[name][late].all()
+        # Of chi-square with 2 degrees of freedom 95% are below 6.
+        assert (found.squares[name][late] < 5.991).mean() > 0.9, name
+    ours = errors()
+    monkeypatch.setattr(_reference, '_WINDOWS', np.inf)
+    for own, other, gain in zip(ours, errors(), gains, strict=True):
+        assert np.sqrt(np.mean(other**2)) > gain * np.sqrt(np.mean(own**2))
+
+
+@pytest.mark.parametrize('motion', ['four-bar coupler', 'two sines', 'stop and go', 'dead point'])
+def test_what_turns_about_no_point_of_its_own_keeps_its_origin(motion: str) -> None:
+    recording = _record.make_recording((motion,), _record.NOISES, 2, 6.0)
+    shown, settings = _record.frames_of(recording.points, _record.stamps_of(len(recording.points)))
+    for estimate in Tracker(settings).add(shown, 3):
+        assert not estimate.reference.any()
+
+
+@pytest.mark.parametrize('noise', [0.0, 1e-4])
+def test_a_body_at_rest_or_carried_along_keeps_its_origin(noise: float) -> None:
+    time = STEP * 1e-9 * np.arange(600)
+    for path in (0 * time + 1j, np.sin(9 * time) + 1j * np.cos(5 * time)):
+        assert not followed(frames(0 * time, path, noise))[-1].reference.any()
+
+
+def test_the_origin_stays_where_it_is_whatever_point_is_differentiated() -> None:
+    time = STEP * 1e-9 * np.arange(1000)
+    found = followed(rolling())
+    stamps = np.array([estimate.stamp for estimate in found])
+    at = (stamps - 10**18) * 1e-9
+    turn = np.exp(10j * at)
+    place, speed = 0.7 * at - HUB * turn, 0.7 - 10j * HUB * turn
+    jerk = 1000j * HUB * turn
+    assert len(time) > len(found) > 900
+    # The body's frame begins at the mean of the markers as they are seen.
+    start = found[0].origin(0)[0] - place[0]
+    late = slice(600, None)
+    for order, exact, allowed in ((0, place, 3e-4), (1, speed, 4e-3), (3, jerk, 5.0)):
+        seen = np.array([estimate.origin(order)[0] for estimate in found])
+        if order == 0:
+            seen = seen - start
+        assert np.abs(seen - exact)[late].max() < allowed
+
+
+def test_a_body_that_turns_about_another_point_from_now_on_is_seen_to() -> None:
+    time = STEP * 1e-9 * np.arange(2000)
+    angle, other = 10 * time, 0.2j
+    # From five seconds on it is the other point that goes straight on.
+    turned = np.exp(1j * np.maximum(angle, 50)) - np.exp(50j)
+    found = followed(frames(angle, 0.7 * time + (HUB - other) * turned))
+    points = np.array([estimate.reference[0] for estimate in found])
+    stamps = np.array([estimate.stamp for estimate in found])
+    seconds = (stamps - 10**18) * 1e-9
+    assert points[seconds < 4.8][-1] == pytest.approx(HUB, abs=1e-3)
+    # The origin stands for the body in between, after two windows at most.
+    assert points[seconds < 6.1][-1] == 0
+    assert points[-1] == pytest.approx(other, abs=1e-3)
+
+
+def test_reference_points_are_the_same_however_frames_are_handed_over() -> None:
+    seen = rolling(500)
+    rng = np.random.default_rng(3)
+    hidden = rng.random((500, 4)) < 0.03
+    seen.points[hidden] = np.nan
+    whole = followed(seen)
+    tracker, found = Tracker(settings_from(VALUES)), []
+    first = 0
+    while first < 500:
+        count = int(rng.integers(1, 9))
+        found += instants(tracker.add(part_of(seen, slice(first, first + count)), 3))
+        first += count
+    assert abs(found[-1].reference[0]) > 0.2
+    for one, other in zip(found, whole, strict=True):
+        np.testing.assert_allclose(one.reference, other.reference, rtol=1e-9)
+        np.testing.assert_allclose(one.angle, other.angle, rtol=1e-9, atol=1e-9)
+        np.testing.assert_allclose(one.position, other.position, rtol=1e-9, atol=1e-9)
+        np.testing.assert_allclose(one.position_covariance, other.position_covariance, rtol=1e-7)
+
+
+def test_a_body_not_seen_leaves_the_others_as_they_are() -> None:
+    time = STEP * np.arange(600)
+    angle = np.stack((10e-9 * time, np.full(600, np.nan)), axis=1)
+    place = 1 - HUB * np.exp(1j * angle)
+    variance = np.full((600, 2, 2), 1e-12)
+    variance[:, :, 1] = np.nan
+    references = References(2, 500_000_000)
+    for first in range(0, 600, 50):
+        some = slice(first, first + 50)
+        references.add(time[some], place[some], angle[some], variance[some], np.zeros(2, complex))
+    assert references.point == pytest.approx([HUB, 0], abs=1e-12)
