@@ -377,8 +377,10 @@ class Estimate:
             pole = self.pole(order)
             if not pole.determined[body]:
                 far = np.abs(pole.value[body] - self.position[0, body])
-                away = np.isfinite(far) and far > FARTHEST * self.size[body]
-                found[POLE_NAMES[order - 1]] = 'pole at infinity' if away else 'no rotation'
+                reason = 'lost in its noise' if self.pole(1).determined[body] else 'no rotation'
+                if np.isfinite(far) and far > FARTHEST * self.size[body]:
+                    reason = 'pole at infinity'
+                found[POLE_NAMES[order - 1]] = reason
         if self.order >= 3 and not self.centrode_curvature.determined[body]:
             if self.icr_moves[body]:
                 found['centrode_curvature'] = 'lost in its noise'
@@ -420,8 +422,9 @@ def _mean(values: np.ndarray, spread: np.ndarray) -> tuple[np.ndarray, np.ndarra
         values = np.where(lost, values[::-1], values)
         spread = np.where(lost[..., None, None] if plane else lost, spread[::-1], spread)
         variance = np.where(lost.any(axis=0), 1.0, variance)
-    squares = variance * variance
-    shares = squares[::-1] / (squares[0] + squares[1])
+    # Not by their squares, which overflow where next to nothing is known.
+    ratio = variance / variance[::-1]
+    shares = 1 / (1 + ratio * ratio)
     value = np.einsum('s...,s...->...', shares, values)
     off, apart = values[1] - values[0], shares[0] * shares[1]
     either &= off.real**2 + off.imag**2 <= _AGREE**2 * (variance[0] + variance[1])

@@ -20,7 +20,7 @@ from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 
-from kinpole_ros.bags import BagError, BagWriter, message_class, read_messages, topics
+from kinpole_ros.bags import RECORDER, BagError, BagWriter, message_class, read_messages, topics
 from kinpole_ros.process import reason_of, start_ros
 
 # What a kill may lose of a recording.
@@ -179,7 +179,7 @@ def record(output: str | Path, prefixes: list[str]) -> int:
     with _starting():
         told_to_stop = start_ros([])
     try:
-        with BagWriter(output) as writer:
+        with BagWriter(output, RECORDER) as writer:
             recorder = Recorder(writer, prefixes)
             executor = SingleThreadedExecutor()
             executor.add_node(recorder)

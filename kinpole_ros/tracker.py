@@ -320,8 +320,11 @@ class Tracker:
             known['size'] = self._size()
             known['pin'], known['pin_variance'] = pins.center, pins.variance
             known['pin_since'] = pins.since
+            # On a pin the poles are the pin, and relative centers are best where a lens bends two
+            # bodies alike: from velocities at the origins of both.
             references = self._references
-            known['reference'], known['middle'] = references.point, references.middle
+            known['reference'] = np.where(np.isfinite(pins.center), 0.0, references.point)
+            known['middle'] = references.middle
             known['shape'] = self._shapes.markers()
         return len(self._known) - 1
 

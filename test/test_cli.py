@@ -16,7 +16,7 @@ from geometry_msgs.msg import PoseArray
 from mcap.writer import Writer
 
 from kinpole_ros import cli
-from kinpole_ros.bags import BagWriter, Truncated, read_messages
+from kinpole_ros.bags import RECORDER, BagWriter, Truncated, read_messages
 from kinpole_ros.mechanism import scene_names, scenes_folder
 from kinpole_ros.messages import to_message
 from kinpole_ros.parameters import Settings
@@ -417,13 +417,14 @@ def test_results_do_not_become_a_part_of_the_bag_they_are_of(kinpole: Any, rod: 
     assert kinpole('replay', rod.parent, '--csv', rod.parent / 'results.csv').status == 0
 
 
-def test_a_recording_of_another_program_is_not_written_over(
-    kinpole: Any, rod: Path, tmp_path: Path
+@pytest.mark.parametrize('program', ['libmcap 1.4', RECORDER])
+def test_a_recording_is_not_written_over(
+    kinpole: Any, rod: Path, tmp_path: Path, program: str
 ) -> None:
     recording, table = tmp_path / 'recorded.mcap', tmp_path / 'table.csv'
     with open(recording, 'wb') as file:
         writer = Writer(file)
-        writer.start('ros2', 'libmcap 1.4')
+        writer.start('ros2', program)
         writer.finish()
     table.write_text('t,a_x,a_y\n0,1,2\n')
     before = recording.read_bytes()
@@ -435,7 +436,7 @@ def test_a_recording_of_another_program_is_not_written_over(
         ['solve', 'cardan', '--csv'],
     ):
         line = refusal(kinpole(*words, recording))
-        assert f"{recording} is a recording, made by 'libmcap 1.4'; name another file" in line
+        assert f'{recording} is a recording, made by {program!r}; name another file' in line
         assert recording.read_bytes() == before
     # What is made here can be made again.
     output = tmp_path / 'out.mcap'
@@ -443,7 +444,7 @@ def test_a_recording_of_another_program_is_not_written_over(
         assert kinpole('replay', rod, '--output', output).status == 0
 
 
-def test_a_recording_is_not_written_over_by_the_next(rod: Path) -> None:
+def test_a_recording_does_not_begin_on_another(rod: Path) -> None:
     before = rod.read_bytes()
     line = refusal(process('record', '--output', rod))
     assert f'{rod} is there already; name another file' in line

@@ -19,7 +19,7 @@ from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from std_msgs.msg import String
 
-from kinpole_ros.bags import BagError, BagMessage, BagWriter, read_messages
+from kinpole_ros.bags import RECORDER, BagError, BagMessage, BagWriter, read_messages, recorder_of
 from kinpole_ros.live import Recorder
 from kinpole_ros.messages import to_message
 
@@ -120,6 +120,7 @@ def test_a_topic_to_be_recorded_may_lack_its_slash(tmp_path: Path) -> None:
         until(lambda: source.get_subscription_count() > 0, 15)
         process.send_signal(signal.SIGINT)
         assert process.wait(30) == 0
+    assert recorder_of(tmp_path / 'live.mcap') == RECORDER
 
 
 def test_what_was_sent_before_and_is_kept_for_those_who_come_late_is_recorded(

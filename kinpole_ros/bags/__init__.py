@@ -1,6 +1,6 @@
 """MCAP bags in rosbag2's conventions, in and out, and spreadsheets into them."""
 
-from kinpole_ros.bags._files import recorder_of
+from kinpole_ros.bags._files import RECORDER, recorder_of
 from kinpole_ros.bags._import import import_csv
 from kinpole_ros.bags._reader import (
     BagError,
@@ -19,6 +19,7 @@ from kinpole_ros.bags._writer import BagWriter
 
 __all__ = [
     'NODE_NAME',
+    'RECORDER',
     'BagError',
     'BagMessage',
     'BagWriter',

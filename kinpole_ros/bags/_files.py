@@ -19,7 +19,8 @@ from mcap.exceptions import EndOfFile
 from mcap.records import Header
 from mcap.writer import MCAP0_MAGIC
 
-LIBRARY = 'kinpole_ros'  # who writes bags here
+LIBRARY = 'kinpole_ros'  # who writes bags here that can be made again
+RECORDER = 'kinpole record'  # and those that cannot
 _HEADER = 1000  # bytes of the first record that are looked at
 ZSTD_MAGIC = b'\x28\xb5\x2f\xfd'  # no CDR starts with it
 _FARTHEST = 2**62
@@ -137,7 +138,7 @@ def check_magic(path: Path) -> None:
 
 
 def recorder_of(path: str | Path) -> str:
-    """What other program says in a file that it recorded it; '' if none does, or it is ours."""
+    """What program says in a file that it recorded it; '' if none does, or we can make it again."""
     path = Path(path)
     with suppress(OSError, *_MALFORMED, struct.error, EndOfFile):
         if path.is_file():

@@ -105,11 +105,13 @@ class BagWriter:
     or the machine goes in; but rclpy leaves the padding in its data to chance, so compare bags
     by their decoded messages.
 
+    `library` is what the file says made it.
+
     Raises BagError when the file cannot be written; after that the file is left as it is, and
     what was written before can be read.
     """
 
-    def __init__(self, path: str | Path) -> None:
+    def __init__(self, path: str | Path, library: str = LIBRARY) -> None:
         self._path = Path(path)
         self._channels: dict[str, _Channel] = {}
         self._schemas: dict[str, Schema] = {}
@@ -122,7 +124,7 @@ class BagWriter:
         try:
             self._path.parent.mkdir(parents=True, exist_ok=True)
             self._file = open(self._path, 'wb')  # noqa: SIM115 - close() does
-            self._put(MCAP0_MAGIC + _packed(Header('ros2', LIBRARY)))
+            self._put(MCAP0_MAGIC + _packed(Header('ros2', library)))
         except OSError as error:
             raise self._failed(error) from error
 
