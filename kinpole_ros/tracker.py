@@ -395,8 +395,8 @@ class Tracker:
         self._learned = True
         if self._points is None:
             variance = self._variance(news.information)
-            poses = news.stamps, news.position, news.angle, variance
-            self._pins.add(*poses, size)
+            poses = news.stamps, news.position, news.angle, variance, size
+            self._pins.add(*poses)
             self._references.add(*poses, self._shapes.middle)
         self._noise.add(news.residual, news.freedom, ~news.gaps)
         self._shapes.learn()

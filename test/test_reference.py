@@ -156,5 +156,19 @@ def test_a_body_not_seen_leaves_the_others_as_they_are() -> None:
     references = References(2, 500_000_000)
     for first in range(0, 600, 50):
         some = slice(first, first + 50)
-        references.add(time[some], place[some], angle[some], variance[some], np.zeros(2, complex))
+        poses = time[some], place[some], angle[some], variance[some]
+        references.add(*poses, np.full(2, 0.2), np.zeros(2, complex))
     assert references.point == pytest.approx([HUB, 0], abs=1e-12)
+
+
+@pytest.mark.parametrize(('away', 'taken'), [(5.0, True), (50.0, False)])
+def test_a_point_far_from_the_body_does_not_stand_for_it(away: float, taken: bool) -> None:
+    time = STEP * np.arange(600)
+    angle = np.sin(4e-9 * time)[:, None]
+    references = References(1, 500_000_000)
+    for first in range(0, 600, 50):
+        some = slice(first, first + 50)
+        place, variance = -away * np.exp(1j * angle[some]), np.full((50, 2, 1), 1e-12)
+        poses = time[some], place, angle[some], variance
+        references.add(*poses, np.ones(1), np.zeros(1, complex))
+    assert (references.point[0] != 0) == taken

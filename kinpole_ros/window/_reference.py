@@ -19,6 +19,8 @@ _DEGREES = np.arange(2, 6)[:, None]
 # A point is taken when turning about it explains this share of what moves, and so many times what
 # the noise would have it explain; the angle must turn by as many times its noise.
 _SHARE, _CLEAR = 0.9, 25.0
+# It is no farther from the middle of the markers than so many body sizes.
+_FARTHEST = 30.0
 # So many windows must tell so, reckoned as many that turn alike; one counts for this share of the
 # next. A point is put right when it is off by so many deviations.
 _WINDOWS, _FADING, _OFF = 3.0, 0.95, 3.0
@@ -51,13 +53,15 @@ class References:
         position: Complex,
         angle: Real,
         variance: Real,
+        size: Real,
         middle: Complex,
     ) -> None:
         """
         Take the poses (T, B) of some frames of `stamps` (T,), NaN where not known.
 
         `variance` (T, 2, B) is that of one coordinate of the position, m^2, and of the angle;
-        `middle` (B,) is the mean of the markers now, in the bodies' frames.
+        `size` (B,), m, is that of the bodies, and `middle` (B,) the mean of their markers now, in
+        their frames.
         """
         frame = 0 if self._due is None else int(stamps.searchsorted(self._due))
         while frame < len(stamps):
@@ -66,12 +70,12 @@ class References:
             self._poses.append((position[frame], angle[frame]))
             if stamp - self._stamps[0] >= self._span:
                 if len(self._stamps) >= _FEWEST:
-                    self._judge(variance[frame, 0], variance[frame, 1], middle)
+                    self._judge(variance[frame, 0], variance[frame, 1], size, middle)
                 self._stamps, self._poses = [], []
             self._due = stamp + self._span // _KEPT
             frame = int(stamps.searchsorted(self._due))
 
-    def _judge(self, variance: Real, of_angle: Real, middle: Complex) -> None:
+    def _judge(self, variance: Real, of_angle: Real, size: Real, middle: Complex) -> None:
         """See what turning explains of one window of poses, and of those before."""
         z, angle = (np.array(part) for part in zip(*self._poses, strict=True))
         known = np.isfinite(angle).all(axis=0) & np.isfinite(variance) & np.isfinite(of_angle)
@@ -106,7 +110,8 @@ class References:
         square = np.where(clear, left / turns, np.inf)
         degree = square.argmin(axis=0), np.arange(len(known))
         clear, best, square = clear[degree], best[degree], _OFF**2 * square[degree]
-        moved = clear & taken & (np.abs(self.point - best) ** 2 > square)
+        near = np.abs(best - middle) < _FARTHEST * size
+        moved = clear & taken & near & (np.abs(self.point - best) ** 2 > square)
         self.point = np.where(moved, best, self.point)
         self.middle = np.where(moved, middle, self.middle)
 
