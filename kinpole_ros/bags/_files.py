@@ -8,7 +8,6 @@ import io
 import re
 import struct
 from contextlib import suppress
-from io import BytesIO
 from pathlib import Path, PurePath
 from typing import BinaryIO, cast
 
@@ -146,7 +145,7 @@ def recorder_of(path: str | Path) -> str:
                 if file.read(len(MCAP0_MAGIC)) == MCAP0_MAGIC:
                     head = file.read(_HEADER)
                     length = int.from_bytes(head[1:9], 'little')
-                    library = Header.read(ReadDataStream(BytesIO(head[9 : 9 + length]))).library
+                    library = Header.read(ReadDataStream(io.BytesIO(head[9 : 9 + length]))).library
                     return '' if library == LIBRARY else library or 'another program'
     return ''
 

@@ -154,7 +154,7 @@ def _size(body: Body) -> float:
 
 
 def _reach(body: Body, locus: Centrodes) -> float:
-    """How far from the reference point a pole is worth seeing, m; many go out to infinity."""
+    """How far from the body's origin a pole is worth seeing, m; many go out to infinity."""
     extent = float(np.hypot(np.ptp(body.position.real), np.ptp(body.position.imag)))
     usual = float(np.median(np.abs(locus.moving))) if len(locus.moving) else 0.0
     farthest = max(8 * _size(body), 2 * extent) or np.inf
@@ -415,10 +415,10 @@ def _legend(figure: Any, relative: bool) -> None:
         return Line2D([], [], linestyle='', label=text, **shape)
 
     handles = [
-        Line2D([], [], label='path of the reference point', **_PATH),
+        Line2D([], [], label='path of the origin', **_PATH),
         Line2D([], [], label='fixed centrode', **_FIXED),
         Line2D([], [], label='moving centrode', **_MOVING),
-        symbol('+', 'reference point'),
+        symbol('+', "origin of the body's frame"),
         *(
             symbol(marker, _POLE_TEXT[pole], _BLACK if pole == 'icr' else 'white')
             for pole, (marker, _) in _POLES.items()
