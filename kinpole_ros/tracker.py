@@ -8,7 +8,6 @@ Header stamps drive it; it never asks for the time.
 
 from collections import Counter
 from collections.abc import Iterable
-from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -28,8 +27,10 @@ from kinpole_ros.window import (
     Samples,
     Shapes,
     Windows,
+    alike,
     joined,
     runs,
+    seen_at,
 )
 
 # Coordinates are known no better than a few units of their last place.
@@ -557,10 +558,13 @@ class Tracker:
         numbers = now + self._dropped
         noise = np.concatenate((known['noise'], known['noise']), axis=1)
         first = 0
-        for alike in _alike(known['reference']):
-            poses = _seen_at(known[alike.start], signals, frames['information'])
-            some = tuple(part[alike] for part in windows)
-            for run in runs(frames['stamp'], some, *poses, noise[alike]):
+        for part in alike(known['reference']):
+            row = known[part.start]
+            poses = signals, frames['information']
+            if np.count_nonzero(row['reference']):
+                poses = seen_at(row['reference'], row['middle'], *poses)
+            some = tuple(frame[part] for frame in windows)
+            for run in runs(frames['stamp'], some, *poses, noise[part]):
                 end = first + run[1].shape[1]
                 found.append(
                     self._filter.derivatives(numbers[first:end], *run, reach[first:end], order)
@@ -584,35 +588,3 @@ class Tracker:
         )
         found[1][0] = frames['poses'][windows[0], : len(self.bodies), 0]
         return found, None, None
-
-
-def _alike(references: np.ndarray) -> list[slice]:
-    """Stretches of instants that have the same reference points (T, B)."""
-    changes = ((references[1:] != references[:-1]).any(axis=1).nonzero()[0] + 1).tolist()
-    return [slice(*ends) for ends in pairwise((0, *changes, len(references)))]
-
-
-def _seen_at(
-    known: np.ndarray, poses: np.ndarray, information: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """
-    Poses (frames, 2 B, 2) with the positions of the reference points, and their information.
-
-    `poses` and `information` (frames, 2 B) are of the origins; `known` is a row of what is known.
-    """
-    reference, middle = known['reference'], known['middle']
-    if not np.count_nonzero(reference):
-        return poses, information
-    count = len(reference)
-    poses, information = poses.copy(), information.copy()
-    arm = reference * np.exp(1j * poses[:, :count, 0])
-    poses[:, count:, 0] += arm.real
-    poses[:, count:, 1] += arm.imag
-    # Farther from the middle of the markers the angle's error tells more.
-    nearer, farther = np.abs(middle) ** 2, np.abs(reference - middle) ** 2
-    turned, placed = information[:, :count], information[:, count:]
-    seen = placed > 0
-    share = np.divide(placed, turned, out=np.zeros_like(placed), where=seen)
-    left = np.maximum(1 - nearer * share, 0.0) + farther * share
-    np.divide(placed, left, out=placed, where=seen & (left > 0))
-    return poses, information

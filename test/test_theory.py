@@ -14,6 +14,7 @@ from kinpole_ros.mechanism import efforts, load_scene, scene_names, scenes_folde
 from kinpole_ros.messages import stamp_to_ns
 from kinpole_ros.parameters import ParameterError, load_settings
 from kinpole_ros.theory import load_theory
+from kinpole_ros.window import References
 
 LOADS = """
 loads:
@@ -67,9 +68,15 @@ def linkage(messages: dict[str, list[Any]]) -> list[dict[str, float]]:
     ]
 
 
+@pytest.mark.parametrize('reference', [0.0, 0.1 - 0.05j], ids=['origin', 'another point'])
 def test_the_effort_that_balances_the_loads_is_that_of_virtual_work(
-    bag: Path, tmp_path: Path
+    bag: Path, tmp_path: Path, reference: complex, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    def stand(self: References, *_: Any) -> None:
+        self.point = np.full(self.point.shape, reference + 0j)
+
+    # Whatever point of each body is differentiated.
+    monkeypatch.setattr(References, '_judge', stand)
     path = scene(tmp_path)
     messages = replayed(bag, tmp_path, path)
     found = messages['/kinpole/balance']

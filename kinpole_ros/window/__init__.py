@@ -17,7 +17,7 @@ from kinpole_ros.window._pin import STRIKES, Pins
 from kinpole_ros.window._polynomial import derivative_weights, stencil
 from kinpole_ros.window._poses import PoseFilter
 from kinpole_ros.window._projection import project
-from kinpole_ros.window._reference import References
+from kinpole_ros.window._reference import References, alike, seen_at
 from kinpole_ros.window._runs import Windows, joined, runs
 from kinpole_ros.window._samples import Samples
 from kinpole_ros.window._shape import Shapes
@@ -36,11 +36,13 @@ __all__ = [
     'Shapes',
     'Spectrum',
     'Windows',
+    'alike',
     'derivative_weights',
     'differentiate',
     'joined',
     'project',
     'runs',
+    'seen_at',
     'stencil',
     'weigh_together',
 ]

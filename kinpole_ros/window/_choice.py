@@ -377,12 +377,8 @@ def _contradiction(squares: Real, risk: Real, variance: Real) -> Real:
     errors; `variance` (K, M, G) is that of the mean.
     """
     against = np.where(squares > _CONTRADICTS**2 * (risk + variance), risk, np.inf)
-    surest = against.argmin(axis=0)[None]
-    return np.where(
-        np.isfinite(np.take_along_axis(against, surest, axis=0)),
-        np.take_along_axis(squares, surest, axis=0),
-        0.0,
-    )[0]
+    surest = np.isfinite(against) & (against == against.min(axis=0))
+    return np.asarray(np.where(surest, squares, 0.0).max(axis=0))
 
 
 def _variance(mean_left: Real, freedom: Real, noise: Real) -> Real:

@@ -8,6 +8,8 @@ what a parabola leaves of its path, over one window, is nearly all the body turn
 point.
 """
 
+from itertools import pairwise
+
 import numpy as np
 
 from kinpole_ros.planar._plane import Complex, Real
@@ -127,3 +129,33 @@ class References:
 def _energy(values: Complex) -> Real:
     """Sums (D, B) of the squares of values (D, N, B)."""
     return np.asarray((values.real**2 + values.imag**2).sum(axis=1))
+
+
+def alike(references: Complex) -> list[slice]:
+    """Stretches of instants that have the same reference points (T, B)."""
+    changes = ((references[1:] != references[:-1]).any(axis=1).nonzero()[0] + 1).tolist()
+    return [slice(*ends) for ends in pairwise((0, *changes, len(references)))]
+
+
+def seen_at(
+    reference: Complex, middle: Complex, poses: Real, information: Real
+) -> tuple[Real, Real]:
+    """
+    Poses of the points `reference` (B,), and their information, from those of the origins.
+
+    `poses` (N, 2 B, 2) are angles, rad, then positions, m; `information` (N, 2 B) their inverse
+    variances over that of a coordinate of a marker; `middle` (B,) as in `References`.
+    """
+    count = len(reference)
+    poses, information = poses.copy(), information.copy()
+    arm = reference * np.exp(1j * poses[:, :count, 0])
+    poses[:, count:, 0] += arm.real
+    poses[:, count:, 1] += arm.imag
+    # Farther from the middle of the markers the angle's error tells more.
+    nearer, farther = np.abs(middle) ** 2, np.abs(reference - middle) ** 2
+    turned, placed = information[:, :count], information[:, count:]
+    seen = placed > 0
+    share = np.divide(placed, turned, out=np.zeros_like(placed), where=seen)
+    left = np.maximum(1 - nearer * share, 0.0) + farther * share
+    np.divide(placed, left, out=placed, where=seen & (left > 0))
+    return poses, information
