@@ -20,7 +20,7 @@ from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
 from rclpy.event_handler import PublisherEventCallbacks
 from rclpy.exceptions import ParameterException
-from rclpy.executors import Executor, SingleThreadedExecutor
+from rclpy.executors import Executor
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 from rclpy.logging import LoggingSeverity, set_logger_level
@@ -29,6 +29,7 @@ from rclpy.utilities import remove_ros_args
 
 from kinpole_ros.declare import declare, given_in_vain, given_to, values_of
 from kinpole_ros.estimate import Estimate
+from kinpole_ros.executor import MarkersFirst
 from kinpole_ros.frame import MarkerFrames, part_of
 from kinpole_ros.messages import (
     DiagnosticsMaker,
@@ -72,11 +73,11 @@ class KinpoleNode(LifecycleNode):
         self._steady = Clock(clock_type=ClockType.STEADY_TIME)
         self.given_nothing = not {*PARAMETERS, 'autostart'} & given_to(self).keys()
         self.settings = declare(self)
-        self._source = MarkerSource(self, self.settings, self._on_markers, self._note)
-        if in_vain := given_in_vain(self, self._source.topic):
+        self.source = MarkerSource(self, self.settings, self._on_markers, self._note)
+        if in_vain := given_in_vain(self, self.source.topic):
             self.get_logger().warning(
-                f'{", ".join(in_vain)} set nothing: the markers come on {self._source.topic}; '
-                f'write qos_overrides.{self._source.topic}.subscription...'
+                f'{", ".join(in_vain)} set nothing: the markers come on {self.source.topic}; '
+                f'write qos_overrides.{self.source.topic}.subscription...'
             )
         self._theory = load_theory(self.settings)
         self._tracker = Tracker(self.settings)
@@ -141,13 +142,13 @@ class KinpoleNode(LifecycleNode):
     def _make_diagnostics(self) -> DiagnosticsMaker:
         # With the namespace, if any: nodes of several rigs tell on one topic.
         name = self.get_fully_qualified_name().lstrip('/')
-        return DiagnosticsMaker(name, self._theory, self._source.topic)
+        return DiagnosticsMaker(name, self._theory, self.source.topic)
 
     def _start_anew(self) -> None:
         """Forget all frames, and the counts."""
         self._tracker = Tracker(self.settings)
         self._diagnostics = self._make_diagnostics()
-        self._source.start_anew(self.settings)
+        self.source.start_anew(self.settings)
         self._latest = None
         self._stamps = []
 
@@ -178,15 +179,15 @@ class KinpoleNode(LifecycleNode):
             if not self.get_parameter('autostart').value:
                 self.get_logger().error(str(error))
             return TransitionCallbackReturn.FAILURE
-        if not self._source.found:
-            self.get_logger().info(f'waits for markers on {self._source.topic}')
+        if not self.source.found:
+            self.get_logger().info(f'waits for markers on {self.source.topic}')
         return result
 
     def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Stop listening."""
         self._telling.cancel()
         self._active = False
-        self._source.close()
+        self.source.close()
         return super().on_deactivate(state)
 
     def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
@@ -245,7 +246,7 @@ class KinpoleNode(LifecycleNode):
         if not self._active:
             return
         self._note_readers()
-        if self._source.look():
+        if self.source.look():
             self._tracker.reset()
             self._tracker.counts['restarts'] += 1
 
@@ -255,9 +256,9 @@ class KinpoleNode(LifecycleNode):
         order = max((output.order for output, _ in self._wanted), default=None)
         if order is None:
             self._latest = None
-        read, messages, dropped = self._source.take(message, info)
+        read, messages, dropped = self.source.take(message, info)
         self._tracker.counts['dropped'] += dropped
-        if messages >= _BEHIND and not self._source.lossless:
+        if messages >= _BEHIND and not self.source.lossless:
             read = self._newest_last(read)
         for frames in read:
             if isinstance(frames, MessageError):
@@ -305,7 +306,7 @@ class KinpoleNode(LifecycleNode):
         self._told = now
         # A simulated clock may tell any time.
         stamp = min(max(0, self.get_clock().now().nanoseconds), _LATEST_STAMP)
-        self._source.note_turns()
+        self.source.note_turns()
         self._note_rivals()
         array = self._diagnostics.make(
             stamp, self._tracker, self._latest, seconds, self._trouble, self._stamps
@@ -396,7 +397,7 @@ def main(args: Sequence[str] | None = None) -> int:
                 f'no parameter file has anything for {name}, and all is as by default: call its '
                 f'section {name}, or /**'
             )
-        executor = SingleThreadedExecutor()
+        executor = MarkersFirst(node.source)
         _spin(node, executor, told_to_stop)
     except KeyboardInterrupt:
         pass

@@ -3,10 +3,13 @@
 from collections.abc import Callable, Iterable, Mapping
 from typing import Any
 
+from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 from rclpy.event_handler import SubscriptionEventCallbacks
+from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy, qos_policy_name_from_kind
 from rclpy.qos_overriding_options import QoSOverridingOptions
+from rclpy.subscription import Subscription
 
 from kinpole_ros.frame import MarkerFrames
 from kinpole_ros.messages import MARKER_TYPES, ROS_TYPE_NAMES, MarkerReader, MessageError
@@ -16,12 +19,24 @@ from kinpole_ros.parameters import ParameterError, Settings
 _DEPTH = 50
 
 
+class _Markers(MutuallyExclusiveCallbackGroup):
+    """What belongs to the subscription, whose messages an executor leaves where `apart` is set."""
+
+    apart = False
+
+    def can_execute(self, entity: Any) -> bool:
+        if self.apart and isinstance(entity, Subscription):
+            return False
+        return bool(super().can_execute(entity))
+
+
 class MarkerSource:
     """
     The topic of the markers.
 
-    `on_markers` is called by rclpy with a message and its info, and has them and all that waits
-    read by `take`. `note` is told what is wrong, by a word for it, and '' when that is over.
+    `on_markers` is called with a message and its info, by rclpy or by `wait`, and has them and all
+    that waits read by `take`. `note` is told what is wrong, by a word for it, and '' when that is
+    over.
     """
 
     def __init__(
@@ -35,6 +50,9 @@ class MarkerSource:
         self._on_markers, self._note = on_markers, note
         self.topic = node.resolve_topic_name(settings.marker_topic)
         self._subscription: Any = None
+        self._group = _Markers()
+        # For the subscription alone.
+        self._wait_set: Any = None
         self._kind = ''
         # Whether the markers were asked for reliably.
         self.lossless = False
@@ -48,6 +66,23 @@ class MarkerSource:
     def found(self) -> bool:
         """Whether the topic is subscribed to."""
         return self._subscription is not None
+
+    def wait(self, seconds: float) -> None:
+        """
+        Wait so long for markers; from now on they are left to this.
+
+        rclpy's own way to wait looks at all that the node has, each time.
+        """
+        self._group.apart = True
+        subscription = self._subscription
+        handle = subscription.handle
+        with handle:
+            self._wait_set.clear_entities()
+            self._wait_set.add_subscription(handle)
+            self._wait_set.wait(round(seconds * 1e9))
+            message = handle.take_message(subscription.msg_type, True)
+        if message is not None:
+            self._on_markers(*message)
 
     def close(self) -> None:
         """Listen no more; to look again begins again."""
@@ -101,6 +136,7 @@ class MarkerSource:
                 self._settings.marker_topic,
                 self._on_markers,
                 qos,
+                callback_group=self._group,
                 event_callbacks=SubscriptionEventCallbacks(
                     incompatible_qos=self._mismatched, use_default_callbacks=False
                 ),
@@ -113,6 +149,8 @@ class MarkerSource:
                 f'parameters {overrides} cannot be used '
                 f'({str(error) or type(error).__name__}); correct them or leave them out'
             ) from None
+        context = self._node.context.handle
+        self._wait_set = rclpy_implementation.WaitSet(1, 0, 0, 0, 0, 0, context)
         self.lossless = reliability == 'reliable'
         self._kind = kind
         self._reader = MarkerReader(kind, self._settings.marker_identity)

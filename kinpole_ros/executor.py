@@ -1,0 +1,42 @@
+"""
+How the node waits: for its markers alone, and every so often for all else.
+
+rclpy looks at all that a node has, timers and a dozen services, whenever anything comes, and for a
+message of a few markers that takes longer than what is to be done with them.
+"""
+
+import time
+
+from rclpy.executors import SingleThreadedExecutor, TimeoutException
+
+from kinpole_ros.source import MarkerSource
+
+# s. What is neither markers nor asked for in a hurry waits no longer.
+_EVERY = 0.05
+
+
+class MarkersFirst(SingleThreadedExecutor):
+    """Runs a node whose markers come from `source`."""
+
+    def __init__(self, source: MarkerSource) -> None:
+        super().__init__()
+        self._source = source
+        self._due = 0.0
+
+    def spin_once(self, timeout_sec: float | None = None) -> None:
+        """Take markers, or run all else that is ready; without markers as rclpy's does."""
+        if not self._source.found:
+            super().spin_once(timeout_sec)
+            return
+        left = self._due - time.monotonic()
+        if left > 0:
+            self._source.wait(left if timeout_sec is None else min(left, timeout_sec))
+            return
+        self._due = time.monotonic() + _EVERY
+        try:
+            while True:
+                run, _, _ = self.wait_for_ready_callbacks(timeout_sec=0)
+                run()
+                run.result()
+        except TimeoutException:
+            pass
