@@ -268,9 +268,14 @@ class KinpoleNode(LifecycleNode):
             self._stamps.extend(frames.stamps.tolist())
             for estimate in self._tracker.add(frames, order):
                 self._latest = estimate
-                for output, publisher in self._wanted:
-                    for _, data in output.build(estimate):
-                        publisher.publish(data)
+                # All are made before the first goes out: its readers wake, and take the core.
+                made = [
+                    (publisher, data)
+                    for output, publisher in self._wanted
+                    for _, data in output.build(estimate)
+                ]
+                for publisher, data in made:
+                    publisher.publish(data)
         self._tracker.settle()
         self._amid_markers = False
 
