@@ -86,7 +86,7 @@ class Seen(NamedTuple):
         signals = np.concatenate((bodies, self.reach.shape[1] + bodies), axis=1)
         at = (..., np.concatenate((instants, instants), axis=1), signals)
         fits = fits_at(self.fits, instants, bodies)
-        return Seen(fits, self.squares[at], self.noise[at], self.reach[instants, bodies])
+        return Seen(fits, np.ascontiguousarray(self.squares[at]), self.noise[at], self.reach[instants, bodies])
 
 
 def judge(seen: Seen, past: Past, past_together: Past, order: int, every: int) -> Judged:
@@ -188,7 +188,8 @@ def _resized(array: np.ndarray, sizes: list[int]) -> np.ndarray:
 
 def known(means: Real, among: Real) -> Past:
     """What was known when bodies at instants were judged, as in `Judged`; nothing is added."""
-    return lambda squares, known, memory: (np.swapaxes(means, -1, -2), np.swapaxes(among, -1, -2))
+    past = tuple(np.swapaxes(each, -1, -2).copy() for each in (means, among))
+    return lambda squares, known, memory: past
 
 
 def joined(first: Judged | None, then: Judged) -> Judged:
@@ -208,9 +209,9 @@ def fits_at(fits: Projection, instants: np.ndarray, bodies: np.ndarray) -> Proje
     at = (..., np.concatenate((instants, instants), axis=1), signals)
     return Projection(
         fits.models.at(instants[:, 0]),
-        fits.coefficients[at],
-        fits.squares[at],
-        fits.products[..., instants, bodies],
+        np.ascontiguousarray(fits.coefficients[at]),
+        np.ascontiguousarray(fits.squares[at]),
+        np.ascontiguousarray(fits.products[..., instants, bodies]),
         fits.base[at[1:]],
         fits.missing[at],
     )

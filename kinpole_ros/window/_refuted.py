@@ -46,7 +46,7 @@ class Fresh(NamedTuple):
         left = self.end > count
         if not np.count_nonzero(left):
             return None
-        judged = Judged(*(field[..., left] for field in self.judged))
+        judged = Judged(*(field.compress(left, axis=-1) for field in self.judged))
         first = np.maximum(self.first[left] - count, 0)
         return Fresh(
             first, self.end[left] - count, self.bodies[left], judged, self.refuted[..., left]
@@ -76,8 +76,8 @@ def judge_refuted(
         return None
     rows = which[refuted]
     pasts = (
-        known(judged.means[..., rows], judged.among[..., rows]),
-        known(judged.means_together[..., rows], judged.among_together[..., rows]),
+        known(judged.means.take(rows, -1), judged.among.take(rows, -1)),
+        known(judged.means_together.take(rows, -1), judged.among_together.take(rows, -1)),
     )
     instants, bodies = refuted.nonzero()
     new = judge(seen.at(instants[:, None], bodies[:, None]), *pasts, order, plan.every)
