@@ -86,7 +86,12 @@ class Seen(NamedTuple):
         signals = np.concatenate((bodies, self.reach.shape[1] + bodies), axis=1)
         at = (..., np.concatenate((instants, instants), axis=1), signals)
         fits = fits_at(self.fits, instants, bodies)
-        return Seen(fits, np.ascontiguousarray(self.squares[at]), self.noise[at], self.reach[instants, bodies])
+        return Seen(
+            fits,
+            np.ascontiguousarray(self.squares[at]),
+            self.noise[at],
+            self.reach[instants, bodies],
+        )
 
 
 def judge(seen: Seen, past: Past, past_together: Past, order: int, every: int) -> Judged:

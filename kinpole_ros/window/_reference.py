@@ -39,9 +39,10 @@ class References:
     def __init__(self, bodies: int, span: int) -> None:
         self.point, self.middle = np.zeros((2, bodies), complex)
         self._span = span
-        self._due: int | None = None
-        self._stamps: list[int] = []
-        self._poses: list[tuple[Complex, Real]] = []
+        # Where the window begins, its part of the last frame, and what is kept of its frames.
+        self._start: int | None = None
+        self._part = -1
+        self._kept: list[tuple[np.ndarray, Complex, Real]] = []
         # Sums over windows, by degree, of what polynomials leave of the origin's path z and of the
         # turns e = exp(i angle): conj(e) z; |z|^2, |e|^2, the noise in both, and how many.
         self._both = np.zeros((len(_DEGREES), bodies), complex)
@@ -65,24 +66,31 @@ class References:
         `size` (B,), m, is that of the bodies, and `middle` (B,) the mean of their markers now, in
         their frames.
         """
-        frame = 0 if self._due is None else int(stamps.searchsorted(self._due))
-        while frame < len(stamps):
-            stamp = int(stamps[frame])
-            self._stamps.append(stamp)
-            self._poses.append((position[frame], angle[frame]))
-            if stamp - self._stamps[0] >= self._span:
-                if len(self._stamps) >= _FEWEST:
-                    self._judge(variance[frame, 0], variance[frame, 1], size, middle)
-                self._stamps, self._poses = [], []
-            self._due = stamp + self._span // _KEPT
-            frame = int(stamps.searchsorted(self._due))
+        first = 0
+        while first < len(stamps):
+            if self._start is None:
+                self._start, self._part = int(stamps[first]), -1
+            since = stamps[first:] - self._start
+            # Up to the frame that ends the window, if it is there.
+            count = int(since.searchsorted(self._span)) + 1
+            part = since[:count] * _KEPT // self._span
+            rows = first + (part > np.concatenate(((self._part,), part[:-1]))).nonzero()[0]
+            self._kept.append((stamps[rows], position[rows], angle[rows]))
+            self._part = int(part[-1])
+            first += len(part)
+            if len(part) == count:
+                last = first - 1
+                self._judge(variance[last, 0], variance[last, 1], size, middle)
+                self._start, self._kept = None, []
 
     def _judge(self, variance: Real, of_angle: Real, size: Real, middle: Complex) -> None:
         """See what turning explains of one window of poses, and of those before."""
-        z, angle = (np.array(part) for part in zip(*self._poses, strict=True))
+        stamps, z, angle = map(np.concatenate, zip(*self._kept, strict=True))
+        if len(stamps) < _FEWEST:
+            return
         known = np.isfinite(angle).all(axis=0) & np.isfinite(variance) & np.isfinite(of_angle)
-        path = self._rests(np.where(known, z - z[0], 0.0))
-        turn = self._rests(np.exp(1j * np.where(known, angle, 0.0)))
+        both = np.where(known, (z - z[0], np.exp(1j * angle)), 0.0)
+        path, turn = _rests((stamps - stamps[0]) / self._span, both)
         count = len(z) - 1 - _DEGREES
         even, still = (count * np.where(known, part, 0.0) for part in (2 * variance, of_angle))
         counts = np.broadcast_to(count, even.shape)
@@ -117,13 +125,12 @@ class References:
         self.point = np.where(moved, best, self.point)
         self.middle = np.where(moved, middle, self.middle)
 
-    def _rests(self, values: Complex) -> Complex:
-        """What polynomials of each degree leave (D, N, B) of values (N, B) at the stamps."""
-        stamps = np.array(self._stamps)
-        powers = (stamps - stamps[0]) / self._span - 0.5
-        basis, _ = np.linalg.qr(np.vander(powers, int(_DEGREES[-1, 0]) + 1, increasing=True))
-        some = (basis[:, : degree + 1] for degree in _DEGREES[:, 0])
-        return np.array([values - part @ (part.T @ values) for part in some])
+
+def _rests(times: Real, values: Complex) -> Complex:
+    """What polynomials of each degree leave (S, D, N, B) of values (S, N, B) at times (N,)."""
+    basis, _ = np.linalg.qr(np.vander(times - 0.5, int(_DEGREES[-1, 0]) + 1, increasing=True))
+    some = (basis[:, : degree + 1] for degree in _DEGREES[:, 0])
+    return np.stack([values - part @ (part.T @ values) for part in some], axis=1)
 
 
 def _energy(values: Complex) -> Real:
