@@ -1,0 +1,85 @@
+"""How the node waits: markers never keep all else from its turn."""
+
+import os
+import time
+from collections.abc import Callable, Iterator
+from typing import Any, cast
+
+import pytest
+import rclpy
+from rcl_interfaces.srv import ListParameters
+from rclpy.node import Node
+
+from kinpole_ros.executor import MarkersFirst
+from kinpole_ros.source import MarkerSource
+
+
+class Flood:
+    """Stands for markers that come without end."""
+
+    def __init__(self) -> None:
+        self.found = True
+        self.waited: list[float] = []
+
+    def wait(self, seconds: float) -> None:
+        self.waited.append(seconds)
+
+
+@pytest.fixture
+def node(monkeypatch: pytest.MonkeyPatch) -> Iterator[Node]:
+    monkeypatch.setenv('ROS_DOMAIN_ID', str(100 + os.getpid() % 100))
+    monkeypatch.setenv('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
+    rclpy.init(args=[])
+    node = rclpy.create_node('waiting')
+    yield node
+    node.destroy_node()
+    rclpy.try_shutdown()
+
+
+def spin(node: Node, flood: Flood, until: Callable[[], Any]) -> None:
+    executor = MarkersFirst(cast(MarkerSource, flood))
+    executor.add_node(node)
+    deadline = time.monotonic() + 10
+    try:
+        while not until():
+            assert time.monotonic() < deadline
+            executor.spin_once()
+    finally:
+        executor.shutdown()
+
+
+def test_timers_and_services_have_their_turn_in_a_flood_of_markers(node: Node) -> None:
+    beats: list[int] = []
+    node.create_timer(0.02, lambda: beats.append(1))
+    client = node.create_client(ListParameters, '/waiting/list_parameters')
+    flood = Flood()
+    spin(node, flood, client.service_is_ready)
+    answer = client.call_async(ListParameters.Request())
+    spin(node, flood, lambda: answer.done() and len(beats) > 3)
+    # And markers are what it waits for, never for long at a time.
+    assert len(flood.waited) > 100
+    assert max(flood.waited) <= 0.05
+
+
+def test_without_markers_it_waits_as_ever(node: Node) -> None:
+    flood = Flood()
+    flood.found = False
+    beats: list[int] = []
+    node.create_timer(0.02, lambda: beats.append(1))
+    spin(node, flood, lambda: len(beats) > 3)
+    assert not flood.waited
+
+
+def test_what_fails_is_raised_once_and_the_rest_has_its_turn(node: Node) -> None:
+    beats: list[int] = []
+
+    def fail() -> None:
+        raise ValueError('of a timer')
+
+    failing = node.create_timer(0.02, fail)
+    node.create_timer(0.02, lambda: beats.append(1))
+    flood = Flood()
+    with pytest.raises(ValueError, match='of a timer'):
+        spin(node, flood, lambda: False)
+    failing.cancel()
+    spin(node, flood, lambda: len(beats) > 3)
