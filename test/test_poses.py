@@ -11,7 +11,7 @@ from kinpole_ros.estimate import Estimate
 from kinpole_ros.frame import MarkerFrames, part_of
 from kinpole_ros.parameters import settings_from
 from kinpole_ros.tracker import Tracker
-from kinpole_ros.window import _choice, _poses, _refuted
+from kinpole_ros.window import _choice, _poses, _refuted, _wiener
 
 pytestmark = pytest.mark.filterwarnings('error')
 
@@ -146,7 +146,7 @@ def test_a_body_at_rest_is_quiet_at_once_and_followed_when_it_goes_on(
         return float(np.sqrt(np.mean(off[(numbers >= first) & (numbers < end)] ** 2)))
 
     rest, motion = errors(stop + 25, go - 20), errors(go - 10, last)
-    monkeypatch.setattr(_choice, '_CALM', 1e9)
+    monkeypatch.setattr(_wiener, '_CALM', 1e9)
     assert rest < 0.6 * errors(stop + 25, go - 20)
     assert motion < 1.05 * errors(go - 10, last)
 
@@ -160,7 +160,7 @@ def test_the_slow_part_of_a_turn_is_not_taken_to_be_as_rich_as_the_fast_one(
         return float(np.sqrt(np.mean(told(recording, 'IJP')[0] ** 2)))
 
     calm = error()
-    monkeypatch.setattr(_choice, '_LAST', 10**9)
+    monkeypatch.setattr(_wiener, '_LAST', 10**9)
     assert calm < 0.96 * error()
 
 

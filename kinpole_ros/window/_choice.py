@@ -22,41 +22,15 @@ from typing import NamedTuple
 import numpy as np
 
 from kinpole_ros.planar._plane import Complex, Real
-from kinpole_ros.window._models import Models
 from kinpole_ros.window._projection import Projection, evaluate, project
 from kinpole_ros.window._spectrum import Past, Spectrum
 from kinpole_ros.window._weighted import apart, evaluate_poses, squares_of
+from kinpole_ros.window._wiener import weigh
 
-# The averages of a window go back this many times its own length: a short one learns quickly.
-_MEMORY = 3.0
 # The point at a pole is another one every instant: what it did before a window is of no use.
 _MEMORY_TOGETHER = 1.0
-# A mean energy counts from so many of its standard deviations, a single one from so many s^2.
-_LASTING = 3.0
-_SUDDEN = 11.0
-# Coefficients whose mean energy is so many s^2 tell how much moves now: this many times what their
-# squares, and half an s^2 more that noise may hide, are of it.
-_BOLD, _CALM = 30.0, 1.25
-# What lies beyond them is as calm as so many of them, the last.
-_LAST = 3
-# Energy that may hide in each of the next two coefficients, in standard deviations of its mean.
-_HIDDEN = 0.5
-# A fit leaves more than noise when it leaves this many times s^2, and so many standard deviations
-# more (lasting, sudden); the last is how much worse that is than as much energy in the last
-# coefficient. The first allows for noise that is not quite what its measure says.
-_LEFT, _LEFT_LASTING, _LEFT_SUDDEN, _LEFT_WEIGHT = 2.0, 2.0, 4.0, 30.0
-# The series goes on beyond its last coefficients with this share of their energy.
-_BEYOND = 0.03
-# Windows are mixed by this power of their inverse errors, which are taken over the greatest and
-# less this much, so that a window of far larger error brings in nothing.
-_SHARPNESS, _OUT = 2, 0.15
-# The errors of a mean of windows add up by this power of their shares: 1/2 were they all the same,
-# 1 were they independent.
-_KINSHIP = 0.75
 # A window contradicts the mean of all beyond so many deviations of their difference.
 _CONTRADICTS = 3.0
-# Degrees of freedom from which what a fit leaves is a measure of the noise.
-_ENOUGH_FREEDOM = 16
 
 
 class Derivatives(NamedTuple):
@@ -151,7 +125,7 @@ def weigh_apart(
     2. A signal that is missing or NaN at time 0 comes out NaN. The `past` knows one in `every`
     instants.
     """
-    shares = _weigh(fits.models, squares, fits.missing, noise, dimensions, order, past, every)
+    shares = weigh(fits.models, squares, fits.missing, noise, dimensions, order, past, every)
     # (L, K, 2, M, G)
     values = evaluate(fits.models.rows, shares.share[:, :, None] * fits.coefficients)
     mix = shares.mix
@@ -213,7 +187,7 @@ def weigh_together(
 
     squares = signals(np.concatenate((energy / 2, left[:, None]), axis=1))
     squares[:, -1] /= np.maximum(models.freedom, 1)
-    shares = _weigh(
+    shares = weigh(
         models,
         squares,
         np.concatenate([fits.missing[:, :count] | fits.missing[:, count:]] * number, axis=1),
@@ -237,132 +211,6 @@ def weigh_together(
     return Together(share, mix, covariance, turning, shares.means, shares.among)
 
 
-class _Shares(NamedTuple):
-    """
-    Weights of coefficients `share` (L, D, M, G) and of windows `mix` (L, K, M, G).
-
-    `risk` (L, K, M, G) is the mean square error of derivatives by each window, infinite where it
-    will not do; `covariance` (K, K, M, G) is without what the windows disagree about; `last`
-    (L, M, G) is the degree of the last coefficient in use; `unknown` (K, M, G) says where no window
-    will do; the rest is as in `Weights`.
-    """
-
-    share: Real
-    mix: Real
-    risk: Real
-    covariance: Real
-    last: np.ndarray
-    unknown: np.ndarray
-    limits: Real
-    means: Real
-    among: Real
-
-
-def _weigh(
-    models: Models,
-    squares: Real,
-    missing: np.ndarray,
-    noise: Real,
-    dimensions: np.ndarray | int,
-    order: int,
-    past: Past,
-    every: int,
-    back: float = _MEMORY,
-    free: np.ndarray | None = None,
-) -> _Shares:
-    """Judge squares; coefficients of degree up to `free` are taken as they are."""
-    instants, groups = missing.shape
-    freedom = models.freedom
-    energy, left = squares[:, :-1], squares[:, -1]
-    known = (models.lengths > 0) & ~missing
-    lengths = np.maximum(models.lengths, 1)
-    # Neighboring windows share samples: this part of a square is new to the one before.
-    new = np.minimum(every / lengths, 1.0)
-    means, among = past(squares, known, back / new[:, 0])
-    mean, mean_left = means[:, :-1], means[:, -1]
-    apart = np.maximum(new * among, 1.0) * dimensions
-    variance = _variance(mean_left, freedom * apart, noise)
-
-    scatter = variance * np.sqrt(2 / apart)[:, None]
-    stands_out = 1 + _SUDDEN / np.sqrt(dimensions)
-    sudden = energy > variance * stands_out
-    signal = np.maximum(mean - variance, 0.0)
-    lasting = signal > _LASTING * scatter
-    calm: Real = np.ones(())
-    if free is None:
-        calm = _calm(energy + variance / 2, signal, lasting & (signal > _BOLD * variance))
-        signal *= calm
-    signal = np.maximum(signal, np.where(sudden, energy - variance, 0.0))
-    degrees = np.arange(energy.shape[1])[:, None, None]
-    last = np.where(sudden | lasting, degrees, -1).max(axis=1)[:, None]
-    if free is not None:
-        last = np.maximum(last, free)
-    used = degrees <= last
-    signal *= used
-    total = signal + variance
-    within = degrees <= models.highest[:, None]
-    share = signal / total
-    if free is not None:
-        share = np.where((degrees <= free) & within, 1.0, share)
-    hidden = ~used & (degrees <= last + 2) & within
-    error = share * variance + np.where(hidden, _HIDDEN * scatter, 0.0)
-
-    orders = order + 1
-    products = models.rows[..., None, :] * models.rows[..., None, :, :]
-    products = products.reshape(*models.rows.shape[:3], -1, models.rows.shape[-1])
-    errors = evaluate(products, error).reshape(-1, orders, orders, instants, groups)
-    # What a window cannot follow adds to its error: what it leaves, and the rest of its series.
-    odds = np.sqrt(2 / np.maximum(freedom * apart, 1))
-    lost = np.maximum(mean_left - variance * (_LEFT + _LEFT_LASTING * odds), 0.0)
-    odds = np.sqrt(2 / np.maximum(freedom * dimensions, 1))
-    most_left = variance * (_LEFT + _LEFT_SUDDEN * odds)
-    lost = np.maximum(lost, left - most_left)
-    top = np.where(degrees >= models.highest[:, None] - 1, signal, 0.0).max(axis=1)
-    charge = _LEFT_WEIGHT * lost * freedom + _BEYOND * top
-    # An order above all coefficients in use still has its own first one to fear.
-    index = np.arange(orders)
-    above = index[:, None, None] > last + 2
-    extra = models.rim * charge[:, None] + models.own * np.where(above, _HIDDEN * scatter, 0.0)
-    risk = np.einsum('lkk...->lk...', errors)  # (L, K, M, G), a view
-    risk += extra
-
-    usable = models.highest[:, None] >= index[:, None, None]
-    usable = usable & np.isfinite(risk) & ~missing
-    risk = np.where(usable, np.maximum(risk, np.finfo(float).tiny), np.inf)
-    least = risk.min(axis=0)
-    unknown = ~np.isfinite(least)
-    mix = np.maximum(np.where(unknown, 1.0, least) / risk - _OUT, 0.0) ** _SHARPNESS
-    mix /= np.where(unknown, 1.0, mix.sum(axis=0))
-    part = mix**_KINSHIP
-    covariance = (part[:, :, None] * part[:, None] * errors).sum(axis=0)
-    if unknown.any():
-        covariance[unknown[:, None] | unknown] = np.nan
-    # What is in use, or charged for, is no news.
-    limits = np.empty_like(squares)
-    limits[:, :-1] = stands_out * np.where(used & (calm == 1), np.inf, total)
-    no_news = (left > most_left) | (freedom == 0)
-    limits[:, -1] = np.where(no_news, np.inf, most_left)
-    return _Shares(share, mix, risk, covariance, last[:, 0], unknown, limits, means, among)
-
-
-def _calm(energy: Real, signal: Real, known: np.ndarray) -> Real:
-    """
-    How much less (L, D, M, G), at most 1, moves now than of late.
-
-    By the coefficients whose `signal` is `known` well; beyond them, where no more than noise can be
-    seen now, by the last of these alone.
-    """
-    now = np.divide(energy, signal, out=np.zeros_like(energy), where=known)
-    # How many are known from a degree on.
-    left = known[:, ::-1].cumsum(axis=1)[:, ::-1]
-    count = left[:, :1]
-    calm = np.minimum(_CALM / np.maximum(count, 1) * now.sum(axis=1, keepdims=True), 1.0)
-    calm[count == 0] = 1.0
-    now *= left <= _LAST
-    rest = np.where(count < _LAST, calm, _CALM / _LAST * now.sum(axis=1, keepdims=True))
-    return np.where(left > 0, calm, np.minimum(calm, rest))
-
-
 def _disagreement(mix: Real, apart: Real) -> Real:
     """Covariance (K, K, ...) of windows that are off (L, K, C, ...) their mean."""
     parted = np.sqrt(mix)[:, :, None] * apart
@@ -379,9 +227,3 @@ def _contradiction(squares: Real, risk: Real, variance: Real) -> Real:
     against = np.where(squares > _CONTRADICTS**2 * (risk + variance), risk, np.inf)
     surest = np.isfinite(against) & (against == against.min(axis=0))
     return np.asarray(np.where(surest, squares, 0.0).max(axis=0))
-
-
-def _variance(mean_left: Real, freedom: Real, noise: Real) -> Real:
-    """Variance (M, G) of the noise to judge by: not less than what the best rich fit leaves."""
-    measured = np.where(freedom >= _ENOUGH_FREEDOM, mean_left, np.inf).min(axis=0)
-    return np.maximum(noise**2, np.where(np.isfinite(measured), measured, 0.0))
