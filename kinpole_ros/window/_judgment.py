@@ -83,12 +83,10 @@ class Seen(NamedTuple):
         """Those of some bodies (m, b) at instants (m, b)."""
         if bodies.shape == self.reach.shape:  # all there are, as a rule where frames come singly
             return self
-        signals = np.concatenate((bodies, self.reach.shape[1] + bodies), axis=1)
-        at = (..., np.concatenate((instants, instants), axis=1), signals)
-        fits = fits_at(self.fits, instants, bodies)
+        at = _signals_at(instants, bodies, self.reach.shape[1])
         return Seen(
-            fits,
-            np.ascontiguousarray(self.squares[at]),
+            fits_at(self.fits, instants, bodies),
+            _picked(self.squares, at),
             self.noise[at],
             self.reach[instants, bodies],
         )
@@ -210,16 +208,29 @@ def fits_at(fits: Projection, instants: np.ndarray, bodies: np.ndarray) -> Proje
     # All there are, unless one instant is twice among as many: as may be where there is one body.
     if (all_there, count) == bodies.shape and (instants[:, 0] == np.arange(all_there)).all():
         return fits
-    signals = np.concatenate((bodies, count + bodies), axis=1)
-    at = (..., np.concatenate((instants, instants), axis=1), signals)
+    at = _signals_at(instants, bodies, count)
     return Projection(
         fits.models.at(instants[:, 0]),
-        np.ascontiguousarray(fits.coefficients[at]),
-        np.ascontiguousarray(fits.squares[at]),
-        np.ascontiguousarray(fits.products[..., instants, bodies]),
-        fits.base[at[1:]],
+        _picked(fits.coefficients, at),
+        _picked(fits.squares, at),
+        _picked(fits.products, (instants, bodies)),
+        fits.base[at],
         fits.missing[at],
     )
+
+
+def _signals_at(
+    instants: np.ndarray, bodies: np.ndarray, count: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """Where the signals of some of `count` bodies (m, b) at instants (m, b) are, (m, 2 b) each."""
+    signals = np.concatenate((bodies, count + bodies), axis=1)
+    return np.concatenate((instants, instants), axis=1), signals
+
+
+def _picked(array: Real, at: tuple[np.ndarray, np.ndarray]) -> Real:
+    """Items of the last two axes, laid out as they are told: an index leaves its own axes first."""
+    instants, items = at
+    return np.ascontiguousarray(array[..., instants, items])
 
 
 @cache
