@@ -11,7 +11,8 @@ from rclpy.executors import SingleThreadedExecutor, TimeoutException
 
 from kinpole_ros.source import MarkerSource
 
-# s. So long all else waits for its turn.
+# s. All else has its turn after the first markers that come when this has passed, for then there is
+# most time until the next; without any when as much again has passed.
 _EVERY = 0.05
 
 
@@ -28,11 +29,12 @@ class MarkersFirst(SingleThreadedExecutor):
         if not self._source.found:
             super().spin_once(timeout_sec)
             return
-        left = self._due - time.monotonic()
-        if left > 0:
-            self._source.wait(left if timeout_sec is None else min(left, timeout_sec))
+        left = max(0.0, self._due + _EVERY - time.monotonic())
+        came = self._source.wait(left if timeout_sec is None else min(left, timeout_sec))
+        now = time.monotonic()
+        if now < self._due or (not came and now < self._due + _EVERY):
             return
-        self._due = time.monotonic() + _EVERY
+        self._due = now + _EVERY
         try:
             while True:
                 run, _, _ = self.wait_for_ready_callbacks(timeout_sec=0)

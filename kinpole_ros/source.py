@@ -67,12 +67,8 @@ class MarkerSource:
         """Whether the topic is subscribed to."""
         return self._subscription is not None
 
-    def wait(self, seconds: float) -> None:
-        """
-        Wait so long for markers; from now on they are left to this.
-
-        rclpy's own way to wait looks at all that the node has, each time.
-        """
+    def wait(self, seconds: float) -> bool:
+        """Wait so long for markers, which are left to this from now on; whether any came."""
         self._group.apart = True
         subscription = self._subscription
         handle = subscription.handle
@@ -81,8 +77,10 @@ class MarkerSource:
             self._wait_set.add_subscription(handle)
             self._wait_set.wait(round(seconds * 1e9))
             message = handle.take_message(subscription.msg_type, True)
-        if message is not None:
-            self._on_markers(*message)
+        if message is None:
+            return False
+        self._on_markers(*message)
+        return True
 
     def close(self) -> None:
         """Listen no more; to look again begins again."""
