@@ -29,12 +29,12 @@ class MarkersFirst(SingleThreadedExecutor):
         if not self._source.found:
             super().spin_once(timeout_sec)
             return
-        left = max(0.0, self._due + _EVERY - time.monotonic())
-        came = self._source.wait(left if timeout_sec is None else min(left, timeout_sec))
-        now = time.monotonic()
-        if now < self._due or (not came and now < self._due + _EVERY):
-            return
-        self._due = now + _EVERY
+        left = self._due + _EVERY - time.monotonic()
+        if left > 0:
+            came = self._source.wait(left if timeout_sec is None else min(left, timeout_sec))
+            if not came or time.monotonic() < self._due:
+                return
+        self._due = time.monotonic() + _EVERY
         try:
             while True:
                 run, _, _ = self.wait_for_ready_callbacks(timeout_sec=0)

@@ -3,6 +3,7 @@
 import os
 import time
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from typing import Any, cast
 
 import pytest
@@ -101,3 +102,25 @@ def test_what_fails_is_raised_once_and_the_rest_has_its_turn(node: Node) -> None
         spin(node, flood, lambda: False)
     failing.cancel()
     spin(node, flood, lambda: len(beats) > 3)
+
+
+def test_markers_that_fail_each_time_leave_all_else_its_turn(node: Node) -> None:
+    """So that diagnostics go on to tell of it."""
+    beats: list[int] = []
+    node.create_timer(0.02, lambda: beats.append(1))
+    flood = Flood()
+
+    def fail(seconds: float) -> bool:
+        raise ValueError('of markers')
+
+    flood.wait = fail  # type: ignore[method-assign]
+    executor = MarkersFirst(cast(MarkerSource, flood))
+    executor.add_node(node)
+    deadline = time.monotonic() + 10
+    try:
+        while len(beats) < 3:
+            assert time.monotonic() < deadline
+            with suppress(ValueError):
+                executor.spin_once()
+    finally:
+        executor.shutdown()
