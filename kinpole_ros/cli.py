@@ -130,6 +130,11 @@ def _replay(options: argparse.Namespace) -> int:
     for body, shares in result.determined.items():
         told = ', '.join(f'{pole} {share:.1%}' for pole, share in shares.items())
         print(f'{body}: determined at {told} of them')
+    for row in result.beside:
+        print(
+            f'{row.subject}: {row.what} {row.rms:.2g} {row.unit}, {row.deviations:.1f} deviations '
+            f'(rms of {row.instants} instants)'
+        )
     for target in outputs:
         if target:
             print(f'written to {target}')

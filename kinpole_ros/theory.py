@@ -28,12 +28,33 @@ from kinpole_ros.planar import (
     to_complex,
 )
 
+# ns. A recording is looked at as often: never at one place of the turn, whatever the rate is like.
+_EVERY = 618_033_989
+
 
 class Difference(NamedTuple):
-    """A measured figure less the theory's, or the distance of the two, and its deviation."""
+    """
+    A measured figure less the theory's, or the distance of the two, and its deviation.
 
+    `subject` is the body or joint, `what` the figure, both in `unit`.
+    """
+
+    subject: str
+    what: str
+    unit: str
     value: float
     deviation: float
+
+
+class Beside(NamedTuple):
+    """A difference over a recording: its rms, and that of it in deviations, of some instants."""
+
+    subject: str
+    what: str
+    unit: str
+    rms: float
+    deviations: float
+    instants: int
 
 
 class Theory(NamedTuple):
@@ -101,16 +122,16 @@ def load_theory(settings: Settings) -> Theory | None:
 Frames: TypeAlias = dict[str, tuple[np.ndarray, np.ndarray]]
 
 
-def rate_differences(theory: Theory, estimate: Estimate) -> dict[str, Difference]:
+def rate_differences(theory: Theory, estimate: Estimate) -> list[Difference]:
     """
-    By body, its angular velocity less what the scene says it is (rad/s), the driver being as seen.
+    Of bodies, their angular velocity (rad/s) less what the scene says, the driver being as seen.
 
     Only for bodies of which enough is known; empty where the scene cannot be put where the rig is.
     """
     b, _, _, _ = theory.places[theory.driver]
     frames = _frames(theory, estimate)
     if theory.driver not in frames or estimate.missing[b]:
-        return {}
+        return []
     mechanism = theory.scene.mechanism
     start = float(mechanism.drivers[0].motion(np.zeros(1))[0, 0])
     turned = estimate.angle[0, b] + frames[theory.driver][1] - start
@@ -118,31 +139,32 @@ def rate_differences(theory: Theory, estimate: Estimate) -> dict[str, Difference
     try:
         swept = mechanism.sweep(np.array([at]))
     except LinkageError:
-        return {}
+        return []
     # Per rad of the driver: the ratio of the rates, and how it changes.
     ratio, bend = swept.angle[1, :, 0], swept.angle[2, :, 0]
     rate, noise = estimate.angle[1, b], estimate.angle_covariance[:2, :2, b]
-    found = {}
+    found = []
     for body, (own, number, _, _) in theory.places.items():
         if body == theory.driver or estimate.missing[own] or not np.isfinite(ratio[number]):
             continue
         by = np.array([bend[number] * rate, ratio[number]])
         variance = estimate.angle_covariance[1, 1, own] + by @ noise @ by
         value = estimate.angle[1, own] - ratio[number] * rate
-        found[body] = Difference(float(value), float(np.sqrt(variance)))
+        what = 'angular velocity less theory'
+        found.append(Difference(body, what, 'rad/s', float(value), float(np.sqrt(variance))))
     return found
 
 
-def joint_offsets(theory: Theory, estimate: Estimate) -> dict[str, Difference]:
+def joint_offsets(theory: Theory, estimate: Estimate) -> list[Difference]:
     """
-    By pin between two tracked bodies, how far off it their relative instant center is (m).
+    Of pins between two tracked bodies, how far off them the relative instant centers are (m).
 
     The pin is where the scene has it on the bodies, as they are seen; `deviation` is the distance
     that is one of Mahalanobis'. Only where the center is determined.
     """
     frames = _frames(theory, estimate)
     pairs = {(int(j), int(i)): k for k, (j, i) in enumerate(zip(*estimate.pairs, strict=True))}
-    found = {}
+    found = []
     for joint in theory.scene.mechanism.assembly.joints:
         if not isinstance(joint, Revolute) or not {joint.one, joint.other} <= set(frames):
             continue
@@ -156,8 +178,44 @@ def joint_offsets(theory: Theory, estimate: Estimate) -> dict[str, Difference]:
         at = estimate.origin(0)[one] + point * np.exp(1j * estimate.angle[0, one])
         distance, deviations = center_offset(center.value[k], at, center.covariance[k])
         if deviations > 0:
-            found[joint.name] = Difference(float(distance), float(distance / deviations))
+            off = float(distance), float(distance / deviations)
+            found.append(Difference(joint.name, 'relative center off the pin', 'm', *off))
     return found
+
+
+class Comparison:
+    """How far bodies are from a scene over a recording."""
+
+    def __init__(self, theory: Theory) -> None:
+        self._theory = theory
+        self._latest: Estimate | None = None
+        # By subject, figure and unit: instants, and sums of squares of values and of deviations.
+        self._sums: dict[tuple[str, str, str], np.ndarray] = {}
+
+    def add(self, estimate: Estimate) -> None:
+        """Take estimates (T, B), and look at some of their instants."""
+        part = estimate.stamp // _EVERY
+        # The very first is known worst.
+        last = part[0] if self._latest is None else self._latest.stamp[-1] // _EVERY
+        for k in (part != np.append(last, part[:-1])).nonzero()[0]:
+            self._look(estimate[int(k)])
+        self._latest = estimate
+
+    def _look(self, now: Estimate) -> None:
+        for off in (*rate_differences(self._theory, now), *joint_offsets(self._theory, now)):
+            if off.deviation > 0:
+                sums = self._sums.setdefault(off[:3], np.zeros(3))
+                sums += 1, off.value**2, (off.value / off.deviation) ** 2
+
+    def found(self) -> list[Beside]:
+        """All differences; empty where the scene could not be put where the rig is."""
+        if not self._sums and self._latest is not None:
+            self._look(self._latest[-1])
+        result = []
+        for names, (instants, *squares) in self._sums.items():
+            rms, deviations = np.sqrt(squares / instants).tolist()
+            result.append(Beside(*names, rms, deviations, int(instants)))
+        return result
 
 
 def balance(theory: Theory, estimate: Estimate) -> Numbers:

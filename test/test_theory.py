@@ -127,6 +127,50 @@ def test_a_rocker_of_another_length_is_told_of(bag: Path, tmp_path: Path) -> Non
     assert max(off) > 10
 
 
+@pytest.mark.parametrize('size', [0.28, 0.3])
+def test_replay_tells_how_far_the_bodies_are_from_the_scene(
+    size: float, bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = scene(tmp_path, f'rocker_{size}', rocker=('B: [0.28, 0]', f'B: [{size}, 0]'))
+    assert cli.main(['replay', str(bag), '--config', str(config(tmp_path, path))]) == 0
+    told = {}
+    for line in capsys.readouterr().out.splitlines():
+        if 'rms of' in line:
+            subject, figures = line.split(': ')
+            told[subject] = float(figures.split(', ')[1].split()[0])
+    assert set(told) == {'coupler', 'rocker', 'A', 'B'}
+    assert (told['rocker'] < 3) == (size == 0.28)
+    # Their pins are told by the coupler, which is as described.
+    assert max(told['A'], told['B']) < 3
+
+
+def test_a_bag_shorter_than_a_second_is_held_against_the_scene_at_its_end(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path, bag = scene(tmp_path), tmp_path / 'short.mcap'
+    words = ['--duration', '0.7', '--rate', '100', '--noise', '1e-4', '--output', str(bag)]
+    assert cli.main(['simulate', str(path), *words]) == 0
+    assert cli.main(['replay', str(bag), '--config', str(config(tmp_path, path))]) == 0
+    assert 'rocker: angular velocity less theory' in capsys.readouterr().out
+
+
+def test_replay_says_where_a_scene_cannot_be_put_on_the_rig(
+    bag: Path,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def nowhere(*_: Any) -> list[Any]:
+        return []
+
+    monkeypatch.setattr('kinpole_ros.theory.rate_differences', nowhere)
+    monkeypatch.setattr('kinpole_ros.theory.joint_offsets', nowhere)
+    assert cli.main(['replay', str(bag), '--config', str(config(tmp_path, scene(tmp_path)))]) == 0
+    said = capsys.readouterr()
+    assert 'rms of' not in said.out
+    assert 'could be put where the bodies are seen at none' in said.err
+
+
 def test_without_loads_there_is_no_balance(bag: Path, tmp_path: Path) -> None:
     messages = replayed(bag, tmp_path, scene(tmp_path, 'plain', loads=''))
     assert '/kinpole/balance' not in messages

@@ -25,7 +25,7 @@ from kinpole_ros.messages import (
 )
 from kinpole_ros.parameters import Settings
 from kinpole_ros.roster import find_marker
-from kinpole_ros.theory import load_theory
+from kinpole_ros.theory import Beside, Comparison, load_theory
 from kinpole_ros.tracker import Tracker
 
 NODE_NAME = 'kinpole'
@@ -47,7 +47,7 @@ class Replayed(NamedTuple):
     stamps of these frames, ns. `absent` are the markers of each body that are in no message, and
     `identities` those of the last one. `unknown` are the bodies known at no instant, and why not at
     the last ('' where there is none). `joined` are the files that were read as one recording only
-    because they lie in one folder.
+    because they lie in one folder. `beside` is how far the bodies were from the scene, if any.
     """
 
     frames: int
@@ -68,6 +68,7 @@ class Replayed(NamedTuple):
     identities: tuple[str, ...]
     unknown: dict[str, str]
     joined: list[str]
+    beside: list[Beside]
 
 
 def replay(
@@ -119,6 +120,7 @@ def replay(
         if row.order <= order
     ]
     beat = _Beat(DiagnosticsMaker(NODE_NAME, theory))
+    comparison = Comparison(theory) if theory is not None else None
     found = {body: dict.fromkeys(POLE_NAMES[:order], 0) for body in tracker.bodies}
     unknown = dict.fromkeys(tracker.bodies, '')
     estimates = 0
@@ -154,6 +156,8 @@ def replay(
                 estimates += len(estimate)
                 _count(found, estimate)
                 unknown = _still_unknown(unknown, estimate)
+                if comparison is not None:
+                    comparison.add(estimate)
                 for table in tables:
                     table.add(estimate)
             if writer is not None:
@@ -194,6 +198,7 @@ def replay(
         identities,
         unknown,
         joined,
+        comparison.found() if comparison is not None else [],
     )
 
 

@@ -38,6 +38,11 @@ def warnings_of(result: Replayed, settings: Settings) -> list[str]:
             mend = f'; {_MENDS[reason]}' if reason in _MENDS else ''
             lines.append(f'{body} is known at no instant: {reason}{mend}')
     lines += [f'{body}: {not_rigid(off)}' for body, off in result.looseness.items() if off]
+    if settings.scene and result.estimates and not result.beside:
+        lines.append(
+            f'the scene {settings.scene} could be put where the bodies are seen at none of the '
+            'instants looked at; see that it has their sizes and the names of their markers'
+        )
     lines += _untold(result, settings)
     return lines
 

@@ -122,12 +122,9 @@ class DiagnosticsMaker:
             return _status(f'{self._name}: linkage', DiagnosticStatus.OK, 'no scene given', values)
         message = f'beside the scene {self._theory.scene.name}'
         found = rate_differences(self._theory, now)
-        for body, off in found.items():
-            values[f'{body}: angular velocity less theory (rad/s)'] = off.value
-            values[f'{body}: deviation of that (rad/s)'] = off.deviation
-        for joint, off in joint_offsets(self._theory, now).items():
-            values[f'{joint}: relative center off the pin (m)'] = off.value
-            values[f'{joint}: deviation of that (m)'] = off.deviation
+        for off in (*found, *joint_offsets(self._theory, now)):
+            values[f'{off.subject}: {off.what} ({off.unit})'] = off.value
+            values[f'{off.subject}: deviation of that ({off.unit})'] = off.deviation
         if not found:
             message = 'the scene cannot be put where the bodies are seen, or too little is known'
         return _status(f'{self._name}: linkage', DiagnosticStatus.OK, message, values)
