@@ -1,6 +1,5 @@
 """How the node waits: markers never keep all else from its turn."""
 
-import os
 import time
 from collections.abc import Callable, Iterator
 from contextlib import suppress
@@ -28,9 +27,7 @@ class Flood:
 
 
 @pytest.fixture
-def node(monkeypatch: pytest.MonkeyPatch) -> Iterator[Node]:
-    monkeypatch.setenv('ROS_DOMAIN_ID', str(100 + os.getpid() % 100))
-    monkeypatch.setenv('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
+def node() -> Iterator[Node]:
     rclpy.init(args=[])
     node = rclpy.create_node('waiting')
     yield node
