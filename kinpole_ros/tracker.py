@@ -8,10 +8,10 @@ Header stamps drive it; it never asks for the time.
 
 from collections import Counter
 from collections.abc import Iterable
-from typing import NamedTuple
 
 import numpy as np
 
+from kinpole_ros.bodies import RigidBodies, pose_columns
 from kinpole_ros.estimate import FARTHEST, Estimate, Poses
 from kinpole_ros.frame import MarkerFrames
 from kinpole_ros.parameters import Settings
@@ -20,12 +20,8 @@ from kinpole_ros.window import (
     FEWEST_SAMPLES,
     STRIKES,
     LandmarkFilter,
-    Noise,
-    Pins,
     PoseFilter,
-    References,
     Samples,
-    Shapes,
     Windows,
     alike,
     joined,
@@ -33,62 +29,20 @@ from kinpole_ros.window import (
     seen_at,
 )
 
-# Coordinates are known no better than a few units of their last place.
-_ROUNDING = 4 * np.finfo(float).eps
-# rad. An angle noisier than this wanders round, and its errors are no longer small.
-_UNSTEADY = 0.15
-# Markers are not of one rigid body that are off it by so many times their noise and by this share
-# of its size.
-_LOOSE, _LOOSE_SHARE = 5.0, 0.01
 # Frames later than this many intervals of late come after a gap.
 _LATE = 2.5
 
 
-class _News(NamedTuple):
-    """Frames that were taken since the last beat: fits, and what is left of them, (T, ...)."""
-
-    stamps: np.ndarray
-    position: np.ndarray
-    angle: np.ndarray
-    information: np.ndarray  # (T, 2 B)
-    residual: np.ndarray
-    freedom: np.ndarray
-    gaps: np.ndarray
-
-
 def _frame_type(bodies: int) -> np.dtype:
-    """What is held of a frame, in one row; what is of angles comes before what is of positions."""
+    """What is held of a frame, in one row."""
     columns: list[tuple] = [
         ('stamp', np.int64),
-        # While it waits: its number among the frames that were given together, and which of what
-        # was known is as of then; the oldest frame in the window, and the mean interval, ns.
+        # While it waits: its number among the frames that were given together, the oldest frame in
+        # the window, and the mean interval, ns.
         ('number', np.int64),
-        ('beat', np.int64),
         ('oldest', np.int64),
         ('interval', float),
-        # Angles with whole turns, as what comes between -pi and pi goes on, and positions.
-        ('poses', float, (2 * bodies, 2)),
-        # Inverse variances over that of a coordinate of a marker, 0 for a body not seen.
-        ('information', float, (2 * bodies,)),
-        ('height', float, (bodies,)),
-        ('strayed', bool, (bodies,)),
-    ]
-    return np.dtype(columns, align=True)
-
-
-def _known_type(bodies: int, width: int) -> np.dtype:
-    """What is known of the bodies from one beat to the next, in one row."""
-    columns: list[tuple] = [
-        ('noise', float, (bodies,)),
-        ('measured', bool, (bodies,)),
-        ('firm', bool, (bodies,)),
-        ('size', float, (bodies,)),
-        ('pin', complex, (bodies,)),
-        ('pin_variance', float, (bodies,)),
-        ('pin_since', np.int64, (bodies,)),
-        ('reference', complex, (bodies,)),
-        ('middle', complex, (bodies,)),
-        ('shape', complex, (bodies, width)),
+        *pose_columns(bodies),
     ]
     return np.dtype(columns, align=True)
 
@@ -116,32 +70,22 @@ class Tracker:
         """Forget all samples, and the shapes and noise learned from them."""
         count = len(self.bodies)
         self._roster = Roster(self.settings)
-        self._shapes = Shapes(count, self._roster.width)
-        self._noise = Noise(count)
-        self._pins = Pins(count)
-        self._references = References(count, self._window)
+        width = self._roster.width
+        self._rigid = RigidBodies(self.settings, self._window, width, self.counts)
         self._filter = PoseFilter()
         self._landmark_filter = LandmarkFilter()
         self._frames = Samples((), _frame_type(count))
-        self._last_angle = np.zeros(count)
-        self._last_turn = np.zeros(count)
         self._points: Samples | None = None
         if self.settings.method == 'landmarks':
-            self._points = Samples((count, self._roster.width), complex)
+            self._points = Samples((count, width), complex)
         self.samples = 0
         # Mean time between the frames of the window, ns, 0 for fewer than two.
         self._interval = 0.0
         self._since = 0
         self._due = 0
         self._dropped = 0
-        # Frames since the last beat, at which the bodies' shapes, noise and pins are learned.
-        self._news: list[_News] = []
-        self._new = 0
-        # How many frames wait to be estimated, and what was known with them, now in the last row
-        # unless something was learned since.
+        # How many frames wait to be estimated.
         self._waiting = 0
-        self._known = Samples((), _known_type(count, self._roster.width))
-        self._learned = True
 
     @property
     def interval(self) -> float:
@@ -150,19 +94,11 @@ class Tracker:
 
     def noise(self) -> np.ndarray:
         """Noise (B,) of one coordinate of a marker, m, given or measured; NaN while not known."""
-        if self.settings.noise > 0:
-            return np.full(len(self.bodies), self.settings.noise)
-        return np.maximum(self._noise.level(), _ROUNDING * self._shapes.farthest)
+        return self._rigid.noise()
 
     def looseness(self) -> np.ndarray:
-        """
-        How far (B,) markers are off one rigid body, m, per axis; 0 where they may well be of one.
-
-        No noise accounts for it: the markers are of several links, or their body bends.
-        """
-        off, noise = np.sqrt(self._shapes.misfit()), self._noise.level()
-        loose = (off > _LOOSE * noise) & (off > _LOOSE_SHARE * self._size())
-        return np.where(loose, off, 0.0)
+        """How far (B,) markers are off one rigid body: see `RigidBodies.looseness`."""
+        return self._rigid.looseness()
 
     def lacking(self) -> dict[str, list[str]]:
         """Markers by body that the last message has not, where less than two of the body are."""
@@ -215,7 +151,7 @@ class Tracker:
                     if len(new) < len(stamps):
                         taken = frames._replace(stamps=stamps[place], points=frames.points[place])
                     points, heights = self._roster.sort(taken)
-                    if self._roster.width > self._shapes.points.shape[1]:
+                    if self._roster.width > self._rigid.width:
                         found += self._estimates(order)
                         self._widen()
                     self._run(taken.stamps, steps[new], points, heights, before + place)
@@ -231,8 +167,7 @@ class Tracker:
     def settle(self) -> None:
         """Learn and judge what is due, while nobody waits for it; else the next `add` does."""
         self._filter.settle()
-        if self._new >= self._shapes.beat:
-            self._learn()
+        self._rigid.settle()
 
     def _sift(self, stamps: np.ndarray) -> tuple[np.ndarray, int]:
         """
@@ -276,25 +211,8 @@ class Tracker:
         rows = self._frames.room(len(stamps))
         gaps = self._enter(rows, stamps, steps)
         rows['number'] = numbers
-        first = 0
-        while first < len(stamps):
-            if self._new >= self._shapes.beat:
-                self._learn()
-            room = self._shapes.beat - self._new
-            unseen = self._shapes.unseen(points[first : first + room])
-            if not unseen:
-                self._learn()
-                self._shapes.begin(points[first])
-                self._learned = True
-                unseen = room = 1
-            end = min(first + min(room, unseen), len(stamps))
-            later = gaps[first + 1 : end].nonzero()[0]
-            if len(later):
-                end = first + 1 + int(later[0])
-            part = slice(first, end)
-            self._take(rows[part], points[part], heights[part], gaps[part])
-            rows['beat'][part] = self._known_now()
-            first = end
+        landmarks = None if self._points is None else self._points.room(len(rows))
+        self._rigid.take(rows, points, heights, gaps, landmarks)
         self._waiting += len(rows)
 
     def _enter(self, rows: np.ndarray, stamps: np.ndarray, steps: np.ndarray) -> np.ndarray:
@@ -310,113 +228,6 @@ class Tracker:
         self.samples, self._interval = int(held[-1]) + 1, float(interval[-1])
         return (steps > _LATE * before) & (before > 0)
 
-    def _known_now(self) -> int:
-        """The row of what is known now."""
-        if self._learned:
-            self._learned = False
-            known, pins, noise = self._known.room(1), self._pins, self.noise()
-            known['noise'] = np.where(noise > 0, noise, 1.0)
-            known['measured'] = np.isfinite(noise)
-            known['firm'] = noise**2 < _UNSTEADY**2 * self._shapes.spread
-            known['size'] = self._size()
-            known['pin'], known['pin_variance'] = pins.center, pins.variance
-            known['pin_since'] = pins.since
-            # On a pin the poles are the pin, and relative centers are best where a lens bends two
-            # bodies alike: from velocities at the origins of both.
-            references = self._references
-            known['reference'] = np.where(np.isfinite(pins.center), 0.0, references.point)
-            known['middle'] = references.middle
-            known['shape'] = self._shapes.markers()
-        return len(self._known) - 1
-
-    def _take(
-        self, rows: np.ndarray, points: np.ndarray, heights: np.ndarray, gaps: np.ndarray
-    ) -> None:
-        """Fit the poses of frames between which nothing is learned and no gap is."""
-        if gaps[0]:
-            self._shapes.forget_motion()
-        fit, points = self._shapes.fit(points)
-        if self._shapes.mended:
-            self.counts.update(self._shapes.mended)
-            self._shapes.mended.clear()
-            self._learned = True
-        known = np.isfinite(fit.angle)
-        information = np.concatenate((fit.spread, fit.weight), axis=-1)
-        if np.count_nonzero(known) < known.size:
-            information[np.concatenate((~known, ~known), axis=-1)] = 0.0
-        count = len(self.bodies)
-        poses = rows['poses']
-        poses[:, :count, 0], poses[:, :count, 1] = fit.angle, self._turned(fit.angle, known)
-        poses[:, count:, 0], poses[:, count:, 1] = fit.position.real, fit.position.imag
-        rows['information'] = information
-        seen = ~np.isnan(points)
-        with np.errstate(invalid='ignore'):
-            total = np.add.reduce(heights, -1, where=seen)
-            rows['height'] = total / np.add.reduce(seen, -1)
-        rows['strayed'] = False
-        if np.count_nonzero(np.isfinite(self._pins.center)):
-            variance = self._variance(information)
-            rows['strayed'] = self._pins.strayed(fit.position, fit.angle, variance)
-        if self._points is not None:
-            # One line goes on, whatever the marker is called.
-            stand_in = np.broadcast_to(self._shapes.stand_in, points.shape)
-            self._points.room(len(points))[...] = np.take_along_axis(points, stand_in, axis=-1)
-        self._news.append(
-            _News(
-                rows['stamp'].copy(),
-                fit.position,
-                fit.angle,
-                information,
-                fit.residual,
-                fit.freedom,
-                gaps,
-            )
-        )
-        self._new += len(rows)
-
-    def _turned(self, angle: np.ndarray, known: np.ndarray) -> np.ndarray:
-        """How often (T, B) the bodies have turned round when they are at `angle`, where `known`."""
-        if np.count_nonzero(known) < known.size:
-            # Where nothing is known it is as it was.
-            rows = np.where(known, np.arange(1, len(angle) + 1)[:, None], 0)
-            before = np.concatenate((self._last_angle[None], np.where(known, angle, 0.0)))
-            angle = np.take_along_axis(before, np.maximum.accumulate(rows, axis=0), axis=0)
-        steps = angle - np.concatenate((self._last_angle[None], angle[:-1]))
-        turns = self._last_turn - np.add.accumulate(np.rint(steps / (2 * np.pi)))
-        self._last_angle, self._last_turn = angle[-1], turns[-1]
-        return np.asarray(turns)
-
-    def _learn(self) -> None:
-        """A beat: learn the bodies' shapes, noise and pins from the frames since the last one."""
-        if not self._new:
-            return
-        size = self._size()
-        news = _News(*map(np.concatenate, zip(*self._news, strict=True)))
-        self._news, self._new = [], 0
-        self._learned = True
-        if self._points is None:
-            variance = self._variance(news.information)
-            poses = news.stamps, news.position, news.angle, variance, size
-            self._pins.add(*poses)
-            self._references.add(*poses, self._shapes.middle)
-        self._noise.add(news.residual, news.freedom, ~news.gaps)
-        self._shapes.learn()
-
-    def _variance(self, information: np.ndarray) -> np.ndarray:
-        """Variances (T, 2, B) of one coordinate of the positions, and of the angles."""
-        of_angle_first = information.reshape(len(information), 2, -1)
-        with np.errstate(divide='ignore', invalid='ignore'):
-            return np.asarray(self._misfit() / of_angle_first[:, ::-1])
-
-    def _misfit(self) -> np.ndarray:
-        """Variance (B,) of one coordinate of a marker, of all that keeps it off its place."""
-        rounding = _ROUNDING * self._shapes.farthest
-        return np.maximum(self._shapes.misfit(), max(self.settings.noise, rounding) ** 2)
-
-    def _size(self) -> np.ndarray:
-        """Diameters (B,) of the bodies: twice the rms distance of their markers from the mean."""
-        return np.asarray(2 * np.sqrt(self._shapes.spread / np.maximum(self._shapes.known, 1)))
-
     def _trim(self, count: int) -> None:
         """Drop so many frames that no window to come holds."""
         self._frames.drop(count)
@@ -427,10 +238,7 @@ class Tracker:
 
     def _widen(self) -> None:
         """A body of all markers has more of them."""
-        self._learn()
-        self._shapes.widen(self._roster.width)
-        self._known = Samples((), _known_type(len(self.bodies), self._roster.width))
-        self._learned = True
+        self._rigid.widen(self._roster.width)
         if self._points is not None:
             # The landmarks of the new ones are not known in the frames before.
             old = self._points.view()
@@ -449,9 +257,9 @@ class Tracker:
         if not self._waiting:
             return []
         frames = self._frames.view()
-        new, known = frames[-self._waiting :], self._known.view()
+        new, known = frames[-self._waiting :], self._rigid.known
         self._waiting = 0
-        self._known.drop(len(known) - 1)
+        self._rigid.forget()
         ahead = np.rint(self.settings.lag * 1e9 - 0.75 * new['interval'])
         last = new['stamp'] - ahead.astype(np.int64)
         oldest, newest = new['oldest'], np.arange(len(frames) - len(new), len(frames))

@@ -208,10 +208,11 @@ class Turning(Tracker):
     def add(self, frames: MarkerFrames, order: int | None) -> list[Any]:
         found = super().add(frames, order)
         # What is not learned yet would turn it back.
-        self._learn()
-        self._shapes.points *= np.exp(1e-7j * len(frames.stamps))
-        self._shapes.points += 1e-9 * len(frames.stamps)
-        self._shapes._measure()
+        self._rigid._learn()
+        shapes = self._rigid._shapes
+        shapes.points *= np.exp(1e-7j * len(frames.stamps))
+        shapes.points += 1e-9 * len(frames.stamps)
+        shapes._measure()
         return found
 
 

@@ -54,7 +54,7 @@ def ever_taken(frames: list[MarkerFrames]) -> bool:
     tracker = follow(frames[:1], {})[0]
     for frame in frames:
         tracker.add(frame, None)
-        if np.isfinite(tracker._pins.center[0]):
+        if np.isfinite(tracker._rigid._pins.center[0]):
             return True
     return False
 
@@ -119,7 +119,7 @@ def test_a_slow_hinge_is_recognized_as_surely_as_a_fast_one() -> None:
         count = int(6.0 / rate * 200) + 200
         motion = about(0.3 + 0.2j, 0.1 - 0.05j, lambda t, w=rate: w * t)
         tracker = follow(seen(motion, count, 1e-4), {}, order=None)[0]
-        assert np.isfinite(tracker._pins.center[0]), rate
+        assert np.isfinite(tracker._rigid._pins.center[0]), rate
 
 
 def test_a_hinge_at_rest_stays_one_and_has_no_poles() -> None:

@@ -1170,7 +1170,7 @@ def test_markers_that_are_named_anew_in_every_frame_do_not_fill_the_memory() -> 
         names = tuple(f'{k}_{n}' for n in range(300))
         tracker.add(frame._replace(identities=names, points=np.ones((1, 300, 3))), None)
     assert tracker.counts['markers_unknown'] == 300
-    assert tracker._shapes.points.shape[1] <= MOST_MARKERS
+    assert tracker._rigid.width <= MOST_MARKERS
 
 
 def test_reset_forgets_what_was_learned() -> None:

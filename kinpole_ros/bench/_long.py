@@ -61,7 +61,7 @@ def long_run(
         near = told & (np.abs(truth['ICR'] - true.position[0]) < NEAR * motion.size)
         rate_error = np.array([estimate.rate(1).value[0] for estimate in found]) - truth['ω']
         pole_error = np.array([pole.value[0] for pole in poles]) - truth['ICR']
-        learned = fit_pose(tracker._shapes.points, shape, np.ones(shape.shape))
+        learned = fit_pose(found[-1].shape, shape, np.ones(shape.shape))
         if not rows:
             place, angle = learned.position[0], learned.angle[0]
         rows.append(

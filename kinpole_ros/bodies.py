@@ -1,0 +1,276 @@
+"""
+Where the bodies are in each frame, and what is learned of them on the way.
+
+Poses are fitted to shapes that are learned from the frames before, as are noise, pins and reference
+points. They are learned at beats only, which are counted in frames: what comes between two beats is
+fitted at once, with the same outcome as one by one.
+"""
+
+from collections import Counter
+from typing import NamedTuple
+
+import numpy as np
+
+from kinpole_ros.parameters import Settings
+from kinpole_ros.window import Noise, Pins, References, Samples, Shapes
+
+# Coordinates are known no better than a few units of their last place.
+_ROUNDING = 4 * np.finfo(float).eps
+# rad. An angle noisier than this wanders round, and its errors are no longer small.
+_UNSTEADY = 0.15
+# Markers are not of one rigid body that are off it by so many times their noise and by this share
+# of its size.
+_LOOSE, _LOOSE_SHARE = 5.0, 0.01
+
+
+class _News(NamedTuple):
+    """Frames that were taken since the last beat: fits, and what is left of them, (T, ...)."""
+
+    stamps: np.ndarray
+    position: np.ndarray
+    angle: np.ndarray
+    information: np.ndarray  # (T, 2 B)
+    residual: np.ndarray
+    freedom: np.ndarray
+    gaps: np.ndarray
+
+
+def pose_columns(bodies: int) -> list[tuple]:
+    """What `RigidBodies.take` fills of a frame; angles come before positions."""
+    return [
+        # Which row of `RigidBodies.known` was known then.
+        ('beat', np.int64),
+        # Angles with whole turns, as what comes between -pi and pi goes on, and positions.
+        ('poses', float, (2 * bodies, 2)),
+        # Inverse variances over that of a coordinate of a marker, 0 for a body not seen.
+        ('information', float, (2 * bodies,)),
+        ('height', float, (bodies,)),
+        ('strayed', bool, (bodies,)),
+    ]
+
+
+def _known_type(bodies: int, width: int) -> np.dtype:
+    """What is known of the bodies from one beat to the next, in one row."""
+    columns: list[tuple] = [
+        ('noise', float, (bodies,)),
+        ('measured', bool, (bodies,)),
+        ('firm', bool, (bodies,)),
+        ('size', float, (bodies,)),
+        ('pin', complex, (bodies,)),
+        ('pin_variance', float, (bodies,)),
+        ('pin_since', np.int64, (bodies,)),
+        ('reference', complex, (bodies,)),
+        ('middle', complex, (bodies,)),
+        ('shape', complex, (bodies, width)),
+    ]
+    return np.dtype(columns, align=True)
+
+
+class RigidBodies:
+    """
+    B bodies of up to `width` markers each, as learned from their frames.
+
+    `window`, ns, is as long as the estimates'. What is mended in frames is added to `counts`.
+    """
+
+    def __init__(self, settings: Settings, window: int, width: int, counts: Counter[str]) -> None:
+        self._count = len(settings.bodies)
+        self._given = settings.noise
+        self._by_pose = settings.method == 'pose'
+        self._counts = counts
+        self._shapes = Shapes(self._count, width)
+        self._noise = Noise(self._count)
+        self._pins = Pins(self._count)
+        self._references = References(self._count, window)
+        self._last_angle = np.zeros(self._count)
+        self._last_turn = np.zeros(self._count)
+        # Frames since the last beat.
+        self._news: list[_News] = []
+        self._new = 0
+        # What was known with the frames that wait to be estimated, now in the last row unless
+        # something was learned since.
+        self._known = Samples((), _known_type(self._count, width))
+        self._learned = True
+
+    @property
+    def width(self) -> int:
+        """How many markers a body may have."""
+        return self._shapes.points.shape[1]
+
+    @property
+    def known(self) -> np.ndarray:
+        """What was known at the beats of late, a row for each, up to `forget`."""
+        return self._known.view()
+
+    def forget(self) -> None:
+        """Forget what was known before now."""
+        self._known.drop(len(self._known) - 1)
+
+    def noise(self) -> np.ndarray:
+        """Noise (B,) of one coordinate of a marker, m, given or measured; NaN while not known."""
+        if self._given > 0:
+            return np.full(self._count, self._given)
+        return np.maximum(self._noise.level(), _ROUNDING * self._shapes.farthest)
+
+    def looseness(self) -> np.ndarray:
+        """
+        How far (B,) markers are off one rigid body, m, per axis; 0 where they may well be of one.
+
+        No noise accounts for it: the markers are of several links, or their body bends.
+        """
+        off, noise = np.sqrt(self._shapes.misfit()), self._noise.level()
+        loose = (off > _LOOSE * noise) & (off > _LOOSE_SHARE * self._size())
+        return np.where(loose, off, 0.0)
+
+    def take(
+        self,
+        rows: np.ndarray,
+        points: np.ndarray,
+        heights: np.ndarray,
+        gaps: np.ndarray,
+        landmarks: np.ndarray | None,
+    ) -> None:
+        """
+        Find the poses of frames, by the markers `points` (T, B, width) and their `heights`.
+
+        Fills the `rows` (T,), which have their stamps, and `landmarks` (T, B, width), if wanted,
+        with the markers as they are told apart; `gaps` (T,) says which frames come much later than
+        those before.
+        """
+        first = 0
+        while first < len(rows):
+            self.settle()
+            room = self._shapes.beat - self._new
+            unseen = self._shapes.unseen(points[first : first + room])
+            if not unseen:
+                self._learn()
+                self._shapes.begin(points[first])
+                self._learned = True
+                unseen = room = 1
+            end = min(first + min(room, unseen), len(rows))
+            later = gaps[first + 1 : end].nonzero()[0]
+            if len(later):
+                end = first + 1 + int(later[0])
+            part = slice(first, end)
+            seen = self._fit(rows[part], points[part], heights[part], gaps[part])
+            if landmarks is not None:
+                # One line goes on, whatever the marker is called.
+                stand_in = np.broadcast_to(self._shapes.stand_in, seen.shape)
+                landmarks[part] = np.take_along_axis(seen, stand_in, axis=-1)
+            rows['beat'][part] = self._known_now()
+            first = end
+
+    def settle(self) -> None:
+        """Learn if it is time for a beat."""
+        if self._new >= self._shapes.beat:
+            self._learn()
+
+    def widen(self, width: int) -> None:
+        """Let bodies have more markers; nothing may wait for what was known before."""
+        self._learn()
+        self._shapes.widen(width)
+        self._known = Samples((), _known_type(self._count, width))
+        self._learned = True
+
+    def _fit(
+        self, rows: np.ndarray, points: np.ndarray, heights: np.ndarray, gaps: np.ndarray
+    ) -> np.ndarray:
+        """Fit frames between which nothing is learned and no gap is; returns points as mended."""
+        if gaps[0]:
+            self._shapes.forget_motion()
+        fit, points = self._shapes.fit(points)
+        if self._shapes.mended:
+            self._counts.update(self._shapes.mended)
+            self._shapes.mended.clear()
+            self._learned = True
+        known = np.isfinite(fit.angle)
+        information = np.concatenate((fit.spread, fit.weight), axis=-1)
+        if np.count_nonzero(known) < known.size:
+            information[np.concatenate((~known, ~known), axis=-1)] = 0.0
+        count, poses = self._count, rows['poses']
+        poses[:, :count, 0], poses[:, :count, 1] = fit.angle, self._turned(fit.angle, known)
+        poses[:, count:, 0], poses[:, count:, 1] = fit.position.real, fit.position.imag
+        rows['information'] = information
+        seen = ~np.isnan(points)
+        with np.errstate(invalid='ignore'):
+            total = np.add.reduce(heights, -1, where=seen)
+            rows['height'] = total / np.add.reduce(seen, -1)
+        rows['strayed'] = False
+        if np.count_nonzero(np.isfinite(self._pins.center)):
+            variance = self._variance(information)
+            rows['strayed'] = self._pins.strayed(fit.position, fit.angle, variance)
+        self._news.append(
+            _News(
+                rows['stamp'].copy(),
+                fit.position,
+                fit.angle,
+                information,
+                fit.residual,
+                fit.freedom,
+                gaps,
+            )
+        )
+        self._new += len(rows)
+        return points
+
+    def _turned(self, angle: np.ndarray, known: np.ndarray) -> np.ndarray:
+        """How often (T, B) the bodies have turned round when they are at `angle`, where `known`."""
+        if np.count_nonzero(known) < known.size:
+            # Where nothing is known it is as it was.
+            rows = np.where(known, np.arange(1, len(angle) + 1)[:, None], 0)
+            before = np.concatenate((self._last_angle[None], np.where(known, angle, 0.0)))
+            angle = np.take_along_axis(before, np.maximum.accumulate(rows, axis=0), axis=0)
+        steps = angle - np.concatenate((self._last_angle[None], angle[:-1]))
+        turns = self._last_turn - np.add.accumulate(np.rint(steps / (2 * np.pi)))
+        self._last_angle, self._last_turn = angle[-1], turns[-1]
+        return np.asarray(turns)
+
+    def _known_now(self) -> int:
+        """The row of what is known now."""
+        if self._learned:
+            self._learned = False
+            known, pins, noise = self._known.room(1), self._pins, self.noise()
+            known['noise'] = np.where(noise > 0, noise, 1.0)
+            known['measured'] = np.isfinite(noise)
+            known['firm'] = noise**2 < _UNSTEADY**2 * self._shapes.spread
+            known['size'] = self._size()
+            known['pin'], known['pin_variance'] = pins.center, pins.variance
+            known['pin_since'] = pins.since
+            # On a pin the poles are the pin, and relative centers are best where a lens bends two
+            # bodies alike: from velocities at the origins of both.
+            references = self._references
+            known['reference'] = np.where(np.isfinite(pins.center), 0.0, references.point)
+            known['middle'] = references.middle
+            known['shape'] = self._shapes.markers()
+        return len(self._known) - 1
+
+    def _learn(self) -> None:
+        """A beat: learn shapes, noise, pins and reference points from the frames since the last."""
+        if not self._new:
+            return
+        size = self._size()
+        news = _News(*map(np.concatenate, zip(*self._news, strict=True)))
+        self._news, self._new = [], 0
+        self._learned = True
+        if self._by_pose:
+            variance = self._variance(news.information)
+            poses = news.stamps, news.position, news.angle, variance, size
+            self._pins.add(*poses)
+            self._references.add(*poses, self._shapes.middle)
+        self._noise.add(news.residual, news.freedom, ~news.gaps)
+        self._shapes.learn()
+
+    def _variance(self, information: np.ndarray) -> np.ndarray:
+        """Variances (T, 2, B) of one coordinate of the positions, and of the angles."""
+        of_angle_first = information.reshape(len(information), 2, -1)
+        with np.errstate(divide='ignore', invalid='ignore'):
+            return np.asarray(self._misfit() / of_angle_first[:, ::-1])
+
+    def _misfit(self) -> np.ndarray:
+        """Variance (B,) of one coordinate of a marker, of all that keeps it off its place."""
+        rounding = _ROUNDING * self._shapes.farthest
+        return np.maximum(self._shapes.misfit(), max(self._given, rounding) ** 2)
+
+    def _size(self) -> np.ndarray:
+        """Diameters (B,) of the bodies: twice the rms distance of their markers from the mean."""
+        return np.asarray(2 * np.sqrt(self._shapes.spread / np.maximum(self._shapes.known, 1)))
