@@ -1,31 +1,53 @@
 """
-How the node waits: for its markers alone, and every so often for all else.
+How a node waits: for its messages alone, and every so often for all else.
 
 rclpy looks at all that a node has, timers and a dozen services, whenever it waits: 0.2 ms of each
 answer, where the whole of a plain relay's takes 0.6.
 """
 
 import time
+from typing import Any, Protocol
 
+from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 from rclpy.executors import SingleThreadedExecutor, TimeoutException
+from rclpy.subscription import Subscription
 
-from kinpole_ros.source import MarkerSource
-
-# s. All else has its turn after the first markers that come when this has passed, for then there is
-# most time until the next; without any when as much again has passed.
+# s. All else has its turn after the first messages that come when this has passed, for then there
+# is most time until the next; without any when as much again has passed.
 _EVERY = 0.05
 
 
-class MarkersFirst(SingleThreadedExecutor):
-    """Runs a node whose markers come from `source`."""
+class Apart(MutuallyExclusiveCallbackGroup):
+    """What belongs to subscriptions, whose messages an executor leaves where `apart` is set."""
 
-    def __init__(self, source: MarkerSource) -> None:
+    apart = False
+
+    def can_execute(self, entity: Any) -> bool:
+        if self.apart and isinstance(entity, Subscription):
+            return False
+        return bool(super().can_execute(entity))
+
+
+class Messages(Protocol):
+    """Subscriptions with a way to wait for them alone; `found` once there are any."""
+
+    @property
+    def found(self) -> bool: ...
+
+    def wait(self, seconds: float) -> bool:
+        """Wait so long for messages and work on them; whether any came."""
+
+
+class MessagesFirst(SingleThreadedExecutor):
+    """Runs a node whose messages come from `source`."""
+
+    def __init__(self, source: Messages) -> None:
         super().__init__()
         self._source = source
         self._due = 0.0
 
     def spin_once(self, timeout_sec: float | None = None) -> None:
-        """Take markers, or run all else that is ready; without markers as rclpy's does."""
+        """Take messages, or run all else that is ready; without any to come as rclpy's does."""
         if not self._source.found:
             super().spin_once(timeout_sec)
             return

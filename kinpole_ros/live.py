@@ -8,19 +8,21 @@ installation, and for the demo and the tests, which must run there.
 import math
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
+from typing import Any
 
 import rclpy
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
 from rclpy.duration import Duration
-from rclpy.executors import SingleThreadedExecutor
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.subscription import Subscription
 
 from kinpole_ros.bags import RECORDER, BagError, BagWriter, message_class, read_messages, topics
+from kinpole_ros.executor import Apart, MessagesFirst
 from kinpole_ros.process import reason_of, start_ros
 
 # What a kill may lose of a recording.
@@ -122,12 +124,51 @@ class Recorder(Node):
         self._writer = writer
         self._prefixes = tuple(map(_whole, prefixes))
         self._seen: set[str] = set()
+        self._recorded: list[tuple[Subscription, Callable[[bytes], None]]] = []
+        self._group = Apart()
+        # For the subscriptions alone, as many as there are.
+        self._wait_set: Any = None
         self.messages = 0
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self.create_timer(_LOOK_EVERY, self._look, clock=steady)
         self.create_timer(_FLUSH_EVERY, writer.flush, clock=steady)
         self._waiting = self.create_timer(_PATIENCE, self._complain, clock=steady)
         self._look()
+
+    @property
+    def found(self) -> bool:
+        """Whether there is anything to record."""
+        return bool(self._recorded)
+
+    def wait(self, seconds: float) -> bool:
+        """Wait so long for messages, which are left to this from now on; whether any came."""
+        self._group.apart = True
+        if self._wait_set is None:
+            context = self.context.handle
+            self._wait_set = rclpy_implementation.WaitSet(
+                len(self._recorded), 0, 0, 0, 0, 0, context
+            )
+        self._wait_set.clear_entities()
+        with ExitStack() as stack:
+            for subscription, _ in self._recorded:
+                stack.enter_context(subscription.handle)
+                self._wait_set.add_subscription(subscription.handle)
+            self._wait_set.wait(round(seconds * 1e9))
+        return self.take() > 0
+
+    def take(self) -> int:
+        """Record all that waits; how many messages it was."""
+        before = self.messages
+        for subscription, save in self._recorded:
+            handle = subscription.handle
+            with handle:
+                # No more than wait at most, lest a flood keeps all others waiting.
+                for _ in range(_DEEP):
+                    taken = handle.take_message(subscription.msg_type, True)
+                    if taken is None:
+                        break
+                    save(taken[0])
+        return self.messages - before
 
     def _complain(self) -> None:
         self._waiting.cancel()
@@ -155,7 +196,12 @@ class Recorder(Node):
                 qos.reliability = ReliabilityPolicy.BEST_EFFORT
             if all(o.durability == DurabilityPolicy.TRANSIENT_LOCAL for o in offers):
                 qos.durability = DurabilityPolicy.TRANSIENT_LOCAL
-            self.create_subscription(cls, name, self._saver(name, cls), qos, raw=True)
+            save = self._saver(name, cls)
+            subscription = self.create_subscription(
+                cls, name, save, qos, callback_group=self._group, raw=True
+            )
+            self._recorded.append((subscription, save))
+            self._wait_set = None
 
     def _saver(self, name: str, cls: type) -> Callable[[bytes], None]:
         def save(data: bytes) -> None:
@@ -181,11 +227,13 @@ def record(output: str | Path, prefixes: list[str]) -> int:
     try:
         with BagWriter(output, RECORDER) as writer:
             recorder = Recorder(writer, prefixes)
-            executor = SingleThreadedExecutor()
+            executor = MessagesFirst(recorder)
             executor.add_node(recorder)
             try:
                 while not told_to_stop():
                     executor.spin_once()
+                # What has come is recorded, however far behind this is.
+                recorder.take()
             finally:
                 executor.shutdown()
                 recorder.destroy_node()

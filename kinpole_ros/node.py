@@ -29,7 +29,7 @@ from rclpy.utilities import remove_ros_args
 
 from kinpole_ros.declare import declare, given_in_vain, given_to, values_of
 from kinpole_ros.estimate import Estimate
-from kinpole_ros.executor import MarkersFirst
+from kinpole_ros.executor import MessagesFirst
 from kinpole_ros.frame import MarkerFrames, part_of
 from kinpole_ros.messages import (
     DiagnosticsMaker,
@@ -402,7 +402,7 @@ def main(args: Sequence[str] | None = None) -> int:
                 f'no parameter file has anything for {name}, and all is as by default: call its '
                 f'section {name}, or /**'
             )
-        executor = MarkersFirst(node.source)
+        executor = MessagesFirst(node.source)
         _spin(node, executor, told_to_stop)
     except KeyboardInterrupt:
         pass

@@ -3,31 +3,19 @@
 from collections.abc import Callable, Iterable, Mapping
 from typing import Any
 
-from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy, qos_policy_name_from_kind
 from rclpy.qos_overriding_options import QoSOverridingOptions
-from rclpy.subscription import Subscription
 
+from kinpole_ros.executor import Apart
 from kinpole_ros.frame import MarkerFrames
 from kinpole_ros.messages import MARKER_TYPES, ROS_TYPE_NAMES, MarkerReader, MessageError
 from kinpole_ros.parameters import ParameterError, Settings
 
 # Messages that wait while others are worked on; beyond, the newest push out the oldest.
 _DEPTH = 50
-
-
-class _Markers(MutuallyExclusiveCallbackGroup):
-    """What belongs to the subscription, whose messages an executor leaves where `apart` is set."""
-
-    apart = False
-
-    def can_execute(self, entity: Any) -> bool:
-        if self.apart and isinstance(entity, Subscription):
-            return False
-        return bool(super().can_execute(entity))
 
 
 class MarkerSource:
@@ -50,7 +38,7 @@ class MarkerSource:
         self._on_markers, self._note = on_markers, note
         self.topic = node.resolve_topic_name(settings.marker_topic)
         self._subscription: Any = None
-        self._group = _Markers()
+        self._group = Apart()
         # For the subscription alone.
         self._wait_set: Any = None
         self._kind = ''

@@ -3,15 +3,14 @@
 import time
 from collections.abc import Callable, Iterator
 from contextlib import suppress
-from typing import Any, cast
+from typing import Any
 
 import pytest
 import rclpy
 from rcl_interfaces.srv import ListParameters
 from rclpy.node import Node
 
-from kinpole_ros.executor import MarkersFirst
-from kinpole_ros.source import MarkerSource
+from kinpole_ros.executor import MessagesFirst
 
 
 class Flood:
@@ -36,7 +35,7 @@ def node() -> Iterator[Node]:
 
 
 def spin(node: Node, flood: Flood, until: Callable[[], Any]) -> None:
-    executor = MarkersFirst(cast(MarkerSource, flood))
+    executor = MessagesFirst(flood)
     executor.add_node(node)
     deadline = time.monotonic() + 10
     try:
@@ -111,7 +110,7 @@ def test_markers_that_fail_each_time_leave_all_else_its_turn(node: Node) -> None
         raise ValueError('of markers')
 
     flood.wait = fail  # type: ignore[method-assign]
-    executor = MarkersFirst(cast(MarkerSource, flood))
+    executor = MessagesFirst(flood)
     executor.add_node(node)
     deadline = time.monotonic() + 10
     try:

@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import rclpy
+from rclpy.duration import Duration
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.publisher import Publisher
@@ -132,6 +133,20 @@ def test_what_was_sent_before_and_is_kept_for_those_who_come_late_is_recorded(
         source.publish(String(data='early'))
         with kinpole('record', '--output', path, '--topic', TOPIC):
             until(lambda: len(readable(path)) == 1, 15)
+
+
+def test_a_recorder_that_is_behind_when_told_to_stop_records_all_that_has_come(
+    tmp_path: Path,
+) -> None:
+    path = tmp_path / 'live.mcap'
+    with publisher() as source, kinpole('record', '--output', path, '--topic', TOPIC) as process:
+        until(lambda: source.get_subscription_count() > 0, 15)
+        for k in range(1000):
+            source.publish(String(data=str(k)))
+        assert source.wait_for_all_acked(Duration(seconds=15))
+        process.send_signal(signal.SIGINT)
+        assert process.wait(30) == 0
+    assert len(readable(path)) == 1000
 
 
 def test_a_recorder_names_what_it_cannot_record_and_what_nobody_publishes(
