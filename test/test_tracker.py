@@ -737,7 +737,7 @@ def turning(shape: list[complex], noise: float, count: int) -> MarkerFrames:
 
 def test_a_frame_that_hardly_tells_the_angle_does_no_harm_to_the_frames_after_its_window() -> None:
     """Of three markers two are next to each other, and the third is hidden in one frame."""
-    frames = turning([0.1, 0.1 + 1e-8, -0.2 + 0.05j], 1e-7, 220)
+    frames = turning([0.1, 0.1 + 1e-8, -0.2 + 0.05j], 1e-5, 220)
     frames.points[60, 2] = np.nan
     found = block_and_single(frames, {})
     for name in ('angle', 'position', 'angle_covariance', 'position_covariance'):

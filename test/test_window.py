@@ -879,7 +879,7 @@ def test_a_few_samples_far_from_even_are_fitted(steps: tuple[int, int]) -> None:
     assert found.values[0, 0, 0] == pytest.approx(2.0, abs=1e-12)
 
 
-def setting_in(instants: int) -> np.ndarray:
+def setting_in(instants: int, noise: float) -> np.ndarray:
     """Poses (101, M, 2, 2) of a body that starts to turn about the point ARM between samples."""
     times = 5_000_000 * np.arange(-80, 21)
     seconds = (times[:, None] + 5_000_000 * np.arange(instants)) * 1e-9
@@ -888,8 +888,8 @@ def setting_in(instants: int) -> np.ndarray:
     signals = np.zeros((101, instants, 2, 2))
     signals[..., 0, 0] = turned
     signals[..., 1, :] = -turned[..., None] * np.array([-ARM.imag, ARM.real])
-    signals[..., 0, 0] += rng.normal(0, 1e-9, (101, instants))
-    signals[..., 1, :] += rng.normal(0, 1e-9, (101, instants, 2))
+    signals[..., 0, 0] += rng.normal(0, noise, (101, instants))
+    signals[..., 1, :] += rng.normal(0, noise, (101, instants, 2))
     return signals
 
 
@@ -903,7 +903,7 @@ def test_together_what_is_off_by_one_factor_in_angle_and_position_cancels(weight
     weights[30:33] = 0.0
     instants = 1 if weighted else 4
     times = np.repeat(5_000_000 * np.arange(-80, 21)[:, None], instants, axis=1)
-    fits = project(times, setting_in(instants), weights if weighted else None, 3, 1)
+    fits = project(times, setting_in(instants, 1e-9), weights if weighted else None, 3, 1)
     arms = np.full((3, instants, 1), ARM)
     found = weigh_together(fits, arms, np.full((instants, 2), 1e-9), 3, Spectrum().follow)
     # By weights of their own, which do not matter here, come the first angles and last positions.
@@ -923,9 +923,10 @@ def test_together_bodies_and_instants_do_not_mix() -> None:
     steady = np.cumsum(rng.normal(0, 1e-3, (101, 4, 2, 2)), axis=0)
     steady[..., 0, 1] = 0
     # Angles first, then positions.
-    signals = np.stack((steady, setting_in(4)), axis=3).reshape(101, 4, 4, 2)
+    signals = np.stack((steady, setting_in(4, 1e-5)), axis=3).reshape(101, 4, 4, 2)
     arms = np.stack((np.full((3, 4), 0.5 + 0.1j), np.full((3, 4), ARM)), axis=-1)
-    noise = np.full((4, 4), 1e-9)
+    # Well above rounding: products of one column and of many are rounded differently.
+    noise = np.full((4, 4), 1e-5)
     past = Spectrum().follow
     both = weigh_together(project(times, signals, None, 3, 2), arms, noise, 3, past)
     past = Spectrum().follow
