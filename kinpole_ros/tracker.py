@@ -6,6 +6,7 @@ gives: the one hands it frame by frame, the other many at once, and what they ge
 Header stamps drive it; it never asks for the time.
 """
 
+import itertools
 from collections import Counter
 from collections.abc import Iterable
 from typing import NamedTuple
@@ -42,6 +43,8 @@ _UNSTEADY = 0.15
 _LOOSE, _LOOSE_SHARE = 5.0, 0.01
 # Frames later than this many intervals of late come after a gap.
 _LATE = 2.5
+# Not by its first stamp, which a bag that loops has again and again.
+_runs = itertools.count(1)
 
 
 class _News(NamedTuple):
@@ -131,7 +134,7 @@ class Tracker:
         self.samples = 0
         # Mean time between the frames of the window, ns, 0 for fewer than two.
         self._interval = 0.0
-        self._since = 0
+        self._run_number = next(_runs)
         self._due = 0
         self._dropped = 0
         # Frames since the last beat, at which the bodies' shapes, noise and pins are learned.
@@ -271,8 +274,6 @@ class Tracker:
         self.counts['markers_unknown'] = self._roster.unknown
         seen = points.size - np.count_nonzero(np.isnan(points))
         self.counts['markers_not_seen'] += self._roster.wanted * len(points) - seen
-        if not len(self._frames):
-            self._since = int(stamps[0])
         rows = self._frames.room(len(stamps))
         gaps = self._enter(rows, stamps, steps)
         rows['number'] = numbers
@@ -507,7 +508,7 @@ class Tracker:
             span,
             degree,
             missing,
-            self._since,
+            self._run_number,
             *self._pinned(windows, known),
             known['shape'],
             due,

@@ -79,7 +79,7 @@ def stacked(instants: Sequence[Estimate]) -> Estimate:
         over('span', 0),
         over('degree', 0),
         over('missing', 0),
-        instants[0].since,
+        instants[0].run,
     )
 
 
@@ -373,7 +373,7 @@ def test_loci_start_anew_when_the_tracker_does(locus: str, stamp: int) -> None:
     build = rows()[f'crank/centrode/{locus}'].build
     assert len(follow(build, 400)[-1].poses) > 100
     anew = estimate(stamp)
-    anew.since = stamp
+    anew.run = 1
     assert [stamp_of(pose) for pose in build(anew).poses] == [stamp]
 
 
