@@ -86,9 +86,9 @@ class KinpoleNode(LifecycleNode):
         # Those that somebody reads, looked up now and then: it takes 0.6 us each.
         self._wanted: list[tuple[Output, Any]] = []
         self._publishers_made: dict[str, Any] = {}
+        self._amid_markers = False
         # Of the frames since the last diagnostics.
         self._stamps: list[int] = []
-        self._amid_markers = False
         self._latest: Estimate | None = None
         self._trouble: dict[str, str] = {}
         self._told = self._steady.now()
@@ -254,8 +254,6 @@ class KinpoleNode(LifecycleNode):
         """Take all that waits at once: what is behind catches up, and loses the oldest first."""
         self._amid_markers = True
         order = max((output.order for output, _ in self._wanted), default=None)
-        if order is None:
-            self._latest = None
         read, messages, dropped = self.source.take(message, info)
         self._tracker.counts['dropped'] += dropped
         if messages >= _BEHIND and not self.source.lossless:
@@ -316,7 +314,7 @@ class KinpoleNode(LifecycleNode):
         array = self._diagnostics.make(
             stamp, self._tracker, self._latest, seconds, self._trouble, self._stamps
         )
-        self._stamps = []
+        self._stamps, self._latest = [], None
         for passing in ('message', 'failure'):
             self._note(passing, '')
         self._status.publish(array)

@@ -302,6 +302,8 @@ def test_frames_too_seldom_for_the_window_are_told_of(rig: Rig) -> None:
         send = lambda: rig.send_next(publisher, step=WINDOW + STEP)  # noqa: E731
         words = 'if frames come so seldom, raise the parameter window, 0.3 s, to hold 7'
         rig.diagnosed(send, WARN, words, RESETS)
+        # What was known before is not told as if it were known still.
+        rig.diagnosed(send, STALE, 'nothing known: too few frames yet', None, status=1)
 
 
 def test_frames_that_come_late_disturb_nothing(rig: Rig) -> None:

@@ -581,6 +581,22 @@ def test_diagnostics_come_once_a_second_of_stamps(simulated: Bag, tmp_path: Path
     assert last['frames received'] == '151'
 
 
+def test_diagnostics_tell_nothing_as_known_that_was_known_a_second_ago_only(
+    simulated: Bag, tmp_path: Path
+) -> None:
+    bag = simulated('cardan', rate=50, duration=6.0)
+    with BagWriter(tmp_path / 'seldom.mcap') as writer:
+        for k, m in enumerate(read_messages(bag, ['/markers'])):
+            # In the end so few that the window holds one.
+            if k < 150 or k % 25 == 0:
+                writer.write_raw(m.topic, m.type_name, m.data, m.log_time)
+    replay(tmp_path / 'seldom.mcap', CARDAN, tmp_path / 'out.mcap')
+    arrays = decoded(tmp_path / 'out.mcap', '/diagnostics')['/diagnostics']
+    said = {stamp_of(array) // 1_000_000_000: array.status[1].message for array in arrays}
+    assert said[4].startswith('tracking')
+    assert said[5].startswith('nothing known') and said[6].startswith('nothing known')
+
+
 def test_messages_that_cannot_be_read_are_counted_and_left_out(
     simulated: Bag, run: Any, tmp_path: Path
 ) -> None:

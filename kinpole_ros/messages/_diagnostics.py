@@ -65,8 +65,8 @@ class DiagnosticsMaker:
         """
         Diagnostics stamped `stamp` (ns), of the `seconds` since the last ones.
 
-        `latest` holds the newest estimates, if any, of which the last counts; `trouble` names what
-        else is wrong, by topic; `stamps` are those of the frames since.
+        `latest` holds the newest estimates since, if any, of which the last counts; `trouble` names
+        what else is wrong, by topic; `stamps` are those of the frames since.
         """
         now = None if latest is None else latest[-1]
         return self.begin(stamp, tracker, seconds, trouble, stamps)(now)
