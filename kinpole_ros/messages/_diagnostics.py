@@ -217,6 +217,8 @@ def _faults(
     relied upon. STALE is when nothing came, and `nothing` says so.
     """
     mild = {*_MILD}
+    if since.get('frames'):
+        mild.add('qos')
     if since.get('frames', 0) > since.get('unreadable', 0):
         mild.add('message')
     faults = [
