@@ -214,19 +214,48 @@ def test_odometry_turns_the_body_about_the_normal_and_has_its_twist_in_the_body(
 
 @pytest.mark.parametrize('plane', PLANES)
 def test_odometry_says_how_well_the_plane_is_known_and_that_the_rest_is_not(plane: str) -> None:
+    """Its covariance is that of the angle too: in the body, a velocity turns with it."""
     now = estimate()
+    now.reference = np.array([0.4 - 0.3j, -0.2 + 0.9j])
     first, second, normal = (int(axis.argmax()) for axis in PLANES[plane])
-    message = rows(plane)['coupler/odom'].build(now)
+    known, unknown = [first, second, 3 + normal], [normal, 3 + first, 3 + second]
+    build = rows(plane)['coupler/odom'].build
+
+    def told(array: np.ndarray, order: int, step: complex) -> tuple[np.ndarray, np.ndarray]:
+        """Pose and twist in the plane where one of the derivatives is off by a step."""
+        array[order, 1] += step
+        message = build(now)
+        array[order, 1] -= step
+        pose, twist = message.pose.pose, message.twist.twist
+        turn = 2 * np.arctan2(xyz(pose.orientation)[normal], pose.orientation.w)
+        return (
+            np.array([xyz(pose.position)[first], xyz(pose.position)[second], turn]),
+            np.array([xyz(twist.linear)[first], xyz(twist.linear)[second],
+                      xyz(twist.angular)[normal]]),
+        )  # fmt: skip
+
+    message = build(now)
     for order, part in enumerate((message.pose, message.twist)):
+        slopes = [
+            (told(array, k, step * 1e-6)[order] - told(array, k, -step * 1e-6)[order]) / 2e-6
+            for array, k, step in (
+                (now.position, order, 1),
+                (now.position, order, 1j),
+                (now.angle, 0, 1),
+                (now.angle, 1, 1),
+            )
+        ]
+        spread = np.zeros((4, 4))
+        spread[0, 0] = spread[1, 1] = now.position_covariance[order, order, 1]
+        spread[2:, 2:] = now.angle_covariance[:2, :2, 1]
+        expected = np.array(slopes).T @ spread @ np.array(slopes)
         matrix = part.covariance.reshape(6, 6)
         np.testing.assert_array_equal(matrix, matrix.T)
         assert np.linalg.eigvalsh(matrix).min() > 0
-        position = now.position_covariance[order, order, 1]
-        assert matrix[first, first] == matrix[second, second] == position
-        assert matrix[3 + normal, 3 + normal] == now.angle_covariance[order, order, 1]
-        unknown = [normal, 3 + first, 3 + second]
+        block = matrix[np.ix_(known, known)]
+        np.testing.assert_allclose(block, expected, rtol=1e-6, atol=1e-12)
         assert (np.diag(matrix)[unknown] >= 1e6).all()
-        assert np.count_nonzero(matrix) == 6
+        assert np.count_nonzero(matrix) == np.count_nonzero(block) + 3
 
 
 def test_every_message_has_the_stamp_and_frame_of_its_estimate() -> None:
