@@ -91,6 +91,8 @@ class KinpoleNode(LifecycleNode):
         self._stamps: list[int] = []
         self._latest: Estimate | None = None
         self._trouble: dict[str, str] = {}
+        # What of it was noted since the last diagnostics.
+        self._noted: set[str] = set()
         self._told = self._steady.now()
         self._status: Any = None
         self._active = False
@@ -302,6 +304,7 @@ class KinpoleNode(LifecycleNode):
         if trouble not in self._trouble:
             self.get_logger().warning(text)
         self._trouble[trouble] = text
+        self._noted.add(trouble)
 
     def _tell(self) -> None:
         now = self._steady.now()
@@ -311,12 +314,13 @@ class KinpoleNode(LifecycleNode):
         stamp = min(max(0, self.get_clock().now().nanoseconds), _LATEST_STAMP)
         self.source.note_turns()
         self._note_rivals()
+        for passing in {'message', 'failure'} - self._noted:
+            self._note(passing, '')
+        self._noted.clear()
         array = self._diagnostics.make(
             stamp, self._tracker, self._latest, seconds, self._trouble, self._stamps
         )
         self._stamps, self._latest = [], None
-        for passing in ('message', 'failure'):
-            self._note(passing, '')
         self._status.publish(array)
 
     def _note_rivals(self) -> None:
