@@ -169,9 +169,8 @@ class Tracker:
 
     def lacking(self) -> dict[str, list[str]]:
         """Markers by body that the last message has not, where less than two of the body are."""
-        named = self.settings.bodies
-        lacks = dict(zip(self.bodies, self._roster.absent, strict=False))
-        return {b: names for b, names in lacks.items() if len(named[b]) - len(names) < 2 and names}
+        lacks = zip(self.bodies, self._roster.markers, self._roster.absent, strict=False)
+        return {b: names for b, every, names in lacks if len(every) - len(names) < 2 and names}
 
     @property
     def identities(self) -> tuple[str, ...]:

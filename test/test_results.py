@@ -495,6 +495,27 @@ def test_a_body_whose_markers_are_of_several_links_is_warned_of() -> None:
     assert 'one link only' in status.message
 
 
+def test_a_body_of_all_markers_lacks_some_only_where_less_than_two_are_left() -> None:
+    tracker = Tracker(Settings())
+    maker = DiagnosticsMaker('kinpole')
+
+    def told(*names: str) -> str:
+        stamps = np.array([10**18 + STEP * (tracker.counts['frames'] + 1)])
+        points = np.random.default_rng(0).normal(size=(1, len(names), 3))
+        tracker.add(MarkerFrames(stamps, FRAME, names, points), None)
+        return str(maker.make(10**18, tracker, None, 1.0, {}).status[1].message)
+
+    assert 'lack' not in told('a', 'b', 'c', 'd')
+    assert 'lack' not in told('a', 'b', 'd')
+    assert "messages lack 'b', 'c', 'd' of body; the last one has 'a'; " in told('a')
+    # As by a driver that counts its ids up, from frame to frame.
+    for k in range(30):
+        words = told(*(f'{40 * k + j}\n' for j in range(40)))
+    assert "messages lack 'a', 'b', 'c', 'd', '0\\n'" in words
+    assert words.isprintable()
+    assert len(words) < 500
+
+
 def test_markers_that_no_message_has_are_named_until_they_come() -> None:
     tracker = Tracker(Settings(bodies={'rod': ('tip', 'heel', 'toe'), 'all': ('a', 'b')}))
     maker = DiagnosticsMaker('kinpole')
@@ -509,7 +530,7 @@ def test_markers_that_no_message_has_are_named_until_they_come() -> None:
 
     level, words = told('a', 'b', 'Tip', 'heel')
     assert level == DiagnosticStatus.WARN
-    assert words.startswith("messages lack tip, toe of rod; the last one has 'a', 'b', 'Tip', ")
+    assert words.startswith("messages lack 'tip', 'toe' of rod; the last one has 'a', 'b', 'Tip', ")
     assert words.endswith('correct the parameter rod.markers, or marker_identity')
     assert 'lack' not in told('a', 'b', 'tip', 'heel')[1]
     assert 'lack' in told('a', 'b', 'Tip', 'heel')[1]

@@ -190,13 +190,15 @@ class DiagnosticsMaker:
 
 def not_there(body: str, names: Sequence[str], identities: Sequence[str]) -> str:
     """What is to be said of markers of a body that messages with these identities lack."""
-    there = [repr(name)[:_MOST_TOLD] for name in identities[:_MOST_NAMES]]
-    if len(identities) > _MOST_NAMES:
-        there.append('...')
     return (
-        f'messages lack {", ".join(names)} of {body}; the last one has '
-        f'{", ".join(there) or "none"}; correct the parameter {body}.markers, or marker_identity'
+        f'messages lack {_listed(names)} of {body}; the last one has {_listed(identities)}; '
+        f'correct the parameter {body}.markers, or marker_identity'
     )
+
+
+def _listed(names: Sequence[str]) -> str:
+    told = [repr(name)[:_MOST_TOLD] for name in names[:_MOST_NAMES]]
+    return ', '.join(told + ['...'] * (len(names) > _MOST_NAMES)) or 'none'
 
 
 def not_rigid(off: float) -> str:
