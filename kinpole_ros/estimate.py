@@ -80,9 +80,9 @@ class Estimate:
     (order + 1, order + 1, T, B) between orders, of one axis; `size` (T, B) is the diameter of
     each body and `height` (T, B) where its markers are along the normal, m; `span` (T, B) in s and
     `degree` (T, B) tell on how much time and by which polynomial the angular velocity was found.
-    NaN marks a body of which nothing is known, for the reason in `missing` (T, B). `since` is the
-    stamp of the frame that the tracker last began with: poses from before it are in other body
-    frames. `pin` (T, B) is the fixed point a body was found to turn about, complex, m, with
+    NaN marks a body of which nothing is known, for the reason in `missing` (T, B). `run` is another
+    number each time that a tracker starts anew: poses from before it are in other body frames.
+    `pin` (T, B) is the fixed point a body was found to turn about, complex, m, with
     `pin_variance` (T, B), m^2, of one coordinate; NaN for a body on no pin. `shape` (T, B, n) are
     the markers in the bodies' frames, complex, m. `due` (T,) is which frame, of those the tracker
     was given together, each instant fell due with. `together` are poses (K, A, T, B) whose angle
@@ -106,7 +106,7 @@ class Estimate:
         span: np.ndarray,
         degree: np.ndarray,
         missing: np.ndarray,
-        since: int = 0,
+        run: int = 0,
         pin: np.ndarray | None = None,
         pin_variance: np.ndarray | None = None,
         shape: np.ndarray | None = None,
@@ -126,7 +126,7 @@ class Estimate:
         self.span = span
         self.degree = degree
         self.missing = missing
-        self.since = since
+        self.run = run
         each = position.shape[1:]
         self.pin = np.full(each, np.nan + 0j) if pin is None else pin
         self.pin_variance = np.full(each, np.nan) if pin_variance is None else pin_variance
@@ -157,7 +157,7 @@ class Estimate:
             self.span[instant],
             self.degree[instant],
             self.missing[instant],
-            self.since,
+            self.run,
             self.pin[instant],
             self.pin_variance[instant],
             self.shape[instant],

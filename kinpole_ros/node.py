@@ -86,11 +86,13 @@ class KinpoleNode(LifecycleNode):
         # Those that somebody reads, looked up now and then: it takes 0.6 us each.
         self._wanted: list[tuple[Output, Any]] = []
         self._publishers_made: dict[str, Any] = {}
+        self._amid_markers = False
         # Of the frames since the last diagnostics.
         self._stamps: list[int] = []
-        self._amid_markers = False
         self._latest: Estimate | None = None
         self._trouble: dict[str, str] = {}
+        # What of it was noted since the last diagnostics.
+        self._noted: set[str] = set()
         self._told = self._steady.now()
         self._status: Any = None
         self._active = False
@@ -254,8 +256,6 @@ class KinpoleNode(LifecycleNode):
         """Take all that waits at once: what is behind catches up, and loses the oldest first."""
         self._amid_markers = True
         order = max((output.order for output, _ in self._wanted), default=None)
-        if order is None:
-            self._latest = None
         read, messages, dropped = self.source.take(message, info)
         self._tracker.counts['dropped'] += dropped
         if messages >= _BEHIND and not self.source.lossless:
@@ -304,6 +304,7 @@ class KinpoleNode(LifecycleNode):
         if trouble not in self._trouble:
             self.get_logger().warning(text)
         self._trouble[trouble] = text
+        self._noted.add(trouble)
 
     def _tell(self) -> None:
         now = self._steady.now()
@@ -313,12 +314,13 @@ class KinpoleNode(LifecycleNode):
         stamp = min(max(0, self.get_clock().now().nanoseconds), _LATEST_STAMP)
         self.source.note_turns()
         self._note_rivals()
+        for passing in {'message', 'failure'} - self._noted:
+            self._note(passing, '')
+        self._noted.clear()
         array = self._diagnostics.make(
             stamp, self._tracker, self._latest, seconds, self._trouble, self._stamps
         )
-        self._stamps = []
-        for passing in ('message', 'failure'):
-            self._note(passing, '')
+        self._stamps, self._latest = [], None
         self._status.publish(array)
 
     def _note_rivals(self) -> None:

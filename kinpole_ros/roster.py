@@ -26,18 +26,19 @@ class Roster:
     """
     The markers of the bodies of `settings`.
 
-    `width` is for how many markers a body there is room, `wanted` how many there are of all bodies,
-    and `unknown` how many of the last new layout no body names. `absent` are the markers of each
-    body that the last message lacks, and `identities` those it has.
+    `markers` are the names of each body's, `width` is for how many markers a body there is room,
+    `wanted` how many there are of all bodies, and `unknown` how many of the last new layout no body
+    names. `absent` are the markers of each body that the last message lacks, and `identities` those
+    it has.
     """
 
     def __init__(self, settings: Settings) -> None:
-        self._markers = [list(markers) for markers in settings.bodies.values()]
-        self._all_markers = not any(self._markers)
+        self.markers = [list(markers) for markers in settings.bodies.values()]
+        self._all_markers = not any(self.markers)
         self._axes = AXES[settings.plane]
         self._places: dict[tuple[str, ...], tuple[np.ndarray, bool, list[list[str]]]] = {}
-        self.width = max(2, *(len(markers) for markers in self._markers))
-        self.wanted = sum(map(len, self._markers))
+        self.width = max(2, *(len(markers) for markers in self.markers))
+        self.wanted = sum(map(len, self.markers))
         self.unknown = 0
         self.absent: list[list[str]] = []
         self.identities: tuple[str, ...] = ()
@@ -76,12 +77,12 @@ class Roster:
             if self._all_markers:
                 self._take_new(identities)
             nowhere = len(identities)
-            place = np.full((len(self._markers), self.width), nowhere)
-            for body, markers in enumerate(self._markers):
+            place = np.full((len(self.markers), self.width), nowhere)
+            for body, markers in enumerate(self.markers):
                 place[body, : len(markers)] = [find_marker(name, identities) for name in markers]
             absent = [
                 [name for name, where in zip(markers, places, strict=False) if where == nowhere]
-                for markers, places in zip(self._markers, place.tolist(), strict=True)
+                for markers, places in zip(self.markers, place.tolist(), strict=True)
             ]
             self.unknown = len(set(range(nowhere)) - set(place.ravel().tolist()))
             if len(self._places) > _MOST_LAYOUTS:
@@ -92,7 +93,7 @@ class Roster:
 
     def _take_new(self, identities: tuple[str, ...]) -> None:
         """A body of all markers: add those not met before."""
-        markers = self._markers[0]
+        markers = self.markers[0]
         new = [name for name in dict.fromkeys(identities) if name not in set(markers)]
         markers += new[: MOST_MARKERS - len(markers)]
         self.wanted = len(markers)

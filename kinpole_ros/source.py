@@ -1,13 +1,14 @@
 """Where the markers come from: a topic that is found, subscribed to, taken from and watched."""
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
 from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
-from rclpy.qos import QoSProfile, ReliabilityPolicy, qos_policy_name_from_kind
+from rclpy.qos import QoSCompatibility, QoSProfile, ReliabilityPolicy, qos_check_compatible
 from rclpy.qos_overriding_options import QoSOverridingOptions
+from rclpy.topic_endpoint_info import TopicEndpointInfo
 
 from kinpole_ros.executor import Apart
 from kinpole_ros.frame import MarkerFrames
@@ -110,6 +111,7 @@ class MarkerSource:
             self.close()
             self._subscribe(kinds[0])
         self._note_other_types(published)
+        self._note_unheard(offers)
         return replaced
 
     def _subscribe(self, kind: str) -> None:
@@ -123,9 +125,7 @@ class MarkerSource:
                 self._on_markers,
                 qos,
                 callback_group=self._group,
-                event_callbacks=SubscriptionEventCallbacks(
-                    incompatible_qos=self._mismatched, use_default_callbacks=False
-                ),
+                event_callbacks=SubscriptionEventCallbacks(use_default_callbacks=False),
                 qos_overriding_options=QoSOverridingOptions.with_default_policies(),
                 raw=True,
             )
@@ -143,14 +143,21 @@ class MarkerSource:
         bodies = ', '.join(self._settings.bodies)
         self._node.get_logger().info(f'follows {bodies} on {self.topic} ({ROS_TYPE_NAMES[kind]})')
 
-    def _mismatched(self, event: Any) -> None:
-        policy = qos_policy_name_from_kind(event.last_policy_kind).lower()
-        self._note(
-            'qos',
-            f'a publisher of {self.topic} offers less than this node asks for in the QoS policy '
-            f'{policy}, and nothing is received from it: set the parameter '
-            f'qos_overrides.{self.topic}.subscription.{policy} to what it offers',
-        )
+    def _note_unheard(self, offers: Sequence[TopicEndpointInfo]) -> None:
+        """Note a publisher whose QoS is less than is asked for; rclpy tells only when it comes."""
+        text = ''
+        for offer in offers:
+            if offer.topic_type != ROS_TYPE_NAMES.get(self._kind):
+                continue
+            match, reason = qos_check_compatible(offer.qos_profile, self._subscription.qos_profile)
+            if match == QoSCompatibility.ERROR:
+                why = reason.replace('ERROR: ', '').rstrip(';')
+                text = (
+                    f'a publisher of {self.topic} offers less QoS than this node asks for, and '
+                    f'nothing is received from it ({why}): set the parameters '
+                    f'qos_overrides.{self.topic}.subscription... to what it offers'
+                )
+        self._note('qos', text)
 
     def _note_other_types(self, published: set[str]) -> None:
         followed = ROS_TYPE_NAMES.get(self._kind)
@@ -185,7 +192,6 @@ class MarkerSource:
             take = self._subscription.handle.take_message
             while len(waiting) < _DEPTH and (more := take(kind, True)) is not None:
                 waiting.append(more)
-        self._note('qos', '')
         dropped = self._dropped(info.get('publication_sequence_number') for _, info in waiting)
         return self._reader.read(data for data, _ in waiting), len(waiting), dropped
 

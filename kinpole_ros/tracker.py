@@ -6,6 +6,7 @@ gives: the one hands it frame by frame, the other many at once, and what they ge
 Header stamps drive it; it never asks for the time.
 """
 
+import itertools
 from collections import Counter
 from collections.abc import Iterable
 
@@ -31,6 +32,8 @@ from kinpole_ros.window import (
 
 # Frames later than this many intervals of late come after a gap.
 _LATE = 2.5
+# Not by its first stamp, which a bag that loops has again and again.
+_runs = itertools.count(1)
 
 
 def _frame_type(bodies: int) -> np.dtype:
@@ -81,7 +84,7 @@ class Tracker:
         self.samples = 0
         # Mean time between the frames of the window, ns, 0 for fewer than two.
         self._interval = 0.0
-        self._since = 0
+        self._run_number = next(_runs)
         self._due = 0
         self._dropped = 0
         # How many frames wait to be estimated.
@@ -102,9 +105,8 @@ class Tracker:
 
     def lacking(self) -> dict[str, list[str]]:
         """Markers by body that the last message has not, where less than two of the body are."""
-        named = self.settings.bodies
-        lacks = dict(zip(self.bodies, self._roster.absent, strict=False))
-        return {b: names for b, names in lacks.items() if len(named[b]) - len(names) < 2 and names}
+        lacks = zip(self.bodies, self._roster.markers, self._roster.absent, strict=False)
+        return {b: names for b, every, names in lacks if len(every) - len(names) < 2 and names}
 
     @property
     def identities(self) -> tuple[str, ...]:
@@ -206,8 +208,6 @@ class Tracker:
         self.counts['markers_unknown'] = self._roster.unknown
         seen = points.size - np.count_nonzero(np.isnan(points))
         self.counts['markers_not_seen'] += self._roster.wanted * len(points) - seen
-        if not len(self._frames):
-            self._since = int(stamps[0])
         rows = self._frames.room(len(stamps))
         gaps = self._enter(rows, stamps, steps)
         rows['number'] = numbers
@@ -315,7 +315,7 @@ class Tracker:
             span,
             degree,
             missing,
-            self._since,
+            self._run_number,
             *self._pinned(windows, known),
             known['shape'],
             due,

@@ -290,7 +290,7 @@ def test_a_body_known_at_no_instant_is_status_2_and_in_the_summary(
         assert said.startswith(
             '1 bags, 0 failed, 0 cut off, 1 know a body at no instant; 60 frames'
         )
-        assert 'messages lack rokcer_1, rokcer_2 of rocker' in complaints
+        assert "messages lack 'rokcer_1', 'rokcer_2' of rocker" in complaints
         (row,) = summary(out)
         assert (row['error'], row['unknown']) == ('', 'rocker')
 

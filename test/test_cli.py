@@ -474,13 +474,13 @@ def test_markers_that_are_in_no_message_are_named_with_those_that_are(
     said = kinpole('replay', bag, '--config', config)
     assert said.status == 0
     assert said.err.startswith(
-        "kinpole replay: messages lack crank_9 of crank; the last one has 'crank_1/0', "
+        "kinpole replay: messages lack 'crank_9' of crank; the last one has 'crank_1/0', "
     )
     none = {**some, 'coupler': ('coupler_1', 'cuopler_2')}
     config, output = write_config(tmp_path / 'b.yaml', Settings(bodies=none)), tmp_path / 'out.mcap'
     said = kinpole('replay', bag, '--config', config, '--output', output)
     assert said.status == 2
-    assert 'messages lack cuopler_2 of coupler; ' in said.err
+    assert "messages lack 'cuopler_2' of coupler; " in said.err
     assert 'correct the parameter coupler.markers' in said.err
     assert decoded(output)['/kinpole/crank/odom']
 

@@ -302,6 +302,8 @@ def test_frames_too_seldom_for_the_window_are_told_of(rig: Rig) -> None:
         send = lambda: rig.send_next(publisher, step=WINDOW + STEP)  # noqa: E731
         words = 'if frames come so seldom, raise the parameter window, 0.3 s, to hold 7'
         rig.diagnosed(send, WARN, words, RESETS)
+        # What was known before is not told as if it were known still.
+        rig.diagnosed(send, STALE, 'nothing known: too few frames yet', None, status=1)
 
 
 def test_frames_that_come_late_disturb_nothing(rig: Rig) -> None:
@@ -456,15 +458,21 @@ def test_a_publisher_that_offers_less_than_the_node_asks_for(rig: Rig) -> None:
     kind = MARKER_TYPES['marker_array']
     qos = QoSProfile(depth=5, reliability=ReliabilityPolicy.BEST_EFFORT)
     unreliable = rig.node.create_publisher(kind, '/markers', qos)
-    words = 'offers less than this node asks for in the QoS policy reliability'
+    words = 'offers less QoS than this node asks for, and nothing is received from it (Best effort'
+    unheard = lambda: rig.send_next(unreliable)  # noqa: E731
     try:
-        rig.diagnosed(lambda: rig.send_next(unreliable), ERROR, words, None)
+        rig.diagnosed(unheard, ERROR, words, None)
+        # Another one that is heard changes nothing about it.
+        with rig.publisher(kind) as publisher:
+            rig.begin(publisher)
+            rig.diagnosed(lambda: rig.send_next(publisher), WARN, words, None)
+        rig.diagnosed(unheard, ERROR, words, None)
     finally:
         rig.node.destroy_publisher(unreliable)
-    with rig.publisher(kind) as publisher:
-        rig.begin(publisher)
-        send = lambda: rig.send_next(publisher)  # noqa: E731
-        rig.diagnosed(send, OK, 'receiving markers', None)
+    rig.diagnosed(lambda: None, STALE, 'no markers received', None)
+    rig.forget_heard()
+    rig.diagnosed(lambda: None, STALE, 'no markers received', None)
+    assert not rig.named(None, words, None)
 
 
 def test_publishers_that_take_turns_on_the_topic_are_named(rig: Rig) -> None:

@@ -416,6 +416,26 @@ def test_a_managed_node_waits_stops_and_starts_again(
     assert not complaints(tmp_path / 'stderr')
 
 
+def test_messages_that_cannot_be_read_are_warned_of_when_they_begin_and_told_of_all_along(
+    peer: Peer, simulated: Bag, by_place: Path, tmp_path: Path
+) -> None:
+    """As from a driver that sends empty arrays all night, for it sees nothing."""
+    log, words = tmp_path / 'stderr', 'MarkerArray without markers has no stamp'
+    with process(*node_words(by_place), log=log):
+        arrays = peer.hear('/diagnostics', DiagnosticArray)
+        with peer.publisher(MarkerArray) as publisher:
+            good, empty = endless(simulated), itertools.repeat(MarkerArray())
+
+            def told(times: int, so: bool) -> bool:
+                last = [words in array.status[0].message for array in arrays[-times:]]
+                return last == [so] * times
+
+            for messages, so in ((empty, True), (good, False), (empty, True)):
+                done = partial(told, 3, so)
+                peer.feed(publisher, messages, done, 'three diagnostics of the same')
+    assert [words in line for line in complaints(log)] == [True, True]
+
+
 def test_simulated_time_that_stands_still_stops_nothing(
     peer: Peer, simulated: Bag, by_place: Path, tmp_path: Path
 ) -> None:

@@ -254,6 +254,7 @@ class _Beat:
         self.trouble: dict[str, str] = {}
         self._maker = maker
         self._told: int | None = None
+        # Of the frames since the last diagnostics.
         self._latest: Estimate | None = None
         # Number of the frame, and what is to be finished with the estimate of that time.
         self._begun: list[tuple[int, Callable[[Estimate | None], DiagnosticArray]]] = []
@@ -277,16 +278,19 @@ class _Beat:
     def columns(self, known: list[Estimate], log_times: np.ndarray) -> Iterator[Column]:
         """What these seconds have to say; `known` are the estimates of the same frames."""
         data = []
+        told = -1
         for number, finish in self._begun:
-            now = self._latest
+            now, self._latest = self._latest, None
             for estimate in known:
                 due = int(np.searchsorted(estimate.due, number, side='right'))
-                now = estimate[due - 1] if due else now
+                if due and estimate.due[due - 1] > told:
+                    now = estimate[due - 1]
             data.append(serialize_message(finish(now)))
+            told = number
         at = [int(log_times[number]) for number, _ in self._begun]
         yield '/diagnostics', DiagnosticArray, at, data
         self._begun = []
-        if known:
+        if known and known[-1].due[-1] > told:
             self._latest = known[-1][-1]
 
 

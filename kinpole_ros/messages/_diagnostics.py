@@ -65,8 +65,8 @@ class DiagnosticsMaker:
         """
         Diagnostics stamped `stamp` (ns), of the `seconds` since the last ones.
 
-        `latest` holds the newest estimates, if any, of which the last counts; `trouble` names what
-        else is wrong, by topic; `stamps` are those of the frames since.
+        `latest` holds the newest estimates since, if any, of which the last counts; `trouble` names
+        what else is wrong, by topic; `stamps` are those of the frames since.
         """
         now = None if latest is None else latest[-1]
         return self.begin(stamp, tracker, seconds, trouble, stamps)(now)
@@ -190,13 +190,15 @@ class DiagnosticsMaker:
 
 def not_there(body: str, names: Sequence[str], identities: Sequence[str]) -> str:
     """What is to be said of markers of a body that messages with these identities lack."""
-    there = [repr(name)[:_MOST_TOLD] for name in identities[:_MOST_NAMES]]
-    if len(identities) > _MOST_NAMES:
-        there.append('...')
     return (
-        f'messages lack {", ".join(names)} of {body}; the last one has '
-        f'{", ".join(there) or "none"}; correct the parameter {body}.markers, or marker_identity'
+        f'messages lack {_listed(names)} of {body}; the last one has {_listed(identities)}; '
+        f'correct the parameter {body}.markers, or marker_identity'
     )
+
+
+def _listed(names: Sequence[str]) -> str:
+    told = [repr(name)[:_MOST_TOLD] for name in names[:_MOST_NAMES]]
+    return ', '.join(told + ['...'] * (len(names) > _MOST_NAMES)) or 'none'
 
 
 def not_rigid(off: float) -> str:
@@ -217,6 +219,8 @@ def _faults(
     relied upon. STALE is when nothing came, and `nothing` says so.
     """
     mild = {*_MILD}
+    if since.get('frames'):
+        mild.add('qos')
     if since.get('frames', 0) > since.get('unreadable', 0):
         mild.add('message')
     faults = [

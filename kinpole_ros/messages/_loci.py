@@ -31,7 +31,7 @@ class Trail:
 
     def __init__(self) -> None:
         self._taken: Estimate | None = None
-        self._since = 0
+        self._run = 0
         self._clear()
 
     def _clear(self) -> None:
@@ -44,8 +44,8 @@ class Trail:
         if estimate is self._taken:
             return
         self._taken = estimate
-        if estimate.since != self._since:
-            self._since = estimate.since
+        if estimate.run != self._run:
+            self._run = estimate.run
             self._clear()
         pole = estimate.pole(1)
         known = pole.determined[:, b].nonzero()[0]
@@ -82,22 +82,22 @@ def _spaced(stamps: np.ndarray, step: int) -> list[int]:
 
 
 class _Beat:
-    """Which instants are due to be drawn, at most every tenth of a second of stamps."""
+    """Which instants of a run are due to be drawn, at most every tenth of a second of stamps."""
 
     def __init__(self) -> None:
+        self._run = 0
         self._last: int | None = None
 
-    def rests(self, stamps: np.ndarray) -> bool:
-        """Whether none of the stamps can be due."""
-        return self._last is not None and (
-            self._last <= int(stamps[0]) and int(stamps[-1]) < self._last + _DRAWN_EVERY
-        )
+    def rests(self, estimate: Estimate) -> bool:
+        """Whether none of the instants can be due."""
+        if estimate.run != self._run:
+            self._run, self._last = estimate.run, None
+        return self._last is not None and int(estimate.stamp[-1]) < self._last + _DRAWN_EVERY
 
     def due(self, stamps: np.ndarray, instants: np.ndarray) -> list[int]:
         """Those of the `instants`, indices of `stamps` in order, that are due."""
         if self._last is not None:
-            past = stamps[instants] - self._last
-            instants = instants[(past < 0) | (past >= _DRAWN_EVERY)]
+            instants = instants[stamps[instants] >= self._last + _DRAWN_EVERY]
         if not len(instants):
             return []
         due: list[int] = instants[_spaced(stamps[instants], _DRAWN_EVERY)].tolist()
@@ -111,7 +111,7 @@ def centrode(b: int, axes: Axes, trail: Trail, fixed: bool) -> Build:
 
     def build(estimate: Estimate) -> list[tuple[int, bytes]]:
         trail.follow(estimate, b)
-        if not len(trail.stamps) or beat.rests(estimate.stamp):
+        if beat.rests(estimate) or not len(trail.stamps):
             return []
         drawn = (estimate.missing[:, b] == '') & (estimate.stamp >= trail.stamps[0])
         due = beat.due(estimate.stamp, drawn.nonzero()[0])
@@ -136,7 +136,7 @@ def scene(bodies: tuple[str, ...], axes: Axes, trails: list[Trail]) -> Build:
     def build(estimate: Estimate) -> list[tuple[int, bytes]]:
         for b in range(len(bodies)):
             trails[b].follow(estimate, b)
-        if beat.rests(estimate.stamp):
+        if beat.rests(estimate):
             return []
         due = beat.due(estimate.stamp, np.arange(len(estimate.stamp)))
         parts = [trail.until(estimate.stamp[due]) for trail in trails]

@@ -29,6 +29,8 @@ from kinpole_ros.theory import Theory, balance
 Chosen: TypeAlias = slice | np.ndarray
 # A variance for what a planar measurement says nothing about (m^2, rad^2, ...).
 _UNMEASURED = 1e6
+# The cells of a 3 x 3 matrix, those below the diagonal from above it: equal to the last bit.
+_SYMMETRIC = [0, 1, 2, 1, 4, 5, 2, 5, 8]
 
 
 class Output(NamedTuple):
@@ -186,7 +188,11 @@ def _poses(quantity: Callable[[Estimate], Vectors], k: int, axes: Axes) -> Build
 
 def _odometry(b: int, axes: Axes) -> Build:
     """Pose of the body in the frame of the markers, twist in the body's own frame (REP-105)."""
-    first, second, normal = axes
+    normal = axes[2]
+    in_plane = np.array([axes[0], axes[1], 3 + normal])
+    # Where the covariance of these is in the 6 x 6 matrix that comes last, and the diagonal of it.
+    cells = (6 * in_plane[:, None] + in_plane).ravel() - 36
+    diagonal = slice(-36, None, 7)
 
     def build(estimate: Estimate) -> list[tuple[int, bytes]]:
         def figures(chosen: Chosen) -> np.ndarray:
@@ -199,16 +205,26 @@ def _odometry(b: int, axes: Axes) -> Build:
             pose[:, 3 + normal], pose[:, 6] = turn.imag, turn.real
             twist[:, :3] = in_space(velocity / turn**2, 0.0, axes)
             twist[:, 3 + normal] = rate
-            of_angle = estimate.angle_covariance[0, 0], estimate.rate(1).variance
+            of_angle = estimate.angle_covariance[:2, :2, chosen, b].transpose(2, 0, 1).copy()
+            of_angle[:, 1, 1] = estimate.rate(1).variance[chosen, b]
+            # By how much they change with the angle and with the rate: the origin lies about the
+            # reference point, whose velocity is seen from the body.
+            arm = estimate.reference[chosen, b]
+            by_angle = np.zeros((2, len(angle), 3, 2))
+            for part, column, lever in (
+                (0, 0, arm * turn**2),
+                (1, 0, estimate.position[1, chosen, b] / turn**2),
+                (1, 1, arm),
+            ):
+                by_angle[part, :, 0, column] = lever.imag
+                by_angle[part, :, 1, column] = -lever.real
+            by_angle[0, :, 2, 0] = by_angle[1, :, 2, 1] = 1.0
+            spread = np.einsum('ptij,tjk,ptlk->ptil', by_angle, of_angle, by_angle)
             for order, part in enumerate((pose, twist)):
-                # The diagonal of a 6 x 6 matrix, which comes last.
-                diagonal = part[:, -36::7]
-                diagonal[:] = _UNMEASURED
-                turned = of_angle[order][chosen, b]
-                spread = estimate.position_covariance[order, order, chosen, b]
-                spread = spread + np.abs(estimate.reference[chosen, b]) ** 2 * turned
-                diagonal[:, first] = diagonal[:, second] = spread
-                diagonal[:, 3 + normal] = turned
+                part[:, diagonal] = _UNMEASURED
+                part[:, cells] = spread[order].reshape(-1, 9)[:, _SYMMETRIC]
+                variance = estimate.position_covariance[order, order, chosen, b]
+                part[:, cells[[0, 4]]] += variance[:, None]
             return both
 
         return _messages(estimate, estimate.missing[:, b] == '', figures, estimate.bodies[b])
