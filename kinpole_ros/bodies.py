@@ -269,7 +269,7 @@ class RigidBodies:
     def _misfit(self) -> np.ndarray:
         """Variance (B,) of one coordinate of a marker, of all that keeps it off its place."""
         rounding = _ROUNDING * self._shapes.farthest
-        return np.maximum(self._shapes.misfit(), max(self._given, rounding) ** 2)
+        return np.maximum(self._shapes.misfit(), np.maximum(self._given, rounding) ** 2)
 
     def _size(self) -> np.ndarray:
         """Diameters (B,) of the bodies: twice the rms distance of their markers from the mean."""

@@ -14,6 +14,8 @@ from kinpole_ros.mechanism import (
     Force,
     LinkageError,
     Load,
+    Mechanism,
+    Motion,
     Revolute,
     Scene,
     SceneError,
@@ -135,10 +137,8 @@ def rate_differences(theory: Theory, estimate: Estimate) -> list[Difference]:
     mechanism = theory.scene.mechanism
     start = float(mechanism.drivers[0].motion(np.zeros(1))[0, 0])
     turned = estimate.angle[0, b] + frames[theory.driver][1] - start
-    at = start + (turned + np.pi) % (2 * np.pi) - np.pi
-    try:
-        swept = mechanism.sweep(np.array([at]))
-    except LinkageError:
+    swept = _swept(mechanism, start, (turned + np.pi) % (2 * np.pi) - np.pi)
+    if swept is None:
         return []
     # Per rad of the driver: the ratio of the rates, and how it changes.
     ratio, bend = swept.angle[1, :, 0], swept.angle[2, :, 0]
@@ -153,6 +153,16 @@ def rate_differences(theory: Theory, estimate: Estimate) -> list[Difference]:
         what = 'angular velocity less theory'
         found.append(Difference(body, what, 'rad/s', float(value), float(np.sqrt(variance))))
     return found
+
+
+def _swept(mechanism: Mechanism, start: float, ahead: float) -> Motion | None:
+    """With the driver `ahead` of its start, or the other way round if it cannot go there so."""
+    for way in (ahead, ahead - np.copysign(2 * np.pi, ahead)):
+        try:
+            return mechanism.sweep(np.array([start + way]))
+        except LinkageError:
+            continue
+    return None
 
 
 def joint_offsets(theory: Theory, estimate: Estimate) -> list[Difference]:

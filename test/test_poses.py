@@ -195,7 +195,12 @@ def test_a_frame_is_answered_before_it_is_judged_and_settling_changes_nothing(
     assert judged.count('asked') < 200 / 20
 
 
-def test_what_is_judged_anew_ends_where_instants_are_missing() -> None:
+def of_some_instants(at_once: int, first_order: int = 3) -> np.ndarray:
+    """
+    Angles (4, M, 1) of which three or four instants follow on each other, then one is missing.
+
+    So many are asked for at once; the first 78 up to another order.
+    """
     count, ahead, rng = 61, 20, np.random.default_rng(8)
     time = np.arange(400 + count) * STEP * 1e-9
     noise = np.array([1e-3, 1e-4])
@@ -204,24 +209,35 @@ def test_what_is_judged_anew_ends_where_instants_are_missing() -> None:
     signals[:, 1] = 0.1 * signals[:, :1, 0]
     signals += noise[:, None] * rng.normal(size=signals.shape)
     signals[:, 0, 1] = 0.0
-    # Three or four instants follow on each other, then one is missing.
     numbers = np.arange(400)[np.isin(np.arange(400) % 9, (3, 8), invert=True)]
     times = np.broadcast_to((np.arange(count) - count + 1 + ahead) * STEP, (len(numbers), count)).T
     samples = signals[numbers + np.arange(count)[:, None]]
-
-    def derivatives(at_once: int) -> np.ndarray:
-        found, poses = [], _poses.PoseFilter()
-        for first in range(0, len(numbers), at_once):
-            some = slice(first, first + at_once)
+    found, poses = [], _poses.PoseFilter()
+    for order, begin, end in ((first_order, 0, 78), (3, 78, len(numbers))):
+        for first in range(begin, end, at_once):
+            some = slice(first, min(first + at_once, end))
             shape = len(numbers[some])
             given = numbers[some], times[:, some], samples[:, some], None
             limits = np.broadcast_to(noise, (shape, 2)), np.full((shape, 1), 100.0)
-            found.append(poses.derivatives(*given, *limits, 3).angle)
-        return np.concatenate(found, axis=1)
+            angle = poses.derivatives(*given, *limits, order).angle
+            found.append(np.resize(angle, (4, shape, 1)))
+            found[-1][order + 1 :] = np.nan
+    return np.concatenate(found, axis=1)
 
-    alone = derivatives(1)
+
+def test_what_is_judged_anew_ends_where_instants_are_missing() -> None:
+    alone = of_some_instants(1)
     for at_once in (2, 3, 5, 7, 64):
-        np.testing.assert_allclose(derivatives(at_once), alone, rtol=1e-9, atol=1e-9)
+        np.testing.assert_allclose(of_some_instants(at_once), alone, rtol=1e-9, atol=1e-9)
+
+
+def test_an_instant_that_is_judged_for_itself_is_of_the_order_asked_for() -> None:
+    alone = of_some_instants(1, first_order=1)
+    # Only what goes on from an instant before waits for the next judgment.
+    assert np.isnan(alone[3]).sum() == 78 + 2
+    for at_once in (2, 3, 5, 7, 64):
+        found = of_some_instants(at_once, first_order=1)
+        np.testing.assert_allclose(found, alone, rtol=1e-9, atol=1e-9)
 
 
 def test_bodies_are_asked_six_times_while_a_judgment_holds(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -1273,6 +1273,27 @@ def test_frames_gone_wild_amid_good_ones_do_no_harm(bad: float, method: str) -> 
     assert np.isfinite(tracker.noise()).all()
 
 
+def test_a_marker_gone_wild_before_that_can_be_told_leaves_the_other_bodies_as_they_are() -> None:
+    frames = two_bodies(160, 3.0, 0.0, 1e-4)
+    values = {'bodies': ['kite', 'rectangle'], 'kite.markers': list('abcd')}
+    values |= {'rectangle.markers': list('efgh'), 'lag': 0.05}
+    found = []
+    for wild in (0.0, 1e14):
+        points = frames.points.copy()
+        points[5, 0] += wild
+        tracker = Tracker(settings_from(values))
+        (estimate,) = tracker.add(frames._replace(points=points), 3)
+        assert tracker.noise()[1] < 2e-4
+        found.append(estimate)
+    clean, spoilt = found
+    np.testing.assert_array_equal(spoilt.missing[:, 1], clean.missing[:, 1])
+    assert not clean.missing[-1, 1]
+    rates = [estimate.rate(1) for estimate in found]
+    off = np.abs(rates[1].value - rates[0].value)[-50:, 1]
+    assert (off < np.sqrt(rates[0].variance[-50:, 1])).all()
+    np.testing.assert_allclose(*(rate.variance[-50:, 1] for rate in rates), rtol=0.5)
+
+
 @pytest.mark.parametrize('count', [2, 3, 4])
 def test_markers_lost_in_their_noise_make_no_body(count: int) -> None:
     """Their angle is anything, so whatever followed from it would be, too."""

@@ -94,16 +94,18 @@ class PoseFilter:
 
         if plan.at_once[0] or order == self._order:
             return part(slice(None), plan, order)
-        # Up to the next judgment, which is of the other order.
+        # Up to the next judgment, which is of the other order: it is for the instants after, unless
+        # one is judged for itself.
         count = len(numbers)
         end = int(plan.due.argmax()) if plan.due.any() else count
+        after = end + int(end < count and not plan.at_once[end])
         there = np.arange(count) == end
         unjudged = plan._replace(due=plan.due & ~there)
-        parts = [of_order(part(slice(end + 1), unjudged, self._order), order)]
-        if end < count:
-            part(slice(end, end + 1), plan._replace(at_once=plan.at_once | there), order)
-        if end + 1 < count:
-            parts.append(part(slice(end + 1, None), plan, order))
+        parts = [of_order(part(slice(after), unjudged, self._order), order)]
+        if after > end:
+            part(slice(end, after), plan._replace(at_once=plan.at_once | there), order)
+        if after < count:
+            parts.append(part(slice(after, None), plan, order))
         return PoseDerivatives(*(np.concatenate(each, -2) for each in zip(*parts, strict=True)))
 
     def _derived(

@@ -56,16 +56,17 @@ class Shapes:
 
     `points` (B, n) are where the markers are, complex, m; `known` (B,) how many of them have been
     seen so far, and `spread` (B,) the sum of their squares about their mean, m^2; `beat` is in how
-    many frames from the last time on `learn` is to be called; `farthest` is how far, m, from the
-    origin of the ground markers were until then. `mended` counts, see `untangle`; `stand_in` (B, n)
-    says which marker goes on where each one was at first, for some are exchanged for good.
+    many frames from the last time on `learn` is to be called; `farthest` (B,) is how far, m, from
+    the origin of the ground the markers seen last before that were. `mended` counts, see
+    `untangle`; `stand_in` (B, n) says which marker goes on where each one was at first, for some
+    are exchanged for good.
     """
 
     def __init__(self, bodies: int, markers: int) -> None:
         self.points = np.zeros((bodies, markers), complex)
         self.mended: Counter[str] = Counter()
         self.stand_in = np.tile(np.arange(markers), (bodies, 1))
-        self.farthest = 0.0
+        self.farthest = np.zeros(bodies)
         self._frames = np.zeros((bodies, markers))
         # One for a marker that the last beat began with: no news of it yet.
         self._first = np.zeros((bodies, markers))
@@ -155,7 +156,9 @@ class Shapes:
             return
         news = _News(*map(np.concatenate, zip(*self._news, strict=True)))
         self._news = []
-        self.farthest = float(np.fmax.reduce(np.abs(news.points), None, initial=self.farthest))
+        # Now, not ever: a marker gone wild once, before that can be told, is no reason for more.
+        far = np.fmax.reduce(np.abs(news.points), (0, 2))
+        self.farthest = np.where(np.isnan(far), self.farthest, far)
         turned = np.exp(-1j * news.angle)[..., None]
         off = (news.points - news.position[..., None]) * turned - self.points
         seen = ~np.isnan(off)
