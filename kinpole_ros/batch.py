@@ -196,15 +196,21 @@ def _cluster(scheduler: str | None, workers: int) -> Iterator[Any]:
         raise BagError("many bags need Dask; mend: pip install 'kinpole_ros[batch]'") from None
     logging.getLogger('distributed').setLevel(logging.CRITICAL)
     if scheduler is None:
-        with _interrupts_ignored():
-            cluster = LocalCluster(
-                n_workers=workers,
-                threads_per_worker=1,
-                dashboard_address=None,
-                # It listens for browsers all the same: here, where nothing else does.
-                scheduler_kwargs={'dashboard_address': '127.0.0.1:0'},
-                silence_logs=logging.CRITICAL,
-            )
+        try:
+            with _interrupts_ignored():
+                cluster = LocalCluster(
+                    n_workers=workers,
+                    threads_per_worker=1,
+                    dashboard_address=None,
+                    # It listens for browsers all the same: here, where nothing else does.
+                    scheduler_kwargs={'dashboard_address': '127.0.0.1:0'},
+                    silence_logs=logging.CRITICAL,
+                )
+        except (OSError, RuntimeError) as error:
+            raise BagError(
+                f'no worker processes can be started ({error}); mend: see to the memory and the '
+                'processes this machine has to spare, or give fewer --workers'
+            ) from None
         with cluster, Client(cluster) as client:
             yield client
         return

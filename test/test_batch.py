@@ -14,6 +14,7 @@ from contextlib import contextmanager, suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
+from unittest import mock
 
 import pytest
 from conftest import bodies_of, decoded, write_config
@@ -346,6 +347,13 @@ def test_what_cannot_be_used_is_one_line(
         line = capsys.readouterr().err
         assert line.count('\n') == 1
         assert complaint in line
+    with monkeypatch.context() as crowded:
+        failed = RuntimeError('Nanny failed to start.')
+        crowded.setattr('distributed.LocalCluster', mock.Mock(side_effect=failed))
+        assert main(['batch', bag]) == 2
+        line = capsys.readouterr().err
+        assert 'no worker processes can be started (Nanny failed to start.); mend: ' in line
+        assert line.count('\n') == 1
     monkeypatch.setitem(sys.modules, 'distributed', None)
     with pytest.raises(
         BagError, match=r"^many bags need Dask; mend: pip install 'kinpole_ros\[batch\]'"
