@@ -7,6 +7,7 @@ so that a run that was stopped goes on where it was, and a bag that fails costs 
 """
 
 import csv
+import fcntl
 import hashlib
 import json
 import logging
@@ -29,6 +30,7 @@ from kinpole_ros.parameters import ParameterError, Settings
 KINDS = ('mcap', 'csv', 'parquet')
 _TOPIC = 'kinpole'  # of Dask's events
 _PATIENCE = 30  # s, for a scheduler and its first worker
+_LONGEST_NAME = 200  # bytes
 _FIRST = ('bag', 'error', 'truncated', 'results', 'frames', 'estimates', 'start', 'end', 'seconds')
 _EXPECTED = (BagError, LinkageError, ParameterError, SceneError, OSError)
 
@@ -145,7 +147,8 @@ def _rows(
         # Workers of our own are gone; others go on with what they began, and finish it.
         if scheduler is None:
             for bag in left:
-                _remove_parts(bag, folder)
+                with suppress(OSError), _alone(bag, folder, wait=False):
+                    pass
 
 
 class _Progress:
@@ -193,13 +196,21 @@ def _cluster(scheduler: str | None, workers: int) -> Iterator[Any]:
         raise BagError("many bags need Dask; mend: pip install 'kinpole_ros[batch]'") from None
     logging.getLogger('distributed').setLevel(logging.CRITICAL)
     if scheduler is None:
-        with _interrupts_ignored():
-            cluster = LocalCluster(
-                n_workers=workers,
-                threads_per_worker=1,
-                dashboard_address=None,
-                silence_logs=logging.CRITICAL,
-            )
+        try:
+            with _interrupts_ignored():
+                cluster = LocalCluster(
+                    n_workers=workers,
+                    threads_per_worker=1,
+                    dashboard_address=None,
+                    # It listens for browsers all the same: here, where nothing else does.
+                    scheduler_kwargs={'dashboard_address': '127.0.0.1:0'},
+                    silence_logs=logging.CRITICAL,
+                )
+        except (OSError, RuntimeError) as error:
+            raise BagError(
+                f'no worker processes can be started ({error}); mend: see to the memory and the '
+                'processes this machine has to spare, or give fewer --workers'
+            ) from None
         with cluster, Client(cluster) as client:
             yield client
         return
@@ -244,10 +255,9 @@ def _replay_one(
     """
     Replay one bag, in whatever process this is; what is wrong with it is in the row.
 
-    A worker tells how far it is to whoever has the bag `known_as` this run and number.
+    A worker tells how far it is to whoever has the bag `known_as` this run and number. Where
+    another run is at this bag, its end is awaited.
     """
-    name = _name(bag)
-    parts = {kind: folder / f'{name}.{kind}.part' for kind in kinds}
     progress = None
     if known_as is not None:
         from distributed import get_worker
@@ -258,46 +268,95 @@ def _replay_one(
             worker.log_event(_TOPIC, (*known_as, share))
 
     try:
-        made_of = _made_of(bag, settings, topic)
-        result = replay(
-            bag,
-            settings,
-            output=parts.get('mcap'),
-            csv=parts.get('csv'),
-            topic=topic,
-            progress=progress,
-            parquet=parts.get('parquet'),
-        )
-        row: Row = {
-            'bag': bag,
-            'error': '',
-            'truncated': str(result.truncated or ''),
-            'results': ' '.join(f'{name}.{kind}' for kind in kinds),
-            'frames': result.frames,
-            'estimates': result.estimates,
-            'start': result.first / 1e9,
-            'end': result.last / 1e9,
-            'seconds': (result.last - result.first) / 1e9,
-            'repeated': result.repeated,
-            'late': result.late,
-            'resets': result.resets,
-            'frame_changes': result.frame_changes,
-            'unreadable': result.unreadable,
-            'problem': result.problem,
-            'unknown': ' '.join(result.unknown),
-            'warnings': '; '.join(warnings_of(result, settings)),
-        }
-        for body, poles in result.determined.items():
-            row[f'{body}_noise'] = result.noise[body] if result.noise[body] >= 0 else None
-            row |= {f'{body}_{pole}_determined': share for pole, share in poles.items()}
-        for kind, part in parts.items():
-            part.replace(folder / f'{name}.{kind}')
-        _write_whole(folder / f'{name}.json', json.dumps({'made_of': made_of, 'row': row}))
+        with _alone(bag, folder):
+            row = _finished(bag, folder, settings, topic, kinds)
+            return row or _make(bag, folder, settings, topic, kinds, progress)
     except _EXPECTED as error:
         return {'bag': bag, 'error': ' '.join(str(error).split())}
-    finally:
-        _remove_parts(bag, folder)
+
+
+def _make(
+    bag: str,
+    folder: Path,
+    settings: Settings,
+    topic: str | None,
+    kinds: list[str],
+    progress: Callable[[float], None] | None,
+) -> Row:
+    """Replay one bag and give its results their names; raises what replay does, and OSError."""
+    name = _name(bag)
+    parts = {kind: folder / f'{name}.{kind}.part' for kind in kinds}
+    made_of = _made_of(bag, settings, topic)
+    result = replay(
+        bag,
+        settings,
+        output=parts.get('mcap'),
+        csv=parts.get('csv'),
+        topic=topic,
+        progress=progress,
+        parquet=parts.get('parquet'),
+    )
+    before = _told(bag, folder, made_of)
+    there = [kind for kind in KINDS if kind in kinds or _has(before, bag, folder, kind)]
+    row: Row = {
+        'bag': bag,
+        'error': '',
+        'truncated': str(result.truncated or ''),
+        'results': ' '.join(f'{name}.{kind}' for kind in there),
+        'frames': result.frames,
+        'estimates': result.estimates,
+        'start': result.first / 1e9,
+        'end': result.last / 1e9,
+        'seconds': (result.last - result.first) / 1e9,
+        'repeated': result.repeated,
+        'late': result.late,
+        'resets': result.resets,
+        'frame_changes': result.frame_changes,
+        'unreadable': result.unreadable,
+        'problem': result.problem,
+        'unknown': ' '.join(result.unknown),
+        'warnings': '; '.join(warnings_of(result, settings)),
+    }
+    for body, poles in result.determined.items():
+        row[f'{body}_noise'] = result.noise[body] if result.noise[body] >= 0 else None
+        row |= {f'{body}_{pole}_determined': share for pole, share in poles.items()}
+    # Stopped from here on, nothing tells what the results are made of, and they are made anew.
+    about = folder / f'{name}.json'
+    about.unlink(missing_ok=True)
+    for kind, part in parts.items():
+        part.replace(folder / f'{name}.{kind}')
+    _write_whole(about, json.dumps({'made_of': made_of, 'row': row}))
     return row
+
+
+@contextmanager
+def _alone(bag: str, folder: Path, wait: bool = True) -> Iterator[None]:
+    """
+    Keep other runs, of any process, off the results of a bag; in the end no parts are left of them.
+
+    Raises BlockingIOError when another run is at them and this one is not to `wait`.
+    """
+    place = folder / f'{_name(bag)}.part'
+    while True:
+        with open(place, 'ab') as held:
+            try:
+                fcntl.flock(held, fcntl.LOCK_EX | (0 if wait else fcntl.LOCK_NB))
+            except BlockingIOError:
+                raise
+            except OSError:
+                pass  # a file system without locks
+            # Who was here before removed the file, and somebody else may be at a new one.
+            try:
+                mine = os.path.samestat(os.fstat(held.fileno()), os.stat(place))
+            except FileNotFoundError:
+                mine = False
+            if mine:
+                try:
+                    yield
+                finally:
+                    _remove_parts(bag, folder)
+                    place.unlink(missing_ok=True)
+                return
 
 
 def _remove_parts(bag: str, folder: Path) -> None:
@@ -311,14 +370,27 @@ def _finished(
     bag: str, folder: Path, settings: Settings, topic: str | None, kinds: list[str]
 ) -> Row | None:
     """The row of a bag whose results are there, made of the same bag with the same settings."""
-    name = _name(bag)
     try:
-        told = json.loads((folder / f'{name}.json').read_text('utf-8'))
-        there = all((folder / f'{name}.{kind}').is_file() for kind in kinds)
-        row = told['row'] if there and told['made_of'] == _made_of(bag, settings, topic) else None
-    except (*_EXPECTED, ValueError, LookupError, TypeError):
+        row = _told(bag, folder, _made_of(bag, settings, topic))
+    except _EXPECTED:
+        return None
+    return row if all(_has(row, bag, folder, kind) for kind in kinds) else None
+
+
+def _told(bag: str, folder: Path, made_of: list[Any]) -> Row | None:
+    """The row of the results of a bag that are there, if they were made of this."""
+    try:
+        told = json.loads((folder / f'{_name(bag)}.json').read_text('utf-8'))
+        row = told['row'] if told['made_of'] == made_of else None
+    except (OSError, ValueError, LookupError, TypeError):
         return None
     return row if isinstance(row, dict) and row.get('bag') == bag else None
+
+
+def _has(row: Row | None, bag: str, folder: Path, kind: str) -> bool:
+    """Whether results of this kind are there and the row, if there is one, tells of them."""
+    name = f'{_name(bag)}.{kind}'
+    return row is not None and name in str(row.get('results')) and (folder / name).is_file()
 
 
 def _ours(path: str, folder: Path) -> bool:
@@ -328,14 +400,16 @@ def _ours(path: str, folder: Path) -> bool:
         return False
     try:
         told = json.loads(result.with_suffix('.json').read_text('utf-8'))
-        return result.name in str(told['row']['results'])
-    except (OSError, ValueError, LookupError, TypeError, AttributeError):
+        return _name(told['row']['bag']) == result.stem
+    except (OSError, ValueError, LookupError, TypeError):
         return False
 
 
 def _name(bag: str) -> str:
     """What the results of a bag are called: its own name, and a number that only its path has."""
     short = Path(bag).name.removesuffix('.zstd').removesuffix('.mcap')
+    # A name of a file has 255 bytes, and there are endings to come.
+    short = os.fsdecode(os.fsencode(short)[:_LONGEST_NAME])
     return f'{short}-{hashlib.sha256(os.fsencode(bag)).hexdigest()[:10]}'
 
 

@@ -13,7 +13,6 @@ import sys
 import time
 from collections.abc import Callable, Sequence
 from contextlib import contextmanager, suppress
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from kinpole_ros.usage import make_parser
@@ -189,9 +188,11 @@ def _batch(options: argparse.Namespace) -> int:
 def _keep(given: str | None, *outputs: str | None) -> None:
     """Refuse to write over a file that is read, or a recording, which cannot be made again."""
     for output in filter(None, outputs):
-        if given is not None and Path(given).resolve() == Path(output).resolve():
+        # By another name too. What cannot be looked at is told of when it is opened.
+        there = given is not None and os.path.exists(given) and os.path.exists(output)
+        if there and os.path.samefile(str(given), output):
             raise FileExistsError(f'{given} is to be read; name another file to write')
-        if Path(output).is_file() and (recorder := _recorder_of(output)):
+        if os.path.isfile(output) and (recorder := _recorder_of(output)):
             raise FileExistsError(
                 f'{output} is a recording, made by {recorder!r}; name another file to write, or '
                 'remove that one first'

@@ -4,14 +4,17 @@ import csv
 import json
 import os
 import signal
+import socket
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
+from unittest import mock
 
 import pytest
 from conftest import bodies_of, decoded, write_config
@@ -239,6 +242,91 @@ def test_results_are_made_anew_when_bag_settings_or_scene_change(
         assert not there(settings, None, ['csv'])
 
 
+def test_results_of_other_settings_are_none_of_these(simulated: Simulated, tmp_path: Path) -> None:
+    bag = str(link(simulated('cardan', rate=100, duration=0.6), tmp_path / 'run.mcap')[0])
+    out = tmp_path / 'out'
+    out.mkdir()
+    other = replace(SETTINGS, window=0.3)
+    _replay_one(bag, out, SETTINGS, None, ['csv'])
+    row = _replay_one(bag, out, other, None, ['mcap'])
+    # The table is there, but of settings that are no longer.
+    assert row['results'].endswith('.mcap')
+    assert _finished(bag, out, other, None, ['csv']) is None
+    assert _finished(bag, out, other, None, ['mcap']) == row
+    row = _replay_one(bag, out, other, None, ['csv'])
+    assert [name[-4:] for name in row['results'].split()] == ['mcap', '.csv']
+    assert _finished(bag, out, other, None, ['csv', 'mcap']) == row
+    replay_one(bag, other, csv=tmp_path / 'one.csv')
+    assert next(out.glob('*.csv')).read_bytes() == (tmp_path / 'one.csv').read_bytes()
+
+
+def test_results_that_are_exchanged_in_part_are_not_finished(
+    simulated: Simulated, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    bag = str(link(simulated('cardan', rate=100, duration=0.6), tmp_path / 'run.mcap')[0])
+    out = tmp_path / 'out'
+    out.mkdir()
+    row = _replay_one(bag, out, SETTINGS, None, ['csv', 'mcap'])
+    assert _finished(bag, out, SETTINGS, None, ['csv', 'mcap']) == row
+    with monkeypatch.context() as broken:
+        # A stop between the names, as a kill would have it, has no error of ours.
+        broken.setattr(module, '_write_whole', lambda *_: 1 / 0)
+        with pytest.raises(ZeroDivisionError):
+            _replay_one(bag, out, replace(SETTINGS, window=0.3), None, ['csv', 'mcap'])
+    assert _finished(bag, out, SETTINGS, None, ['csv', 'mcap']) is None
+
+
+def test_runs_into_one_folder_take_turns_at_a_bag(
+    simulated: Simulated, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    bag = str(link(simulated('cardan', rate=100, duration=0.6), tmp_path / 'run.mcap')[0])
+    out = tmp_path / 'out'
+    out.mkdir()
+    begun, go = threading.Event(), threading.Event()
+    rows: list[dict[str, Any]] = []
+
+    def replay_when_told(*args: Any, **options: Any) -> Any:
+        assert not begun.is_set(), 'replayed twice, or by two at once'
+        begun.set()
+        assert go.wait(60)
+        return replay_one(*args, **options)
+
+    def one_run() -> None:
+        rows.append(_replay_one(bag, out, SETTINGS, None, ['csv']))
+
+    monkeypatch.setattr(module, 'replay', replay_when_told)
+    runs = [threading.Thread(target=one_run) for _ in range(2)]
+    for run_ in runs:
+        run_.start()
+    assert begun.wait(60)
+    # One that is stopped now does not clean up after the one at work.
+    with pytest.raises(BlockingIOError), module._alone(bag, out, wait=False):
+        pass
+    go.set()
+    for run_ in runs:
+        run_.join(60)
+    assert rows[0] == rows[1]
+    assert rows[0]['error'] == ''
+    assert not list(out.glob('*.part'))
+
+
+def test_another_cluster_on_this_machine_is_not_complained_of(
+    simulated: Simulated, tmp_path: Path, recwarn: pytest.WarningsRecorder
+) -> None:
+    with socket.socket() as taken:
+        with suppress(OSError):  # somebody has it already
+            taken.bind(('127.0.0.1', 8787))
+            taken.listen()
+        batch([simulated('cardan', rate=100, duration=0.6)], tmp_path, SETTINGS, workers=1)
+    assert not [str(warning.message) for warning in recwarn if 'Port' in str(warning.message)]
+
+
+def test_a_bag_of_a_long_name_has_results(simulated: Simulated, tmp_path: Path) -> None:
+    bag = link(simulated('cardan', rate=100, duration=0.6), tmp_path / f'{"x" * 250}.mcap')[0]
+    (tmp_path / 'out').mkdir()
+    assert _replay_one(str(bag), tmp_path / 'out', SETTINGS, None, ['parquet'])['error'] == ''
+
+
 def test_what_cannot_be_used_is_one_line(
     simulated: Simulated,
     tmp_path: Path,
@@ -259,6 +347,13 @@ def test_what_cannot_be_used_is_one_line(
         line = capsys.readouterr().err
         assert line.count('\n') == 1
         assert complaint in line
+    with monkeypatch.context() as crowded:
+        failed = RuntimeError('Nanny failed to start.')
+        crowded.setattr('distributed.LocalCluster', mock.Mock(side_effect=failed))
+        assert main(['batch', bag]) == 2
+        line = capsys.readouterr().err
+        assert 'no worker processes can be started (Nanny failed to start.); mend: ' in line
+        assert line.count('\n') == 1
     monkeypatch.setitem(sys.modules, 'distributed', None)
     with pytest.raises(
         BagError, match=r"^many bags need Dask; mend: pip install 'kinpole_ros\[batch\]'"

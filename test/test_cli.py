@@ -361,6 +361,9 @@ def test_an_output_that_cannot_be_written_is_named(kinpole: Any, rod: Path, tmp_
         assert f'{wrong} cannot be written' in refusal(kinpole(*words, wrong))
         line = refusal(kinpole(*words, tmp_path))
         assert f'{tmp_path} cannot be written: Is a directory' in line
+        if words != ['record', '--output']:
+            line = refusal(kinpole(*words, tmp_path / ('y' * 300)))
+            assert 'yyy cannot be written: File name too long; ' in line
 
 
 @pytest.mark.skipif(not Path('/dev/full').exists(), reason='needs /dev/full')
@@ -377,11 +380,17 @@ def test_no_command_writes_over_what_it_reads(kinpole: Any, rod: Path, tmp_path:
     scene.write_text((scenes_folder() / 'cardan.yaml').read_text())
     link = tmp_path / 'link.mcap'
     link.symlink_to(rod)
+    hard, hard_config = tmp_path / 'hard.mcap', tmp_path / 'hard.yaml'
+    os.link(rod, hard)
+    os.link(config, hard_config)
     before = [path.read_bytes() for path in (rod, table, config, scene)]
     for target, *words in (
         (rod, 'replay', rod, '--output', rod),
         (link, 'replay', rod, '--output', link),
         (rod, 'replay', rod, '--csv', rod),
+        (hard, 'replay', rod, '--output', hard),
+        (hard, 'replay', rod, '--parquet', hard),
+        (config, 'replay', rod, '--config', config, '--csv', hard_config),
         (config, 'replay', rod, '--config', config, '--output', config),
         (config, 'replay', rod, '--config', config, '--csv', config),
         (table, 'import', table, '--output', table),

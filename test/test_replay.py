@@ -112,6 +112,18 @@ def test_a_rosbag2_folder_is_as_good_as_its_files_in_one(
     assert decoded(tmp_path / 'out.mcap') == noisy
 
 
+def test_the_figures_do_not_depend_on_how_a_bag_is_stored(simulated: Bag, tmp_path: Path) -> None:
+    messages = list(read_messages(simulated('four_bar', rate=200, noise=2e-4), ['/markers']))
+    for name, every in (('stored', 10**6), ('anew', 37)):
+        with BagWriter(tmp_path / f'{name}.mcap') as writer:
+            for number, m in enumerate(messages, start=1):
+                writer.write_raw(m.topic, m.type_name, m.data, m.log_time)
+                if number % every == 0:
+                    writer.flush()
+        replay(tmp_path / f'{name}.mcap', FOUR_BAR, csv=tmp_path / f'{name}.csv')
+    assert (tmp_path / 'stored.csv').read_bytes() == (tmp_path / 'anew.csv').read_bytes()
+
+
 # Four types of messages, and what drivers do to them
 
 

@@ -88,6 +88,19 @@ def test_blocks_are_the_messages_a_thousand_at_a_time(tmp_path, options):
         assert len(blocks) <= len(messages) / 400
 
 
+def test_where_blocks_end_goes_by_the_messages_however_they_are_stored(tmp_path):
+    ways = [{}, {'use_chunking': False}, {'chunk_size': 100}, {'chunk_size': 1 << 24}]
+    for number, options in enumerate(ways):
+        write(tmp_path / f'{number}.mcap', jittered(5000), size=700, **options)
+    (tmp_path / 'split').mkdir()
+    for number, part in enumerate((range(123), range(123, 5000))):
+        write(tmp_path / 'split' / f'{number}.mcap', part, size=700)
+    bags = [*tmp_path.glob('*.mcap'), tmp_path / 'split']
+    ends = [[len(block) for block in read_blocks(bag)] for bag in bags]
+    assert sum(ends[0]) == 5000
+    assert all(one == ends[0] for one in ends)
+
+
 def test_blocks_of_large_messages_are_short(tmp_path):
     write(tmp_path / 'run.mcap', range(40), size=100_000)
     assert {len(block) for block in read_blocks(tmp_path / 'run.mcap')} == {10}

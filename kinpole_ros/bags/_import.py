@@ -2,6 +2,7 @@
 
 import csv
 import math
+import os
 from collections.abc import Callable, Sequence
 from io import StringIO
 from pathlib import Path
@@ -45,7 +46,7 @@ def import_csv(
     for name, value in (('rate', rate), ('scale', scale)):
         if value is not None and not (math.isfinite(value) and value > 0):
             raise BagError(f'{name} is {value}; mend: give a number greater than 0')
-    if output.exists() and csv_path.exists() and output.samefile(csv_path):
+    if os.path.exists(output) and os.path.exists(csv_path) and output.samefile(csv_path):
         raise BagError(f'{output} is the table itself; mend: give another file for the bag')
 
     columns, lines = _read_columns(csv_path)

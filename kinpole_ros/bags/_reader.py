@@ -27,7 +27,7 @@ from kinpole_ros.bags._layout import NEVER, lay_out, records
 
 _LATEST = 2**63 - 1  # ns; ROS has no later time
 _LOG_TIME = attrgetter('log_time')
-# What a block holds at most, but for single messages and chunks larger than that.
+# What a block holds at most, but for single messages larger than that.
 _BLOCK_MESSAGES = 1000
 _BLOCK_BYTES = 1 << 20
 
@@ -81,21 +81,23 @@ def read_blocks(
 
 
 def _blocks(parts: Iterator[list[BagMessage]]) -> Iterator[list[BagMessage]]:
-    """The same messages in lists that are neither short nor long."""
+    """
+    The same messages in lists that are neither short nor long.
+
+    Where one ends goes by the messages alone, not by chunks and files: figures may differ by
+    rounding from block to block, and a bag must give the same whichever way it is stored.
+    """
     block: list[BagMessage] = []
     size = 0
     trouble = None
     try:
         for part in parts:
-            for start in range(0, len(part), _BLOCK_MESSAGES):
-                piece = part[start : start + _BLOCK_MESSAGES]
-                more = sum([len(message.data) for message in piece])
-                full = len(block) + len(piece) > _BLOCK_MESSAGES or size + more > _BLOCK_BYTES
-                if block and full:
+            for message in part:
+                size += len(message.data)
+                if block and (size > _BLOCK_BYTES or len(block) == _BLOCK_MESSAGES):
                     yield block
-                    block, size = [], 0
-                block += piece
-                size += more
+                    block, size = [], len(message.data)
+                block.append(message)
     except BagError as error:
         trouble = error
     if block:

@@ -91,22 +91,23 @@ def replay(
     """
     name, kind = _marker_topic(bag, settings, topic)
     files = bag_files(bag)
-    taken = {file.resolve(): 'the bag to be replayed' for file in files}
+    taken = {_identity(file): 'the bag to be replayed' for file in files}
     # Without metadata all that lies in a folder is the bag.
     folder = None if (Path(bag) / 'metadata.yaml').exists() else Path(bag).resolve()
     joined = [file.name for file in files] if folder is not None and len(files) > 1 else []
     for target in (output, csv, parquet):
         if target is None:
             continue
+        identity = _identity(Path(target))
+        if identity in taken:
+            raise BagError(f'{target} is {taken[identity]}; name another file for the results')
         path = Path(target).resolve()
-        if path in taken:
-            raise BagError(f'{target} is {taken[path]}; name another file for the results')
         if path.parent == folder and path.suffix == '.mcap':
             raise BagError(
                 f'{target} would be a part of the bag to be replayed, which is all .mcap files of '
                 'its folder; name a file in another folder for the results'
             )
-        taken[path] = 'the bag of results' if target is output else 'the CSV table'
+        taken[identity] = 'the bag of results' if target is output else 'the CSV table'
     # glibc keeps what is freed once it has seen so much come and go, and no longer asks the system
     # for the arrays of each block anew: a tenth of all the time.
     np.empty(_MOST_KEPT, np.uint8)
@@ -200,6 +201,15 @@ def replay(
         joined,
         comparison.found() if comparison is not None else [],
     )
+
+
+def _identity(path: Path) -> tuple[int, int] | Path:
+    """What all names of one file have in common, those of hard links too."""
+    try:
+        about = path.stat()
+    except OSError:
+        return path.resolve()
+    return about.st_dev, about.st_ino
 
 
 def _still_absent(
