@@ -1,6 +1,7 @@
 """The engine of linkages against 50-digit arithmetic, closed forms, and where it loses its rank."""
 
 from collections.abc import Callable
+from typing import Any
 
 import mpmath as mp
 import numpy as np
@@ -583,6 +584,46 @@ def test_solver_starts_from_the_unknowns_whatever_hangs_on_them() -> None:
     motion = mechanism(joints, constant_rate(1.0, 0.0), 'arm')
     at = np.linspace(0, 6, 13)
     np.testing.assert_allclose(motion.sweep(at).angle[0, 1], 3 * at, atol=1e-12)
+
+
+def test_what_lies_in_memory_does_not_decide_whether_loops_close(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    # A trammel, which is no dyad, and behind it a rod whose slide is known last.
+    joints: list[Joint] = [
+        Slot('up', G, 0j, np.pi / 2, 'bar', 0j),
+        Slot('right', G, 0j, 0.0, 'bar', 0.3 + 0j),
+        Revolute('A', 'bar', 0.1 + 0j, 'rod', 0j),
+        Slot('low', G, -0.2j, 0.0, 'rod', 0.5 + 0j),
+    ]
+    motion = mechanism(joints, constant_rate(1.0, 0.4), 'bar', right=0.27, up=-0.12, low=0.58)
+    empty = np.empty
+
+    def littered(shape: Any, dtype: Any = float) -> np.ndarray:
+        made = empty(shape, dtype)
+        if made.dtype.kind in 'fc':
+            made[...] = np.nan
+        return made
+
+    monkeypatch.setattr(np, 'empty', littered)
+    at = np.linspace(0.4, 1.2, 5)
+    found = motion.sweep(at)
+    np.testing.assert_allclose(found.position[0, 0], -0.3j * np.sin(at), atol=1e-14)
+    end = found.position[0, 1] + 0.5 * np.exp(1j * found.angle[0, 1])
+    np.testing.assert_allclose(end.imag, -0.2, atol=1e-14)
+
+
+def test_a_wheel_that_only_others_roll_on_turns_for_good() -> None:
+    # Its angle is in no loop, yet with equal wheels all is as before after a turn of it.
+    joints: list[Joint] = [
+        Revolute('Q', G, -0.1 + 0j, 'pinion', 0j),
+        Rolling('teeth', 'pinion', 0j, 'crank', 0j, 0.05, circle=0.05),
+        *four_bar(0.4, 0.12, 0.36, 0.28),
+    ]
+    motion = mechanism(joints, constant_rate(-1.0, 0.0), 'pinion', coupler=0.87, rocker=1.75)
+    assert motion.path(0.0, 100.0).period == 2 * np.pi
+    turned = motion.motion(np.array([0.1, 0.1 + 2000 * np.pi])).angle[0]
+    np.testing.assert_allclose(np.exp(1j * turned[:, 1]), np.exp(1j * turned[:, 0]), atol=1e-11)
 
 
 # Motions of drivers

@@ -270,6 +270,30 @@ def test_start_needs_no_slides_and_no_guided_angles(tmp_path: Path) -> None:
     assert found['spring'] * np.exp(1j * found['spring.angle']) == pytest.approx(end)
 
 
+@pytest.mark.parametrize(('said', 'arm'), [(200, 170.6624), (-60, -27.5324)])
+def test_slides_follow_from_the_angles_whatever_hangs_on_them(
+    tmp_path: Path, said: float, arm: float
+) -> None:
+    # The rod is found by its slide before its pin, and the slide tells on which side it lies.
+    data = {
+        'bodies': {
+            'ground': {'O': [0, 0], 'C': [-0.2, 0.1]},
+            'block': {'A': [0, 0]},
+            'arm': {'C': [0, 0]},
+            'rod': {'A': [0.3, 0.05], 'R': [0, 0]},
+        },
+        'joints': [
+            {'prismatic': 'block.A', 'on': 'ground.O', 'along': 0, 'name': 'guide'},
+            {'prismatic': 'rod.R', 'on': 'arm.C', 'along': 0, 'name': 'reach'},
+        ],
+        'drivers': [{'drive': 'guide', 'mean': 0.1, 'amplitude': 0.02, 'frequency': 1}],
+        'start': {'arm': f'{said} deg', 'rod': f'{said} deg'},
+    }
+    exact = load_scene(save(tmp_path, data))
+    assert np.degrees(exact.motion(0.0)['arm'].angle[0]) == pytest.approx(arm, abs=1e-3)
+    assert point(exact, 'rod.A')[0] == pytest.approx(0.1)
+
+
 def test_wheels_roll_on_circles_outside_and_inside(tmp_path: Path) -> None:
     for circle, turns in ((0.2, 3.0), (-0.3, -2.0)):
         data = {
@@ -356,6 +380,42 @@ def test_a_planetary_gear_obeys_willis(tmp_path: Path, held: str, ratio: float) 
     for gear in ('first', 'second'):
         np.testing.assert_allclose(planet * seen[gear], -sun * seen['sun'], rtol=1e-14)
         assert np.abs(np.abs(bodies[gear].position[0]) - sun - planet).max() < 1e-16
+
+
+def test_the_frame_of_an_arm_between_wheels_is_free_to_choose(tmp_path: Path) -> None:
+    def edit(data: dict) -> None:
+        data['bodies']['arm'] = {'O': ['10 mm', '5 mm'], 'P': ['46 mm', '5 mm']}
+        data['markers']['arm'] = {'arm_1': [0, 0], 'arm_2': [0.1, 0]}
+
+    usual, moved = scene('planetary_gear'), load_scene(edited(tmp_path, 'planetary_gear', edit))
+    times = np.linspace(0.0, 2.0, 5)
+    for body, motion in usual.motion(times).items():
+        np.testing.assert_allclose(moved.motion(times)[body].angle, motion.angle, atol=1e-12)
+
+
+def test_the_arm_between_wheels_may_be_the_coupler_of_a_four_bar(tmp_path: Path) -> None:
+    def edit(data: dict) -> None:
+        data['bodies']['gear'] = {'A': [0, 0]}
+        data['joints'] = [
+            {
+                'rolling': 'gear.A',
+                'radius': 0.16,
+                'on': 'rocker.B',
+                'circle': 0.2,
+                'name': 'teeth',
+                'start': '180 deg',
+            }
+        ]
+
+    exact = load_scene(edited(tmp_path, 'four_bar', edit))
+    assert mobility(exact.mechanism.assembly, exact.mechanism.start) == (1, 1)
+    motion = exact.motion(np.linspace(0.0, 1.0, 7))
+    alone = scene('four_bar').motion(np.linspace(0.0, 1.0, 7))
+    rate = {body: found.angle[1] for body, found in motion.items()}
+    np.testing.assert_allclose(rate['rocker'], alone['rocker'].angle[1], rtol=1e-12)
+    # As seen from the coupler the two turn against each other, by their radii.
+    gear, rocker = rate['gear'] - rate['coupler'], rate['rocker'] - rate['coupler']
+    np.testing.assert_allclose(0.16 * gear, -0.2 * rocker, atol=1e-12)
 
 
 def test_a_scene_of_this_folder_is_named_with_its_suffix(

@@ -6,6 +6,7 @@ r e^{iθ}; every joint beyond that closes a loop.
 """
 
 from collections.abc import Sequence
+from itertools import product
 from typing import NamedTuple
 
 import numpy as np
@@ -273,36 +274,29 @@ def _tie_equal(loops: Loops, near: Real) -> Loops:
     Loops of two equal lengths, as an arm beside the wheels whose hubs it joins, as ties.
 
     They close where the two point alike, one linear equation; as a loop they are two equations that
-    determine one unknown and, at any position, look like a dead point. What stands still in a loop
-    counts as one length. Of angles whole turns apart the tie takes those next to `near` (n,), what
-    the variables are with all angles zero. Raises LinkageError for two lengths that differ.
+    determine one unknown and, at any position, look like a dead point. Two loops may hide such a
+    one, as where the arm is the coupler of a four-bar: their sum or difference. Of angles whole
+    turns apart the tie takes those next to `near` (n,), what the variables are with all angles
+    zero. Raises LinkageError for two lengths that differ.
     """
-    rows, right, kept = [], [], []
-    still = ~(loops.lengths.any(axis=1) | loops.angles.any(axis=1))
-    vectors = loops.length0 * np.exp(1j * loops.angle0)
-    for m, loop in enumerate(loops.loops):
-        moving = np.flatnonzero((loop != 0) & ~still)
-        if loops.lengths[moving].any():
-            kept.append(m)
-            continue
-        # Each a vector at angle zero, and the variables that turn it.
-        parts = [(loop[k] * vectors[k], loops.angles[k]) for k in moving]
-        rest = complex(loop @ np.where(still, vectors, 0.0))
-        size = max((abs(vector) for vector, _ in parts), default=0.0)
-        if abs(rest) > 1e-9 * size:
-            parts.append((rest, np.zeros(len(near))))
-        if len(parts) != 2:
-            kept.append(m)
-            continue
-        (one, turns), (other, against) = parts
-        if abs(abs(one) - abs(other)) > 1e-9 * size:
-            raise LinkageError(
-                f'the loop {", ".join(loops.around[m])} never closes: its two lengths are '
-                f'{abs(one):.9g} and {abs(other):.9g} m: make them alike'
-            )
-        value = float(np.angle(-other / one))
-        rows.append(turns - against)
-        right.append(value + 2 * np.pi * np.round((rows[-1] @ near - value) / (2 * np.pi)))
+    rows, right, kept = [], [], list(range(len(loops.loops)))
+    for m in range(len(loops.loops)):
+        others = [k for k in kept if k != m]
+        for k, sign in ((m, 0.0), *product(others, (1.0, -1.0))):
+            tie = _equal(loops, loops.loops[m] + sign * loops.loops[k])
+            if tie is None:
+                continue
+            turns, value, (one, other) = tie
+            if abs(one - other) > 1e-9 * max(one, other):
+                around = ', '.join(dict.fromkeys((*loops.around[m], *loops.around[k])))
+                raise LinkageError(
+                    f'the loop {around} never closes: its two lengths are {one:.9g} and '
+                    f'{other:.9g} m: make them alike'
+                )
+            rows.append(turns)
+            right.append(value + 2 * np.pi * np.round((turns @ near - value) / (2 * np.pi)))
+            kept.remove(m)
+            break
     if not rows:
         return loops
     return loops._replace(
@@ -311,6 +305,29 @@ def _tie_equal(loops: Loops, near: Real) -> Loops:
         ties=np.concatenate((loops.ties, rows)),
         tie0=np.concatenate((loops.tie0, right)),
     )
+
+
+def _equal(loops: Loops, loop: Real) -> tuple[Real, float, tuple[float, float]] | None:
+    """
+    Where a sum of terms (terms,) is of two lengths: these, and turns (n,) and value for which
+    turns @ variables = value where they point against each other. Else None.
+
+    All that turns alike is one length, as is what stands still.
+    """
+    some = np.flatnonzero(loop)
+    if loops.lengths[some].any():
+        return None
+    vectors = loop * loops.length0 * np.exp(1j * loops.angle0)
+    parts = []
+    for turns in np.unique(loops.angles[some], axis=0)[::-1]:
+        alike = some[(loops.angles[some] == turns).all(axis=1)]
+        part = complex(vectors[alike].sum())
+        if abs(part) > 1e-9 * np.abs(vectors).max():
+            parts.append((part, turns))
+    if len(parts) != 2:
+        return None
+    (one, turns), (other, against) = parts
+    return turns - against, float(np.angle(-other / one)), (abs(one), abs(other))
 
 
 def _sum(first: Chain, plus: Chain, minus: Chain) -> Chain:

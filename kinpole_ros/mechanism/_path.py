@@ -375,8 +375,8 @@ def _guess_from(nodes: list[tuple[float, Solution]], at: float) -> Real:
 
 
 def _angles(linkage: Linkage) -> np.ndarray:
-    """Which variables (n,) are angles of some term."""
-    return np.asarray((linkage.loops.angles != 0).any(axis=0))
+    """Which variables (n,) are angles, those of no term too: a wheel that others roll on."""
+    return ~np.asarray((linkage.loops.lengths != 0).any(axis=0))
 
 
 def _is_angle(linkage: Linkage) -> bool:

@@ -218,7 +218,8 @@ def _newton(
     if n == 2 * m and not lengths and worst * worst <= _LEFT * np.abs(determinant).min(initial=1.0):
         _follow(linkage, block, step, known, turn, slide)
         return np.ones(len(most), bool)
-    scale = _size(linkage, slide)
+    # What later blocks slide is not known yet: whatever lay in memory.
+    scale = _size(linkage, slide[: block.slides.stop])
     # Far from the solution a whole step may throw an angle anywhere.
     moves = np.abs(step)
     moves[lengths] /= scale

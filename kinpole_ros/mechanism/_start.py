@@ -17,6 +17,8 @@ from kinpole_ros.planar._plane import Complex, Real
 _LOST = 1e-9
 # Positions from which it is tried to close loops that did not close from where they were said to.
 _TRIALS = 24
+# How much more ties and drivers weigh than loops, where slides meet all of them as well as can be.
+_BINDING = 1e3
 
 
 def start_near(assembly: Assembly, said: Mapping[str, float], drives: Real, inputs: Real) -> Real:
@@ -32,22 +34,18 @@ def start_near(assembly: Assembly, said: Mapping[str, float], drives: Real, inpu
     right = np.concatenate((loops.tie0, inputs))
     given = np.array([name in said for name in names])
     values = np.array([said.get(name, 0.0) for name in names])
-    values = _meet(rows, right, values, given)
+    values = _slide(assembly, rows, right, _meet(rows, right, values, given), given)
     place, turn = _poses(assembly, values)
     known = dict(zip(names, values, strict=True))
     for joint in assembly.joints:
-        if not isinstance(joint, Slot | Strut):
+        if not isinstance(joint, Strut):
             continue
         one, other = (
             place[body] + point * turn[body]
             for body, point in ((joint.one, joint.a), (joint.other, joint.b))
         )
-        if isinstance(joint, Slot):
-            along = turn[joint.one] * np.exp(1j * joint.along)
-            known[joint.name] = float(((other - one) * np.conj(along)).real)
-        else:
-            known[joint.name] = float(abs(other - one))
-            known[f'{joint.name}.angle'] = float(np.angle(other - one))
+        known[joint.name] = float(abs(other - one))
+        known[f'{joint.name}.angle'] = float(np.angle(other - one))
     known |= said
     return _meet(rows, right, np.array([known[name] for name in names]), given)
 
@@ -143,6 +141,28 @@ def _meet(rows: Real, right: Real, values: Real, given: np.ndarray) -> Real:
     ease = np.where(given, 1e-6, 1.0)
     pull = (rows * ease) @ rows.T
     return np.asarray(values + ease * (rows.T @ np.linalg.pinv(pull) @ (right - rows @ values)))
+
+
+def _slide(assembly: Assembly, rows: Real, right: Real, values: Real, given: np.ndarray) -> Real:
+    """
+    `values` with the slides that are not `given` as the angles have them.
+
+    All others held, loops are linear in them, and closed as far as that can be. Loops that go
+    through a strut tell nothing yet.
+    """
+    loops = assembly.loops._replace(ties=rows, tie0=right)
+    names = loops.variables
+    slots = {joint.name for joint in assembly.joints if isinstance(joint, Slot)}
+    slides = np.array([name in slots for name in names]) & ~given
+    struts = {f'{joint.name}.angle' for joint in assembly.joints if isinstance(joint, Strut)}
+    with_strut = loops.angles[:, [name in struts for name in names]].any(axis=1)
+    open_ended = (loops.loops[:, with_strut] != 0).any(axis=1)
+    gap, matrix = _gaps(loops, values)
+    weight = np.concatenate((np.full(len(rows), _BINDING), np.tile(~open_ended, 2)))
+    step = np.linalg.pinv(weight[:, None] * matrix[:, slides]) @ (weight * gap)
+    found = values.copy()
+    found[slides] -= step
+    return found
 
 
 def _poses(assembly: Assembly, values: Real) -> tuple[dict[str, complex], dict[str, complex]]:
