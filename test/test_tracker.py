@@ -388,6 +388,13 @@ def test_too_few_markers_are_told_apart_from_too_few_frames() -> None:
     assert tracker.counts['markers_not_seen'] == 40 * 2 + 30 * 3
 
 
+def test_there_are_no_figures_before_the_window_holds_seven_frames() -> None:
+    seen = record('cardan', count=8)
+    tracker = Tracker(settings_from({**seen.values, 'lag': 0.0}))
+    told = [len(instants(tracker.add(frame, 1))) for frame in seen.frames]
+    assert told == [0, 0, 0, 0, 0, 0, 1, 1]
+
+
 def test_markers_at_one_place_are_no_body() -> None:
     frames = [one_frame(START + k * STEP, 'w', ('a', 'b'), np.ones((2, 3))) for k in range(30)]
     _, found = follow(frames, {}, every=1)
@@ -743,6 +750,22 @@ def test_a_frame_that_hardly_tells_the_angle_does_no_harm_to_the_frames_after_it
     for name in ('angle', 'position', 'angle_covariance', 'position_covariance'):
         one, other = (np.stack([getattr(e, name) for e in all_]) for all_ in found)
         alike(one, other)
+
+
+@pytest.mark.parametrize('size', [1, 260])
+def test_a_body_that_is_hidden_while_its_angle_passes_half_a_turn_turns_on(size: int) -> None:
+    frames = turning([0.1, -0.07 + 0.02j, 0.05j], 1e-6, 260)
+    half = round(np.pi / 3 / (STEP * 1e-9))
+    frames.points[half - 5 : half + 5] = np.nan
+    tracker = Tracker(settings_from({}))
+    found = []
+    for first in range(0, 260, size):
+        found += instants(tracker.add(part_of(frames, slice(first, first + size)), 1))
+    rates = [e.rate(1) for e in found if not e.missing[0]]
+    assert len(rates) == len(found) - 10
+    # A whole turn in between would be far off all noise, and the rates of its windows unsure.
+    assert [rate.value[0] for rate in rates] == pytest.approx([3.0] * len(rates), abs=3e-4)
+    assert max(rate.variance[0] for rate in rates[20:]) < 1e-3**2
 
 
 def test_what_markers_are_exchanged_for_good_is_not_known_before() -> None:
