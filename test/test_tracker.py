@@ -403,11 +403,12 @@ def test_markers_at_one_place_are_no_body() -> None:
     }
 
 
-def test_a_tracker_that_finds_its_markers_late_is_followed_from_then_on() -> None:
-    """Some drivers send (0, 0, 0) for what they have not found yet."""
+@pytest.mark.parametrize('place', [0.0, 0.3])
+def test_a_tracker_that_finds_its_markers_late_is_followed_from_then_on(place: float) -> None:
+    """Some drivers send (0, 0, 0), or one place, for what they have not found yet."""
     seen = record('cardan')
     for frame in seen.frames[:60]:
-        frame.points[:] = 0
+        frame.points[:] = place
     _, found = follow(seen.frames, {**seen.values, 'window': 0.3})
     late = [
         estimate for estimate in found if estimate.stamp > seen.frames[60].stamps[0] + 10 * STEP
@@ -789,6 +790,16 @@ def test_one_body_is_followed_alike_in_blocks_of_a_few_frames(size: int) -> None
     some = everything(found)
     for name in ('position', 'angle', 'position together', 'angle together'):
         alike(at_once[name], some[name])
+
+
+def test_after_each_of_several_gaps_in_one_block_nothing_is_expected() -> None:
+    """Two markers that come back exchanged are as likely to have turned round meanwhile."""
+    frames = turning([0.1, -0.07 + 0.02j], 1e-4, 460)
+    frames.points[410:] = frames.points[410:, ::-1]
+    kept = np.r_[:400, 410:415, 425:460]
+    tracker = Tracker(settings_from({}))
+    tracker.add(frames._replace(stamps=frames.stamps[kept], points=frames.points[kept]), None)
+    assert tracker.counts['resets'] == tracker.counts['markers_exchanged'] == 0
 
 
 def test_two_recordings_followed_in_turn_do_not_mix() -> None:
