@@ -260,6 +260,23 @@ def test_a_file_that_ends_in_zeros_is_damaged_there(tmp_path):
     assert 0 < len(messages) < 20
     assert messages == written[: len(messages)]
     assert f'is damaged at byte {second} (zeros' in complaint
+    assert f': {len(messages)} messages up to stamp' in complaint
+
+
+def test_a_chunk_without_a_checksum_that_ends_in_zeros_is_damaged(tmp_path):
+    path = tmp_path / 'run.mcap'
+    written = write_bag(str(path), range(20), chunk_size=2000, enable_crcs=False)
+    content = path.read_bytes()
+    tenth = content.index(written[10].data)
+    with path.open('rb') as file:
+        chunk = make_reader(file).get_summary().chunk_indexes[0]
+    place = tenth + len(written[10].data)
+    end = chunk.chunk_start_offset + chunk.chunk_length
+    path.write_bytes(content[:place] + bytes(end - place) + content[end:])
+    messages, complaint = read_all(path)
+    assert messages == written[:11]
+    assert f'is damaged at byte {chunk.chunk_start_offset} (zeros' in complaint
+    assert ': 11 messages up to stamp' in complaint
 
 
 @given(st.data(), st.sampled_from(COMPRESSIONS))

@@ -92,6 +92,22 @@ def test_who_asks_for_more_amid_a_judgment_waits_for_the_next_and_disturbs_nobod
         assert np.isfinite(mixed[-1].angle[4, 0])
 
 
+@pytest.mark.parametrize('orders', [(2, 4), (4, 2)])
+def test_who_asks_otherwise_of_many_frames_at_once_gets_what_comes_one_by_one(
+    orders: tuple[int, int],
+) -> None:
+    count, change = 325, 300 + HELD // 2
+    seen = frames(2 * np.sin(np.arange(count) / 30))
+    tracker = Tracker(settings_from(VALUES))
+    found: list[Estimate] = []
+    for part, order in zip((slice(change), slice(change, None)), orders, strict=True):
+        found += instants(tracker.add(part_of(seen, part), order))
+    singly = one_by_one(seen, [orders[0]] * change + [orders[1]] * (count - change))
+    for one, other in zip(found, singly, strict=True):
+        for name in ('angle', 'position', 'angle_covariance'):
+            np.testing.assert_allclose(getattr(one, name), getattr(other, name), rtol=1e-6)
+
+
 def test_who_asks_for_less_gets_what_was_found_before() -> None:
     seen = frames(2 * np.sin(np.arange(310) / 30))
     straight = one_by_one(seen, [4] * 310)

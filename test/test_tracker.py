@@ -388,6 +388,13 @@ def test_too_few_markers_are_told_apart_from_too_few_frames() -> None:
     assert tracker.counts['markers_not_seen'] == 40 * 2 + 30 * 3
 
 
+def test_there_are_no_figures_before_the_window_holds_seven_frames() -> None:
+    seen = record('cardan', count=8)
+    tracker = Tracker(settings_from({**seen.values, 'lag': 0.0}))
+    told = [len(instants(tracker.add(frame, 1))) for frame in seen.frames]
+    assert told == [0, 0, 0, 0, 0, 0, 1, 1]
+
+
 def test_markers_at_one_place_are_no_body() -> None:
     frames = [one_frame(START + k * STEP, 'w', ('a', 'b'), np.ones((2, 3))) for k in range(30)]
     _, found = follow(frames, {}, every=1)
@@ -396,11 +403,12 @@ def test_markers_at_one_place_are_no_body() -> None:
     }
 
 
-def test_a_tracker_that_finds_its_markers_late_is_followed_from_then_on() -> None:
-    """Some drivers send (0, 0, 0) for what they have not found yet."""
+@pytest.mark.parametrize('place', [0.0, 0.3])
+def test_a_tracker_that_finds_its_markers_late_is_followed_from_then_on(place: float) -> None:
+    """Some drivers send (0, 0, 0), or one place, for what they have not found yet."""
     seen = record('cardan')
     for frame in seen.frames[:60]:
-        frame.points[:] = 0
+        frame.points[:] = place
     _, found = follow(seen.frames, {**seen.values, 'window': 0.3})
     late = [
         estimate for estimate in found if estimate.stamp > seen.frames[60].stamps[0] + 10 * STEP
@@ -745,6 +753,22 @@ def test_a_frame_that_hardly_tells_the_angle_does_no_harm_to_the_frames_after_it
         alike(one, other)
 
 
+@pytest.mark.parametrize('size', [1, 260])
+def test_a_body_that_is_hidden_while_its_angle_passes_half_a_turn_turns_on(size: int) -> None:
+    frames = turning([0.1, -0.07 + 0.02j, 0.05j], 1e-6, 260)
+    half = round(np.pi / 3 / (STEP * 1e-9))
+    frames.points[half - 5 : half + 5] = np.nan
+    tracker = Tracker(settings_from({}))
+    found = []
+    for first in range(0, 260, size):
+        found += instants(tracker.add(part_of(frames, slice(first, first + size)), 1))
+    rates = [e.rate(1) for e in found if not e.missing[0]]
+    assert len(rates) == len(found) - 10
+    # A whole turn in between would be far off all noise, and the rates of its windows unsure.
+    assert [rate.value[0] for rate in rates] == pytest.approx([3.0] * len(rates), abs=3e-4)
+    assert max(rate.variance[0] for rate in rates[20:]) < 1e-3**2
+
+
 def test_what_markers_are_exchanged_for_good_is_not_known_before() -> None:
     frames = turning([0.1, -0.07 + 0.02j], 1e-4, 400)
     frames.points[200:] = frames.points[200:, ::-1]
@@ -766,6 +790,16 @@ def test_one_body_is_followed_alike_in_blocks_of_a_few_frames(size: int) -> None
     some = everything(found)
     for name in ('position', 'angle', 'position together', 'angle together'):
         alike(at_once[name], some[name])
+
+
+def test_after_each_of_several_gaps_in_one_block_nothing_is_expected() -> None:
+    """Two markers that come back exchanged are as likely to have turned round meanwhile."""
+    frames = turning([0.1, -0.07 + 0.02j], 1e-4, 460)
+    frames.points[410:] = frames.points[410:, ::-1]
+    kept = np.r_[:400, 410:415, 425:460]
+    tracker = Tracker(settings_from({}))
+    tracker.add(frames._replace(stamps=frames.stamps[kept], points=frames.points[kept]), None)
+    assert tracker.counts['resets'] == tracker.counts['markers_exchanged'] == 0
 
 
 def test_two_recordings_followed_in_turn_do_not_mix() -> None:

@@ -111,7 +111,7 @@ class Pins:
         z, around = np.where(held, z - z_mean, 0), np.where(held, e - e_mean, 0)
         spread = (np.abs(around) ** 2).sum(axis=0)
         arm = -(z * around.conj()).sum(axis=0) / spread
-        misfit = (z + arm * around) * np.where(held, e, 1).conj()
+        misfit = (z + arm * around) * e.conj()
         along = np.where(arm == 0, 1, arm / np.maximum(np.abs(arm), np.finfo(float).tiny))
         misfit = misfit * along.conj()
         across = variance[0] + np.abs(arm) ** 2 * variance[1]
