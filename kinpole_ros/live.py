@@ -123,7 +123,8 @@ class Recorder(Node):
         super().__init__('kinpole_recorder')
         self._writer = writer
         self._prefixes = tuple(map(_whole, prefixes))
-        self._seen: set[str] = set()
+        # The type a topic is recorded as, and others it was published as.
+        self._seen: dict[str, set[str]] = {}
         self._recorded: list[tuple[Subscription, Callable[[bytes], None]]] = []
         self._group = Apart()
         # For the subscriptions alone, as many as there are.
@@ -179,14 +180,22 @@ class Recorder(Node):
 
     def _look(self) -> None:
         for name, types in self.get_topic_names_and_types():
-            if name in self._seen or not name.startswith(self._prefixes):
+            # Of those who listen too, and so of ourselves.
+            known = name in self._seen and len(types) == 1
+            if known or not name.startswith(self._prefixes):
                 continue
-            offers = [o.qos_profile for o in self.get_publishers_info_by_topic(name)]
-            if not offers:
+            published = self.get_publishers_info_by_topic(name)
+            if not published:
                 continue
-            self._seen.add(name)
+            if name in self._seen:
+                self._note_other_types(name, {o.topic_type for o in published})
+                continue
+            # A topic has one type in a bag.
+            kind = published[0].topic_type
+            self._seen[name] = {kind}
+            offers = [o.qos_profile for o in published if o.topic_type == kind]
             try:
-                cls = message_class(types[0])
+                cls = message_class(kind)
             except BagError as error:
                 self.get_logger().warning(f'{name} is not recorded: {error}')
                 continue
@@ -202,6 +211,15 @@ class Recorder(Node):
             )
             self._recorded.append((subscription, save))
             self._wait_set = None
+
+    def _note_other_types(self, name: str, types: set[str]) -> None:
+        if others := types - self._seen[name]:
+            self._seen[name] |= others
+            told = ', '.join(sorted(others))
+            self.get_logger().warning(
+                f'{name} is published as {told} too, and that is not recorded: one bag has one '
+                'type for a topic; record anew'
+            )
 
     def _saver(self, name: str, cls: type) -> Callable[[bytes], None]:
         def save(data: bytes) -> None:

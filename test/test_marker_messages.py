@@ -436,7 +436,7 @@ def test_deletions_in_an_array_leave_what_a_viewer_would_show():
             marker('c', 0, 3.0, sec=4, frame_id='lab'),
             marker('d', 0, 4.0, sec=5),
             marker('b', 0, action=Marker.DELETE, sec=6),
-            marker('b', 0, 5.0, sec=7),
+            marker('b', 0, 5.0, sec=7, frame_id='lab'),
             marker('d', 0, action=Marker.DELETE, sec=8),
         ]
     )
@@ -446,6 +446,17 @@ def test_deletions_in_an_array_leave_what_a_viewer_would_show():
     assert (frame.stamp, frame.frame_id) == (4_000_000_000, 'lab')
     # The index is the place in the array, so a deletion renames nobody.
     assert read_one(array, 'index').identities == ('3', '6')
+
+
+def test_an_array_with_markers_in_several_frames_is_refused():
+    frames = ['crank', 'coupler', 'rocker']
+    array = MarkerArray(markers=[marker(number=k, frame_id=f) for k, f in enumerate(frames)])
+    with pytest.raises(MessageError, match="in 3 frames, as 'coupler', 'crank': publish all"):
+        read_markers(array)
+    # What is deleted may be in any, and what names none is taken to be where the first is.
+    array.markers[0].action = Marker.DELETE
+    array.markers[2].header.frame_id = ''
+    assert read_one(array).frame_id == 'coupler'
 
 
 def test_array_of_deletions_keeps_the_first_header():

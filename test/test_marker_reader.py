@@ -119,7 +119,7 @@ def test_what_is_only_drawn_may_change_at_will(only_bytes):
         one.pose.orientation.x = 0.5
         one.frame_locked = True
         if k:
-            one.header = Header(frame_id='xyz')
+            one.header = Header(frame_id=array.markers[0].header.frame_id)
     only_bytes()
     [frames] = reader.read([serialize_message(array)])
     assert_same(frames, read_markers(array))
@@ -139,6 +139,18 @@ def test_what_decides_the_names_is_looked_at(change, identity):
     found = one_by_one(MarkerReader('marker_array', identity).read(data * 2))
     for one, array in zip(found, arrays * 2, strict=True):
         assert_same(one, read_markers(array, identity))
+
+
+@pytest.mark.parametrize('identity', IDENTITIES)
+def test_a_marker_that_goes_into_another_frame_is_noticed(identity):
+    array = make('marker_array')
+    good = serialize_message(array)
+    array.markers[-1].header = Header(frame_id=array.markers[0].header.frame_id[::-1])
+    bad = serialize_message(array)
+    assert len(bad) == len(good) and bad != good
+    found = one_by_one(MarkerReader('marker_array', identity).read([good, bad, good]))
+    assert isinstance(found[1], MessageError)
+    assert_same(found[0], found[2])
 
 
 def test_names_that_are_not_asked_for_may_count_up(only_bytes):

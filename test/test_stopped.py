@@ -18,7 +18,7 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, QoSProfile
-from std_msgs.msg import String
+from std_msgs.msg import Int32, String
 
 from kinpole_ros.bags import RECORDER, BagError, BagMessage, BagWriter, read_messages, recorder_of
 from kinpole_ros.live import Recorder
@@ -67,15 +67,22 @@ def kinpole(*words: object, most: int | None = None) -> Iterator['subprocess.Pop
 
 
 @contextmanager
-def publisher(qos: QoSProfile | None = None) -> Iterator[Publisher]:
+def peer() -> Iterator[Node]:
+    """A node of a process of its own, as others see it."""
     context = rclpy.Context()
     rclpy.init(args=[], context=context)
     node = Node('test_stopped', context=context)
     try:
-        yield node.create_publisher(String, TOPIC, qos or QoSProfile(depth=1000))
+        yield node
     finally:
         node.destroy_node()
         context.try_shutdown()
+
+
+@contextmanager
+def publisher(qos: QoSProfile | None = None) -> Iterator[Publisher]:
+    with peer() as node:
+        yield node.create_publisher(String, TOPIC, qos or QoSProfile(depth=1000))
 
 
 def until(condition: Callable[[], bool], seconds: float = 60.0) -> None:
@@ -272,3 +279,41 @@ def test_a_demo_that_is_terminated_takes_its_processes_with_it(tmp_path: Path) -
             for pid in begun:
                 with suppress(ProcessLookupError):
                     os.kill(int(pid), signal.SIGKILL)
+
+
+def test_a_topic_is_recorded_as_it_is_published_and_another_type_on_it_is_told_of(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    path, told = tmp_path / 'live.mcap', ''
+    rclpy.init(args=[])
+    executor = SingleThreadedExecutor()
+    with peer() as other, publisher() as source, BagWriter(path) as writer:
+        # Who listens may do so in vain.
+        other.create_subscription(Int32, TOPIC, print, 1)
+        before = Node('before')
+        until(lambda: len(dict(before.get_topic_names_and_types()).get(TOPIC, [])) == 2, 15)
+        recorder = Recorder(writer, [TOPIC])
+        executor.add_node(recorder)
+
+        def recorded() -> bool:
+            source.publish(String(data='here'))
+            executor.spin_once(timeout_sec=0.1)
+            return recorder.messages > 0
+
+        def heard() -> bool:
+            nonlocal told
+            executor.spin_once(timeout_sec=0.1)
+            told += capfd.readouterr().err
+            return 'too' in told
+
+        try:
+            until(recorded, 15)
+            other.create_publisher(Int32, TOPIC, 1)
+            until(heard, 15)
+        finally:
+            executor.shutdown()
+            recorder.destroy_node()
+            before.destroy_node()
+            rclpy.try_shutdown()
+    assert f'{TOPIC} is published as std_msgs/msg/Int32 too, and that is not recorded' in told
+    assert {message.type_name for message in readable(path)} == {'std_msgs/msg/String'}

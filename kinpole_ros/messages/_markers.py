@@ -50,7 +50,8 @@ def read_markers(message: Any, identity: str = 'auto') -> MarkerFrames:
 
     A Marker gives its `points`, moved by its pose. A MarkerArray gives one landmark per marker,
     at its position, less those it deletes; its header is that of the first marker left. An array
-    without markers has none, so no time, and cannot be read.
+    without markers has none, so no time, and cannot be read, nor can one whose markers left are in
+    several frames.
 
     Raises MessageError, a ValueError, when the message cannot be read this way, and ValueError
     when `identity` is none of the above.
@@ -148,6 +149,14 @@ def _read_marker_array(
         raise MessageError(
             'MarkerArray without markers has no stamp; see that the driver sends nothing when it '
             'sees nothing, or markers with coordinates that are not finite'
+        )
+    # A frame that is not named may be any.
+    frame_ids = {markers[k].header.frame_id for k in kept} - {''}
+    if len(frame_ids) > 1:
+        told = ', '.join(repr(name)[:_MOST_TOLD] for name in sorted(frame_ids)[:2])
+        raise MessageError(
+            f'MarkerArray has markers in {len(frame_ids)} frames, as {told}: publish all of them '
+            'in one, such as that of the ground'
         )
     if identity == 'index':
         return header, tuple(map(str, kept)), points

@@ -253,6 +253,8 @@ def _layout(
     if kind == 'marker_array':
         kept = remaining(message.markers)
         stamp, frame_id = walk.markers[kept[0]][:2]
+        frame_ids = [walk.markers[k].frame_id for k in kept]
+        spans += [(place.start, place.start + place.number) for place in frame_ids]
         words += [marker.number + 8 for marker in walk.markers]
         deleting = any(marker.action >= Marker.DELETE for marker in message.markers)
         for _, _, ns, number, *_ in walk.markers:
