@@ -11,10 +11,19 @@ import numpy as np
 import pytest
 import yaml
 from conftest import assert_alike, bodies_of, decoded, figures, numbers, stamp_of
+from mcap.writer import Writer
+from rclpy.serialization import serialize_message
 from sensor_msgs.msg import PointCloud2, PointField
 from visualization_msgs.msg import MarkerArray
 
-from kinpole_ros.bags import BagError, BagWriter, read_messages, replay
+from kinpole_ros.bags import (
+    BagError,
+    BagWriter,
+    definition,
+    read_messages,
+    replay,
+    type_name,
+)
 from kinpole_ros.bags import topics as topics_of
 from kinpole_ros.estimate import POLE_NAMES, RATE_NAMES
 from kinpole_ros.messages import MARKER_TYPES, read_markers, result_outputs, to_message
@@ -629,6 +638,29 @@ def test_the_diagnostics_after_a_bad_message_name_it(simulated: Bag, tmp_path: P
     assert {p.key: p.value for p in third.status[0].values}[
         'messages that could not be read'
     ] == '1'
+
+
+def test_messages_of_another_type_on_the_topic_are_counted_and_not_read(
+    simulated: Bag, tmp_path: Path
+) -> None:
+    # The bytes of a PointCloud2 can be taken for a PoseArray of one pose.
+    rows = [frames(simulated('cardan', rate=100, duration=0.6))[:50] for _ in range(2)]
+    writer = Writer(str(tmp_path / 'both.mcap'))
+    writer.start('ros2', 'test')
+    for kind, part in zip(('point_cloud2', 'pose_array'), rows, strict=True):
+        cls = MARKER_TYPES[kind]
+        schema = writer.register_schema(type_name(cls), 'ros2msg', definition(cls).encode())
+        channel = writer.register_channel('/markers', 'cdr', schema)
+        for stamp, names, points in part:
+            data = serialize_message(to_message(kind, stamp, 'world', names, points))
+            writer.add_message(channel, stamp, data, stamp)
+    writer.finish()
+    alone = [to_message('pose_array', stamp, 'world', names, p) for stamp, names, p in rows[1]]
+    expected = replay(write(tmp_path / 'alone.mcap', alone), Settings())
+    found = replay(tmp_path / 'both.mcap', Settings())
+    assert found.unreadable == 50
+    assert found.problem.startswith('/markers has messages of sensor_msgs/msg/PointCloud2 among ')
+    assert (found.frames, found.noise) == (expected.frames, expected.noise)
 
 
 def test_a_bag_of_nothing_readable_is_refused_with_the_reason(tmp_path: Path) -> None:

@@ -137,7 +137,7 @@ def replay(
             for kind, target in ((CsvTable, csv), (ParquetTable, parquet))
             if target is not None
         ]
-        for frames, log_times, error in _frames(bag, name, reader, progress):
+        for frames, log_times, error in _frames(bag, name, kind, reader, progress):
             if isinstance(error, Truncated):
                 truncated = error
             elif error is not None:
@@ -227,6 +227,7 @@ def _still_absent(
 def _frames(
     bag: str | Path,
     topic: str,
+    kind: str,
     reader: MarkerReader,
     progress: Callable[[float], None] | None,
 ) -> Iterator[tuple[MarkerFrames | None, np.ndarray, BagError | MessageError | None]]:
@@ -241,6 +242,18 @@ def _frames(
             return
         if block is None:
             return
+        # Bytes of another type may well be read, as markers that are none.
+        for message in block:
+            if message.type_name != ROS_TYPE_NAMES[kind]:
+                yield (
+                    None,
+                    nothing,
+                    MessageError(
+                        f'{topic} has messages of {message.type_name} among those of '
+                        f'{ROS_TYPE_NAMES[kind]}; see that each type has a topic of its own'
+                    ),
+                )
+        block = [message for message in block if message.type_name == ROS_TYPE_NAMES[kind]]
         log_times = np.array([message.log_time for message in block], np.int64)
         done = 0
         for part in reader.read([message.data for message in block]):
