@@ -692,6 +692,17 @@ def test_a_clock_that_steps_back_starts_anew_and_the_second_time_is_right_too(
     assert_alike(again, {t: v for t, v in expected.items() if '/centrode/' not in t})
 
 
+def test_a_bag_that_ends_before_it_began_spans_all_its_stamps(
+    simulated: Bag, tmp_path: Path
+) -> None:
+    listed = decoded(simulated('cardan', rate=100, duration=0.6), '/markers')['/markers']
+    with BagWriter(tmp_path / 'back.mcap') as writer:
+        for k, message in enumerate(listed[40:] + listed[:20] + listed[:10]):
+            writer.write('/markers', message, k)
+    result = replay(tmp_path / 'back.mcap', CARDAN)
+    assert (result.first, result.last) == (stamp_of(listed[0]), stamp_of(listed[-1]))
+
+
 def test_repeated_stamps_are_counted_and_change_nothing(
     simulated: Bag, run: Any, tmp_path: Path
 ) -> None:

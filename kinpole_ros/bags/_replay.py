@@ -44,10 +44,11 @@ class Replayed(NamedTuple):
     frames left out, `resets` and `frame_changes` starts anew, as the tracker does. `noise` is that
     of a marker of each body at the end, per axis, m, NaN where it is not known, and `looseness` how
     far markers are off one rigid body, m, 0 where they may be of one; `first` and `last` are the
-    stamps of these frames, ns. `absent` are the markers of each body that are in no message, and
-    `identities` those of the last one. `unknown` are the bodies known at no instant, and why not at
-    the last ('' where there is none). `joined` are the files that were read as one recording only
-    because they lie in one folder. `beside` is how far the bodies were from the scene, if any.
+    earliest and the latest stamp, ns, 0 without frames. `absent` are the markers of each body that
+    are in no message, and `identities` those of the last one. `unknown` are the bodies known at no
+    instant, and why not at the last ('' where there is none). `joined` are the files that were read
+    as one recording only because they lie in one folder. `beside` is how far the bodies were from
+    the scene, if any.
     """
 
     frames: int
@@ -146,8 +147,9 @@ def replay(
                 beat.trouble['message'] = str(error)
             if frames is None:
                 continue
-            first = int(frames.stamps[0]) if first is None else first
-            last = int(frames.stamps[-1])
+            earliest = int(frames.stamps.min())
+            first = earliest if first is None else min(first, earliest)
+            last = max(last, int(frames.stamps.max()))
             if frames.identities != identities:
                 identities = frames.identities
                 absent = _still_absent(absent, identities)
