@@ -547,6 +547,11 @@ def test_files_of_a_folder_that_do_not_run_on_are_told_to_be_read_as_one(
             range(0, 5 * 10**6, 10**6),
             'when it is 0.1 s old (the parameter lag), and there are 0.004 s',
         ),
+        (
+            range(0, 24 * 10**7, 4 * 10**7),
+            'they take 7 frames, and there are 6; record longer',
+        ),
+        (range(12 * 10**8, 10**9, -(10**7)), 'the stamps run backward; see that the driver sets'),
     ],
 )
 def test_why_there_are_no_results_is_told(

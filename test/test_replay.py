@@ -11,10 +11,19 @@ import numpy as np
 import pytest
 import yaml
 from conftest import assert_alike, bodies_of, decoded, figures, numbers, stamp_of
+from mcap.writer import Writer
+from rclpy.serialization import serialize_message
 from sensor_msgs.msg import PointCloud2, PointField
 from visualization_msgs.msg import MarkerArray
 
-from kinpole_ros.bags import BagError, BagWriter, read_messages, replay
+from kinpole_ros.bags import (
+    BagError,
+    BagWriter,
+    definition,
+    read_messages,
+    replay,
+    type_name,
+)
 from kinpole_ros.bags import topics as topics_of
 from kinpole_ros.estimate import POLE_NAMES, RATE_NAMES
 from kinpole_ros.messages import MARKER_TYPES, read_markers, result_outputs, to_message
@@ -647,6 +656,29 @@ def test_the_diagnostics_after_a_bad_message_name_it(simulated: Bag, tmp_path: P
     ] == '1'
 
 
+def test_messages_of_another_type_on_the_topic_are_counted_and_not_read(
+    simulated: Bag, tmp_path: Path
+) -> None:
+    # The bytes of a PointCloud2 can be taken for a PoseArray of one pose.
+    rows = [frames(simulated('cardan', rate=100, duration=0.6))[:50] for _ in range(2)]
+    writer = Writer(str(tmp_path / 'both.mcap'))
+    writer.start('ros2', 'test')
+    for kind, part in zip(('point_cloud2', 'pose_array'), rows, strict=True):
+        cls = MARKER_TYPES[kind]
+        schema = writer.register_schema(type_name(cls), 'ros2msg', definition(cls).encode())
+        channel = writer.register_channel('/markers', 'cdr', schema)
+        for stamp, names, points in part:
+            data = serialize_message(to_message(kind, stamp, 'world', names, points))
+            writer.add_message(channel, stamp, data, stamp)
+    writer.finish()
+    alone = [to_message('pose_array', stamp, 'world', names, p) for stamp, names, p in rows[1]]
+    expected = replay(write(tmp_path / 'alone.mcap', alone), Settings())
+    found = replay(tmp_path / 'both.mcap', Settings())
+    assert found.unreadable == 50
+    assert found.problem.startswith('/markers has messages of sensor_msgs/msg/PointCloud2 among ')
+    assert (found.frames, found.noise) == (expected.frames, expected.noise)
+
+
 def test_a_bag_of_nothing_readable_is_refused_with_the_reason(tmp_path: Path) -> None:
     with BagWriter(tmp_path / 'bad.mcap') as writer:
         for k in range(3):
@@ -674,6 +706,17 @@ def test_a_clock_that_steps_back_starts_anew_and_the_second_time_is_right_too(
     again = figures(second)
     assert {'/kinpole/rod/centrode/moving', '/kinpole/visualization'} <= again.keys()
     assert_alike(again, expected)
+
+
+def test_a_bag_that_ends_before_it_began_spans_all_its_stamps(
+    simulated: Bag, tmp_path: Path
+) -> None:
+    listed = decoded(simulated('cardan', rate=100, duration=0.6), '/markers')['/markers']
+    with BagWriter(tmp_path / 'back.mcap') as writer:
+        for k, message in enumerate(listed[40:] + listed[:20] + listed[:10]):
+            writer.write('/markers', message, k)
+    result = replay(tmp_path / 'back.mcap', CARDAN)
+    assert (result.first, result.last) == (stamp_of(listed[0]), stamp_of(listed[-1]))
 
 
 def test_repeated_stamps_are_counted_and_change_nothing(

@@ -14,8 +14,8 @@ from fuzz_bags import fuzz_bags
 from geometry_msgs.msg import Point, Quaternion
 from mcap.data_stream import RecordBuilder
 from mcap.reader import make_reader
-from mcap.records import Channel, Chunk, Footer, Message, Schema
-from mcap.stream_reader import StreamReader
+from mcap.records import Channel, Chunk, ChunkIndex, DataEnd, Footer, Message, Schema
+from mcap.stream_reader import StreamReader, breakup_chunk
 from mcap.writer import MCAP0_MAGIC, CompressionType, IndexType, Writer
 
 from kinpole_ros.bags import (
@@ -121,6 +121,50 @@ def test_a_late_message_at_the_end_of_the_file_comes_first(tmp_path):
     expected = write(tmp_path / 'run.mcap', [*range(100, 3000), 5, *range(3000, 3100)])
     assert read(tmp_path / 'run.mcap') == (expected, '')
     assert expected[0].log_time == 5
+
+
+@pytest.mark.parametrize('place', ['first', 'middle', 'last'])
+@pytest.mark.parametrize('plain', [False, True])
+def test_what_the_index_leaves_out_is_read_all_the_same(tmp_path, place, plain):
+    path = tmp_path / 'run.mcap'
+    expected = write(path, range(300), chunk_size=1000)
+    with open(path, 'rb') as file:
+        records = list(StreamReader(file, emit_chunks=True).records)
+    chunks = [k for k, record in enumerate(records) if isinstance(record, Chunk)]
+    left_out = chunks[{'first': 0, 'middle': len(chunks) // 2, 'last': -1}[place]]
+    builder = RecordBuilder()
+    starts, summary = {}, 0
+    for k, record in enumerate(records):
+        starts[k] = len(MCAP0_MAGIC) + builder.count
+        if isinstance(record, ChunkIndex):
+            k = chunks.pop(0)
+            if k == left_out:
+                continue
+            record.chunk_start_offset = starts[k]
+        elif isinstance(record, Footer):
+            record = Footer(summary, 0, 0)
+        for one in breakup_chunk(record) if plain and k == left_out else [record]:
+            one.write(builder)
+        if isinstance(record, DataEnd):
+            summary = len(MCAP0_MAGIC) + builder.count
+    path.write_bytes(MCAP0_MAGIC + builder.end() + MCAP0_MAGIC)
+    assert read(path) == (expected, '')
+    assert read(path, ['/a'])[0] == [m for m in expected if m.topic == '/a']
+
+
+def test_bags_put_together_in_a_file_are_told_of(tmp_path):
+    path = tmp_path / 'run.mcap'
+    expected = write(path, range(300))
+    content = path.read_bytes()
+    told = f'holds another bag from byte {len(content)} on, which needs a file of its own'
+    path.write_bytes(2 * content)
+    for pack_it in (False, True):
+        messages, complaint = read(pack(path) if pack_it else path)
+        assert messages == expected
+        assert told in complaint
+    # What merely fills up the disk is no bag.
+    path.write_bytes(content + bytes(100))
+    assert read(path) == (expected, '')
 
 
 # Compressed as a whole

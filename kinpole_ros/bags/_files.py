@@ -55,6 +55,11 @@ def bag_files(path: str | Path) -> list[Path]:
             files = _folder_files(path)
         elif path.is_file():
             files = [path]
+        elif path.exists():
+            raise BagError(
+                f'{path} is neither a file nor a folder, and a bag is not read from front to back; '
+                'mend: save what it gives as a file'
+            )
         else:
             raise BagError(f'no such bag: {path}; mend: give an .mcap file or a rosbag2 folder')
         # A recorder that was killed leaves empty files among others.

@@ -106,9 +106,10 @@ def _indexed(file: BinaryIO, size: int, channels: Channels) -> list[Span]:
     place = len(MCAP0_MAGIC)
     for chunk in chunks:
         inside = set(chunk.message_index_offsets)
-        good &= bool(inside) and inside <= ids and chunk.chunk_start_offset >= place
-        place = chunk.chunk_start_offset + chunk.chunk_length
-    if not good or place > footer.summary_start:
+        good = good and bool(inside) and inside <= ids
+        good = good and not _messages_between(file, place, chunk.chunk_start_offset)
+        place = chunk.chunk_start_offset + chunk.chunk_length + chunk.message_index_length
+    if not good or _messages_between(file, place, footer.summary_start):
         raise ValueError('an index that leaves out things')
     for record in sorted(described, key=lambda record: isinstance(record, Channel)):
         channels.add(record)
@@ -117,6 +118,19 @@ def _indexed(file: BinaryIO, size: int, channels: Channels) -> list[Span]:
         for c in chunks
         if channels.want_any(c.message_index_offsets)
     ]
+
+
+def _messages_between(file: BinaryIO, place: int, end: int) -> bool:
+    """Whether there are messages or chunks among the records there; raises if these do not fit."""
+    while place < end:
+        file.seek(place)
+        opcode, length = HEAD.unpack(file.read(HEAD.size))
+        if opcode in (Opcode.MESSAGE, Opcode.CHUNK):
+            return True
+        place += HEAD.size + length
+    if place > end:
+        raise ValueError('records where the index has others')
+    return False
 
 
 def _scan(file: BinaryIO, size: int, farthest: int) -> Layout:
@@ -161,7 +175,10 @@ def _scan(file: BinaryIO, size: int, farthest: int) -> Layout:
         if opcode == Opcode.FOOTER and offset <= farthest:
             file.seek(offset)
             if file.read(len(MCAP0_MAGIC)) == MCAP0_MAGIC:
-                return Layout(spans, '', offset)
+                end = offset + len(MCAP0_MAGIC)
+                more = file.read(len(MCAP0_MAGIC)) == MCAP0_MAGIC
+                told = f'holds another bag from byte {end} on, which needs a file of its own'
+                return Layout(spans, told if more else '', offset)
             break
     end = file.seek(0, io.SEEK_END)
     return Layout(spans, f'is cut off at byte {end}', end)

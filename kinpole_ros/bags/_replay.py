@@ -44,10 +44,11 @@ class Replayed(NamedTuple):
     frames left out, `resets` and `frame_changes` starts anew, as the tracker does. `noise` is that
     of a marker of each body at the end, per axis, m, NaN where it is not known, and `looseness` how
     far markers are off one rigid body, m, 0 where they may be of one; `first` and `last` are the
-    stamps of these frames, ns. `absent` are the markers of each body that are in no message, and
-    `identities` those of the last one. `unknown` are the bodies known at no instant, and why not at
-    the last ('' where there is none). `joined` are the files that were read as one recording only
-    because they lie in one folder. `beside` is how far the bodies were from the scene, if any.
+    earliest and the latest stamp, ns, 0 without frames. `absent` are the markers of each body that
+    are in no message, and `identities` those of the last one. `unknown` are the bodies known at no
+    instant, and why not at the last ('' where there is none). `joined` are the files that were read
+    as one recording only because they lie in one folder. `beside` is how far the bodies were from
+    the scene, if any.
     """
 
     frames: int
@@ -137,7 +138,7 @@ def replay(
             for kind, target in ((CsvTable, csv), (ParquetTable, parquet))
             if target is not None
         ]
-        for frames, log_times, error in _frames(bag, name, reader, progress):
+        for frames, log_times, error in _frames(bag, name, kind, reader, progress):
             if isinstance(error, Truncated):
                 truncated = error
             elif error is not None:
@@ -146,8 +147,9 @@ def replay(
                 beat.trouble['message'] = str(error)
             if frames is None:
                 continue
-            first = int(frames.stamps[0]) if first is None else first
-            last = int(frames.stamps[-1])
+            earliest = int(frames.stamps.min())
+            first = earliest if first is None else min(first, earliest)
+            last = max(last, int(frames.stamps.max()))
             if frames.identities != identities:
                 identities = frames.identities
                 absent = _still_absent(absent, identities)
@@ -227,6 +229,7 @@ def _still_absent(
 def _frames(
     bag: str | Path,
     topic: str,
+    kind: str,
     reader: MarkerReader,
     progress: Callable[[float], None] | None,
 ) -> Iterator[tuple[MarkerFrames | None, np.ndarray, BagError | MessageError | None]]:
@@ -241,6 +244,18 @@ def _frames(
             return
         if block is None:
             return
+        # Bytes of another type may well be read, as markers that are none.
+        for message in block:
+            if message.type_name != ROS_TYPE_NAMES[kind]:
+                yield (
+                    None,
+                    nothing,
+                    MessageError(
+                        f'{topic} has messages of {message.type_name} among those of '
+                        f'{ROS_TYPE_NAMES[kind]}; see that each type has a topic of its own'
+                    ),
+                )
+        block = [message for message in block if message.type_name == ROS_TYPE_NAMES[kind]]
         log_times = np.array([message.log_time for message in block], np.int64)
         done = 0
         for part in reader.read([message.data for message in block]):

@@ -60,6 +60,11 @@ def _untold(result: Replayed, settings: Settings) -> Iterator[str]:
             'no results, since all stamps are the same; see that the driver sets header.stamp to '
             'the time of capture'
         )
+    elif result.late and taken == 1:
+        yield (
+            'no results, since the stamps run backward; see that the driver sets header.stamp to '
+            'the time of capture'
+        )
     elif result.resets:
         yield (
             f'no results, since the stamps jump by more than the parameter window, '
@@ -69,6 +74,11 @@ def _untold(result: Replayed, settings: Settings) -> Iterator[str]:
         yield (
             f'no results, since a frame has one when it is {settings.lag:g} s old (the parameter '
             f'lag), and there are {seconds:.3g} s; record longer, or see to the stamps'
+        )
+    elif taken < FEWEST_SAMPLES:
+        yield (
+            f'no results, since they take {FEWEST_SAMPLES} frames, and there are {taken}; record '
+            'longer, or see to the stamps'
         )
     else:
         yield (
