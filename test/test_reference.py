@@ -204,3 +204,14 @@ def test_a_point_far_from_the_body_does_not_stand_for_it(away: float, taken: boo
         poses = time[some], place, angle[some], variance
         references.add(*poses, np.ones(1), np.zeros(1, complex))
     assert (references.point[0] != 0) == taken
+
+
+def test_a_body_that_keeps_its_origin_is_as_it_was_beside_one_that_does_not() -> None:
+    """The one is known less well now than when its middle was far from its origin."""
+    poses = np.random.default_rng(0).normal(size=(5, 4, 2))
+    information = np.array([[0.02, 1.0, 2.0, 3.0]] * 5)
+    middle = np.array([0.3 + 0.2j, 0.1])
+    moved, informed = _reference.seen_at(np.array([0, HUB]), middle, poses, information)
+    np.testing.assert_array_equal(moved[:, ::2], poses[:, ::2])
+    np.testing.assert_array_equal(informed[:, :3], information[:, :3])
+    assert (informed[:, 3] != 3).all()

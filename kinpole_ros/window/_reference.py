@@ -164,5 +164,6 @@ def seen_at(
     seen = placed > 0
     share = np.divide(placed, turned, out=np.zeros_like(placed), where=seen)
     left = np.maximum(1 - nearer * share, 0.0) + farther * share
-    np.divide(placed, left, out=placed, where=seen & (left > 0))
+    # Without its other markers a body that keeps its origin may seem to lie far from its middle.
+    np.divide(placed, left, out=placed, where=seen & (left > 0) & (reference != 0))
     return poses, information
