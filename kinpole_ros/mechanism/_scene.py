@@ -406,20 +406,26 @@ def _markers(said: Any, bodies: tuple[str, ...]) -> dict[str, dict[str, complex]
 
 
 class _Loader(yaml.SafeLoader):
-    """YAML in which `on` is a word, and a key given twice is refused.
+    """YAML of texts, numbers as people write them, lists, and keys with values, none given twice.
 
-    PyYAML would make it true, as YAML 1.1 has it, and silently keep the last of two.
+    PyYAML would take `on` for true, 1:30 for 90 and 010 for 8, as YAML 1.1 has it, and silently
+    keep the last of two keys.
     """
 
+    yaml_constructors = {  # noqa: RUF012
+        tag: make
+        for tag, make in yaml.SafeLoader.yaml_constructors.items()
+        if tag is None or tag.endswith((':null', ':str', ':seq', ':map'))
+    }
     yaml_implicit_resolvers = {  # noqa: RUF012
-        first: [(tag, pattern) for tag, pattern in known if not tag.endswith(':bool')]
+        first: [(tag, pattern) for tag, pattern in known if tag.endswith((':null', ':merge'))]
         for first, known in yaml.SafeLoader.yaml_implicit_resolvers.items()
     }
 
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
         """Return the mapping, or raise as the base class does for other faults."""
         seen = set()
-        for key, _ in node.value:
+        for key, _ in node.value if isinstance(node, yaml.MappingNode) else ():
             name = str(key.value)
             if name in seen:
                 problem = f"the key '{name}' is given twice: keep one"
@@ -428,8 +434,17 @@ class _Loader(yaml.SafeLoader):
         return super().construct_mapping(node, deep)
 
 
-# YAML 1.2's booleans.
-_Loader.add_implicit_resolver('tag:yaml.org,2002:bool', re.compile('true|false'), list('tf'))
+def _number(loader: _Loader, node: yaml.ScalarNode) -> int | float:
+    text = loader.construct_scalar(node)
+    return int(text) if re.fullmatch(r'[-+]?\d+', text) else float(text)
+
+
+_Loader.add_constructor('tag:yaml.org,2002:float', _number)
+_Loader.add_implicit_resolver(
+    'tag:yaml.org,2002:float',
+    re.compile(r'[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?$', re.ASCII),
+    list('-+.0123456789'),
+)
 
 
 def _scene_path(path_or_name: str | Path) -> Path:
@@ -454,7 +469,9 @@ def _read(path: Path) -> Any:
         return yaml.load(path.read_bytes(), _Loader)
     except OSError as error:
         raise SceneError(f'{path}: cannot be read: {error.strerror}') from None
-    # ValueError: PyYAML lets through what int() or a date makes of a malformed scalar.
+    except RecursionError:
+        raise SceneError(f'{path}: not a usable YAML file: nested beyond all use') from None
+    # ValueError: a whole number of thousands of digits.
     except (yaml.YAMLError, ValueError) as error:
         mark = getattr(error, 'problem_mark', None)
         line = f'line {mark.line + 1}: ' if mark else ''
