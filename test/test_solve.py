@@ -10,7 +10,7 @@ import pytest
 
 from kinpole_ros import cli
 from kinpole_ros.mechanism import load_scene, scene_names, scenes_folder
-from kinpole_ros.solve import _picture
+from kinpole_ros.solve import _picture, solve_scene
 from kinpole_ros.solve._solved import solve_positions
 
 
@@ -91,7 +91,7 @@ def test_all_that_is_drawn_lies_in_the_picture(name: str) -> None:
     axis = figures.Figure().add_subplot()
     scene = load_scene(name)
     solved = solve_positions(scene, None, 19)
-    _picture._draw_linkage(axis, solved, 0, centers=False)
+    _picture._draw_linkage(axis, solved, solve_positions(scene, None, None), centers=False)
     arrows = [text.xy for text in axis.texts if text.arrow_patch]
     assert arrows
     (left, right), (bottom, top) = axis.get_xlim(), axis.get_ylim()
@@ -196,10 +196,37 @@ def test_the_picture_is_one(capsys: pytest.CaptureFixture[str], tmp_path: Path) 
     assert (image[..., :3] < 0.5).any()
 
 
+@pytest.mark.parametrize(('at', 'mark'), [('10.5 deg', 370.5), ('45.5 deg', 45.5)])
+def test_the_picture_shows_the_position_asked_for(
+    at: str, mark: float, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # Neither is among the positions of the range, 30 to 390 deg in steps of one.
+    figures = pytest.importorskip('matplotlib.figure')
+    made = []
+    monkeypatch.setattr(figures.Figure, 'savefig', lambda figure, *_, **__: made.append(figure))
+    solve_scene('slider_crank', at=at, picture=tmp_path / 'crank.png')
+    linkage, rates, _ = made[0].axes
+    crank = next(line for line in linkage.lines if line.get_zorder() == 3)
+    angle = np.radians(float(at.split()[0]))
+    np.testing.assert_allclose(crank.get_xdata(), [0, 0.1 * np.cos(angle)], atol=1e-15)
+    np.testing.assert_allclose(crank.get_ydata(), [0, 0.1 * np.sin(angle)], atol=1e-15)
+    assert [*rates.lines][-1].get_xdata()[0] == pytest.approx(mark)
+    assert f'crank (deg) = {at.split()[0]}' in made[0].get_suptitle()
+
+
+def test_the_circles_that_gears_roll_on_are_drawn() -> None:
+    solved = solve_positions(load_scene('planetary_gear'), None, None)
+    # The planet with its spoke, sun and ring: their radii about their centers.
+    radii = {np.round(np.ptp(rim.real) / 2, 9) for _, rim in _picture._wheels(solved)}
+    assert radii == {0.012, 0.024, 0.048}
+
+
 def test_letters_on_lines_can_be_read() -> None:
     figures = pytest.importorskip('matplotlib.figure')
     axis = figures.Figure().add_subplot()
-    _picture._draw_linkage(axis, solve_positions(load_scene('four_bar'), None, 19), 0, centers=True)
+    scene = load_scene('four_bar')
+    whole, here = (solve_positions(scene, None, count) for count in (19, None))
+    _picture._draw_linkage(axis, whole, here, centers=True)
     letters = [text for text in axis.texts if text.get_text()]
     assert {'crank', 'coupler', 'rocker', 'I12'} <= {text.get_text() for text in letters}
     assert all(text.get_path_effects() for text in letters)
