@@ -595,7 +595,11 @@ BAD = [
         'from {coupler: 0 deg, rocker: 0 deg}, but they do near {coupler: -49.99 deg, rocker: '
         '-99.99 deg}, or {coupler: 49.99 deg, rocker: 99.99 deg}: write the one that is meant as',
     ),
-    ('four_bar', put([0.3, 0], 'bodies', 'crank', 'A'), "'drivers' ask for crank = 0 to 6.28319"),
+    (
+        'four_bar',
+        put([0.3, 0], 'bodies', 'crank', 'A'),
+        "'drivers' ask for crank = 0 to 360 deg, but",
+    ),
     ('four_bar', put([], 'drivers'), "'drivers' is no list: write each as"),
     ('four_bar', put(['crank'], 'drivers'), "'drivers: 1' holds no keys and values"),
     ('four_bar', pop('drivers', 0, 'drive'), "'drivers: 1': the key 'drive' is missing"),
@@ -653,7 +657,7 @@ BAD = [
             drivers=[{'drive': 'piston', 'mean': 0.3, 'amplitude': 0.2, 'frequency': 1}],
             start={'crank': 1.2, 'rod': -0.3},
         ),
-        "'drivers' ask for piston = 0.1 to 0.5, but the linkage goes from 0.2 to 0.4, a dead point",
+        "'drivers' ask for piston = 0.1 to 0.5 m, but the linkage goes from 0.2 to 0.4 m, a",
     ),
     ('trebuchet', put([1], 'held_by'), "'held_by' holds no keys and values: write {at: bar.P"),
     ('trebuchet', put({'at': 'bar.P'}, 'held_by'), "'held_by': the key 'along' is missing"),

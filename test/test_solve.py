@@ -214,6 +214,52 @@ def test_the_picture_shows_the_position_asked_for(
     assert f'crank (deg) = {at.split()[0]}' in made[0].get_suptitle()
 
 
+def test_a_slide_driven_steadily_is_swept_as_far_as_the_linkage_goes(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / 'pressed.yaml'
+    told = (scenes_folder() / 'slider_crank.yaml').read_text()
+    steady = '{drive: piston, rate: 1 cm/s, start: 0.3}\nstart: {crank: 80 deg, rod: -20 deg}'
+    path.write_text(re.sub(r'\{drive: .*\}', steady, told))
+    assert cli.main(['solve', str(path), '--sweep']) == 0
+    assert 'piston from 0.2 m (limit) to 0.4 m (limit)' in capsys.readouterr().out
+    path.write_text(
+        'bodies: {ground: {O: [0, 0]}, block: {A: [0, 0]}}\n'
+        'joints: [{prismatic: block.A, on: ground.O, along: 0, name: guide}]\n'
+        'drivers: [{drive: guide, rate: 1 cm/s}]\n'
+    )
+    assert cli.main(['solve', str(path), '--sweep']) == 2
+    assert 'guide is driven steadily and nothing ends its way' in capsys.readouterr().err
+
+
+def test_two_columns_of_one_name_are_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path, table = tmp_path / 'names.yaml', tmp_path / 'names.csv'
+    path.write_text(
+        'bodies: {ground: {O: [0, 0]}, arm: {O: [0, 0], a: [0.1, 0]}, arm_a: {a: [0.02, 0]}}\n'
+        'drivers: [{drive: arm, rate: 1}, {drive: arm_a, rate: 2}]\n'
+    )
+    assert cli.main(['solve', str(path), '--csv', str(table)]) == 2
+    assert "two columns would be called 'arm_a_x'" in capsys.readouterr().err
+    assert not table.exists()
+
+
+def test_centers_are_called_alike_in_the_table_and_the_deduction(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    # A chain of ten, so that I1,11 is not I11,1.
+    path = tmp_path / 'chain.yaml'
+    links = ''.join(f'  b{k}: {{P{k}: [0, 0], P{k + 1}: [0.1, 0]}}\n' for k in range(10))
+    rates = ''.join(f'  - {{drive: b{k}, rate: {k + 1}}}\n' for k in range(10))
+    path.write_text(f'bodies:\n  ground: {{P0: [0, 0]}}\n{links}drivers:\n{rates}')
+    assert cli.main(['solve', str(path), '--centers']) == 0
+    table, deduced = capsys.readouterr().out.split('center  of')[1].split('1 ground')
+    names = {line.split()[0] for line in table.splitlines()[1:] if line}
+    assert names == {line.split(':')[0] for line in deduced.splitlines()[1:]}
+    assert 'I1,11' in names
+
+
 def test_the_circles_that_gears_roll_on_are_drawn() -> None:
     solved = solve_positions(load_scene('planetary_gear'), None, None)
     # The planet with its spoke, sun and ring: their radii about their centers.

@@ -302,12 +302,12 @@ def _check_range(mechanism: Mechanism, driven: list[_Driven]) -> None:
     """Raise SceneError where the drivers ask for more than the linkage gives."""
     if not mechanism.linkage.blocks:
         return
+    driver = driven[0].driver
     if len(driven) == 1:
-        driver = driven[0].driver
-        low, high, unit = driver.low, driver.high, f'{driver.name} = '
+        low, high, what = driver.low, driver.high, f'{driver.name} ='
     else:
         low = min(0.0, *(one.begin for one in driven))
-        high, unit = max(one.end for one in driven), 'time (s) '
+        high, what = max(one.end for one in driven), 'the time'
     path = mechanism.path(low, high)
     reach = path.inputs[0], path.inputs[-1]
     slack = 1e-9 * max(1.0, abs(low), abs(high))
@@ -315,9 +315,16 @@ def _check_range(mechanism: Mechanism, driven: list[_Driven]) -> None:
         return
     dead = next((dead for dead in path.dead_points if dead.turns_back), None)
     why = '' if dead is None else f', a dead point of the loop {", ".join(dead.loop)}'
+
+    def way(first: float, last: float) -> str:
+        size, unit = 1.0, 's'
+        if len(driven) == 1:
+            size, unit = (180 / pi, 'deg') if mechanism.kind(0) == 'angle' else (1.0, 'm')
+        return f'{first * size:.6g} to {last * size:.6g} {unit}'
+
     raise SceneError(
-        f"'drivers' ask for {unit}{low:.6g} to {high:.6g}, but the linkage goes from "
-        f'{reach[0]:.6g} to {reach[1]:.6g}{why}: drive it less far, or change lengths'
+        f"'drivers' ask for {what} {way(low, high)}, but the linkage goes from {way(*reach)}{why}: "
+        'drive it less far, or change lengths'
     )
 
 

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from kinpole_ros.mechanism import Rolling
+from kinpole_ros.mechanism import Rolling, center_name
 from kinpole_ros.planar import pole
 from kinpole_ros.solve._solved import Solved, centers_of, driver_unit, point_motions
 
@@ -235,7 +235,7 @@ def _draw_centers(
     for pair, point in zip(found.pairs, found.points[:, 0], strict=True):
         if np.isfinite(point) and abs(point - middle) < (0.5 + _FAR) * reach:
             key = next((z for z in shown if abs(z - point) < 1e-3 * reach), complex(point))
-            shown.setdefault(key, []).append(f'{pair[0] + 1}{pair[1] + 1}')
+            shown.setdefault(key, []).append(center_name(len(found.bodies), *pair))
             placed[pair] = complex(point)
     for step in found.steps:
         if step.rule != 'lines' or step.pair not in placed:
@@ -250,7 +250,7 @@ def _draw_centers(
     for z, names in shown.items():
         axis.plot(z.real, z.imag, 'kx', markersize=7, zorder=6)
         axis.annotate(
-            'I' + ', '.join(names),
+            ', '.join(names),
             (z.real, z.imag),
             fontsize=8,
             zorder=6,

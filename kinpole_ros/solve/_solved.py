@@ -86,8 +86,17 @@ def _range(scene: Scene, start: float) -> tuple[float, float, tuple[float | None
     angle = scene.mechanism.kind(0) == 'angle'
     if angle:
         low, high = start - _TURN, start + _TURN
-    else:
+    elif driver.low < driver.high:
         low, high = driver.low, driver.high
+    elif scene.mechanism.linkage.blocks:
+        # Driven at a steady rate, a length goes as far as the linkage lets it.
+        reach = float(scene.mechanism.assembly.loops.length0.sum())
+        low, high = start - reach, start + reach
+    else:
+        raise SceneError(
+            f'{driver.name} is driven steadily and nothing ends its way: there is no range; drive '
+            'it from: ..., to: ..., duration: ...'
+        )
     if not scene.mechanism.linkage.blocks:
         return (start, start + _TURN, (None, None)) if angle else (low, high, (None, None))
     path = scene.mechanism.path(low, high)
