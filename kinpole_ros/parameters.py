@@ -287,8 +287,15 @@ def load_settings(path: str | Path, node_name: str = 'kinpole') -> Settings:
         document = yaml.load(Path(path).read_text(encoding='utf-8'), _Loader)
     except OSError as error:
         raise ParameterError(f'{path}: {error.strerror}; name a readable parameter file') from None
-    # ValueError: also what PyYAML lets through of a malformed date or number.
-    except (yaml.YAMLError, ValueError, RecursionError) as error:
+    # The others: what PyYAML lets through of a malformed date or number, or !!bool of what is none.
+    except (
+        yaml.YAMLError,
+        ValueError,
+        LookupError,
+        TypeError,
+        AttributeError,
+        RecursionError,
+    ) as error:
         reason = ' '.join(str(error).split())
         raise ParameterError(f'{path}: not YAML ({reason})') from None
     wanted = {'/**', node_name, f'/{node_name}'}

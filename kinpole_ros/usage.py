@@ -154,7 +154,7 @@ def make_parser() -> argparse.ArgumentParser:
     )
     solve.add_argument('scene', metavar='SCENE', help='name or path of a scene, see simulate')
     where = solve.add_mutually_exclusive_group()
-    where.add_argument('--at', metavar='VALUE', help='value of the driver: 0.5, "45 deg", "12 cm"')
+    where.add_argument('--at', metavar='VALUE', help='value of the driver: 0.5, "-45 deg", "12 cm"')
     where.add_argument('--sweep', action='store_true', help='the whole range of the driver')
     solve.add_argument('--centers', action='store_true', help='instant centers, as deduced by hand')
     solve.add_argument('--statics', action='store_true', help='what drivers and joints bear')

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 import yaml
+from hypothesis import settings
 from rclpy.serialization import deserialize_message
 
 from kinpole_ros.bags import message_class, read_messages, simulate
@@ -18,6 +19,10 @@ from kinpole_ros.parameters import Settings
 # Nodes of the tests meet nobody else's, nor those of another run on this machine.
 os.environ['ROS_DOMAIN_ID'] = str(100 + os.getpid() % 100)
 os.environ['ROS_AUTOMATIC_DISCOVERY_RANGE'] = 'LOCALHOST'
+
+# An example that takes long on a busy machine is no fault of what is tested.
+settings.register_profile('unhurried', deadline=None)
+settings.load_profile('unhurried')
 
 
 @pytest.fixture(scope='session')

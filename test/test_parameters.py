@@ -257,6 +257,10 @@ def test_a_number_in_quotes_stays_text(tmp_path: Path) -> None:
         ('a: b: c\n', 'not YAML'),
         ('\t- x', 'not YAML'),
         ('[' * 5000, 'not YAML'),
+        ('/**: {ros__parameters: {window: !!int ""}}\n', 'not YAML'),
+        ('/**: {ros__parameters: {window: !!bool x}}\n', 'not YAML'),
+        ('/**: {ros__parameters: {window: !!timestamp x}}\n', 'not YAML'),
+        ('/**: {ros__parameters: {window: !!float [1]}}\n', 'not YAML'),
     ],
 )
 def test_a_file_that_cannot_be_used_is_named_with_the_reason(

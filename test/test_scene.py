@@ -544,9 +544,9 @@ BAD = [
     ('four_bar', put([1], 'bodies', 'crank'), "'bodies: crank' holds no keys and values"),
     ('four_bar', put([1, 2, 3], 'bodies', 'crank', 'A'), "'A' is [1, 2, 3]: give [x, y]"),
     ('four_bar', put(['a', 0], 'bodies', 'crank', 'A'), "'A' is 'a': give a finite number"),
-    ('four_bar', put([True, 0], 'bodies', 'crank', 'A'), "'A' is True: give a finite number"),
+    ('four_bar', put([True, 0], 'bodies', 'crank', 'A'), "'A' is 'true': give a finite number"),
     ('four_bar', put(['.nan', 0], 'bodies', 'crank', 'A'), "'A' is '.nan': give a finite number"),
-    ('four_bar', put([float('nan'), 0], 'bodies', 'crank', 'A'), "'A' is nan: give a finite"),
+    ('four_bar', put([float('nan'), 0], 'bodies', 'crank', 'A'), "'A' is '.nan': give a finite"),
     ('four_bar', put([10**400, 0], 'bodies', 'crank', 'A'), 'give a finite number'),
     ('four_bar', put([1e300, 0], 'bodies', 'crank', 'A'), 'is 1e+300, beyond all use: check the'),
     (
@@ -595,7 +595,11 @@ BAD = [
         'from {coupler: 0 deg, rocker: 0 deg}, but they do near {coupler: -49.99 deg, rocker: '
         '-99.99 deg}, or {coupler: 49.99 deg, rocker: 99.99 deg}: write the one that is meant as',
     ),
-    ('four_bar', put([0.3, 0], 'bodies', 'crank', 'A'), "'drivers' ask for crank = 0 to 6.28319"),
+    (
+        'four_bar',
+        put([0.3, 0], 'bodies', 'crank', 'A'),
+        "'drivers' ask for crank = 0 to 360 deg, but",
+    ),
     ('four_bar', put([], 'drivers'), "'drivers' is no list: write each as"),
     ('four_bar', put(['crank'], 'drivers'), "'drivers: 1' holds no keys and values"),
     ('four_bar', pop('drivers', 0, 'drive'), "'drivers: 1': the key 'drive' is missing"),
@@ -653,7 +657,7 @@ BAD = [
             drivers=[{'drive': 'piston', 'mean': 0.3, 'amplitude': 0.2, 'frequency': 1}],
             start={'crank': 1.2, 'rod': -0.3},
         ),
-        "'drivers' ask for piston = 0.1 to 0.5, but the linkage goes from 0.2 to 0.4, a dead point",
+        "'drivers' ask for piston = 0.1 to 0.5 m, but the linkage goes from 0.2 to 0.4 m, a",
     ),
     ('trebuchet', put([1], 'held_by'), "'held_by' holds no keys and values: write {at: bar.P"),
     ('trebuchet', put({'at': 'bar.P'}, 'held_by'), "'held_by': the key 'along' is missing"),
@@ -741,7 +745,12 @@ def test_a_bad_scene_is_refused_in_one_line(
         (b'a: [1\nb: 2\n', 'line 2: not a usable YAML file'),
         (b'bodies: 1\nbodies: 2\n', "line 2: not a usable YAML file: the key 'bodies' is given tw"),
         (b'? [a]\n: 1\n', 'line 1: not a usable YAML file'),
-        (b'when: 2024-13-45\n', 'not a usable YAML file: month must be in 1..12'),
+        (b'a: ' + b'9' * 5000, 'not a usable YAML file: Exceeds the limit'),
+        (b'a: !!map [1, 2]\n', 'line 1: not a usable YAML file: expected a mapping node'),
+        (b'a: !!int ""\n', 'line 1: not a usable YAML file: could not determine a constructor'),
+        (b'a: !!bool x\n', 'line 1: not a usable YAML file: could not determine a constructor'),
+        (b'a: !!timestamp x\n', 'line 1: not a usable YAML file: could not determine'),
+        (b'a: ' + b'[' * 5000, 'not a usable YAML file: nested beyond all use'),
         (b'\xff\xfe\xfa', 'not a usable YAML file'),
         (b'a: !!python/name:os.system\n', 'line 1: not a usable YAML file'),
         (b'mechanism: four_bar\n', "unknown key 'mechanism': use bodies"),
@@ -762,6 +771,21 @@ def places(data: Any, at: tuple = ()) -> list[tuple]:
     for key in keys:
         found += places(data[key], (*at, key))
     return found
+
+
+@pytest.mark.parametrize(
+    ('text', 'rate'), [('010', 10.0), ('+1.5e1', 15.0), ('1e1', 10.0), ('.5', 0.5), ('7.', 7.0)]
+)
+def test_numbers_are_decimal_however_they_are_written(
+    tmp_path: Path, text: str, rate: float
+) -> None:
+    path = tmp_path / 'edited.yaml'
+    told = (SCENES / 'four_bar.yaml').read_text().replace('1 rev/s', text)
+    path.write_text(told)
+    assert load_scene(path).motion(0.0)['crank'].angle[1] == rate
+    for other in ('1:30', '0x10', '2024-01-01', '1_000'):
+        path.write_text(told.replace(f'rate: {text}', f'rate: {other}'))
+        assert f"rate is '{other}'" in refusal(path)
 
 
 ODD = [

@@ -10,7 +10,7 @@ import pytest
 
 from kinpole_ros import cli
 from kinpole_ros.mechanism import load_scene, scene_names, scenes_folder
-from kinpole_ros.solve import _picture
+from kinpole_ros.solve import _picture, solve_scene
 from kinpole_ros.solve._solved import solve_positions
 
 
@@ -91,7 +91,7 @@ def test_all_that_is_drawn_lies_in_the_picture(name: str) -> None:
     axis = figures.Figure().add_subplot()
     scene = load_scene(name)
     solved = solve_positions(scene, None, 19)
-    _picture._draw_linkage(axis, solved, 0, centers=False)
+    _picture._draw_linkage(axis, solved, solve_positions(scene, None, None), centers=False)
     arrows = [text.xy for text in axis.texts if text.arrow_patch]
     assert arrows
     (left, right), (bottom, top) = axis.get_xlim(), axis.get_ylim()
@@ -196,10 +196,83 @@ def test_the_picture_is_one(capsys: pytest.CaptureFixture[str], tmp_path: Path) 
     assert (image[..., :3] < 0.5).any()
 
 
+@pytest.mark.parametrize(('at', 'mark'), [('10.5 deg', 370.5), ('45.5 deg', 45.5)])
+def test_the_picture_shows_the_position_asked_for(
+    at: str, mark: float, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # Neither is among the positions of the range, 30 to 390 deg in steps of one.
+    figures = pytest.importorskip('matplotlib.figure')
+    made = []
+    monkeypatch.setattr(figures.Figure, 'savefig', lambda figure, *_, **__: made.append(figure))
+    solve_scene('slider_crank', at=at, picture=tmp_path / 'crank.png')
+    linkage, rates, _ = made[0].axes
+    crank = next(line for line in linkage.lines if line.get_zorder() == 3)
+    angle = np.radians(float(at.split()[0]))
+    np.testing.assert_allclose(crank.get_xdata(), [0, 0.1 * np.cos(angle)], atol=1e-15)
+    np.testing.assert_allclose(crank.get_ydata(), [0, 0.1 * np.sin(angle)], atol=1e-15)
+    assert [*rates.lines][-1].get_xdata()[0] == pytest.approx(mark)
+    assert f'crank (deg) = {at.split()[0]}' in made[0].get_suptitle()
+
+
+def test_a_slide_driven_steadily_is_swept_as_far_as_the_linkage_goes(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / 'pressed.yaml'
+    told = (scenes_folder() / 'slider_crank.yaml').read_text()
+    steady = '{drive: piston, rate: 1 cm/s, start: 0.3}\nstart: {crank: 80 deg, rod: -20 deg}'
+    path.write_text(re.sub(r'\{drive: .*\}', steady, told))
+    assert cli.main(['solve', str(path), '--sweep']) == 0
+    assert 'piston from 0.2 m (limit) to 0.4 m (limit)' in capsys.readouterr().out
+    path.write_text(
+        'bodies: {ground: {O: [0, 0]}, block: {A: [0, 0]}}\n'
+        'joints: [{prismatic: block.A, on: ground.O, along: 0, name: guide}]\n'
+        'drivers: [{drive: guide, rate: 1 cm/s}]\n'
+    )
+    assert cli.main(['solve', str(path), '--sweep']) == 2
+    assert 'guide is driven steadily and nothing ends its way' in capsys.readouterr().err
+
+
+def test_two_columns_of_one_name_are_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path, table = tmp_path / 'names.yaml', tmp_path / 'names.csv'
+    path.write_text(
+        'bodies: {ground: {O: [0, 0]}, arm: {O: [0, 0], a: [0.1, 0]}, arm_a: {a: [0.02, 0]}}\n'
+        'drivers: [{drive: arm, rate: 1}, {drive: arm_a, rate: 2}]\n'
+    )
+    assert cli.main(['solve', str(path), '--csv', str(table)]) == 2
+    assert "two columns would be called 'arm_a_x'" in capsys.readouterr().err
+    assert not table.exists()
+
+
+def test_centers_are_called_alike_in_the_table_and_the_deduction(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    # A chain of ten, so that I1,11 is not I11,1.
+    path = tmp_path / 'chain.yaml'
+    links = ''.join(f'  b{k}: {{P{k}: [0, 0], P{k + 1}: [0.1, 0]}}\n' for k in range(10))
+    rates = ''.join(f'  - {{drive: b{k}, rate: {k + 1}}}\n' for k in range(10))
+    path.write_text(f'bodies:\n  ground: {{P0: [0, 0]}}\n{links}drivers:\n{rates}')
+    assert cli.main(['solve', str(path), '--centers']) == 0
+    table, deduced = capsys.readouterr().out.split('center  of')[1].split('1 ground')
+    names = {line.split()[0] for line in table.splitlines()[1:] if line}
+    assert names == {line.split(':')[0] for line in deduced.splitlines()[1:]}
+    assert 'I1,11' in names
+
+
+def test_the_circles_that_gears_roll_on_are_drawn() -> None:
+    solved = solve_positions(load_scene('planetary_gear'), None, None)
+    # The planet with its spoke, sun and ring: their radii about their centers.
+    radii = {np.round(np.ptp(rim.real) / 2, 9) for _, rim in _picture._wheels(solved)}
+    assert radii == {0.012, 0.024, 0.048}
+
+
 def test_letters_on_lines_can_be_read() -> None:
     figures = pytest.importorskip('matplotlib.figure')
     axis = figures.Figure().add_subplot()
-    _picture._draw_linkage(axis, solve_positions(load_scene('four_bar'), None, 19), 0, centers=True)
+    scene = load_scene('four_bar')
+    whole, here = (solve_positions(scene, None, count) for count in (19, None))
+    _picture._draw_linkage(axis, whole, here, centers=True)
     letters = [text for text in axis.texts if text.get_text()]
     assert {'crank', 'coupler', 'rocker', 'I12'} <= {text.get_text() for text in letters}
     assert all(text.get_path_effects() for text in letters)

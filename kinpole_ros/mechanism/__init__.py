@@ -1,7 +1,7 @@
 """Mechanisms whose motion is known exactly: the truth that measured kinematics is held against."""
 
 from kinpole_ros.mechanism._assembly import Revolute, Rolling
-from kinpole_ros.mechanism._centers import Centers, explain, instant_centers
+from kinpole_ros.mechanism._centers import Centers, center_name, explain, instant_centers
 from kinpole_ros.mechanism._centrodes import Centrodes, centrodes, write_pitch_curves
 from kinpole_ros.mechanism._loops import LinkageError
 from kinpole_ros.mechanism._mechanism import Mechanism, Motion
@@ -29,6 +29,7 @@ __all__ = [
     'SceneError',
     'Torque',
     'advantage',
+    'center_name',
     'centrodes',
     'efforts',
     'explain',

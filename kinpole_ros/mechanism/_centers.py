@@ -185,8 +185,7 @@ def explain(mechanism: Mechanism, steps: Sequence[Step]) -> list[str]:
     bodies, joints = _names(mechanism), mechanism.assembly.joints
 
     def center(i: int, j: int) -> str:
-        first, second = _ordered(i, j)
-        return f'I{first + 1}{"," if len(bodies) > 9 else ""}{second + 1}'
+        return center_name(len(bodies), *_ordered(i, j))
 
     def line(pair: Pair, code: int) -> str:
         if code < 0:
@@ -211,6 +210,11 @@ def explain(mechanism: Mechanism, steps: Sequence[Step]) -> list[str]:
             text = f'from the rates: Kennedy has {"only " if by else ""}{has} for it'
         lines.append(f'{center(*pair)}: {text}')
     return lines
+
+
+def center_name(count: int, i: int, j: int) -> str:
+    """What the center of two of `count` bodies is called, i < j from 0: I13, from ten on I1,3."""
+    return f'I{i + 1}{"," if count > 9 else ""}{j + 1}'
 
 
 def extent(mechanism: Mechanism, values: Real) -> tuple[Complex, float]:

@@ -101,7 +101,7 @@ def trace(
     if not (np.abs(first.determinant[:, 0]) > _AT_REST).all():
         loop = ', '.join(loop_of(linkage, flattest(first)))
         raise LinkageError(
-            f'{start:.6g} is a dead point of the loop {loop}, from which it is not known where to '
+            f'the start is a dead point of the loop {loop}, from which it is not known where to '
             'go: start beside it'
         )
     scale = _scales(linkage, first.values[0, :, 0])

@@ -302,12 +302,12 @@ def _check_range(mechanism: Mechanism, driven: list[_Driven]) -> None:
     """Raise SceneError where the drivers ask for more than the linkage gives."""
     if not mechanism.linkage.blocks:
         return
+    driver = driven[0].driver
     if len(driven) == 1:
-        driver = driven[0].driver
-        low, high, unit = driver.low, driver.high, f'{driver.name} = '
+        low, high, what = driver.low, driver.high, f'{driver.name} ='
     else:
         low = min(0.0, *(one.begin for one in driven))
-        high, unit = max(one.end for one in driven), 'time (s) '
+        high, what = max(one.end for one in driven), 'the time'
     path = mechanism.path(low, high)
     reach = path.inputs[0], path.inputs[-1]
     slack = 1e-9 * max(1.0, abs(low), abs(high))
@@ -315,9 +315,16 @@ def _check_range(mechanism: Mechanism, driven: list[_Driven]) -> None:
         return
     dead = next((dead for dead in path.dead_points if dead.turns_back), None)
     why = '' if dead is None else f', a dead point of the loop {", ".join(dead.loop)}'
+
+    def way(first: float, last: float) -> str:
+        size, unit = 1.0, 's'
+        if len(driven) == 1:
+            size, unit = (180 / pi, 'deg') if mechanism.kind(0) == 'angle' else (1.0, 'm')
+        return f'{first * size:.6g} to {last * size:.6g} {unit}'
+
     raise SceneError(
-        f"'drivers' ask for {unit}{low:.6g} to {high:.6g}, but the linkage goes from "
-        f'{reach[0]:.6g} to {reach[1]:.6g}{why}: drive it less far, or change lengths'
+        f"'drivers' ask for {what} {way(low, high)}, but the linkage goes from {way(*reach)}{why}: "
+        'drive it less far, or change lengths'
     )
 
 
@@ -406,20 +413,26 @@ def _markers(said: Any, bodies: tuple[str, ...]) -> dict[str, dict[str, complex]
 
 
 class _Loader(yaml.SafeLoader):
-    """YAML in which `on` is a word, and a key given twice is refused.
+    """YAML of texts, numbers as people write them, lists, and keys with values, none given twice.
 
-    PyYAML would make it true, as YAML 1.1 has it, and silently keep the last of two.
+    PyYAML would take `on` for true, 1:30 for 90 and 010 for 8, as YAML 1.1 has it, and silently
+    keep the last of two keys.
     """
 
+    yaml_constructors = {  # noqa: RUF012
+        tag: make
+        for tag, make in yaml.SafeLoader.yaml_constructors.items()
+        if tag is None or tag.endswith((':null', ':str', ':seq', ':map'))
+    }
     yaml_implicit_resolvers = {  # noqa: RUF012
-        first: [(tag, pattern) for tag, pattern in known if not tag.endswith(':bool')]
+        first: [(tag, pattern) for tag, pattern in known if tag.endswith((':null', ':merge'))]
         for first, known in yaml.SafeLoader.yaml_implicit_resolvers.items()
     }
 
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
         """Return the mapping, or raise as the base class does for other faults."""
         seen = set()
-        for key, _ in node.value:
+        for key, _ in node.value if isinstance(node, yaml.MappingNode) else ():
             name = str(key.value)
             if name in seen:
                 problem = f"the key '{name}' is given twice: keep one"
@@ -428,8 +441,17 @@ class _Loader(yaml.SafeLoader):
         return super().construct_mapping(node, deep)
 
 
-# YAML 1.2's booleans.
-_Loader.add_implicit_resolver('tag:yaml.org,2002:bool', re.compile('true|false'), list('tf'))
+def _number(loader: _Loader, node: yaml.ScalarNode) -> int | float:
+    text = loader.construct_scalar(node)
+    return int(text) if re.fullmatch(r'[-+]?\d+', text) else float(text)
+
+
+_Loader.add_constructor('tag:yaml.org,2002:float', _number)
+_Loader.add_implicit_resolver(
+    'tag:yaml.org,2002:float',
+    re.compile(r'[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?$', re.ASCII),
+    list('-+.0123456789'),
+)
 
 
 def _scene_path(path_or_name: str | Path) -> Path:
@@ -454,7 +476,9 @@ def _read(path: Path) -> Any:
         return yaml.load(path.read_bytes(), _Loader)
     except OSError as error:
         raise SceneError(f'{path}: cannot be read: {error.strerror}') from None
-    # ValueError: PyYAML lets through what int() or a date makes of a malformed scalar.
+    except RecursionError:
+        raise SceneError(f'{path}: not a usable YAML file: nested beyond all use') from None
+    # ValueError: a whole number of thousands of digits.
     except (yaml.YAMLError, ValueError) as error:
         mark = getattr(error, 'problem_mark', None)
         line = f'line {mark.line + 1}: ' if mark else ''

@@ -17,7 +17,7 @@ from kinpole_ros.solve._lines import (
     static_lines,
     sweep_lines,
 )
-from kinpole_ros.solve._solved import nearest, solve_positions
+from kinpole_ros.solve._solved import drawn, solve_positions
 from kinpole_ros.solve._spreadsheet import write_table
 
 __all__ = ['solve_scene']
@@ -75,7 +75,7 @@ def solve_scene(
 
         _check_picture(Path(picture))
         with _writing(picture):
-            draw(Path(picture), whole, nearest(whole, here), centers)
+            draw(Path(picture), whole, drawn(whole, here), centers)
         lines.append(f'written to {picture}')
     return lines
 

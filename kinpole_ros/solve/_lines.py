@@ -9,6 +9,7 @@ from kinpole_ros.mechanism import (
     Scene,
     SceneError,
     Torque,
+    center_name,
     efforts,
     explain,
     holding,
@@ -128,7 +129,9 @@ def center_lines(solved: Solved) -> list[str]:
             where = [point.real, point.imag]
         else:
             where = ['none', '']
-        rows.append([f'I{i + 1}{j + 1}', f'{found.bodies[i]}, {found.bodies[j]}', *where])
+        rows.append(
+            [center_name(len(found.bodies), i, j), f'{found.bodies[i]}, {found.bodies[j]}', *where]
+        )
     lines += _table(['center', 'of', 'x m', 'y m'], rows)
     return [*lines, '', *explain(mechanism, found.steps)]
 

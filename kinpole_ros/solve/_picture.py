@@ -10,9 +10,9 @@ from typing import Any
 
 import numpy as np
 
-from kinpole_ros.mechanism import Rolling, instant_centers
+from kinpole_ros.mechanism import Rolling, center_name
 from kinpole_ros.planar import pole
-from kinpole_ros.solve._solved import Solved, driver_unit, point_motions
+from kinpole_ros.solve._solved import Solved, centers_of, driver_unit, point_motions
 
 _SIZE, _DPI = (12.5, 6.2), 150  # inches
 _DASHES: tuple[Any, ...] = ('-', '--', '-.', ':', (0, (5, 1, 1, 1, 1, 1)))
@@ -21,9 +21,9 @@ _GRAYS = ('#000000', '#0060a8', '#a83200', '#00785a', '#7a4fa0', '#777777')
 _ARROW, _FAR = 0.35, 1.2
 
 
-def draw(path: Path, solved: Solved, k: int, centers: bool) -> None:
+def draw(path: Path, solved: Solved, here: Solved, centers: bool) -> None:
     """
-    Draw the range of `solved` with the linkage at position `k` to a file.
+    Draw the range of `solved` with the linkage at the one position `here` to a file.
 
     Raises OSError where it cannot be written, ValueError for a kind of file that cannot be drawn.
     """
@@ -31,9 +31,12 @@ def draw(path: Path, solved: Solved, k: int, centers: bool) -> None:
 
     figure = Figure(figsize=_SIZE, layout='constrained')
     grid = figure.add_gridspec(2, 2, width_ratios=(1.35, 1))
-    _draw_linkage(figure.add_subplot(grid[:, 0]), solved, k, centers)
+    _draw_linkage(figure.add_subplot(grid[:, 0]), solved, here, centers)
     unit, size = driver_unit(solved.scene, 0)
     at = solved.inputs[0] / size
+    value = float(here.inputs[0, 0]) / size
+    # In the range, if need be by whole turns.
+    mark = at[0] + (value - at[0]) % 360 if unit == 'deg' and at[-1] - at[0] > 359 else value
     label = f'{solved.scene.mechanism.drivers[0].name} ({unit})'
     for row, (order, name) in enumerate(
         ((1, 'angular velocity (rad/s)'), (2, 'angular acceleration (rad/s²)'))
@@ -43,7 +46,7 @@ def draw(path: Path, solved: Solved, k: int, centers: bool) -> None:
             values = solved.motion.angle[order, b]
             style = {'linestyle': _DASHES[b % len(_DASHES)], 'color': _GRAYS[b % len(_GRAYS)]}
             axis.plot(at, values, label=body, linewidth=1.4, **style)
-        axis.axvline(at[k], color='#999999', linewidth=0.8)
+        axis.axvline(mark, color='#999999', linewidth=0.8)
         _tame(axis, solved.motion.angle[order])
         axis.set_ylabel(name)
         axis.grid(alpha=0.3)
@@ -53,7 +56,7 @@ def draw(path: Path, solved: Solved, k: int, centers: bool) -> None:
     rate = f'{solved.rates[0] / size:.4g} {unit}/s'
     # A scene is called after its file, whose name may hold what text or formulas must not.
     scene = os.fsencode(solved.scene.name).decode(errors='replace')
-    figure.suptitle(f'{scene} at {label} = {at[k]:.4g}, driven at {rate}', parse_math=False)
+    figure.suptitle(f'{scene} at {label} = {value:.6g}, driven at {rate}', parse_math=False)
     path.parent.mkdir(parents=True, exist_ok=True)
     figure.savefig(path, dpi=_DPI)
 
@@ -66,20 +69,25 @@ def _tame(axis: Any, values: np.ndarray) -> None:
         axis.set_ylim(-reach, reach)
 
 
-def _draw_linkage(axis: Any, solved: Solved, k: int, centers: bool) -> None:
-    scene, motion = solved.scene, solved.motion
-    points = point_motions(solved)
-    bodies = scene.mechanism.bodies
-    fixed = np.array([p for body, p in scene.points.values() if body not in bodies])
+def _places(solved: Solved) -> dict[str, list[np.ndarray]]:
+    """The points of each body as in `point_motions`, or its origin."""
+    scene, bodies = solved.scene, solved.scene.mechanism.bodies
     places: dict[str, list[np.ndarray]] = {body: [] for body in bodies}
-    for name, found in points.items():
+    for name, found in point_motions(solved).items():
         places[scene.points[name][0]].append(found)
     for b, body in enumerate(bodies):
         if not places[body]:
-            places[body].append(np.stack([motion.position[n, b] for n in range(3)]))
-    wheels = _wheels(solved, k)
+            places[body].append(solved.motion.position[:3, b])
+    return places
+
+
+def _draw_linkage(axis: Any, solved: Solved, at: Solved, centers: bool) -> None:
+    scene, bodies = solved.scene, solved.scene.mechanism.bodies
+    fixed = np.array([p for body, p in scene.points.values() if body not in bodies])
+    ways, places = _places(solved), _places(at)
+    wheels = _wheels(at)
     everything = np.concatenate(
-        [found[0] for listed in places.values() for found in listed]
+        [found[0] for listed in (*ways.values(), *places.values()) for found in listed]
         + [rim for _, rim in wheels]
         + [fixed.ravel() + 0j]
     )
@@ -88,20 +96,21 @@ def _draw_linkage(axis: Any, solved: Solved, k: int, centers: bool) -> None:
     high = complex(everything.real.max(), everything.imag.max())
     reach = max(abs(high - low), 1e-9)
     fastest = max(
-        (np.abs(found[1, k]) for listed in places.values() for found in listed), default=0.0
+        (np.abs(found[1, 0]) for listed in places.values() for found in listed), default=0.0
     )
-    moving = [found[:2, k] for listed in places.values() for found in listed]
+    moving = [found[:2, 0] for listed in places.values() for found in listed]
     arrows = [
         (z, z + v / fastest * _ARROW * reach) for z, v in moving if np.abs(v) > 1e-3 * fastest
     ]
     for _, tip in arrows:
         low = complex(min(low.real, tip.real), min(low.imag, tip.imag))
         high = complex(max(high.real, tip.real), max(high.imag, tip.imag))
-    for listed in places.values():
+    for listed in ways.values():
         for found in listed:
             axis.plot(found[0].real, found[0].imag, color='#bbbbbb', linewidth=0.8, zorder=1)
+    vectors = _draw_vectors(axis, at)
     for b, body in enumerate(bodies):
-        here = np.array([found[0, k] for found in places[body]])
+        here = np.array([found[0, 0] for found in places[body]])
         color = _GRAYS[b % len(_GRAYS)]
         closed = np.append(here, here[:1]) if len(here) > 2 else here
         axis.plot(
@@ -114,7 +123,7 @@ def _draw_linkage(axis: Any, solved: Solved, k: int, centers: bool) -> None:
             linestyle=_DASHES[b % len(_DASHES)],
             zorder=3,
         )
-        middle = here.mean()
+        middle = vectors.get(b, here.mean())
         axis.annotate(
             body,
             (middle.real, middle.imag),
@@ -134,11 +143,11 @@ def _draw_linkage(axis: Any, solved: Solved, k: int, centers: bool) -> None:
             arrowprops={'arrowstyle': '->', 'color': '#444444', 'linewidth': 1.1},
         )
     axis.plot(fixed.real, fixed.imag, 'k^', markersize=8, zorder=4, label='ground')
-    _draw_vectors(axis, solved, k)
     for b, rim in wheels:
-        axis.plot(rim.real, rim.imag, color=_GRAYS[b % len(_GRAYS)], zorder=3)
+        color = _GRAYS[b % len(_GRAYS)] if b >= 0 else '#000000'
+        axis.plot(rim.real, rim.imag, color=color, linewidth=1.5 if b >= 0 else 1.0, zorder=3)
     if centers:
-        low, high = _draw_centers(axis, solved, k, low, high, reach)
+        low, high = _draw_centers(axis, at, low, high, reach)
     centrode = _draw_centrodes(axis, solved, (low + high) / 2, (0.5 + _FAR) * abs(high - low))
     margin = 0.08 * max(abs(high - low), reach)
     axis.set_xlim(low.real - margin, high.real + margin)
@@ -161,32 +170,45 @@ def _halo() -> list[Any]:
     return [withStroke(linewidth=2.5, foreground='white')]
 
 
-def _draw_vectors(axis: Any, solved: Solved, k: int) -> None:
-    """The turning vectors of a scene that has no bodies with joints."""
-    assembly = solved.scene.mechanism.assembly
+def _draw_vectors(axis: Any, at: Solved) -> dict[int, complex]:
+    """The turning vectors of a scene that has no bodies with joints; returns their middles."""
+    assembly = at.scene.mechanism.assembly
+    middles: dict[int, complex] = {}
     if assembly.joints:
-        return
-    loops, values = assembly.loops, solved.values[:, k]
+        return middles
+    loops, values = assembly.loops, at.values[:, 0]
     # Each of them is a body, in the same order.
     for b, term in enumerate(np.flatnonzero(loops.angles.any(axis=1))):
         length = loops.lengths[term] @ values + loops.length0[term]
         angle = loops.angles[term] @ values + loops.angle0[term]
-        tail = solved.motion.position[0, b, k]
+        tail = at.motion.position[0, b, 0]
         ends = np.array([tail, tail + length * np.exp(1j * angle)])
         style = {'linestyle': _DASHES[b % len(_DASHES)], 'color': _GRAYS[b % len(_GRAYS)]}
         axis.plot(ends.real, ends.imag, linewidth=2.4, zorder=3, **style)
+        middles[b] = complex(ends.mean())
+    return middles
 
 
-def _wheels(solved: Solved, k: int) -> list[tuple[int, np.ndarray]]:
-    """The bodies that roll, by their numbers: a spoke and the rim, complex."""
-    mechanism, wheels = solved.scene.mechanism, []
+def _wheels(at: Solved) -> list[tuple[int, np.ndarray]]:
+    """
+    Circles that roll, complex, by the numbers of their bodies, -1 for the ground's.
+
+    A wheel with a spoke, and the circle that it rolls on.
+    """
+    mechanism, wheels = at.scene.mechanism, []
     circle = np.exp(1j * np.linspace(0, 2 * np.pi, 73))
     for joint in mechanism.assembly.joints:
-        if isinstance(joint, Rolling) and joint.other in mechanism.bodies:
-            b = mechanism.bodies.index(joint.other)
-            turn = np.exp(1j * solved.motion.angle[0, b, k])
-            hub = solved.motion.position[0, b, k] + joint.b * turn
-            wheels.append((b, hub + joint.radius * turn * np.append(0, circle)))
+        if not isinstance(joint, Rolling):
+            continue
+        for body, hub, rim in (
+            (joint.other, joint.b, joint.radius * np.append(0, circle)),
+            (joint.one, joint.a, abs(joint.circle) * circle),
+        ):
+            b = mechanism.bodies.index(body) if body in mechanism.bodies else -1
+            place, turn = (at.motion.position[0, b, 0], at.motion.angle[0, b, 0])
+            place, turn = (place, np.exp(1j * turn)) if b >= 0 else (0j, 1.0)
+            if rim.any():
+                wheels.append((b, place + (hub + rim) * turn))
     return wheels
 
 
@@ -203,32 +225,32 @@ def _draw_centrodes(axis: Any, solved: Solved, middle: complex, far: float) -> b
 
 
 def _draw_centers(
-    axis: Any, solved: Solved, k: int, low: complex, high: complex, reach: float
+    axis: Any, at: Solved, low: complex, high: complex, reach: float
 ) -> tuple[complex, complex]:
     """Crosses and numbers of the centers near the linkage, and the lines that lead to them."""
-    rates = solved.rates if len(solved.rates) > 1 else None
-    found = instant_centers(solved.scene.mechanism, solved.values[:, k : k + 1], rates)
+    found = centers_of(at)
     middle = (low + high) / 2
     shown: dict[complex, list[str]] = {}
-    at: dict[tuple[int, int], complex] = {}
+    placed: dict[tuple[int, int], complex] = {}
     for pair, point in zip(found.pairs, found.points[:, 0], strict=True):
         if np.isfinite(point) and abs(point - middle) < (0.5 + _FAR) * reach:
             key = next((z for z in shown if abs(z - point) < 1e-3 * reach), complex(point))
-            shown.setdefault(key, []).append(f'{pair[0] + 1}{pair[1] + 1}')
-            at[pair] = complex(point)
+            shown.setdefault(key, []).append(center_name(len(found.bodies), *pair))
+            placed[pair] = complex(point)
     for step in found.steps:
-        if step.rule != 'lines' or step.pair not in at:
+        if step.rule != 'lines' or step.pair not in placed:
             continue
         for code in step.by:
             through = [tuple(sorted((one, code))) for one in step.pair] if code >= 0 else []
-            known = [at[pair] for pair in through if pair in at]
+            known = [placed[pair] for pair in through if pair in placed]
             if known:
-                ends = np.array([min(known, key=lambda z: -abs(z - at[step.pair])), at[step.pair]])
+                here = placed[step.pair]
+                ends = np.array([known[int(np.abs(np.array(known) - here).argmax())], here])
                 axis.plot(ends.real, ends.imag, color='#999999', linewidth=0.8, linestyle=':')
     for z, names in shown.items():
         axis.plot(z.real, z.imag, 'kx', markersize=7, zorder=6)
         axis.annotate(
-            'I' + ', '.join(names),
+            ', '.join(names),
             (z.real, z.imag),
             fontsize=8,
             zorder=6,

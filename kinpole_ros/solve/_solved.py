@@ -55,9 +55,21 @@ def solve_positions(scene: Scene, at: str | None, count: int | None) -> Solved:
     else:
         low, high, limits = _range(scene, float(now[0, 0, 0]))
         values = np.linspace(low, high, count)
+    return _at_rate(scene, values, rate, limits)
+
+
+def drawn(whole: Solved, here: Solved) -> Solved:
+    """The position of `here`, driven at the rate of the range `whole`."""
+    return _at_rate(whole.scene, here.inputs[0], float(whole.rates[0]), (None, None))
+
+
+def _at_rate(
+    scene: Scene, values: np.ndarray, rate: float, limits: tuple[float | None, float | None]
+) -> Solved:
+    """The scene at values (T,) of its one driver, which moves at a steady rate."""
     inputs = np.zeros((5, 1, len(values)))
     inputs[0, 0], inputs[1] = values, rate
-    motion = _sound(mechanism.at_inputs(inputs, None))
+    motion = _sound(scene.mechanism.at_inputs(inputs, None))
     return Solved(scene, inputs[0], np.array([rate]), motion, limits)
 
 
@@ -74,8 +86,17 @@ def _range(scene: Scene, start: float) -> tuple[float, float, tuple[float | None
     angle = scene.mechanism.kind(0) == 'angle'
     if angle:
         low, high = start - _TURN, start + _TURN
-    else:
+    elif driver.low < driver.high:
         low, high = driver.low, driver.high
+    elif scene.mechanism.linkage.blocks:
+        # Driven at a steady rate, a length goes as far as the linkage lets it.
+        reach = float(scene.mechanism.assembly.loops.length0.sum())
+        low, high = start - reach, start + reach
+    else:
+        raise SceneError(
+            f'{driver.name} is driven steadily and nothing ends its way: there is no range; drive '
+            'it from: ..., to: ..., duration: ...'
+        )
     if not scene.mechanism.linkage.blocks:
         return (start, start + _TURN, (None, None)) if angle else (low, high, (None, None))
     path = scene.mechanism.path(low, high)
@@ -116,11 +137,6 @@ def point_motions(solved: Solved) -> dict[str, np.ndarray]:
 def centers_of(solved: Solved) -> Centers:
     rates = solved.rates if len(solved.rates) > 1 else None
     return instant_centers(solved.scene.mechanism, solved.values, rates)
-
-
-def nearest(whole: Solved, here: Solved) -> int:
-    """Which position of a range is drawn: the one nearest to that asked for."""
-    return int(np.abs(whole.inputs[0] - here.inputs[0, 0]).argmin())
 
 
 def driver_unit(scene: Scene, k: int) -> tuple[str, float]:

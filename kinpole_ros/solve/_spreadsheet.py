@@ -5,13 +5,28 @@ from pathlib import Path
 
 import numpy as np
 
-from kinpole_ros.mechanism import efforts, holding, reactions
+from kinpole_ros.mechanism import SceneError, efforts, holding, reactions
 from kinpole_ros.solve._solved import Solved, centers_of, lengths, point_motions
 
 
+class _Columns(dict[str, np.ndarray]):
+    """Columns by name, of which no other takes the place: body a_b, and the point b of body a."""
+
+    def __setitem__(self, name: str, values: np.ndarray) -> None:
+        if name in self and not np.allclose(self[name], values, rtol=1e-9, equal_nan=True):
+            raise SceneError(
+                f"two columns would be called '{name}': give a body, point or joint another name"
+            )
+        super().__setitem__(name, values)
+
+
 def write_table(path: Path, solved: Solved, centers: bool, statics: bool) -> None:
-    """One row per position, SI units; empty cells for what is not determined."""
-    columns: dict[str, np.ndarray] = {}
+    """
+    One row per position, SI units; empty cells for what is not determined.
+
+    Raises SceneError where names would give two columns one name.
+    """
+    columns = _Columns()
     orders = ('', '_velocity', '_acceleration', '_jerk', '_snap')
     for k, driver in enumerate(solved.scene.mechanism.drivers):
         columns[driver.name] = solved.inputs[k]
