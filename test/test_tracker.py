@@ -749,8 +749,7 @@ def test_a_frame_that_hardly_tells_the_angle_does_no_harm_to_the_frames_after_it
     found = block_and_single(frames, {})
     for name in ('angle', 'position', 'angle_covariance', 'position_covariance'):
         one, other = (np.stack([getattr(e, name) for e in all_]) for all_ in found)
-        # Covariances of a body so flat have lost digits, on each kind of processor others.
-        alike(one, other, 1e-7)
+        alike(one, other)
 
 
 @pytest.mark.parametrize('size', [1, 260])
@@ -1116,11 +1115,11 @@ QUANTITIES: tuple[Callable[[Estimate], Any], ...] = (
 )
 
 
-def alike(one: np.ndarray, other: np.ndarray, share: float = 1e-9) -> None:
-    """To that share of what each figure (T, ...) is like over time."""
+def alike(one: np.ndarray, other: np.ndarray) -> None:
+    """To 1e-9 of what each figure (T, ...) is like over time."""
     scale = np.nanmedian(np.where(np.isnan(one).all(axis=0), 0.0, np.abs(one)), axis=0)
     scale = np.where(scale > 0, scale, 1.0)
-    assert one / scale == pytest.approx(other / scale, rel=share, abs=share, nan_ok=True)
+    assert one / scale == pytest.approx(other / scale, rel=1e-9, abs=1e-9, nan_ok=True)
 
 
 def test_a_name_stands_for_identity_then_namespace_then_id() -> None:

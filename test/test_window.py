@@ -955,5 +955,4 @@ def test_together_bodies_and_instants_do_not_mix() -> None:
         here = [part[..., now, 1:] for part in (both.share, both.mix, both.covariance)]
         found = alone.share, alone.mix, alone.covariance, alone.means
         for one, there in zip(found, (*here, means), strict=True):
-            # Squares at the noise, far below the signals: rounding is more than 1e-9 of them.
-            np.testing.assert_allclose(one, there, rtol=1e-9, atol=1e-6 * np.abs(there).max())
+            np.testing.assert_allclose(one, there, rtol=1e-9, atol=1e-9 * np.abs(there).max())
