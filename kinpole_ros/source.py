@@ -78,6 +78,7 @@ class MarkerSource:
         self._subscription = None
         self._kind = ''
         self._number = None
+        self._publishers = set()
 
     def start_anew(self, settings: Settings) -> None:
         """Forget what came, and tell markers apart as these settings say."""

@@ -416,6 +416,24 @@ def test_a_managed_node_waits_stops_and_starts_again(
     assert not complaints(tmp_path / 'stderr')
 
 
+def test_activated_again_the_node_compares_no_publisher_with_those_of_before(
+    peer: Peer, simulated: Bag, by_place: Path, tmp_path: Path
+) -> None:
+    with process(*node_words(by_place), log=tmp_path / 'stderr'):
+        arrays = peer.hear('/diagnostics', DiagnosticArray)
+        messages = endless(simulated)
+        with peer.publisher(MarkerArray) as publisher:
+            counted = lambda: arrays and said(arrays)['frames received'] != '0'  # noqa: E731
+            peer.feed(publisher, messages, counted, 'diagnostics of frames')
+            assert peer.change('deactivate')
+        assert peer.change('activate')
+        arrays.clear()
+        with peer.publisher(MarkerArray) as publisher:
+            peer.feed(publisher, messages, counted, 'diagnostics of frames again')
+        assert not [a for a in arrays if 'another publisher' in a.status[0].message]
+        assert said(arrays)['starts anew with another publisher of the markers'] == '0'
+
+
 def test_messages_that_cannot_be_read_are_warned_of_when_they_begin_and_told_of_all_along(
     peer: Peer, simulated: Bag, by_place: Path, tmp_path: Path
 ) -> None:
