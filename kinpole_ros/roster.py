@@ -94,7 +94,8 @@ class Roster:
     def _take_new(self, identities: tuple[str, ...]) -> None:
         """A body of all markers: add those not met before."""
         markers = self.markers[0]
-        new = [name for name in dict.fromkeys(identities) if name not in set(markers)]
+        known = set(markers)
+        new = [name for name in dict.fromkeys(identities) if name not in known]
         markers += new[: MOST_MARKERS - len(markers)]
         self.wanted = len(markers)
         if len(markers) > self.width:
