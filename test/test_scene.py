@@ -716,6 +716,16 @@ BAD = [
     ('loader_loop', put('r1', 'points', 'Q'), "'points: Q' lies on no body"),
     ('loader_loop', pop('points'), "'vectors: r3p' is in no loop and no point"),
     ('loader_loop', put('10 m', 'vectors', 'r1', 'length'), 'the loops do not close'),
+    (
+        'four_bar',
+        put([None], 'loads'),
+        "'loads: 1' holds no keys and values: write {force: [0, -100]",
+    ),
+    (
+        'four_bar',
+        put({'crank_1': [0.1, 0], 'crank_2': [0.1, 0]}, 'markers', 'crank'),
+        "'markers: crank' are all at one place",
+    ),
     ('loader_loop', put('r3p.angle', 'drivers', 0, 'drive'), 'which cannot be driven: give one of'),
 ]
 

@@ -337,9 +337,8 @@ def _loads(said: Any, points: Points, bodies: tuple[str, ...]) -> tuple[Load, ..
     loads: list[Load] = []
     for k, one in enumerate(said or []):
         where = f"'loads: {k + 1}'"
-        kind = next(
-            (k for k in ('force', 'weight', 'torque') if k in mapping(where, one, '')), None
-        )
+        mapping(where, one, '{force: [0, -100], at: coupler.P}')
+        kind = next((k for k in ('force', 'weight', 'torque') if k in one), None)
         if kind is None:
             raise SceneError(
                 f'{where} is {one!r}: give force: [0, -100] or weight: 10 kg and at: BODY.POINT, '
@@ -406,6 +405,10 @@ def _markers(said: Any, bodies: tuple[str, ...]) -> dict[str, dict[str, complex]
                 )
             owner[name] = body
         result[body] = {name: vector(f"{where}: '{name}'", z) for name, z in named.items()}
+        if len(set(result[body].values())) < 2:
+            raise SceneError(
+                f'{where} are all at one place, which shows no turning: put them apart'
+            )
     return result
 
 
