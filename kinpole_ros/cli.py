@@ -67,7 +67,7 @@ def node() -> int:
 
 def _is_for_the_user(error: Exception) -> bool:
     """Whether it is one of our own one-line errors, not a bug that deserves its traceback."""
-    if isinstance(error, OSError) or _package_missing(error):
+    if isinstance(error, OSError | MemoryError) or _package_missing(error):
         return True
     from kinpole_ros.mechanism import LinkageError, SceneError
     from kinpole_ros.parameters import ParameterError
@@ -92,7 +92,10 @@ def _line(error: object) -> str:
         ros = package == 'rclpy' or package.endswith(('_msgs', '_interfaces'))
         mend = _NO_ROS if ros else f'install it with pip install {package}'
         return _MENDS.get(package, f'the Python package {package} cannot be imported; {mend}')
-    return ' '.join(str(error).split())
+    text = ' '.join(str(error).split())
+    if isinstance(error, MemoryError):
+        return f'the memory is too small for this ({text or "full"}); mend: do it in shorter parts'
+    return text
 
 
 def _on_terminal() -> bool:

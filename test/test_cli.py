@@ -8,6 +8,7 @@ import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple
+from unittest import mock
 
 import numpy as np
 import pytest
@@ -403,6 +404,15 @@ def test_no_command_writes_over_what_it_reads(kinpole: Any, rod: Path, tmp_path:
     both = tmp_path / 'both'
     line = refusal(kinpole('replay', rod, '--output', both, '--csv', both))
     assert f'{both} is the bag of results' in line
+
+
+def test_what_does_not_fit_the_memory_is_one_line(
+    kinpole: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    full = mock.Mock(side_effect=MemoryError('Unable to allocate 3.73 GiB'))
+    monkeypatch.setattr('kinpole_ros.bags.simulate', full)
+    line = refusal(kinpole('simulate', 'four_bar', '--output', tmp_path / 'run.mcap'))
+    assert 'the memory is too small for this (Unable to allocate 3.73 GiB); mend: ' in line
 
 
 @pytest.mark.parametrize('command', ['node', 'play', 'record', 'demo'])
