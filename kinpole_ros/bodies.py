@@ -146,8 +146,8 @@ class RigidBodies:
                 self._learn()
                 self._shapes.begin(points[first])
                 self._learned = True
-                unseen = room = 1
-            end = min(first + min(room, unseen), len(rows))
+                unseen = 1
+            end = first + unseen
             later = gaps[first + 1 : end].nonzero()[0]
             if len(later):
                 end = first + 1 + int(later[0])

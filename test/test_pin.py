@@ -85,6 +85,12 @@ def test_cranks_and_rockers_are_pinned_and_couplers_are_not(noise: float) -> Non
         assert 'pinned' in last.reasons(b)['centrode_curvature']
 
 
+def test_landmarks_by_themselves_know_no_pins() -> None:
+    frames = seen(about(0.1j, 0.1 + 0j, lambda t: 3.0 * t), 400)
+    assert recognized(frames)[-1]
+    assert not recognized(frames, method='landmarks').any()
+
+
 @pytest.mark.parametrize('noise', [1e-5, 1e-3, 1e-2])
 @pytest.mark.parametrize('name', motions())
 def test_no_general_motion_is_taken_for_a_turn_about_a_pin(name: str, noise: float) -> None:

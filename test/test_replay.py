@@ -600,6 +600,9 @@ def test_diagnostics_come_once_a_second_of_stamps(simulated: Bag, tmp_path: Path
     assert float(last['rate (Hz)']) == 50
     assert float(last['mean interval (s)']) == pytest.approx(0.02)
     assert last['frames received'] == '151'
+    of_rod = {pair.key: pair.value for pair in arrays[-1].status[1].values}
+    assert 0 < float(of_rod['time used for the angular velocity (s)']) <= CARDAN.window
+    assert 1 <= float(of_rod['degree used for the angular velocity']) <= 12
 
 
 def test_diagnostics_tell_nothing_as_known_that_was_known_a_second_ago_only(
@@ -677,6 +680,24 @@ def test_messages_of_another_type_on_the_topic_are_counted_and_not_read(
     assert found.unreadable == 50
     assert found.problem.startswith('/markers has messages of sensor_msgs/msg/PointCloud2 among ')
     assert (found.frames, found.noise) == (expected.frames, expected.noise)
+
+
+def test_diagnostics_of_a_frame_that_brings_no_estimate_tell_of_the_one_before(
+    simulated: Bag, tmp_path: Path
+) -> None:
+    listed = list(read_messages(simulated('cardan', rate=50, duration=2.2), ['/markers']))
+    with BagWriter(tmp_path / 'in.mcap') as writer:
+        for k, m in enumerate(listed):
+            # At 2 s nothing is due: what would be is missing. Nor is it read with other frames.
+            if k in (50, 51):
+                writer.write_raw(m.topic, m.type_name, b'', m.log_time - 1)
+            if k != 45:
+                writer.write_raw(*m[:2], m.data, m.log_time)
+    replay(tmp_path / 'in.mcap', CARDAN, tmp_path / 'out.mcap')
+    _, second, third = decoded(tmp_path / 'out.mcap')['/diagnostics']
+    assert stamp_of(second) == 2_000_000_000
+    for array in (second, third):
+        assert array.status[1].message == 'tracking'
 
 
 def test_a_bag_of_nothing_readable_is_refused_with_the_reason(tmp_path: Path) -> None:

@@ -471,6 +471,9 @@ def test_a_body_without_results_says_whether_markers_or_readers_are_missing() ->
         return [(status.level, status.message) for status in array.status]
 
     assert told() == [(DiagnosticStatus.STALE, 'no markers received')] * 2
+    # Where something keeps them from coming, that is what is to be mended.
+    markers = maker.make(1_000_000_000, tracker, None, 1.0, {'message': 'damaged'}).status[0]
+    assert (markers.level, markers.message) == (DiagnosticStatus.ERROR, 'damaged')
     points = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0]])
     for k in range(20):
         tracker.add(MarkerFrames(np.array([STEP * k]), FRAME, ('0', '1'), points[None]), None)
@@ -534,4 +537,6 @@ def test_markers_that_no_message_has_are_named_until_they_come() -> None:
     assert words.endswith('correct the parameter rod.markers, or marker_identity')
     assert 'lack' not in told('a', 'b', 'tip', 'heel')[1]
     assert 'lack' in told('a', 'b', 'Tip', 'heel')[1]
+    nothing_since = maker.make(10**18, tracker, None, 1.0, {}).status[1]
+    assert nothing_since.level == DiagnosticStatus.STALE
     assert 'lack' not in told('a', 'b', 'tip', 'heel')[1]

@@ -13,7 +13,7 @@ from kinpole_ros.demo import live_run
 from kinpole_ros.mechanism import efforts, load_scene, scene_names, scenes_folder
 from kinpole_ros.messages import stamp_to_ns
 from kinpole_ros.parameters import ParameterError, load_settings, settings_from
-from kinpole_ros.theory import load_theory, rate_differences
+from kinpole_ros.theory import Comparison, load_theory, rate_differences
 from kinpole_ros.window import References
 
 LOADS = """
@@ -228,6 +228,12 @@ def test_a_scene_that_does_not_go_with_the_bodies_is_refused(
     err = capsys.readouterr().err.strip()
     assert 'scene' in err
     assert '\n' not in err
+
+
+def test_of_a_record_without_estimates_nothing_is_compared(tmp_path: Path) -> None:
+    theory = load_theory(load_settings(config(tmp_path, 'four_bar')))
+    assert theory is not None
+    assert Comparison(theory).found() == []
 
 
 @pytest.mark.parametrize('name', scene_names())
