@@ -111,7 +111,6 @@ def test_reads_what_mcap_wrote(tmp_path, compression):
     ),
     topic=st.sampled_from([None, '/a', '/b']),
 )
-@settings(deadline=None)
 def test_order_is_log_time_then_file_with_and_without_an_index(
     tmp_path_factory, times, options, topic
 ):
@@ -280,7 +279,7 @@ def test_a_chunk_without_a_checksum_that_ends_in_zeros_is_damaged(tmp_path):
 
 
 @given(st.data(), st.sampled_from(COMPRESSIONS))
-@settings(deadline=None, max_examples=150)
+@settings(max_examples=150)
 def test_any_damage_gives_messages_or_a_bag_error_and_nothing_else(
     tmp_path_factory, data, compression
 ):
@@ -298,7 +297,6 @@ def test_any_damage_gives_messages_or_a_bag_error_and_nothing_else(
 
 
 @given(st.binary(max_size=200))
-@settings(deadline=None)
 def test_garbage_after_the_magic_is_a_bag_error(tmp_path_factory, garbage):
     path = tmp_path_factory.mktemp('garbage') / 'run.mcap'
     path.write_bytes(MCAP0_MAGIC + garbage)

@@ -79,7 +79,7 @@ def test_lever_sign() -> None:
     assert effort == pytest.approx(15.0)
 
 
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=50)
 @given(st.integers(0, 10**6), st.booleans(), st.integers(0, 2))
 def test_partials_are_those_of_differences(seed: int, turning: bool, loaded: int) -> None:
     """Each partial derivative is what a small change of that derivative does, on any bodies."""

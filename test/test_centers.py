@@ -352,7 +352,7 @@ def test_unknown_bodies_are_refused_in_one_line() -> None:
         centers.row('crank', 'crank')
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(
     name=st.sampled_from([name for name in LINKAGES if name != 'eight-bar']),
     turn=st.floats(-3, 3),

@@ -132,7 +132,7 @@ def agree(motion: Mechanism, t: float) -> None:
 lengths = st.floats(0.2, 1.0)
 
 
-@settings(max_examples=8, deadline=None)
+@settings(max_examples=8)
 @given(st.floats(0.05, 0.15), lengths, lengths, lengths, st.floats(0.0, 1.0), st.floats(0.5, 3))
 def test_four_bar_derivatives_are_those_of_50_digit_positions(
     crank: float, ground: float, coupler: float, rocker: float, t: float, rate: float
@@ -149,7 +149,7 @@ def test_four_bar_derivatives_are_those_of_50_digit_positions(
     agree(motion, t)
 
 
-@settings(max_examples=6, deadline=None)
+@settings(max_examples=6)
 @given(st.floats(0.05, 0.15), st.floats(0.3, 0.8), st.floats(-0.1, 0.1), st.floats(0.0, 2.0))
 def test_slider_crank_derivatives_are_those_of_50_digit_positions(
     crank: float, rod: float, offset: float, t: float
@@ -168,7 +168,7 @@ def six_bar(lever: float, rod: float, point: complex, pivot: complex) -> list[Jo
     ]
 
 
-@settings(max_examples=4, deadline=None)
+@settings(max_examples=4)
 @given(st.floats(0.25, 0.35), st.floats(0.28, 0.36), st.floats(0.05, 0.12), st.floats(0.0, 3.0))
 def test_six_bar_derivatives_are_those_of_50_digit_positions(
     lever: float, rod: float, height: float, t: float

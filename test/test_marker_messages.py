@@ -272,7 +272,7 @@ def layouts(draw):
     return cloud, np.array(expected).reshape(-1, 3)
 
 
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=300)
 @given(layouts())
 def test_any_cloud_layout_reads_as_struct_reads_it(layout):
     cloud, expected = layout
@@ -368,7 +368,6 @@ def quaternions(draw):
     return q if np.linalg.norm(q) > 1e-3 else np.array([0.0, 0.0, 0.0, 1.0])
 
 
-@settings(deadline=None)
 @given(quaternions(), st.floats(0.01, 100))
 def test_marker_pose_moves_its_points_as_the_sandwich_product_does(q, scale):
     message = make('marker')

@@ -81,7 +81,7 @@ def test_a_tracker_that_rounds_is_neither_exact_nor_wild(speed: float, rest: int
     assert not shapes.mended
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 @given(
     turn=st.floats(-3, 3),
     shift=st.complex_numbers(max_magnitude=10),

@@ -218,7 +218,7 @@ angles = st.floats(-np.pi, np.pi)
 places = st.complex_numbers(max_magnitude=1e3, allow_nan=False, allow_infinity=False)
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(angles, places, st.floats(1e-3, 1e3), st.integers(0, 10))
 def test_turning_moving_and_scaling_the_scene_does_the_same_to_its_pin(
     turn: float, shift: complex, scale: float, seed: int

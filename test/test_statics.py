@@ -312,7 +312,7 @@ def well_posed(mechanism: Mechanism, loads: list[Load]) -> Reactions:
 SEEDS = st.integers(0, 10**6)
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(SEEDS)
 def test_random_linkages_both_ways(seed: int) -> None:
     """Multipliers and freed constraints agree for any joints and loads, and so do the efforts."""
@@ -322,7 +322,7 @@ def test_random_linkages_both_ways(seed: int) -> None:
     agree(found, freed_reactions(mechanism, at_start(mechanism), loads))
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(SEEDS)
 def test_every_body_is_in_equilibrium(seed: int) -> None:
     """Loads, reactions and efforts on each body add up to no force and no moment."""
@@ -367,7 +367,7 @@ def test_every_body_is_in_equilibrium(seed: int) -> None:
         assert abs(moment[body]) < 1e-9
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(SEEDS)
 def test_a_rod_too_many_leaves_open_what_both_ways_leave_open(seed: int) -> None:
     """With one more rod than needed both ways give the same figures, and none where none is."""
@@ -394,7 +394,7 @@ def test_a_rod_too_many_leaves_open_what_both_ways_leave_open(seed: int) -> None
     assert line.startswith('overconstrained: ')
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(SEEDS)
 def test_loads_superpose(seed: int) -> None:
     """Reactions to all loads are the sums of those to each, and twice the load is twice of all."""
@@ -412,7 +412,7 @@ def test_loads_superpose(seed: int) -> None:
     np.testing.assert_allclose(twice.force, 2 * whole.force, atol=1e-10 * size)
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(SEEDS, st.floats(-3, 3), st.floats(0.1, 10))
 def test_turned_and_scaled_scenes(seed: int, turn: float, scale: float) -> None:
     """Turn a scene and its forces turn along; draw it larger and only its torques grow."""

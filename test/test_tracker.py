@@ -558,7 +558,7 @@ def sifted(stamps: Sequence[int], window: int) -> tuple[list[int], Counter[str]]
 hops = st.sampled_from((1, 1, 1, 1, 1, 1, 2, 3, 0, -1, -1, -2, -3, -7, -20, 19, 25))
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(st.lists(hops, min_size=1, max_size=120), st.lists(st.integers(1, 119)))
 def test_what_is_left_out_does_not_hang_on_how_many_frames_come_at_once(
     steps: list[int], cuts: list[int]
@@ -913,7 +913,7 @@ def everything(found: list[Estimate]) -> dict[str, np.ndarray]:
     return arrays
 
 
-@settings(max_examples=12, deadline=None)
+@settings(max_examples=12)
 @given(
     st.lists(faults, max_size=5),
     st.lists(st.sampled_from((1, 1, 2, 3, 4, 5, 7, 12, 30)), min_size=60, max_size=60),
@@ -987,7 +987,7 @@ def test_any_partition_of_any_stream_gives_the_same(
 
 
 # Of many instants one may be at a threshold within rounding: these are not.
-@settings(max_examples=12, deadline=None, derandomize=True)
+@settings(max_examples=12, derandomize=True)
 @given(
     st.lists(faults, max_size=3),
     st.floats(-3, 3),
@@ -1274,7 +1274,7 @@ def sound(estimate: Estimate) -> None:
         assert told or {'all', 'icr', 'centrode_curvature'} & set(reasons)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(
     st.lists(st.tuples(steps, messages, st.sampled_from((None, 1, 2, 3, 4))), max_size=20),
     st.sampled_from(('pose', 'landmarks')),

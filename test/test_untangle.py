@@ -373,7 +373,7 @@ def test_the_figures_of_two_markers_survive_their_exchange() -> None:
         assert np.array_equal(one.angle, other.angle, equal_nan=True)
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(
     turn=st.floats(-3, 3),
     shift=st.complex_numbers(max_magnitude=10),
