@@ -21,13 +21,15 @@ MARKERS = np.array([(0.09, 0.02), (-0.03, 0.1), (-0.08, -0.05), (0.05, -0.06)])
 SIZE = 2 * np.sqrt((MARKERS**2).sum(axis=1).mean())
 
 
-def seen(motion: Any, count: int, noise: float = 0.0, seed: int = 0) -> list[MarkerFrames]:
+def seen(
+    motion: Any, count: int, noise: float = 0.0, seed: int = 0, markers: np.ndarray = MARKERS
+) -> list[MarkerFrames]:
     """A body that moves by `motion`, seen at 200 Hz with noise, m."""
-    points = marker_positions(motion(np.arange(count) / 200), MARKERS)
+    points = marker_positions(motion(np.arange(count) / 200), markers)
     points = points + noise * np.random.default_rng(seed).normal(size=points.shape)
     solid = np.concatenate((points, np.zeros((*points.shape[:2], 1))), axis=2)
     return [
-        one_frame(START + k * STEP, 'world', ('a', 'b', 'c', 'd'), rows)
+        one_frame(START + k * STEP, 'world', tuple('abcdefgh'[: len(markers)]), rows)
         for k, rows in enumerate(solid)
     ]
 
@@ -135,6 +137,21 @@ def test_a_hinge_at_rest_stays_one_and_has_no_poles() -> None:
     assert found[-1].motion(0) == 'still'
     assert not found[-1].pole(1).determined[0]
     assert found[-1].reasons(0)['icr'] == 'no rotation'
+
+
+@pytest.mark.parametrize('seed', range(3))
+def test_a_pin_is_found_and_kept_while_markers_come_and_go(seed: int) -> None:
+    ring = np.exp(2j * np.pi * np.arange(8) / 8)
+    markers = 0.1 * np.stack((ring.real, ring.imag), axis=1)
+    frames = seen(about(0.3 + 0.2j, 0.3, lambda t: 2.0 * t), 1600, 1e-4, seed, markers)
+    for k, frame in enumerate(frames):
+        if k // 40 % 2:
+            frame.points[:, 3:] = np.nan
+    tracker = follow(frames[:800], {}, order=None)[0]
+    for frame in frames[800:]:
+        assert np.isfinite(tracker._pins.center[0])
+        tracker.add(frame, None)
+    assert np.abs(tracker._pins.center[0] - (0.3 + 0.2j)) < 4 * np.sqrt(tracker._pins.variance[0])
 
 
 def test_a_body_that_leaves_its_pin_is_told_of_at_once() -> None:

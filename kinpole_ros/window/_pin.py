@@ -47,6 +47,8 @@ class Pins:
         self.since = np.zeros(bodies, np.int64)
         self._positions = np.zeros((_KEPT, bodies), complex)
         self._turns = np.zeros((_KEPT, bodies), complex)
+        # Of each pose its own: it is known less well while markers are hidden.
+        self._variances = np.zeros((2, _KEPT, bodies))
         self._count = np.zeros(bodies, int)
         self._wanted = np.full(bodies, _ENOUGH)
         self._last = np.full(bodies, np.nan)
@@ -92,15 +94,15 @@ class Pins:
             row = (self._count[b] + np.arange(len(at))) % _KEPT
             self._positions[row, b] = position[at, b]
             self._turns[row, b] = np.exp(1j * angle[at, b])
+            self._variances[:, row, b] = variance[at, :, b].T
             self._last[b] = angle[at[-1], b]
             self._count[b] += len(at)
             fresh[b] = True
         ready = np.flatnonzero(fresh & (self._count >= _SOME))
         if len(ready):
-            last = len(known) - 1 - known[::-1, ready].argmax(axis=0)
-            self._judge(ready, variance[last, :, ready].T, size[ready])
+            self._judge(ready, size[ready])
 
-    def _judge(self, which: np.ndarray, variance: Real, size: Real) -> None:
+    def _judge(self, which: np.ndarray, size: Real) -> None:
         """Fit a pin to the poses of the bodies `which` (b,) and see whether it may stand."""
         count = np.minimum(self._count[which], _KEPT)
         held = np.arange(_KEPT)[:, None] < count
@@ -114,20 +116,22 @@ class Pins:
         misfit = (z + arm * around) * e.conj()
         along = np.where(arm == 0, 1, arm / np.maximum(np.abs(arm), np.finfo(float).tiny))
         misfit = misfit * along.conj()
-        across = variance[0] + np.abs(arm) ** 2 * variance[1]
-        square = (misfit.real**2).sum(axis=0) / variance[0] + (misfit.imag**2).sum(axis=0) / across
+        even, of_angle = np.where(held, self._variances[:, :, which], np.inf)
+        across = even + np.abs(arm) ** 2 * of_angle
+        square = (misfit.real**2 / even + misfit.imag**2 / across).sum(axis=0)
         square /= 2 * count - 4
         # Of the sum over poses that the center is, by the mean of the noise along and across, and
         # more for a misfit that is alike from pose to pose: no noise, it bends the arc.
         shares = np.where(held, 1 / count - e_mean * around.conj() / spread, 0)
-        each = np.maximum(square, 1) * (variance[0] + across) / 2
+        each = np.maximum(square, 1) * np.where(held, even + across, 0) / 2
         alike = (misfit * np.roll(misfit, 1, axis=0).conj()).real.sum(axis=0) / count
         total = (np.abs(misfit) ** 2).sum(axis=0) / count
         bent = np.maximum(alike - _ALIKE * total / np.sqrt(count), 0) / 2
-        found = (np.abs(shares) ** 2).sum(axis=0) * each + _BEND * bent * count / spread
+        found = (np.abs(shares) ** 2 * each).sum(axis=0) + _BEND * bent * count / spread
         refuted = square > _DROPPED
         # What wandering would leave: 0.45 of it times the spread of the angles (to third order).
-        seen = np.sqrt(variance[0]) < _WANDER * 0.45 * size * spread / count
+        noise = np.where(held, even, 0).sum(axis=0) / count
+        seen = np.sqrt(noise) < _WANDER * 0.45 * size * spread / count
         seen &= found < (_WANDER * size) ** 2
         taken = (square < _TAKEN) & (self._count[which] >= self._wanted[which]) & seen
         taken |= np.isfinite(self.center[which])
