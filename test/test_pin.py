@@ -151,7 +151,8 @@ def test_a_pin_is_found_and_kept_while_markers_come_and_go(seed: int) -> None:
     for frame in frames[800:]:
         assert np.isfinite(tracker._rigid._pins.center[0])
         tracker.add(frame, None)
-    assert np.abs(tracker._rigid._pins.center[0] - (0.3 + 0.2j)) < 4 * np.sqrt(tracker._pins.variance[0])
+    pins = tracker._rigid._pins
+    assert np.abs(pins.center[0] - (0.3 + 0.2j)) < 4 * np.sqrt(pins.variance[0])
 
 
 def test_a_body_that_leaves_its_pin_is_told_of_at_once() -> None:
