@@ -155,6 +155,15 @@ def test_a_pin_is_found_and_kept_while_markers_come_and_go(seed: int) -> None:
     assert np.abs(pins.center[0] - (0.3 + 0.2j)) < 4 * np.sqrt(pins.variance[0])
 
 
+@pytest.mark.filterwarnings('error')
+def test_a_body_whose_origin_does_not_move_at_all_is_on_a_pin() -> None:
+    pins, count = Pins(1), 60
+    angle, variance = np.linspace(0, 4, count)[:, None], np.full((count, 2, 1), 1e-10)
+    stamps, origin = 10_000_000 * np.arange(count), np.full((count, 1), 0.25 + 0.5j)
+    pins.add(stamps, origin, angle, variance, np.array([0.2]))
+    assert pins.center[0] == pytest.approx(0.25 + 0.5j)
+
+
 def test_a_body_that_leaves_its_pin_is_told_of_at_once() -> None:
     def motion(t: np.ndarray) -> BodyMotion:
         on = about(0.3 + 0.2j, 0.1 + 0j, lambda t: 3.0 * t)(t)

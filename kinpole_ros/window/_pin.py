@@ -116,9 +116,12 @@ class Pins:
         misfit = (z + arm * around) * e.conj()
         along = np.where(arm == 0, 1, arm / np.maximum(np.abs(arm), np.finfo(float).tiny))
         misfit = misfit * along.conj()
-        even, of_angle = np.where(held, self._variances[:, :, which], np.inf)
+        even, of_angle = self._variances[:, :, which]
         across = even + np.abs(arm) ** 2 * of_angle
-        square = (misfit.real**2 / even + misfit.imag**2 / across).sum(axis=0)
+        squares = misfit.real**2 / np.where(held, even, 1) + misfit.imag**2 / np.where(
+            held, across, 1
+        )
+        square = squares.sum(axis=0)
         square /= 2 * count - 4
         # Of the sum over poses that the center is, by the mean of the noise along and across, and
         # more for a misfit that is alike from pose to pose: no noise, it bends the arc.
