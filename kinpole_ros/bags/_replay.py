@@ -235,7 +235,7 @@ def _frames(
 ) -> Iterator[tuple[MarkerFrames | None, np.ndarray, BagError | MessageError | None]]:
     """The frames of a bag with the log times of their messages, or what is wrong, in order."""
     blocks = read_blocks(bag, [topic], progress)
-    nothing = np.zeros(0, np.int64)
+    nothing, wanted = np.zeros(0, np.int64), ROS_TYPE_NAMES[kind]
     while True:
         try:
             block = next(blocks, None)
@@ -246,16 +246,13 @@ def _frames(
             return
         # Bytes of another type may well be read, as markers that are none.
         for message in block:
-            if message.type_name != ROS_TYPE_NAMES[kind]:
-                yield (
-                    None,
-                    nothing,
-                    MessageError(
-                        f'{topic} has messages of {message.type_name} among those of '
-                        f'{ROS_TYPE_NAMES[kind]}; see that each type has a topic of its own'
-                    ),
+            if message.type_name != wanted:
+                told = (
+                    f'{topic} has messages of {message.type_name} among those of {wanted}; see '
+                    'that each type has a topic of its own'
                 )
-        block = [message for message in block if message.type_name == ROS_TYPE_NAMES[kind]]
+                yield None, nothing, MessageError(told)
+        block = [message for message in block if message.type_name == wanted]
         log_times = np.array([message.log_time for message in block], np.int64)
         done = 0
         for part in reader.read([message.data for message in block]):

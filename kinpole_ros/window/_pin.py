@@ -118,11 +118,9 @@ class Pins:
         misfit = misfit * along.conj()
         even, of_angle = self._variances[:, :, which]
         across = even + np.abs(arm) ** 2 * of_angle
-        squares = misfit.real**2 / np.where(held, even, 1) + misfit.imag**2 / np.where(
-            held, across, 1
-        )
-        square = squares.sum(axis=0)
-        square /= 2 * count - 4
+        squares = misfit.real**2 / np.where(held, even, 1)
+        squares += misfit.imag**2 / np.where(held, across, 1)
+        square = squares.sum(axis=0) / (2 * count - 4)
         # Of the sum over poses that the center is, by the mean of the noise along and across, and
         # more for a misfit that is alike from pose to pose: no noise, it bends the arc.
         shares = np.where(held, 1 / count - e_mean * around.conj() / spread, 0)
