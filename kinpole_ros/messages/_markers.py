@@ -268,7 +268,7 @@ def _positions(positions: Iterable[Any]) -> np.ndarray:
 def blank_unseen(points: np.ndarray) -> None:
     """Make NaN of every row of `points` (..., 3) that is not finite, in place."""
     finite = np.isfinite(points)
-    if not finite.all():
+    if np.count_nonzero(finite) < finite.size:
         points[~finite.all(axis=-1)] = np.nan
 
 

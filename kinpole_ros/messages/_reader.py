@@ -181,6 +181,8 @@ class _Layout(NamedTuple):
     def end_of_run(self, rows: np.ndarray, first: int) -> int:
         """Where the messages of this layout end that begin at row `first`, which is one."""
         end, count = first + 1, 1
+        if end == len(rows):  # as a rule where they come singly
+            return end
         most = 1 + _MOST_COMPARED // self.mask.nbytes
         agreed = np.frombuffer(self.key, '<u8')
         while end < len(rows):
