@@ -242,10 +242,16 @@ def test_results_are_made_anew_when_bag_settings_or_scene_change(
         assert not there(settings, None, ['csv'])
 
 
-def test_results_of_other_settings_are_none_of_these(simulated: Simulated, tmp_path: Path) -> None:
-    bag = str(link(simulated('cardan', rate=100, duration=0.6), tmp_path / 'run.mcap')[0])
+def bag_and_folder(simulated: Simulated, tmp_path: Path) -> tuple[str, Path]:
+    """A short bag, and an empty folder for its results."""
     out = tmp_path / 'out'
     out.mkdir()
+    bag = link(simulated('cardan', rate=100, duration=0.6), tmp_path / 'run.mcap')[0]
+    return str(bag), out
+
+
+def test_results_of_other_settings_are_none_of_these(simulated: Simulated, tmp_path: Path) -> None:
+    bag, out = bag_and_folder(simulated, tmp_path)
     other = replace(SETTINGS, window=0.3)
     _replay_one(bag, out, SETTINGS, None, ['csv'])
     row = _replay_one(bag, out, other, None, ['mcap'])
@@ -263,9 +269,7 @@ def test_results_of_other_settings_are_none_of_these(simulated: Simulated, tmp_p
 def test_results_that_are_exchanged_in_part_are_not_finished(
     simulated: Simulated, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    bag = str(link(simulated('cardan', rate=100, duration=0.6), tmp_path / 'run.mcap')[0])
-    out = tmp_path / 'out'
-    out.mkdir()
+    bag, out = bag_and_folder(simulated, tmp_path)
     row = _replay_one(bag, out, SETTINGS, None, ['csv', 'mcap'])
     assert _finished(bag, out, SETTINGS, None, ['csv', 'mcap']) == row
     with monkeypatch.context() as broken:
@@ -279,9 +283,7 @@ def test_results_that_are_exchanged_in_part_are_not_finished(
 def test_runs_into_one_folder_take_turns_at_a_bag(
     simulated: Simulated, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    bag = str(link(simulated('cardan', rate=100, duration=0.6), tmp_path / 'run.mcap')[0])
-    out = tmp_path / 'out'
-    out.mkdir()
+    bag, out = bag_and_folder(simulated, tmp_path)
     begun, go = threading.Event(), threading.Event()
     rows: list[dict[str, Any]] = []
 
