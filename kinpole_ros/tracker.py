@@ -33,7 +33,7 @@ from kinpole_ros.window import (
 # Frames later than this many intervals of late come after a gap.
 _LATE = 2.5
 # Not by its first stamp, which a bag that loops has again and again.
-_runs = itertools.count(1)
+_run_numbers = itertools.count(1)
 
 
 def _frame_type(bodies: int) -> np.dtype:
@@ -84,7 +84,7 @@ class Tracker:
         self.samples = 0
         # Mean time between the frames of the window, ns, 0 for fewer than two.
         self._interval = 0.0
-        self._run_number = next(_runs)
+        self._run_number = next(_run_numbers)
         self._due = 0
         self._dropped = 0
         # How many frames wait to be estimated.
