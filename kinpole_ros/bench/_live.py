@@ -40,6 +40,8 @@ _MARKERS = 20
 _BODY = ['3', '7', '11', '15']
 _BEST_EFFORT = ReliabilityPolicy.BEST_EFFORT
 _WAIT = 20.0
+# As many messages may wait for the relay as for the node.
+_DEPTH = 200
 # Rates tried, each so many times the one before unless asked otherwise, for so long (s), up to so
 # often: whatever else runs on the machine may take a core for a moment.
 _STEP_UP = 1.1
@@ -87,7 +89,7 @@ def relay() -> None:
         counter.publish(message)
 
     node.create_subscription(
-        PointCloud2, f'/{RELAY}/markers', answer, QoSProfile(depth=50, reliability=_BEST_EFFORT)
+        PointCloud2, f'/{RELAY}/markers', answer, QoSProfile(depth=_DEPTH, reliability=_BEST_EFFORT)
     )
     node.create_timer(0.2, tell)
     with suppress(KeyboardInterrupt, ExternalShutdownException):
