@@ -93,6 +93,10 @@ def _line(error: object) -> str:
         mend = _NO_ROS if ros else f'install it with pip install {package}'
         return _MENDS.get(package, f'the Python package {package} cannot be imported; {mend}')
     text = ' '.join(str(error).split())
+    if isinstance(error, OSError) and error.filename and error.strerror:
+        # From wherever nobody had words of his own for it.
+        mend = 'check the path, its rights and the space on the disk'
+        return f'{error.filename} cannot be used: {error.strerror}; mend: {mend}'
     if isinstance(error, MemoryError):
         return f'the memory is too small for this ({text or "full"}); mend: do it in shorter parts'
     return text

@@ -365,6 +365,9 @@ def test_an_output_that_cannot_be_written_is_named(kinpole: Any, rod: Path, tmp_
         if words != ['record', '--output']:
             line = refusal(kinpole(*words, tmp_path / ('y' * 300)))
             assert 'yyy cannot be written: File name too long; ' in line
+    for words in ['record'], ['demo'], ['bench', '--quick'], ['simulate', wrong.name * 30]:
+        line = refusal(kinpole(*words, '--output', tmp_path / ('y' * 300)))
+        assert ' cannot be used: File name too long; mend: check the path' in line
 
 
 @pytest.mark.skipif(not Path('/dev/full').exists(), reason='needs /dev/full')
