@@ -458,6 +458,17 @@ def test_an_array_with_markers_in_several_frames_is_refused():
     assert read_one(array).frame_id == 'coupler'
 
 
+def test_an_array_of_lists_of_points_is_refused_with_the_way_to_send_them():
+    points = [Point(x=float(k)) for k in range(3)]
+    lists = [Marker(id=k, type=Marker.SPHERE_LIST, points=points) for k in range(2)]
+    with pytest.raises(MessageError, match=r'lists of points, .*: send a list as a Marker'):
+        read_one(MarkerArray(markers=lists))
+    # One of its own beside markers may be drawn to look at, and a line is no list of markers.
+    assert read_one(MarkerArray(markers=[marker('tip', 3), lists[0]])).identities == ('tip/3', '0')
+    line = Marker(type=Marker.LINE_STRIP, points=points)
+    assert read_one(MarkerArray(markers=[line])).identities == ('0',)
+
+
 def test_array_of_deletions_keeps_the_first_header():
     array = MarkerArray(
         markers=[marker(action=Marker.DELETEALL, sec=3, frame_id='lab'), marker(action=2, sec=4)]

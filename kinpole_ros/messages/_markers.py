@@ -34,6 +34,8 @@ ROS_TYPE_NAMES: dict[str, str] = {
 END_OF_TIME = 2**31 * 1_000_000_000
 # Characters of a name that are told: it may be as long as the message.
 _MOST_TOLD = 80
+# Types of markers that stand for the points in them.
+_LISTS = (Marker.CUBE_LIST, Marker.SPHERE_LIST, Marker.POINTS)
 _IDENTITIES = ('auto', 'index', 'id', 'ns', 'ns_id')
 _xyz = attrgetter('x', 'y', 'z')
 
@@ -51,7 +53,7 @@ def read_markers(message: Any, identity: str = 'auto') -> MarkerFrames:
     A Marker gives its `points`, moved by its pose. A MarkerArray gives one landmark per marker,
     at its position, less those it deletes; its header is that of the first marker left. An array
     without markers has none, so no time, and cannot be read, nor can one whose markers left are in
-    several frames.
+    several frames, or all of them lists of points.
 
     Raises MessageError, a ValueError, when the message cannot be read this way, and ValueError
     when `identity` is none of the above.
@@ -157,6 +159,12 @@ def _read_marker_array(
         raise MessageError(
             f'MarkerArray has markers in {len(frame_ids)} frames, as {told}: publish all of them '
             'in one, such as that of the ground'
+        )
+    # A mixture may be a drawing among markers.
+    if kept and all(len(markers[k].points) > 1 and markers[k].type in _LISTS for k in kept):
+        raise MessageError(
+            'MarkerArray has lists of points, and a marker of an array is but one point: send a '
+            'list as a Marker, or each point as a marker of the array'
         )
     if identity == 'index':
         return header, tuple(map(str, kept)), points

@@ -258,6 +258,9 @@ def _layout(
         frame_ids = [walk.markers[k].frame_id for k in kept]
         spans += [(place.start, place.start + place.number) for place in frame_ids]
         words += [marker.number + 8 for marker in walk.markers]
+        if all(walk.markers[k].points.number > 1 for k in kept):
+            # Whether they are lists of points, which are refused.
+            words += [marker.number + 4 for marker in walk.markers]
         deleting = any(marker.action >= Marker.DELETE for marker in message.markers)
         for _, _, ns, number, *_ in walk.markers:
             if deleting or identity not in ('index', 'id'):
