@@ -35,6 +35,7 @@ _NO_ROS = 'source a ROS 2 installation first, or the .venv that `make demo` sets
 def main(args: Sequence[str] | None = None) -> int:
     """Run one subcommand; returns the exit status."""
     words = list(sys.argv[1:] if args is None else args)
+    _fill_closed()
     if isinstance(sys.stdout, io.TextIOWrapper):
         # What a locale has no letter for, or a file name that is no text, is told by its number.
         sys.stdout.reconfigure(errors='backslashreplace')
@@ -65,6 +66,13 @@ def node() -> int:
     return main(['node', *sys.argv[1:]])
 
 
+def _fill_closed() -> None:
+    """Open what is closed of stdin to stderr: else a bag takes its place, and gets what is told."""
+    while (number := os.open(os.devnull, os.O_RDWR)) <= 2:
+        pass
+    os.close(number)
+
+
 def _is_for_the_user(error: Exception) -> bool:
     """Whether it is one of our own one-line errors, not a bug that deserves its traceback."""
     if isinstance(error, OSError | MemoryError) or _package_missing(error):
@@ -93,10 +101,10 @@ def _line(error: object) -> str:
         mend = _NO_ROS if ros else f'install it with pip install {package}'
         return _MENDS.get(package, f'the Python package {package} cannot be imported; {mend}')
     text = ' '.join(str(error).split())
-    if isinstance(error, OSError) and error.filename and error.strerror:
+    if isinstance(error, OSError) and error.strerror:
         # From wherever nobody had words of his own for it.
         mend = 'check the path, its rights and the space on the disk'
-        return f'{error.filename} cannot be used: {error.strerror}; mend: {mend}'
+        return f'{error.filename or "a file"} cannot be used: {error.strerror}; mend: {mend}'
     if isinstance(error, MemoryError):
         return f'the memory is too small for this ({text or "full"}); mend: do it in shorter parts'
     return text

@@ -30,7 +30,7 @@ from rclpy.subscription import Subscription
 
 from kinpole_ros.bags import RECORDER, BagError, BagWriter, message_class, read_messages, topics
 from kinpole_ros.executor import Apart, MessagesFirst
-from kinpole_ros.process import reason_of, start_ros
+from kinpole_ros.process import check_domain, reason_of, start_ros
 
 # What a kill may lose of a recording.
 _FLUSH_EVERY = 1.0
@@ -110,6 +110,7 @@ def own_context() -> rclpy.Context:
     """Start ROS beside whatever else there is of it; raises BagError where it cannot."""
     context = rclpy.Context()
     with _starting():
+        check_domain()
         rclpy.init(args=[], context=context)
     return context
 

@@ -424,10 +424,22 @@ def test_an_environment_that_ros_cannot_use_is_one_line(
 ) -> None:
     output: list[str | Path] = ['--output', tmp_path / 'out']
     words = {'node': [], 'play': [rod], 'record': output, 'demo': output}[command]
-    said = process(command, *words, env={**os.environ, 'ROS_DOMAIN_ID': 'lab'})
-    assert 'environment: failed to initialize rcl: ROS_DOMAIN_ID is not an integral number' in (
-        refusal(said)
-    )
+    for name, value, reason in (
+        (
+            'ROS_DOMAIN_ID',
+            'lab',
+            'failed to initialize rcl: ROS_DOMAIN_ID is not an integral number',
+        ),
+        ('ROS_DOMAIN_ID', '233', 'ROS_DOMAIN_ID is 233; it must be a number from 0 to 232'),
+        (
+            'ROS_LOG_DIR',
+            str(rod / 'no'),
+            "/no': 20; set ROS_LOG_DIR to a folder that can be written",
+        ),
+    ):
+        said = process(command, *words, env={**os.environ, name: value})
+        assert 'environment: ' in refusal(said)
+        assert reason in said.err
     assert not (tmp_path / 'out').is_file()
 
 
@@ -731,6 +743,18 @@ def test_without_stderr_all_is_done_as_with_it(rod: Path, tmp_path: Path) -> Non
     words = f"'{sys.executable}' -m kinpole_ros.cli replay '{rod}' --output '{output}' 2>&-"
     assert subprocess.run(words, shell=True, stdout=subprocess.DEVNULL, timeout=60).returncode == 0
     assert decoded(output)['/kinpole/body/odom']
+
+
+@pytest.mark.parametrize('closed', ['>&-', '2>&-', '<&- >&- 2>&-'])
+def test_no_file_takes_the_place_of_what_was_closed(tmp_path: Path, closed: str) -> None:
+    """All that is told went into the recording, at its place in the file."""
+    opened = tmp_path / 'opened'
+    code = (
+        "from kinpole_ros import cli; cli.main(['solve', 'cardan'])\n"
+        f"with open('{opened}', 'w') as file: file.write(str(file.fileno()))"
+    )
+    subprocess.run(f'{sys.executable} -c "{code}" {closed}', shell=True, check=True, timeout=60)
+    assert int(opened.read_text()) > 2
 
 
 def test_what_stdout_has_no_letters_for_is_told_all_the_same(rod: Path) -> None:
