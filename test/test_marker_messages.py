@@ -452,9 +452,11 @@ def test_an_array_with_markers_in_several_frames_is_refused():
     array = MarkerArray(markers=[marker(number=k, frame_id=f) for k, f in enumerate(frames)])
     with pytest.raises(MessageError, match="in 3 frames, as 'coupler', 'crank': publish all"):
         read_markers(array)
-    # What is deleted may be in any, and what names none is taken to be where the first is.
+    # What is deleted may be in any, and what names none is taken to be where the others are.
     array.markers[0].action = Marker.DELETE
     array.markers[2].header.frame_id = ''
+    assert read_one(array).frame_id == 'coupler'
+    array.markers.reverse()
     assert read_one(array).frame_id == 'coupler'
 
 

@@ -577,6 +577,8 @@ def test_told_to_stop_node_and_recorder_end_at_once_and_the_recording_is_whole(
          'parameters qos_overrides./markers.subscription cannot be used'),
         (['-p', 'qos_overrides./markers.subscription.relability:=reliable'],
          'unknown parameter qos_overrides./markers.subscription.relability; known are'),
+        (['-p', 'qos_overrides./markers.subscription.depth:=-1'],
+         'depth is -1; it must be a whole number from 1 up'),
         (['--params-file', 'none.yaml'], "parse params file: '--params-file none.yaml'"),
         (['--params-file', 'broken.yaml'], "parse params file: '--params-file broken.yaml'"),
         (['--unknown'], '--unknown'),

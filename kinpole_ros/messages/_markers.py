@@ -152,7 +152,7 @@ def _read_marker_array(
             'MarkerArray without markers has no stamp; see that the driver sends nothing when it '
             'sees nothing, or markers with coordinates that are not finite'
         )
-    # A frame that is not named may be any.
+    # A frame that is not named is that of the others.
     frame_ids = {markers[k].header.frame_id for k in kept} - {''}
     if len(frame_ids) > 1:
         told = ', '.join(repr(name)[:_MOST_TOLD] for name in sorted(frame_ids)[:2])
@@ -160,6 +160,7 @@ def _read_marker_array(
             f'MarkerArray has markers in {len(frame_ids)} frames, as {told}: publish all of them '
             'in one, such as that of the ground'
         )
+    header = Header(stamp=header.stamp, frame_id=''.join(frame_ids) or header.frame_id)
     # A mixture may be a drawing among markers.
     if kept and all(len(markers[k].points) > 1 and markers[k].type in _LISTS for k in kept):
         raise MessageError(
