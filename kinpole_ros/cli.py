@@ -9,6 +9,7 @@ import argparse
 import io
 import os
 import shutil
+import signal
 import sys
 import time
 from collections.abc import Callable, Sequence
@@ -274,6 +275,8 @@ def _import(options: argparse.Namespace) -> int:
 def _play(options: argparse.Namespace) -> int:
     from kinpole_ros.live import play
 
+    # As Ctrl-C ends it: of what is killed others believe for many seconds that it is there.
+    signal.signal(signal.SIGTERM, lambda number, _: sys.exit(128 + number))
     with _progress('play') as progress:
         count = play(options.bag, options.topic, options.speed, progress=progress)
     print(f'{count} messages played')

@@ -203,6 +203,15 @@ def test_a_recorder_names_what_it_cannot_record_and_what_nobody_publishes(
     assert len(told.splitlines()) == 2
 
 
+def test_a_player_that_is_terminated_leaves_the_network_at_once(bag: Path) -> None:
+    with peer() as other, kinpole('play', bag) as process:
+        until(lambda: other.count_publishers('/markers') == 1, 15)
+        process.terminate()
+        assert process.wait(15) == 128 + signal.SIGTERM
+        # Of one that is killed they are known for 20 s more.
+        until(lambda: other.count_publishers('/markers') == 0, 10)
+
+
 def test_where_ros_cannot_start_no_recording_is_begun(tmp_path: Path) -> None:
     path = tmp_path / 'live.mcap'
     path.touch()
