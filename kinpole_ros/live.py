@@ -17,6 +17,7 @@ from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
 from rclpy.duration import Duration
 from rclpy.event_handler import SubscriptionEventCallbacks
+from rclpy.exceptions import NameValidationException
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
 from rclpy.qos import (
@@ -69,9 +70,14 @@ def play(
     count = 0
     try:
         qos = QoSProfile(depth=_DEEP)
-        publishers = {
-            name: node.create_publisher(message_class(there[name]), name, qos) for name in chosen
-        }
+        try:
+            publishers = {
+                name: node.create_publisher(message_class(there[name]), name, qos)
+                for name in chosen
+            }
+        except NameValidationException as error:
+            told = ' '.join(str(error).rstrip(' ^\n').split())
+            raise BagError(f'{bag}: {told}; name other topics with --topic') from None
         deadline = time.monotonic() + wait
         while time.monotonic() < deadline and context.ok():
             if all(p.get_subscription_count() for p in publishers.values()):

@@ -337,6 +337,15 @@ def test_a_bag_is_not_played_at_no_speed(kinpole: Any, rod: Path, speed: str) ->
     assert 'it must be more than 0' in refusal(kinpole('play', rod, f'--speed={speed}'))
 
 
+def test_a_topic_of_a_bag_that_is_none_in_ros_is_named(kinpole: Any, tmp_path: Path) -> None:
+    bag = tmp_path / 'odd.mcap'
+    with BagWriter(bag) as writer:
+        writer.write('/lab 1/markers', to_message('marker', 0, 'world', 'ab', np.zeros((2, 3))), 0)
+    line = refusal(kinpole('play', bag))
+    assert f'{bag}: Invalid topic name: ' in line
+    assert "'/lab 1/markers'; name other topics with --topic" in line
+
+
 def test_a_rate_and_a_scale_out_of_range_are_named(kinpole: Any, tmp_path: Path) -> None:
     table = tmp_path / 'table.csv'
     table.write_text('a_x,a_y\n0,1\n')
