@@ -386,6 +386,12 @@ def test_a_full_disk_is_one_line(kinpole: Any, rod: Path, option: str) -> None:
     assert '/dev/full cannot be written: No space left on device' in line
 
 
+@pytest.mark.skipif(not Path('/dev/full').exists(), reason='needs /dev/full')
+def test_a_recording_on_a_full_disk_ends_before_anything_comes() -> None:
+    line = refusal(process('record', '--output', '/dev/full'))
+    assert '/dev/full cannot be written: No space left on device' in line
+
+
 def test_no_command_writes_over_what_it_reads(kinpole: Any, rod: Path, tmp_path: Path) -> None:
     table, config, scene = (tmp_path / name for name in ('t.csv', 'c.yaml', 's.yaml'))
     table.write_text('t,a_x,a_y\n0,1,2\n')

@@ -125,6 +125,8 @@ class BagWriter:
             self._path.parent.mkdir(parents=True, exist_ok=True)
             self._file = open(self._path, 'wb')  # noqa: SIM115 - close() does
             self._put(MCAP0_MAGIC + _packed(Header('ros2', library)))
+            # A recording that cannot be should not seem to run until something comes.
+            self._file.flush()
         except OSError as error:
             raise self._failed(error) from error
 
