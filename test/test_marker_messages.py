@@ -423,6 +423,13 @@ def test_deleted_marker_has_no_points(action):
     assert frame.points.shape == (0, 3)
 
 
+def test_a_marker_that_is_one_thing_is_refused_with_the_way_to_send_all():
+    with pytest.raises(MessageError, match='send all markers of a frame in one message'):
+        read_one(Marker(type=Marker.SPHERE))
+    # A list may be empty: nothing is seen.
+    assert read_one(Marker(type=Marker.SPHERE_LIST)).identities == ()
+
+
 # MarkerArray: actions and header
 
 

@@ -36,6 +36,8 @@ END_OF_TIME = 2**31 * 1_000_000_000
 _MOST_TOLD = 80
 # Types of markers that stand for the points in them.
 _LISTS = (Marker.CUBE_LIST, Marker.SPHERE_LIST, Marker.POINTS)
+# Types that stand for one thing at their pose.
+_SINGLE = (Marker.CUBE, Marker.SPHERE, Marker.CYLINDER)
 _IDENTITIES = ('auto', 'index', 'id', 'ns', 'ns_id')
 _xyz = attrgetter('x', 'y', 'z')
 
@@ -206,6 +208,11 @@ def _marker_points(marker: Marker) -> np.ndarray:
     """Points of a Marker, (n, 3), taken from its local frame to that of its header."""
     if marker.action in (Marker.DELETE, Marker.DELETEALL):
         return np.empty((0, 3))
+    if not marker.points and marker.type in _SINGLE:
+        raise MessageError(
+            'Marker has no points, and these are the markers: send all markers of a frame in one '
+            'message, as a MarkerArray or as the points of a Marker'
+        )
     q, place = marker.pose.orientation, marker.pose.position
     pose = np.array([[place.x, place.y, place.z, q.x, q.y, q.z, q.w]])
     return moved(_positions(marker.points)[None], pose)[0]

@@ -274,6 +274,9 @@ def _layout(
         (marker,) = walk.markers
         stamp, frame_id = marker[:2]
         words.append(marker.number + 8)
+        if not marker.points.number:
+            # Whether it is one thing alone, which is refused.
+            words.append(marker.number + 4)
         points = _mover(marker.pose, marker.points.start, frames.points.shape[1])
     elif kind == 'pose_array':
         points = _taker(walk.items.start + 56 * np.arange(walk.items.number))
