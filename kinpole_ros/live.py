@@ -29,7 +29,15 @@ from rclpy.qos import (
 )
 from rclpy.subscription import Subscription
 
-from kinpole_ros.bags import RECORDER, BagError, BagWriter, message_class, read_messages, topics
+from kinpole_ros.bags import (
+    RECORDER,
+    BagError,
+    BagWriter,
+    message_class,
+    read_messages,
+    topics,
+    type_name,
+)
 from kinpole_ros.executor import Apart, MessagesFirst
 from kinpole_ros.process import check_domain, reason_of, start_ros
 
@@ -226,8 +234,10 @@ class Recorder(Node):
                 continue
             offers = [o.qos_profile for o in published if o.topic_type == kind]
             self._subscribe(name, cls, _least_of(offers))
-        for subscription in list(self._unheard):
-            self._ask_for_less(subscription)
+        # Word of one that is no more may come late.
+        for subscription, _ in list(self._recorded):
+            if subscription in self._unheard:
+                self._ask_for_less(subscription)
 
     def _subscribe(self, name: str, cls: type, qos: QoSProfile) -> None:
         save = self._saver(name, cls)
@@ -243,7 +253,8 @@ class Recorder(Node):
     def _ask_for_less(self, subscription: Subscription) -> None:
         """Subscribe anew where a publisher has come that offers less than those before."""
         name, cls, asked = subscription.topic_name, subscription.msg_type, subscription.qos_profile
-        offers = [o.qos_profile for o in self.get_publishers_info_by_topic(name)]
+        published, kind = self.get_publishers_info_by_topic(name), type_name(cls)
+        offers = [o.qos_profile for o in published if o.topic_type == kind]
         less = [o for o in offers if qos_check_compatible(o, asked)[0] == QoSCompatibility.ERROR]
         if not less:  # not listed yet, or gone again
             return
