@@ -9,6 +9,7 @@ import argparse
 import io
 import os
 import shutil
+import signal
 import sys
 import time
 from collections.abc import Callable, Sequence
@@ -35,6 +36,7 @@ _NO_ROS = 'source a ROS 2 installation first, or the .venv that `make demo` sets
 def main(args: Sequence[str] | None = None) -> int:
     """Run one subcommand; returns the exit status."""
     words = list(sys.argv[1:] if args is None else args)
+    _fill_closed()
     if isinstance(sys.stdout, io.TextIOWrapper):
         # What a locale has no letter for, or a file name that is no text, is told by its number.
         sys.stdout.reconfigure(errors='backslashreplace')
@@ -65,6 +67,13 @@ def node() -> int:
     return main(['node', *sys.argv[1:]])
 
 
+def _fill_closed() -> None:
+    """Open what is closed of stdin to stderr: else a bag takes its place, and gets what is told."""
+    while (number := os.open(os.devnull, os.O_RDWR)) <= 2:
+        pass
+    os.close(number)
+
+
 def _is_for_the_user(error: Exception) -> bool:
     """Whether it is one of our own one-line errors, not a bug that deserves its traceback."""
     if isinstance(error, OSError | MemoryError) or _package_missing(error):
@@ -93,6 +102,10 @@ def _line(error: object) -> str:
         mend = _NO_ROS if ros else f'install it with pip install {package}'
         return _MENDS.get(package, f'the Python package {package} cannot be imported; {mend}')
     text = ' '.join(str(error).split())
+    if isinstance(error, OSError) and error.strerror:
+        # From wherever nobody had words of his own for it.
+        mend = 'check the path, its rights and the space on the disk'
+        return f'{error.filename or "a file"} cannot be used: {error.strerror}; mend: {mend}'
     if isinstance(error, MemoryError):
         return f'the memory is too small for this ({text or "full"}); mend: do it in shorter parts'
     return text
@@ -262,6 +275,8 @@ def _import(options: argparse.Namespace) -> int:
 def _play(options: argparse.Namespace) -> int:
     from kinpole_ros.live import play
 
+    # As Ctrl-C ends it: of what is killed others believe for many seconds that it is there.
+    signal.signal(signal.SIGTERM, lambda number, _: sys.exit(128 + number))
     with _progress('play') as progress:
         count = play(options.bag, options.topic, options.speed, progress=progress)
     print(f'{count} messages played')

@@ -31,6 +31,11 @@ def declare(node: Node) -> Settings:
     for name in given:
         if name.startswith(f'qos_overrides.{topic}.') and name not in known:
             raise ParameterError(f'unknown parameter {name}; known are {", ".join(known)}')
+    # Of others rclpy makes something else, or a complaint of several lines.
+    name = f'qos_overrides.{topic}.subscription.depth'
+    depth = given.get(name, 1)
+    if type(depth) is not int or depth < 1:
+        raise ParameterError(f'parameter {name} is {depth!r}; it must be a whole number from 1 up')
     rows = {**PARAMETERS, 'autostart': AUTOSTART}
     rows.update({f'{body}.markers': MARKERS for body in settings.bodies})
     for name, row in rows.items():

@@ -7,7 +7,7 @@ installation, and for the demo and the tests, which must run there.
 
 import math
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
@@ -16,14 +16,30 @@ import rclpy
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
 from rclpy.duration import Duration
+from rclpy.event_handler import SubscriptionEventCallbacks
+from rclpy.exceptions import NameValidationException
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
-from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.qos import (
+    DurabilityPolicy,
+    QoSCompatibility,
+    QoSProfile,
+    ReliabilityPolicy,
+    qos_check_compatible,
+)
 from rclpy.subscription import Subscription
 
-from kinpole_ros.bags import RECORDER, BagError, BagWriter, message_class, read_messages, topics
+from kinpole_ros.bags import (
+    RECORDER,
+    BagError,
+    BagWriter,
+    message_class,
+    read_messages,
+    topics,
+    type_name,
+)
 from kinpole_ros.executor import Apart, MessagesFirst
-from kinpole_ros.process import reason_of, start_ros
+from kinpole_ros.process import check_domain, reason_of, start_ros
 
 # What a kill may lose of a recording.
 _FLUSH_EVERY = 1.0
@@ -62,9 +78,14 @@ def play(
     count = 0
     try:
         qos = QoSProfile(depth=_DEEP)
-        publishers = {
-            name: node.create_publisher(message_class(there[name]), name, qos) for name in chosen
-        }
+        try:
+            publishers = {
+                name: node.create_publisher(message_class(there[name]), name, qos)
+                for name in chosen
+            }
+        except NameValidationException as error:
+            told = ' '.join(str(error).rstrip(' ^\n').split())
+            raise BagError(f'{bag}: {told}; name other topics with --topic') from None
         deadline = time.monotonic() + wait
         while time.monotonic() < deadline and context.ok():
             if all(p.get_subscription_count() for p in publishers.values()):
@@ -103,6 +124,7 @@ def own_context() -> rclpy.Context:
     """Start ROS beside whatever else there is of it; raises BagError where it cannot."""
     context = rclpy.Context()
     with _starting():
+        check_domain()
         rclpy.init(args=[], context=context)
     return context
 
@@ -116,6 +138,16 @@ def _starting() -> Iterator[None]:
         raise BagError(f'ROS cannot start in this environment: {reason_of(error)}') from None
 
 
+def _least_of(offers: Sequence[QoSProfile]) -> QoSProfile:
+    """Reliable, and what was sent before, where all of them are."""
+    qos = QoSProfile(depth=_DEEP)
+    if any(o.reliability == ReliabilityPolicy.BEST_EFFORT for o in offers):
+        qos.reliability = ReliabilityPolicy.BEST_EFFORT
+    if all(o.durability == DurabilityPolicy.TRANSIENT_LOCAL for o in offers):
+        qos.durability = DurabilityPolicy.TRANSIENT_LOCAL
+    return qos
+
+
 class Recorder(Node):
     """Records every topic under some prefixes, from when it appears."""
 
@@ -126,6 +158,8 @@ class Recorder(Node):
         # The type a topic is recorded as, and others it was published as.
         self._seen: dict[str, set[str]] = {}
         self._recorded: list[tuple[Subscription, Callable[[bytes], None]]] = []
+        # Those with a publisher that offers less than was asked for.
+        self._unheard: set[Subscription] = set()
         self._group = Apart()
         # For the subscriptions alone, as many as there are.
         self._wait_set: Any = None
@@ -193,24 +227,43 @@ class Recorder(Node):
             # A topic has one type in a bag.
             kind = published[0].topic_type
             self._seen[name] = {kind}
-            offers = [o.qos_profile for o in published if o.topic_type == kind]
             try:
                 cls = message_class(kind)
             except BagError as error:
                 self.get_logger().warning(f'{name} is not recorded: {error}')
                 continue
-            # Take what is offered: reliable, and what was sent before, where all of them are.
-            qos = QoSProfile(depth=_DEEP)
-            if any(o.reliability == ReliabilityPolicy.BEST_EFFORT for o in offers):
-                qos.reliability = ReliabilityPolicy.BEST_EFFORT
-            if all(o.durability == DurabilityPolicy.TRANSIENT_LOCAL for o in offers):
-                qos.durability = DurabilityPolicy.TRANSIENT_LOCAL
-            save = self._saver(name, cls)
-            subscription = self.create_subscription(
-                cls, name, save, qos, callback_group=self._group, raw=True
-            )
-            self._recorded.append((subscription, save))
-            self._wait_set = None
+            offers = [o.qos_profile for o in published if o.topic_type == kind]
+            self._subscribe(name, cls, _least_of(offers))
+        # Word of one that is no more may come late.
+        for subscription, _ in list(self._recorded):
+            if subscription in self._unheard:
+                self._ask_for_less(subscription)
+
+    def _subscribe(self, name: str, cls: type, qos: QoSProfile) -> None:
+        save = self._saver(name, cls)
+        events = SubscriptionEventCallbacks(
+            incompatible_qos=lambda _: self._unheard.add(subscription)
+        )
+        subscription: Subscription = self.create_subscription(
+            cls, name, save, qos, callback_group=self._group, event_callbacks=events, raw=True
+        )
+        self._recorded.append((subscription, save))
+        self._wait_set = None
+
+    def _ask_for_less(self, subscription: Subscription) -> None:
+        """Subscribe anew where a publisher has come that offers less than those before."""
+        name, cls, asked = subscription.topic_name, subscription.msg_type, subscription.qos_profile
+        published, kind = self.get_publishers_info_by_topic(name), type_name(cls)
+        offers = [o.qos_profile for o in published if o.topic_type == kind]
+        less = [o for o in offers if qos_check_compatible(o, asked)[0] == QoSCompatibility.ERROR]
+        if not less:  # not listed yet, or gone again
+            return
+        self.get_logger().info(f'{name} is recorded with less QoS from now on, as offered')
+        self.take()
+        self._unheard.remove(subscription)
+        self._recorded = [row for row in self._recorded if row[0] is not subscription]
+        self.destroy_subscription(subscription)
+        self._subscribe(name, cls, _least_of([asked, *less]))
 
     def _note_other_types(self, name: str, types: set[str]) -> None:
         if others := types - self._seen[name]:

@@ -32,9 +32,11 @@ from kinpole_ros.estimate import Estimate
 from kinpole_ros.executor import MessagesFirst
 from kinpole_ros.frame import MarkerFrames, part_of
 from kinpole_ros.messages import (
+    DRAWING,
     DiagnosticsMaker,
     MessageError,
     Output,
+    nothing_drawn,
     result_outputs,
 )
 from kinpole_ros.parameters import PARAMETERS, ParameterError, settings_from
@@ -90,6 +92,8 @@ class KinpoleNode(LifecycleNode):
         # Of the frames since the last diagnostics.
         self._stamps: list[int] = []
         self._latest: Estimate | None = None
+        # The last one told since the drawings were taken away.
+        self._drawn: Estimate | None = None
         self._trouble: dict[str, str] = {}
         # What of it was noted since the last diagnostics.
         self._noted: set[str] = set()
@@ -190,6 +194,7 @@ class KinpoleNode(LifecycleNode):
         self._telling.cancel()
         self._active = False
         self.source.close()
+        self._take_drawings_away()
         return super().on_deactivate(state)
 
     def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
@@ -235,10 +240,19 @@ class KinpoleNode(LifecycleNode):
 
     def _drop_outputs(self, kept: Sequence[str]) -> None:
         """Destroy the publishers of all topics but those kept."""
+        if DRAWING not in kept:
+            self._take_drawings_away()
         for topic in self._publishers_made.keys() - set(kept):
             self.destroy_lifecycle_publisher(self._publishers_made.pop(topic))
         self._outputs = []
         self._wanted = []
+
+    def _take_drawings_away(self) -> None:
+        """Viewers keep what was drawn until they are told."""
+        drawn, self._drawn = self._drawn, None
+        publisher = self._publishers_made.get(DRAWING)
+        if drawn is not None and publisher is not None and publisher.get_subscription_count():
+            publisher.publish(nothing_drawn(int(drawn.stamp[-1]), drawn.frame_id))
 
     def _note_readers(self) -> None:
         self._wanted = [row for row in self._outputs if row[1].get_subscription_count()]
@@ -267,7 +281,7 @@ class KinpoleNode(LifecycleNode):
                 continue
             self._stamps.extend(frames.stamps.tolist())
             for estimate in self._tracker.add(frames, order):
-                self._latest = estimate
+                self._latest = self._drawn = estimate
                 # All are made before the first goes out: its readers wake, and take the core.
                 made = [
                     (publisher, data)

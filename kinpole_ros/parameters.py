@@ -215,6 +215,8 @@ AUTOSTART = Parameter(
     'true or false',
     fixed=True,
 )
+# Characters of a value or name.
+_MOST_TOLD = 80
 # What ROS itself, or the node alone, understands in the same file.
 _NODE_ONLY = ('use_sim_time', 'autostart', 'start_type_description_service')
 
@@ -231,9 +233,9 @@ def settings_from(values: Mapping[str, Any]) -> Settings:
         if name not in known and name not in _NODE_ONLY and not name.startswith('qos_overrides.'):
             hint = ''
             if name.endswith('.markers'):
-                hint = f'; {name[:-8]} is not among the bodies {", ".join(names)}'
+                hint = f'; {_cut(name[:-8])} is not among the bodies {", ".join(names)}'
             raise ParameterError(
-                f'unknown parameter {name}{hint}; known are {", ".join(sorted(known))}'
+                f'unknown parameter {_cut(name)}{hint}; known are {", ".join(sorted(known))}'
             )
     _checked('autostart', AUTOSTART, values)
     checked = {name: _checked(name, row, values) for name, row in known.items()}
@@ -265,7 +267,14 @@ def _checked(name: str, row: Parameter, values: Mapping[str, Any]) -> Any:
     try:
         return row.check(value)
     except (TypeError, ValueError, OverflowError):
-        raise ParameterError(f'parameter {name} is {value!r}; it must be {row.allowed}') from None
+        told = _cut(repr(value))
+        raise ParameterError(f'parameter {name} is {told}; it must be {row.allowed}') from None
+
+
+def _cut(text: str) -> str:
+    """As much as there is room for in a line: anyone on the network may set any name and value."""
+    text = text if text.isprintable() else repr(text)
+    return text if len(text) <= _MOST_TOLD else f'{text[:_MOST_TOLD]}...'
 
 
 class _Loader(yaml.SafeLoader):

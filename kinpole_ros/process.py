@@ -8,12 +8,17 @@ since nothing else ends a wait.
 """
 
 import atexit
+import os
 import re
 import signal
 from collections.abc import Callable, Sequence
 
 import rclpy
+from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.signals import SignalHandlerOptions
+
+# Beyond, the ports of DDS are used up.
+_LAST_DOMAIN = 232
 
 
 def start_ros(words: Sequence[str]) -> Callable[[], bool]:
@@ -22,12 +27,21 @@ def start_ros(words: Sequence[str]) -> Callable[[], bool]:
 
     Until it is started both do as ever. Raises RCLError where ROS cannot start.
     """
+    check_domain()
     rclpy.init(args=list(words), signal_handler_options=SignalHandlerOptions.NO)
     come: list[int] = []
     for sign in (signal.SIGINT, signal.SIGTERM):
         signal.signal(sign, lambda number, _: come.append(number))
     atexit.register(_ignore_signals)
     return lambda: bool(come)
+
+
+def check_domain() -> None:
+    """Raise RCLError for a domain beyond the last, for which Fast DDS ends the process."""
+    domain = os.environ.get('ROS_DOMAIN_ID', '')
+    if domain.isdecimal() and int(domain) > _LAST_DOMAIN:
+        told = f'ROS_DOMAIN_ID is {domain}; it must be a number from 0 to {_LAST_DOMAIN}'
+        raise rclpy_implementation.RCLError(told)
 
 
 def _ignore_signals() -> None:
@@ -37,5 +51,8 @@ def _ignore_signals() -> None:
 
 
 def reason_of(error: Exception) -> str:
-    """What rcl says is wrong, less the places in its source."""
-    return re.sub(r', at \S+:\d+', '', str(error))
+    """What rcl says is wrong, less the places in its source, and how to mend it where it can."""
+    reason = re.sub(r', at \S+:\d+', '', str(error))
+    if 'log directory' in reason or 'logging directory' in reason:
+        reason += '; set ROS_LOG_DIR to a folder that can be written'
+    return reason

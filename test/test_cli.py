@@ -337,6 +337,15 @@ def test_a_bag_is_not_played_at_no_speed(kinpole: Any, rod: Path, speed: str) ->
     assert 'it must be more than 0' in refusal(kinpole('play', rod, f'--speed={speed}'))
 
 
+def test_a_topic_of_a_bag_that_is_none_in_ros_is_named(kinpole: Any, tmp_path: Path) -> None:
+    bag = tmp_path / 'odd.mcap'
+    with BagWriter(bag) as writer:
+        writer.write('/lab 1/markers', to_message('marker', 0, 'world', 'ab', np.zeros((2, 3))), 0)
+    line = refusal(kinpole('play', bag))
+    assert f'{bag}: Invalid topic name: ' in line
+    assert "'/lab 1/markers'; name other topics with --topic" in line
+
+
 def test_a_rate_and_a_scale_out_of_range_are_named(kinpole: Any, tmp_path: Path) -> None:
     table = tmp_path / 'table.csv'
     table.write_text('a_x,a_y\n0,1\n')
@@ -365,12 +374,21 @@ def test_an_output_that_cannot_be_written_is_named(kinpole: Any, rod: Path, tmp_
         if words != ['record', '--output']:
             line = refusal(kinpole(*words, tmp_path / ('y' * 300)))
             assert 'yyy cannot be written: File name too long; ' in line
+    for words in ['record'], ['demo'], ['bench', '--quick'], ['simulate', wrong.name * 30]:
+        line = refusal(kinpole(*words, '--output', tmp_path / ('y' * 300)))
+        assert ' cannot be used: File name too long; mend: check the path' in line
 
 
 @pytest.mark.skipif(not Path('/dev/full').exists(), reason='needs /dev/full')
 @pytest.mark.parametrize('option', ['--output', '--csv'])
 def test_a_full_disk_is_one_line(kinpole: Any, rod: Path, option: str) -> None:
     line = refusal(kinpole('replay', rod, option, '/dev/full'))
+    assert '/dev/full cannot be written: No space left on device' in line
+
+
+@pytest.mark.skipif(not Path('/dev/full').exists(), reason='needs /dev/full')
+def test_a_recording_on_a_full_disk_ends_before_anything_comes() -> None:
+    line = refusal(process('record', '--output', '/dev/full'))
     assert '/dev/full cannot be written: No space left on device' in line
 
 
@@ -421,10 +439,22 @@ def test_an_environment_that_ros_cannot_use_is_one_line(
 ) -> None:
     output: list[str | Path] = ['--output', tmp_path / 'out']
     words = {'node': [], 'play': [rod], 'record': output, 'demo': output}[command]
-    said = process(command, *words, env={**os.environ, 'ROS_DOMAIN_ID': 'lab'})
-    assert 'environment: failed to initialize rcl: ROS_DOMAIN_ID is not an integral number' in (
-        refusal(said)
-    )
+    for name, value, reason in (
+        (
+            'ROS_DOMAIN_ID',
+            'lab',
+            'failed to initialize rcl: ROS_DOMAIN_ID is not an integral number',
+        ),
+        ('ROS_DOMAIN_ID', '233', 'ROS_DOMAIN_ID is 233; it must be a number from 0 to 232'),
+        (
+            'ROS_LOG_DIR',
+            str(rod / 'no'),
+            "/no': 20; set ROS_LOG_DIR to a folder that can be written",
+        ),
+    ):
+        said = process(command, *words, env={**os.environ, name: value})
+        assert 'environment: ' in refusal(said)
+        assert reason in said.err
     assert not (tmp_path / 'out').is_file()
 
 
@@ -728,6 +758,18 @@ def test_without_stderr_all_is_done_as_with_it(rod: Path, tmp_path: Path) -> Non
     words = f"'{sys.executable}' -m kinpole_ros.cli replay '{rod}' --output '{output}' 2>&-"
     assert subprocess.run(words, shell=True, stdout=subprocess.DEVNULL, timeout=60).returncode == 0
     assert decoded(output)['/kinpole/body/odom']
+
+
+@pytest.mark.parametrize('closed', ['>&-', '2>&-', '<&- >&- 2>&-'])
+def test_no_file_takes_the_place_of_what_was_closed(tmp_path: Path, closed: str) -> None:
+    """All that is told went into the recording, at its place in the file."""
+    opened = tmp_path / 'opened'
+    code = (
+        "from kinpole_ros import cli; cli.main(['solve', 'cardan'])\n"
+        f"with open('{opened}', 'w') as file: file.write(str(file.fileno()))"
+    )
+    subprocess.run(f'{sys.executable} -c "{code}" {closed}', shell=True, check=True, timeout=60)
+    assert int(opened.read_text()) > 2
 
 
 def test_what_stdout_has_no_letters_for_is_told_all_the_same(rod: Path) -> None:

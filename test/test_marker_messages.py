@@ -423,6 +423,13 @@ def test_deleted_marker_has_no_points(action):
     assert frame.points.shape == (0, 3)
 
 
+def test_a_marker_that_is_one_thing_is_refused_with_the_way_to_send_all():
+    with pytest.raises(MessageError, match='send all markers of a frame in one message'):
+        read_one(Marker(type=Marker.SPHERE))
+    # A list may be empty: nothing is seen.
+    assert read_one(Marker(type=Marker.SPHERE_LIST)).identities == ()
+
+
 # MarkerArray: actions and header
 
 
@@ -452,10 +459,23 @@ def test_an_array_with_markers_in_several_frames_is_refused():
     array = MarkerArray(markers=[marker(number=k, frame_id=f) for k, f in enumerate(frames)])
     with pytest.raises(MessageError, match="in 3 frames, as 'coupler', 'crank': publish all"):
         read_markers(array)
-    # What is deleted may be in any, and what names none is taken to be where the first is.
+    # What is deleted may be in any, and what names none is taken to be where the others are.
     array.markers[0].action = Marker.DELETE
     array.markers[2].header.frame_id = ''
     assert read_one(array).frame_id == 'coupler'
+    array.markers.reverse()
+    assert read_one(array).frame_id == 'coupler'
+
+
+def test_an_array_of_lists_of_points_is_refused_with_the_way_to_send_them():
+    points = [Point(x=float(k)) for k in range(3)]
+    lists = [Marker(id=k, type=Marker.SPHERE_LIST, points=points) for k in range(2)]
+    with pytest.raises(MessageError, match=r'lists of points, .*: send a list as a Marker'):
+        read_one(MarkerArray(markers=lists))
+    # One of its own beside markers may be drawn to look at, and a line is no list of markers.
+    assert read_one(MarkerArray(markers=[marker('tip', 3), lists[0]])).identities == ('tip/3', '0')
+    line = Marker(type=Marker.LINE_STRIP, points=points)
+    assert read_one(MarkerArray(markers=[line])).identities == ('0',)
 
 
 def test_array_of_deletions_keeps_the_first_header():

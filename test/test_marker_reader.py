@@ -125,6 +125,27 @@ def test_what_is_only_drawn_may_change_at_will(only_bytes):
     assert_same(frames, read_markers(array))
 
 
+def test_markers_that_become_lists_of_points_are_refused():
+    array = make('marker_array')
+    for one in array.markers:
+        one.points = [Point(), Point()]
+    reader = MarkerReader('marker_array')
+    [frames] = reader.read([serialize_message(array)])
+    assert_same(frames, read_markers(array))
+    for one in array.markers:
+        one.type = Marker.POINTS
+    [error] = reader.read([serialize_message(array)])
+    assert 'lists of points' in str(error)
+
+
+def test_an_empty_list_that_becomes_a_sphere_is_refused():
+    reader = MarkerReader('marker')
+    [frames] = reader.read([serialize_message(Marker(type=Marker.POINTS))])
+    assert frames.identities == ()
+    [error] = reader.read([serialize_message(Marker(type=Marker.SPHERE))])
+    assert 'Marker has no points' in str(error)
+
+
 @pytest.mark.parametrize('change', ['ns', 'id', 'action', 'frame_id'])
 @pytest.mark.parametrize('identity', IDENTITIES)
 def test_what_decides_the_names_is_looked_at(change, identity):

@@ -26,7 +26,7 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.parameter import Parameter
 from rclpy.publisher import Publisher
 from rclpy.qos import QoSProfile
-from visualization_msgs.msg import MarkerArray
+from visualization_msgs.msg import Marker, MarkerArray
 
 from kinpole_ros.bags import BagError, BagWriter, read_messages, replay
 from kinpole_ros.demo import live_run
@@ -416,6 +416,30 @@ def test_a_managed_node_waits_stops_and_starts_again(
     assert not complaints(tmp_path / 'stderr')
 
 
+def test_what_was_drawn_is_taken_away_when_no_more_is_drawn(
+    peer: Peer, simulated: Bag, by_place: Path, tmp_path: Path
+) -> None:
+    with process(*node_words(by_place), log=tmp_path / 'stderr'):
+        drawn = peer.hear('/kinpole/visualization', MarkerArray)
+        with peer.publisher(MarkerArray) as publisher:
+            for stop in (
+                lambda: peer.change('deactivate') and peer.change('activate'),
+                lambda: peer.set(derivative_order=1)[0].successful,
+            ):
+                drawn.clear()
+                peer.feed(publisher, endless(simulated), lambda: drawn, 'a drawing')
+                assert len(drawn[-1].markers) == 5
+                assert stop()
+                gone = lambda: drawn[-1].markers[0].action == Marker.DELETEALL  # noqa: E731
+                peer.until(gone, 'its end')
+        assert [len(array.markers) for array in drawn].count(1) == 1
+        # Nothing was drawn since.
+        assert peer.change('deactivate')
+        assert peer.change('cleanup')
+    assert not complaints(tmp_path / 'stderr')
+    assert [len(array.markers) for array in drawn].count(1) == 1
+
+
 def test_activated_again_the_node_compares_no_publisher_with_those_of_before(
     peer: Peer, simulated: Bag, by_place: Path, tmp_path: Path
 ) -> None:
@@ -553,6 +577,8 @@ def test_told_to_stop_node_and_recorder_end_at_once_and_the_recording_is_whole(
          'parameters qos_overrides./markers.subscription cannot be used'),
         (['-p', 'qos_overrides./markers.subscription.relability:=reliable'],
          'unknown parameter qos_overrides./markers.subscription.relability; known are'),
+        (['-p', 'qos_overrides./markers.subscription.depth:=-1'],
+         'depth is -1; it must be a whole number from 1 up'),
         (['--params-file', 'none.yaml'], "parse params file: '--params-file none.yaml'"),
         (['--params-file', 'broken.yaml'], "parse params file: '--params-file broken.yaml'"),
         (['--unknown'], '--unknown'),

@@ -6,8 +6,9 @@ import runpy
 import shutil
 import subprocess
 import sys
+import tarfile
 import xml.etree.ElementTree as ET
-from pathlib import Path
+from pathlib import Path, PurePath
 from types import ModuleType
 from typing import Any
 
@@ -26,9 +27,12 @@ PYTHON_PACKAGES = {
     'distributed': None,
     'lz4': None,
     'matplotlib': None,
+    'hypothesis': 'python3-hypothesis',
     'mcap': None,
+    'mpmath': 'python3-mpmath',
     'numpy': 'python3-numpy',
     'pyarrow': None,
+    'pytest': 'python3-pytest',
     'yaml': 'python3-yaml',
     'zstandard': None,
 }
@@ -71,21 +75,45 @@ def test_version_is_one_in_package_xml_setup_code_and_changelog():
     assert entries
 
 
-def test_every_import_is_declared_in_package_xml():
-    declared = {element.text for element in PACKAGE_XML.iter('exec_depend')}
+def needed(*paths: Path) -> set[str]:
+    """What package.xml must name for the imports of these files."""
     imported = set()
-    for path in [*(ROOT / 'kinpole_ros').rglob('*.py'), *(ROOT / 'launch').glob('*.py')]:
+    for path in paths:
         for node in ast.walk(ast.parse(path.read_text())):
             if isinstance(node, ast.Import):
                 imported |= {alias.name.split('.')[0] for alias in node.names}
             elif isinstance(node, ast.ImportFrom) and node.module and not node.level:
                 imported.add(node.module.split('.')[0])
-    assert {'rclpy', 'launch_ros', 'numpy'} <= imported
-    needed = {
-        PYTHON_PACKAGES.get(name, name)
-        for name in imported - sys.stdlib_module_names - {'kinpole_ros'}
-    }
-    assert needed - {None} == declared
+    ours = {'kinpole_ros', *(path.stem for path in paths)}
+    named = {PYTHON_PACKAGES.get(name, name) for name in imported - sys.stdlib_module_names - ours}
+    return {name for name in named if name}
+
+
+def declared(kind: str) -> set[str]:
+    return {str(element.text) for element in PACKAGE_XML.iter(kind)}
+
+
+def test_every_import_is_declared_in_package_xml():
+    package = [*(ROOT / 'kinpole_ros').rglob('*.py'), *(ROOT / 'launch').glob('*.py')]
+    assert {'rclpy', 'launch_ros', 'python3-numpy'} <= needed(*package)
+    assert needed(*package) == declared('exec_depend')
+    tests = needed(*(ROOT / 'test').glob('*.py'))
+    assert {'rosgraph_msgs', 'python3-pytest'} <= tests
+    # The pictures are drawn by an extra.
+    drawn = {'python3-matplotlib'}
+    assert tests - declared('exec_depend') == declared('test_depend') - drawn
+
+
+def test_the_source_distribution_holds_all_that_is_tracked(tmp_path):
+    tree = tmp_path / 'kinpole_ros'
+    for path in tracked():
+        (tree / path).parent.mkdir(parents=True, exist_ok=True)
+        shutil.copy(ROOT / path, tree / path)
+    code = f'from setuptools.build_meta import build_sdist; build_sdist({str(tmp_path)!r})'
+    run([sys.executable, '-c', code], tree)
+    with tarfile.open(next(tmp_path.glob('*.tar.gz'))) as archive:
+        held = {str(PurePath(*PurePath(name).parts[1:])) for name in archive.getnames()}
+    assert {*map(str, tracked())} - held == {'.gitignore'}
 
 
 def test_every_python_file_says_first_why_it_exists():
@@ -93,14 +121,19 @@ def test_every_python_file_says_first_why_it_exists():
     assert silent == []
 
 
-def test_no_tracked_file_is_over_a_megabyte():
+def tracked() -> list[Path]:
+    """The files of the project, from its folder."""
     if not (ROOT / '.git').exists() or not shutil.which('git'):
         pytest.skip('not a git tree')
     command = ['git', '-c', f'safe.directory={ROOT}', 'ls-files', '-z']
     listing = subprocess.run(command, cwd=ROOT, capture_output=True, check=True).stdout
-    paths = [ROOT / os.fsdecode(name) for name in listing.split(b'\0') if name]
+    paths = [Path(os.fsdecode(name)) for name in listing.split(b'\0') if name]
     assert len(paths) > 30
-    assert [p for p in paths if p.is_file() and p.stat().st_size > 1_000_000] == []
+    return [path for path in paths if (ROOT / path).is_file()]
+
+
+def test_no_tracked_file_is_over_a_megabyte():
+    assert [path for path in tracked() if (ROOT / path).stat().st_size > 1_000_000] == []
 
 
 @pytest.mark.parametrize('scene', ['cardan', 'four_bar', 'rolling_wheel'])

@@ -105,6 +105,13 @@ def test_a_bad_value_is_refused_with_its_name_and_what_is_allowed(
     assert allowed in text
 
 
+def test_a_value_or_name_of_any_length_is_refused_in_one_line() -> None:
+    for values in ({'plane': 'é\n' * 9999}, {'b\n' * 9999: 1}, {f'{"c" * 9999}.markers': ['a']}):
+        text = refusal(values)
+        assert len(text) < 500
+        assert '\n' not in text
+
+
 def test_all_parameters_are_tried_with_bad_values() -> None:
     assert {name for name, *_ in WRONG} == {*PARAMETERS, 'autostart', 'body.markers'}
 

@@ -100,8 +100,7 @@ def test_twice_is_the_same_to_the_last_bit(
     assert decoded(again) == noisy
     replay(simulated('four_bar', **NOISY), FOUR_BAR, tmp_path / 'more.mcap')
     bags = (again, tmp_path / 'more.mcap')
-    first, second = ([(m.topic, m.log_time) for m in read_messages(bag)] for bag in bags)
-    assert first == second
+    assert bags[0].read_bytes() == bags[1].read_bytes()
 
 
 def test_a_rosbag2_folder_is_as_good_as_its_files_in_one(

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 from conftest import numbers, stamp_of
-from diagnostic_msgs.msg import DiagnosticStatus
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from geometry_msgs.msg import PointStamped, PoseWithCovarianceStamped, Vector3Stamped
 from nav_msgs.msg import Odometry, Path
 from rclpy.serialization import deserialize_message, serialize_message
@@ -15,7 +15,13 @@ from visualization_msgs.msg import Marker, MarkerArray
 
 from kinpole_ros.estimate import POLE_NAMES, RATE_NAMES, Estimate
 from kinpole_ros.frame import MarkerFrames
-from kinpole_ros.messages import DiagnosticsMaker, Output, result_outputs
+from kinpole_ros.messages import (
+    DiagnosticsMaker,
+    Output,
+    diagnostics_data,
+    nothing_drawn,
+    result_outputs,
+)
 from kinpole_ros.parameters import Settings
 from kinpole_ros.tracker import Tracker
 
@@ -331,6 +337,13 @@ def test_markers_keep_their_names_and_are_deleted_when_gone() -> None:
                 assert marker.pose.orientation.w == 1.0
 
 
+def test_all_that_was_drawn_is_taken_away_by_one_marker() -> None:
+    array = deserialize_message(nothing_drawn(5_000_000_006, FRAME), MarkerArray)
+    assert [marker.action for marker in array.markers] == [Marker.DELETEALL]
+    assert stamp_of(array) == 5_000_000_006
+    assert array.markers[0].header.frame_id == FRAME
+
+
 def test_the_drawn_poles_are_the_published_ones_and_the_centrodes_touch_there() -> None:
     table = rows('zx')
     arrays = []
@@ -428,6 +441,25 @@ def test_bytes_are_those_of_rclpy_with_padding_zero(length: int) -> None:
                 assert data[place] == 0
                 other = data[:place] + b'\x55' + data[place + 1 :]
                 assert deserialize_message(other, row.message_type) == message, row.topic
+
+
+@pytest.mark.parametrize('length', range(4))
+def test_diagnostics_are_those_of_rclpy_with_padding_zero(length: int) -> None:
+    # The lengths of texts decide where padding is.
+    a, e = 'a' * length, 'é' * (3 - length)
+    pairs = [KeyValue(key=a + e, value=e), KeyValue(key=e, value=a)]
+    array = DiagnosticArray()
+    array.header.stamp.sec, array.header.stamp.nanosec, array.header.frame_id = 5, 6, a
+    array.status = [
+        DiagnosticStatus(level=DiagnosticStatus.STALE, name=a, message=e, values=pairs),
+        DiagnosticStatus(level=DiagnosticStatus.WARN, name=e, hardware_id=a),
+        DiagnosticStatus(name=a, values=pairs[1:]),
+    ]
+    data, again = diagnostics_data(array), serialize_message(array)
+    assert len(data) == len(again)
+    for place in np.flatnonzero(np.frombuffer(data, 'u1') != np.frombuffer(again, 'u1')):
+        assert data[place] == 0
+    assert deserialize_message(data, DiagnosticArray) == array
 
 
 def told(instants: Sequence[Estimate], cuts: Sequence[int]) -> dict[str, list[tuple[int, Any]]]:

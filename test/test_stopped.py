@@ -17,7 +17,7 @@ from rclpy.duration import Duration
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.publisher import Publisher
-from rclpy.qos import DurabilityPolicy, QoSProfile
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from std_msgs.msg import Int32, String
 
 from kinpole_ros.bags import RECORDER, BagError, BagMessage, BagWriter, read_messages, recorder_of
@@ -142,6 +142,21 @@ def test_what_was_sent_before_and_is_kept_for_those_who_come_late_is_recorded(
             until(lambda: len(readable(path)) == 1, 15)
 
 
+def test_a_publisher_that_comes_back_and_offers_less_is_recorded_too(tmp_path: Path) -> None:
+    path = tmp_path / 'live.mcap'
+    kept = QoSProfile(depth=1000, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+    less = QoSProfile(depth=1000, reliability=ReliabilityPolicy.BEST_EFFORT)
+    with kinpole('record', '--output', path, '--topic', TOPIC):
+        for name, qos in (('kept', kept), ('reliable', QoSProfile(depth=1000)), ('less', less)):
+            with publisher(qos) as source:
+
+                def recorded(source: Publisher = source, name: str = name) -> bool:
+                    source.publish(String(data=name))
+                    return any(name.encode() in message.data for message in readable(path))
+
+                until(recorded, 15)
+
+
 def test_a_recorder_that_is_behind_when_told_to_stop_records_all_that_has_come(
     tmp_path: Path,
 ) -> None:
@@ -186,6 +201,15 @@ def test_a_recorder_names_what_it_cannot_record_and_what_nobody_publishes(
     assert f'{TOPIC} is not recorded: message type std_msgs/msg/String is not installed' in told
     assert 'nobody publishes on a topic that begins with /nowhere/ yet' in told
     assert len(told.splitlines()) == 2
+
+
+def test_a_player_that_is_terminated_leaves_the_network_at_once(bag: Path) -> None:
+    with peer() as other, kinpole('play', bag) as process:
+        until(lambda: other.count_publishers('/markers') == 1, 15)
+        process.terminate()
+        assert process.wait(15) == 128 + signal.SIGTERM
+        # Of one that is killed they are known for 20 s more.
+        until(lambda: other.count_publishers('/markers') == 0, 10)
 
 
 def test_where_ros_cannot_start_no_recording_is_begun(tmp_path: Path) -> None:

@@ -8,7 +8,6 @@ from typing import NamedTuple, TypeAlias
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
-from rclpy.serialization import serialize_message
 
 from kinpole_ros.bags._reader import BagError, Truncated, bag_files, read_blocks, topics
 from kinpole_ros.bags._table import CsvTable, ParquetTable
@@ -21,6 +20,7 @@ from kinpole_ros.messages import (
     MarkerReader,
     MessageError,
     Output,
+    diagnostics_data,
     result_outputs,
 )
 from kinpole_ros.parameters import Settings
@@ -307,7 +307,7 @@ class _Beat:
                 due = int(np.searchsorted(estimate.due, number, side='right'))
                 if due and estimate.due[due - 1] > told:
                     now = estimate[due - 1]
-            data.append(serialize_message(finish(now)))
+            data.append(diagnostics_data(finish(now)))
             told = number
         at = [int(log_times[number]) for number, _ in self._begun]
         yield '/diagnostics', DiagnosticArray, at, data

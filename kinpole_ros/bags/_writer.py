@@ -102,8 +102,8 @@ class BagWriter:
     The file is written under its own name from the start, replacing one that was there, and folders
     above it are made. A program that dies leaves all finished chunks (256 KiB of messages) to be
     read; `flush` finishes the present one. Equal data make equal files, for nothing of the clock
-    or the machine goes in; but rclpy leaves the padding in its data to chance, so compare bags
-    by their decoded messages.
+    or the machine goes in; but rclpy leaves the padding in its data to chance, so compare what
+    `write` wrote by decoded messages.
 
     `library` is what the file says made it.
 
@@ -125,6 +125,8 @@ class BagWriter:
             self._path.parent.mkdir(parents=True, exist_ok=True)
             self._file = open(self._path, 'wb')  # noqa: SIM115 - close() does
             self._put(MCAP0_MAGIC + _packed(Header('ros2', library)))
+            # A recording that cannot be should not seem to run until something comes.
+            self._file.flush()
         except OSError as error:
             raise self._failed(error) from error
 

@@ -1,14 +1,16 @@
 """
 Result messages as bytes: what rclpy would send, made without its objects.
 
-All results but the drawings are a header and then doubles, so those of many instants are rows of
-one array. The bytes are plain CDR, little endian, padding zero: equal results are equal bytes.
+All results but drawings and diagnostics are a header and then doubles, so those of many instants
+are rows of one array. The bytes are plain CDR, little endian, padding zero: equal results are
+equal bytes.
 """
 
 import struct
 from functools import lru_cache
 
 import numpy as np
+from diagnostic_msgs.msg import DiagnosticArray
 
 from kinpole_ros.messages._walk import HEAD, LITTLE
 
@@ -86,6 +88,23 @@ def path(stamp: int, frame_id: str, stamps: np.ndarray, positions: np.ndarray) -
     rows[:, : _TIME.size] = _times(stamps[1:])
     rows[:, len(head) :] = poses[1:].astype('<f8').view(np.uint8)
     return bytes(writer.data + rows.tobytes())
+
+
+def diagnostics_data(array: DiagnosticArray) -> bytes:
+    """What rclpy makes of diagnostics, which leaves the padding to chance."""
+    writer = Writer()
+    stamp = array.header.stamp
+    writer.header(stamp.sec * _SECOND + stamp.nanosec, array.header.frame_id)
+    writer.pack('I', len(array.status))
+    for status in array.status:
+        writer.data += status.level
+        for text in (status.name, status.message, status.hardware_id):
+            writer.string(text)
+        writer.pack('I', len(status.values))
+        for pair in status.values:
+            writer.string(pair.key)
+            writer.string(pair.value)
+    return bytes(writer.data)
 
 
 def _times(stamps: np.ndarray) -> np.ndarray:

@@ -152,6 +152,14 @@ def scene(bodies: tuple[str, ...], axes: Axes, trails: list[Trail]) -> Build:
     return build
 
 
+def nothing_drawn(stamp: int, frame_id: str) -> bytes:
+    """A MarkerArray that takes away all that was drawn; `stamp` in ns."""
+    writer = Writer()
+    writer.pack('I', 1)
+    _write_marker(writer, stamp, (frame_id, ''), Marker.ARROW, Marker.DELETEALL)
+    return bytes(writer.data)
+
+
 # What is drawn of a body, in this order.
 _KINDS = {
     POLE_NAMES[0]: Marker.SPHERE,

@@ -34,6 +34,10 @@ ROS_TYPE_NAMES: dict[str, str] = {
 END_OF_TIME = 2**31 * 1_000_000_000
 # Characters of a name that are told: it may be as long as the message.
 _MOST_TOLD = 80
+# Types of markers that stand for the points in them.
+_LISTS = (Marker.CUBE_LIST, Marker.SPHERE_LIST, Marker.POINTS)
+# Types that stand for one thing at their pose.
+_SINGLE = (Marker.CUBE, Marker.SPHERE, Marker.CYLINDER)
 _IDENTITIES = ('auto', 'index', 'id', 'ns', 'ns_id')
 _xyz = attrgetter('x', 'y', 'z')
 
@@ -51,7 +55,7 @@ def read_markers(message: Any, identity: str = 'auto') -> MarkerFrames:
     A Marker gives its `points`, moved by its pose. A MarkerArray gives one landmark per marker,
     at its position, less those it deletes; its header is that of the first marker left. An array
     without markers has none, so no time, and cannot be read, nor can one whose markers left are in
-    several frames.
+    several frames, or all of them lists of points.
 
     Raises MessageError, a ValueError, when the message cannot be read this way, and ValueError
     when `identity` is none of the above.
@@ -150,13 +154,20 @@ def _read_marker_array(
             'MarkerArray without markers has no stamp; see that the driver sends nothing when it '
             'sees nothing, or markers with coordinates that are not finite'
         )
-    # A frame that is not named may be any.
+    # A frame that is not named is that of the others.
     frame_ids = {markers[k].header.frame_id for k in kept} - {''}
     if len(frame_ids) > 1:
         told = ', '.join(repr(name)[:_MOST_TOLD] for name in sorted(frame_ids)[:2])
         raise MessageError(
             f'MarkerArray has markers in {len(frame_ids)} frames, as {told}: publish all of them '
             'in one, such as that of the ground'
+        )
+    header = Header(stamp=header.stamp, frame_id=''.join(frame_ids) or header.frame_id)
+    # A mixture may be a drawing among markers.
+    if kept and all(len(markers[k].points) > 1 and markers[k].type in _LISTS for k in kept):
+        raise MessageError(
+            'MarkerArray has lists of points, and a marker of an array is but one point: send a '
+            'list as a Marker, or each point as a marker of the array'
         )
     if identity == 'index':
         return header, tuple(map(str, kept)), points
@@ -197,6 +208,11 @@ def _marker_points(marker: Marker) -> np.ndarray:
     """Points of a Marker, (n, 3), taken from its local frame to that of its header."""
     if marker.action in (Marker.DELETE, Marker.DELETEALL):
         return np.empty((0, 3))
+    if not marker.points and marker.type in _SINGLE:
+        raise MessageError(
+            'Marker has no points, and these are the markers: send all markers of a frame in one '
+            'message, as a MarkerArray or as the points of a Marker'
+        )
     q, place = marker.pose.orientation, marker.pose.position
     pose = np.array([[place.x, place.y, place.z, q.x, q.y, q.z, q.w]])
     return moved(_positions(marker.points)[None], pose)[0]

@@ -258,6 +258,9 @@ def _layout(
         frame_ids = [walk.markers[k].frame_id for k in kept]
         spans += [(place.start, place.start + place.number) for place in frame_ids]
         words += [marker.number + 8 for marker in walk.markers]
+        if all(walk.markers[k].points.number > 1 for k in kept):
+            # Whether they are lists of points, which are refused.
+            words += [marker.number + 4 for marker in walk.markers]
         deleting = any(marker.action >= Marker.DELETE for marker in message.markers)
         for _, _, ns, number, *_ in walk.markers:
             if deleting or identity not in ('index', 'id'):
@@ -271,6 +274,9 @@ def _layout(
         (marker,) = walk.markers
         stamp, frame_id = marker[:2]
         words.append(marker.number + 8)
+        if not marker.points.number:
+            # Whether it is one thing alone, which is refused.
+            words.append(marker.number + 4)
         points = _mover(marker.pose, marker.points.start, frames.points.shape[1])
     elif kind == 'pose_array':
         points = _taker(walk.items.start + 56 * np.arange(walk.items.number))

@@ -25,6 +25,8 @@ from kinpole_ros.messages._loci import Axes, Build, Trail, centrode, in_space, s
 from kinpole_ros.roster import AXES
 from kinpole_ros.theory import Theory, balance
 
+# The topic of what is drawn.
+DRAWING = 'visualization'
 # Instants, as an index of arrays.
 Chosen: TypeAlias = slice | np.ndarray
 # A variance for what a planar measurement says nothing about (m^2, rad^2, ...).
@@ -83,7 +85,7 @@ def result_outputs(bodies: Sequence[str], plane: str, theory: Theory | None = No
         outputs.append(Output(f'{name}/icr', PointStamped, 1, center))
         outputs.append(Output(f'{name}/angular_velocity', Vector3Stamped, 1, rate))
     drawing = scene(tuple(bodies), axes, trails)
-    outputs.append(Output('visualization', MarkerArray, 2, drawing))
+    outputs.append(Output(DRAWING, MarkerArray, 2, drawing))
     if theory is not None and theory.balances:
         outputs.append(Output('balance', WrenchStamped, 1, _balance(theory, axes, False)))
         outputs.append(Output('balance/deviation', WrenchStamped, 1, _balance(theory, axes, True)))
