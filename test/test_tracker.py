@@ -339,6 +339,20 @@ def test_a_still_body_does_not_turn_and_has_no_poles() -> None:
         assert 'no rotation' in found[-1].reasons(0).values()
 
 
+def test_a_still_body_has_no_poles_where_no_second_window_says_so() -> None:
+    # Windows of 10 samples hold two of the ladder, for the snap as a rule but one.
+    count, shape = 3000, np.array([0.1, 0.2j, -0.1 - 0.1j])
+    rng = np.random.default_rng(1)
+    flat = shape + 1e-4 * (rng.normal(size=(count, 3, 2)) @ (1, 1j))
+    points = np.stack((flat.real, flat.imag, np.zeros(flat.shape)), axis=-1)
+    frames = MarkerFrames(START + STEP * np.arange(count), 'world', ('a', 'b', 'c'), points)
+    short = settings_from({'window': 9.5 * STEP * 1e-9, 'lag': 0.0})
+    (found,) = Tracker(short).add(frames, 4)
+    assert len(found) > count - 10
+    for order in range(1, 5):
+        assert not found.pole(order).determined.any()
+
+
 def enumerate_poles(estimate: Estimate) -> list[tuple[str, bool]]:
     return [
         (name, bool(estimate.pole(order).determined[0])) for order, name in enumerate(POLE_NAMES, 1)
