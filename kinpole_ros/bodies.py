@@ -108,9 +108,8 @@ class RigidBodies:
 
     def noise(self) -> np.ndarray:
         """Noise (B,) of one coordinate of a marker, m, given or measured; NaN while not known."""
-        if self._given > 0:
-            return np.full(self._count, self._given)
-        return np.maximum(self._noise.level(), _ROUNDING * self._shapes.farthest)
+        level = np.full(self._count, self._given) if self._given > 0 else self._noise.level()
+        return np.maximum(level, _ROUNDING * self._shapes.farthest)
 
     def looseness(self) -> np.ndarray:
         """

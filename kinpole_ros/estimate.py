@@ -228,7 +228,9 @@ class Estimate:
             turning = rate[0] > SIGNIFICANT * np.sqrt(noise[0])
         else:
             different = self.together.turning[order, order - 1]
-            least = _NOISE**2 * noise[1] + _DIFFERENT[order - 1] ** 2 * different
+            # A single window differs from none: its noise alone has to tell.
+            times = np.where(different > 0, _NOISE, SIGNIFICANT)
+            least = times**2 * noise[1] + _DIFFERENT[order - 1] ** 2 * different
             turning = rate[1] > np.sqrt(least)
             if _APART[order - 1]:
                 turning &= rate[0] > _APART[order - 1] * np.sqrt(noise[0])

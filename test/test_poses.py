@@ -311,3 +311,17 @@ def test_what_is_done_to_an_answer_changes_none_after_it(monkeypatch: pytest.Mon
     for one, other in zip(straight, estimates(), strict=True):
         np.testing.assert_array_equal(one.angle, other.angle)
         np.testing.assert_array_equal(one.pole(3).value, other.pole(3).value)
+
+
+def test_no_combination_of_derivatives_has_a_variance_below_zero() -> None:
+    recording = _record.make_recording(('stop and go', 'dead point'), (1e-5, 1e-3), 2, 6.0)
+    seen, settings = _record.frames_of(recording.points, _record.stamps_of(1200))
+    (found,) = Tracker(settings).add(seen, 4)
+    assert found.together is not None
+    for each in (found, found.together):
+        for matrix in (each.position_covariance, each.angle_covariance):
+            ordered = np.moveaxis(matrix, (0, 1), (-2, -1))
+            deviations = np.sqrt(np.einsum('...kk->...k', ordered))
+            deviations[deviations == 0] = 1.0
+            correlation = ordered / deviations[..., None] / deviations[..., None, :]
+            assert np.linalg.eigvalsh(correlation).min() > -1e-12

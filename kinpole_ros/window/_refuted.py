@@ -107,9 +107,13 @@ def put(found: PoseDerivatives, fresh: Fresh, fits: Projection) -> None:
         'KA': both,
         'KKA': both[:, None] | both,
     }
+    # Between an order by what held and one by what is new no covariance is stated: that of either
+    # judgment, beside the other's variances, would give some combinations variances below zero.
+    of_one = {'KK': own[:, None] == own, 'KKA': both[:, None] == both}
     for array, part, axes in zip(found, anew, AXES, strict=True):
         there = (..., *at)
-        array[there] = np.where(replaced[axes], part[..., 0], array[there])
+        new = part[..., 0] * of_one[axes] if axes in of_one else part[..., 0]
+        array[there] = np.where(replaced[axes], new, array[there])
 
 
 def _off(found: PoseDerivatives) -> np.ndarray:
