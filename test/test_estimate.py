@@ -190,6 +190,7 @@ def test_a_body_does_what_stands_out_of_its_noise(given: dict[str, Any], motion:
         ({'velocity': 1}, 'icr', 'no rotation'),
         # Beyond a thousand sizes.
         ({'velocity': 0.19, 'rate': 1e-4, 'noise': 1e-6}, 'icr', None),
+        ({'velocity': 0.19, 'rate': 1e-4, 'noise': 1e-4}, 'icr', 'no rotation'),
         ({'velocity': 0.21, 'rate': 1e-4, 'noise': 1e-6}, 'icr', 'pole at infinity'),
         ({'velocity': 1, 'rate': 1, 'sigmas': {2: 1.0}}, 'icr', None),
         ({'velocity': 1, 'rate': 1, 'sigmas': {2: 1.0}}, 'iap', 'lost in its noise'),
