@@ -20,6 +20,7 @@ from contextlib import contextmanager, nullcontext, suppress
 from dataclasses import replace
 from io import StringIO
 from pathlib import Path
+from tempfile import TemporaryFile
 from typing import Any
 
 from kinpole_ros import __version__
@@ -81,6 +82,8 @@ def batch(
     kinds = [kind for kind in KINDS if kind in kinds]
     try:
         folder.mkdir(parents=True, exist_ok=True)
+        # Said once now, not of every bag.
+        TemporaryFile(dir=folder).close()
     except OSError as error:
         raise _unwritable(folder, error) from None
     rows: dict[str, Row] = {}

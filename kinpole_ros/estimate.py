@@ -380,7 +380,7 @@ class Estimate:
             if not pole.determined[body]:
                 far = np.abs(pole.value[body] - self.position[0, body])
                 reason = 'lost in its noise' if self.pole(1).determined[body] else 'no rotation'
-                if np.isfinite(far) and far > FARTHEST * self.size[body]:
+                if far > FARTHEST * self.size[body]:
                     reason = 'pole at infinity'
                 found[POLE_NAMES[order - 1]] = reason
         if self.order >= 3 and not self.centrode_curvature.determined[body]:

@@ -1,6 +1,7 @@
 """Many bags: each gets its result, one that fails costs only itself, and a stopped run goes on."""
 
 import csv
+import errno
 import json
 import os
 import signal
@@ -349,6 +350,17 @@ def test_what_cannot_be_used_is_one_line(
         line = capsys.readouterr().err
         assert line.count('\n') == 1
         assert complaint in line
+    with monkeypatch.context() as read_only:
+        refused = OSError(errno.EROFS, 'Read-only file system')
+        read_only.setattr(module, 'TemporaryFile', mock.Mock(side_effect=refused))
+        assert main(['batch', bag, '--output', 'out']) == 2
+    line = capsys.readouterr().err
+    assert f'{tmp_path}/out cannot be written: Read-only file system; mend: ' in line
+    assert line.count('\n') == 1
+    (tmp_path / 'summary.csv').mkdir()
+    with pytest.raises(BagError, match=r'summary\.csv cannot be written: Is a directory'):
+        module._write_summary(tmp_path / 'summary.csv', [])
+    assert not list(tmp_path.glob('*.part'))
     with monkeypatch.context() as crowded:
         failed = RuntimeError('Nanny failed to start.')
         crowded.setattr('distributed.LocalCluster', mock.Mock(side_effect=failed))

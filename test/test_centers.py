@@ -487,6 +487,10 @@ def test_offset_of_a_center_from_its_joint_is_as_large_as_its_noise_says() -> No
     distance, deviations = center_offset(between, joint, spread)
     assert (deviations**2).mean() == pytest.approx(2, abs=0.1)
     assert distance == pytest.approx(np.abs(between - joint))
+    # By the inverse of the covariance, correlation and all.
+    off, matrix = 2 - 1j, np.array([[0.5, 0.3], [0.3, 0.4]])
+    _, deviations = center_offset(1 + off, 1 + 0j, matrix)
+    assert deviations**2 == pytest.approx([2, -1] @ np.linalg.inv(matrix) @ [2, -1])
 
 
 def test_residual_of_centers_of_one_set_of_velocities_is_zero_whatever_these_are() -> None:

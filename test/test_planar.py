@@ -414,6 +414,20 @@ def test_a_body_that_does_not_turn_has_rates_0_and_no_poles(offset: float) -> No
             assert moved == pytest.approx(planar.to_plane(truth), abs=1e-12 * (1 + offset))
 
 
+@pytest.mark.parametrize('unit', [2.0**-60, 2.0**60])
+def test_what_is_rounding_goes_by_the_size_of_the_body_whatever_the_unit(unit: float) -> None:
+    """Powers of two, which do not round: rates and what is determined are the same to the bit."""
+    rng = np.random.default_rng(5)
+    points, velocities = rng.normal(size=(2, 400, 3, 2))
+    # Of bodies that translate, to within some roundings.
+    velocities = velocities[:, :1] + 2.0 ** rng.uniform(-50, -38, (400, 1, 1)) * velocities
+    plain = planar.landmark_kinematics(points, velocities)
+    scaled = planar.landmark_kinematics(unit * points, unit * velocities)
+    assert 50 < np.isnan(plain.icr[:, 0]).sum() < 350
+    assert scaled.angular_velocity.tolist() == plain.angular_velocity.tolist()
+    np.testing.assert_array_equal(scaled.icr, unit * plain.icr)
+
+
 def test_where_the_turning_starts_or_reverses_only_the_icr_is_missing() -> None:
     found = kinematics(still(angular_acceleration=2.0))
     assert nan_fields(found) == {'icr', 'ijp', 'icr_velocity', 'centrode_curvature'}

@@ -1,14 +1,16 @@
 """Pictures of result bags: drawn whatever is missing, and the curves in them are the right ones."""
 
 import os
+import re
 import subprocess
 import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
-from geometry_msgs.msg import Vector3Stamped
+from geometry_msgs.msg import PointStamped, PoseWithCovarianceStamped, Vector3Stamped
 from nav_msgs.msg import Odometry
+from nav_msgs.msg import Path as Path_
 from rclpy.serialization import deserialize_message
 
 from kinpole_ros.bags import (
@@ -23,9 +25,12 @@ from kinpole_ros.bags import (
 from kinpole_ros.mechanism import load_scene
 from kinpole_ros.messages import ns_to_stamp, stamp_to_ns
 from kinpole_ros.parameters import Settings
-from kinpole_ros.plot import _draw, centrodes, plot, read_results
+from kinpole_ros.plot import Centrodes, _draw, centrodes, plot, read_results
 
 pytest.importorskip('matplotlib')
+
+
+_ORDERS = ('acceleration', 'jerk')
 
 
 @pytest.fixture(scope='session')
@@ -109,21 +114,64 @@ def test_bodies_come_in_the_order_of_the_node_and_truth_is_left_out(bags) -> Non
 def test_plane_is_found_from_the_turning_or_else_from_what_was_measured(
     tmp_path, plane, rate
 ) -> None:
-    normal = {'xy': 2, 'yz': 0, 'zx': 1}[plane]
+    first, second = ('xyz'.index(axis) for axis in plane)
+    normal = 3 - first - second
     bag = tmp_path / 'bag.mcap'
     with BagWriter(bag) as writer:
         for k in range(5):
             stamp = k * 10**7
             message = Odometry()
             message.header.stamp = ns_to_stamp(stamp)
-            setattr(message.twist.twist.angular, 'xyz'[normal], rate)
+            pose, twist = message.pose.pose, message.twist.twist
+            setattr(pose.position, plane[0], 1.0 + k)
+            setattr(pose.position, plane[1], 2.0)
+            if rate:
+                setattr(pose.orientation, 'xyz'[normal], np.sin(0.35))
+                pose.orientation.w = np.cos(0.35)
+            setattr(twist.angular, 'xyz'[normal], rate)
             diagonal = np.full(6, 1e6)
             diagonal[3 + normal] = 1e-4
+            diagonal[[first, second]] = 4e-6
             message.pose.covariance = np.diag(diagonal).ravel()
+            message.twist.covariance = np.diag(100.0 + np.arange(6)).ravel()
             writer.write('/ns/kinpole/link/odom', message, stamp)
+        pole, jerk = PoseWithCovarianceStamped(), Vector3Stamped()
+        point = pole.pose.pose.position
+        point.x, point.y, point.z = jerk.vector.x, jerk.vector.y, jerk.vector.z = 10.0, 20.0, 30.0
+        pole.pose.covariance = np.arange(36.0)
+        writer.write('/ns/kinpole/link/icr/with_covariance', pole, 0)
+        writer.write('/ns/kinpole/link/angular_jerk', jerk, 0)
     results = read_results(bag)
     assert results.plane == plane
-    np.testing.assert_array_equal(results.bodies[0].rate, rate)
+    (link,) = results.bodies
+    assert link.series['icr'].value[0] == 10 * (first + 1) + 10j * (second + 1)
+    expected = [[6 * i + j for j in (first, second)] for i in (first, second)]
+    assert link.series['icr'].covariance[0].tolist() == expected
+    assert link.series['angular_jerk'].value[0] == 10 * (normal + 1)
+    np.testing.assert_array_equal(link.rate, rate)
+    np.testing.assert_array_equal(link.position, 1 + 2j + np.arange(5))
+    assert link.angle == pytest.approx(0.7 if rate else 0)
+    np.testing.assert_array_equal(link.rate_sigma, np.sqrt(103 + normal))
+    assert link.size == pytest.approx(2 * np.sqrt(4e-6 / 1e-4))
+
+
+def test_bodies_are_those_with_poses_in_the_order_of_their_relations(tmp_path) -> None:
+    """Whatever the order in the bag; topics of other types or without messages are no bodies."""
+    bag = tmp_path / 'bag.mcap'
+    with BagWriter(bag) as writer:
+        for name in ('c', 'b', 'a'):
+            writer.write(f'/kinpole/{name}/odom', Odometry(), 0)
+        for j, i in ('ba', 'ca', 'cb', 'da', 'db', 'dc'):
+            writer.write(f'/kinpole/{j}/wrt/{i}/icr', PointStamped(), 0)
+        writer.add_topic('/kinpole/d/odom', Odometry)
+        writer.write('/kinpole/e/odom', Vector3Stamped(), 0)
+        writer.write('/kinpole/a/icr', Path_(), 0)
+    results = read_results(bag)
+    assert [body.name for body in results.bodies] == ['a', 'b', 'c']
+    assert set(results.relative) == {('b', 'a'), ('c', 'a'), ('c', 'b')}
+    assert not results.bodies[0].series
+    assert len(centrodes(results.bodies[0]).fixed) == 0
+    assert not results.cut
 
 
 @pytest.mark.parametrize(
@@ -172,7 +220,8 @@ def test_bag_cut_off_is_drawn_as_far_as_it_goes(bags, tmp_path) -> None:
     cut.write_bytes(whole[: len(whole) * 2 // 3])
     results = read_results(cut)
     assert results.cut and len(results.bodies[0].stamp) > 10
-    assert drawn(cut, tmp_path / 'out.png')
+    assert b', bag cut off; poles' in drawn(cut, tmp_path / 'out.svg')
+    assert b'cut off' not in drawn(bags['cardan'], tmp_path / 'out.svg')
 
 
 def test_more_bodies_than_rows_are_named_in_the_title(tmp_path) -> None:
@@ -196,6 +245,111 @@ def test_lines_stop_at_gaps_and_where_the_pole_passes_infinity(bags, tmp_path) -
     np.testing.assert_array_equal(values, [0, 1, np.nan, 2, np.nan, 3])
     assert alone == [3, 5]
     np.testing.assert_array_equal(_draw._reversals(np.array([1.0, 2, -1, -1, 3])), [1, 3])
+
+
+def pictured(bag: Path, folder: Path, monkeypatch):
+    """The figure that would have been written."""
+    made = []
+    with monkeypatch.context() as kept:
+        kept.setattr(
+            'matplotlib.figure.Figure.savefig', lambda figure, *_, **__: made.append(figure)
+        )
+        plot(bag, folder / 'out.png')
+    return made[0]
+
+
+def places(line) -> np.ndarray:
+    """What a line goes through, complex, without its gaps."""
+    found = np.asarray(line.get_xdata(), float) + 1j * np.asarray(line.get_ydata(), float)
+    return found[np.isfinite(found)]
+
+
+def test_poles_and_centrodes_of_one_instant_are_drawn_where_they_are(
+    bags, tmp_path, monkeypatch
+) -> None:
+    figure = pictured(bags['four_bar'], tmp_path, monkeypatch)
+    results = read_results(bags['four_bar'])
+    start = min(body.stamp[0] for body in results.bodies)
+    since = float(re.search(r'centrode at t = ([\d.]+) s', figure.get_suptitle())[1])
+    kinds = set()
+    for row, body in enumerate(results.bodies):
+        axis = figure.axes[6 * row]
+        assert axis.get_title() == body.name
+        (k,) = np.flatnonzero(np.abs((body.stamp - start) * 1e-9 - since) < 6e-4)
+        instant = body.stamp[k]
+        marked = {}
+        for line in axis.lines:
+            marked.setdefault(line.get_marker(), []).extend(places(line))
+        assert marked['+'] == [body.position[k]]
+        now = {name: one.value[one.stamp == instant] for name, one in body.series.items()}
+        for pole, sign in (('icr', 'o'), ('iap', '^'), ('ijp', 's')):
+            np.testing.assert_array_equal(marked.get(sign, []), now[pole])
+        related = {j: one for j, one in results.relative.items() if j[0] == body.name}
+        centers = [one.value[one.stamp == instant] for one in related.values()]
+        assert sorted(marked.get('D', []), key=abs) == sorted(np.ravel(centers), key=abs)
+        (icr,), (u,) = now['icr'], now['icr_velocity']
+        styles = {line.get_linestyle(): places(line) for line in axis.lines}
+        np.testing.assert_array_equal(styles[':'], body.position)
+        # The centrodes roll on each other, now in the ICR.
+        assert np.abs(styles['-'] - icr).min() < 1e-9
+        assert np.abs(styles['--'] - icr).min() < 1e-9
+        assert ('-.' in styles) == bool(related)
+        (last,) = np.flatnonzero(body.series['icr'].stamp == instant)
+        spread = np.linalg.eigvalsh(body.series['icr'].covariance[last])
+        ellipse = next(one for one in axis.patches if complex(*one.center) == icr)
+        assert (ellipse.width, ellipse.height) == pytest.approx(4 * np.sqrt(spread))
+        arrows = [text for text in axis.texts if getattr(text, 'arrow_patch', None)]
+        if instant in body.series['centrode_curvature'].stamp:
+            (arrow,) = arrows
+            way = complex(*arrow.xy) - complex(*arrow.xyann)
+            assert complex(*arrow.xyann) == icr
+            assert way / abs(way) == pytest.approx(u / abs(u))
+            assert any(f'{abs(u):.3g} m/s' in text.get_text() for text in axis.texts)
+        else:
+            assert not arrows
+            # On its pin it is not even said.
+            said = {text.get_text() for text in axis.texts}
+            assert ('ICR not seen to move' in said) == bool(u)
+        kinds.add(bool(arrows))
+    assert kinds == {True, False}
+
+
+def test_rates_are_drawn_over_time_with_their_bands(bags, tmp_path, monkeypatch) -> None:
+    figure = pictured(bags['cardan'], tmp_path, monkeypatch)
+    (body,) = read_results(bags['cardan']).bodies
+    start, series = body.stamp[0], body.series
+    expected = [
+        (body.stamp, body.rate),
+        *((series[f'angular_{n}'].stamp, series[f'angular_{n}'].value) for n in _ORDERS),
+        (series['centrode_curvature'].stamp, series['centrode_curvature'].value),
+        (series['icr_velocity'].stamp, np.abs(series['icr_velocity'].value)),
+    ]
+    for axis, (stamp, value) in zip(figure.axes[1:], expected, strict=True):
+        now, curve = axis.lines
+        assert places(curve) == pytest.approx((stamp - start) * 1e-9 + 1j * value)
+        assert axis.get_xlim() == pytest.approx((0, (body.stamp[-1] - start) * 1e-9))
+        assert f't = {now.get_xdata()[0]:.3f} s' in figure.get_suptitle()
+        low, high = axis.get_ylim()
+        assert np.mean((low < value) & (value < high)) > 0.9
+    (band,) = figure.axes[1].collections
+    edge = body.rate + 2 * body.rate_sigma
+    assert band.get_paths()[0].vertices[:, 1].max() == pytest.approx(edge.max())
+
+
+@pytest.mark.parametrize(('scene', 'related'), [('four_bar', True), ('cardan', False)])
+def test_the_legend_tells_of_what_is_drawn(bags, tmp_path, monkeypatch, scene, related) -> None:
+    (legend,) = pictured(bags[scene], tmp_path, monkeypatch).legends
+    assert ('relative instant center' in {t.get_text() for t in legend.get_texts()}) == related
+
+
+def test_what_is_in_view_and_known_well_enough_is_kept() -> None:
+    box = _draw._View(-1 - 1j, 1 + 1j, 1.0)
+    points = np.array([0.5 - 0.5j, 2, -2, 2j, -2j])
+    assert box.holds(points).tolist() == [True, False, False, False, False]
+    ones = np.ones(3)
+    sigma = np.array([0.04, 0.06, np.nan])
+    locus = Centrodes(np.arange(3), ones + 0j, ones + 0j, ones, sigma)
+    assert _draw._sharp(locus, 1.0).stamp.tolist() == [0, 2]
 
 
 def test_poles_at_infinity_do_not_squash_the_picture(bags) -> None:

@@ -110,6 +110,10 @@ def test_slides_are_in_the_tables(capsys: pytest.CaptureFixture[str], tmp_path: 
     (shift,) = [line.split() for line in lines if line.startswith('shift ')]
     assert [100 * float(cell) for cell in shift[1:3]] == pytest.approx([173.2, -144.3], rel=1e-3)
     assert columns(tmp_path / 'a.csv')['shift_velocity'][0] == pytest.approx(-1.4434, rel=1e-4)
+    # Of a slide that is driven there is one column, its own.
+    lines = told(capsys, 'loader_cylinder', '--sweep')
+    (head,) = [line for line in lines if line.startswith('r5.length (m)')]
+    assert head.count('r5.length') == 1
     lines = told(capsys, 'slider_crank', '--sweep')
     head = next(line for line in lines if line.startswith('crank (deg)'))
     assert head.endswith('piston m  piston m/s')
@@ -179,6 +183,71 @@ def test_the_table_holds_forces_over_the_whole_range(
     np.testing.assert_allclose(force[known], np.abs(table['spring_effort'][known]), rtol=1e-9)
 
 
+def test_the_table_holds_centers_where_they_are_and_only_if_asked_for(tmp_path: Path) -> None:
+    table = tmp_path / 'c.csv'
+    lines = solve_scene('slider_crank', sweep=True, table=table)
+    assert not [line for line in lines if line.startswith('instant centers')]
+    assert not [name for name in columns(table) if name.startswith('center_')]
+    lines = solve_scene('slider_crank', sweep=True, centers=True, table=table)
+    assert 'instant centers at the start of the range' in lines
+    found = columns(table)
+    # Empty is unknown.
+    assert not re.search('inf|nan', table.read_text())
+    # The rod turns about the point on the crank's line that is above the piston, wherever that is.
+    x, y = found['center_ground_rod_x'], found['center_ground_rod_y']
+    known = np.isfinite(x)
+    assert np.count_nonzero(~known) == 2  # the crank upright
+    assert x[known] == pytest.approx(found['piston'][known])
+    assert y[known] == pytest.approx((x * np.tan(found['crank']))[known])
+
+
+@pytest.mark.parametrize(
+    ('driver', 'ends', 'rate'),
+    [
+        ('{drive: arm, rate: 2}', (0, 2 * np.pi), 2),
+        # At rest when it starts: as fast as one unit per second.
+        ('{drive: arm, from: 0.5, to: 1, duration: 2}', (0.5, 0.5 + 2 * np.pi), 1),
+    ],
+)
+def test_a_lone_arm_is_swept_by_a_full_turn(
+    driver: str, ends: tuple[float, float], rate: float, tmp_path: Path
+) -> None:
+    path, table = tmp_path / 'arm.yaml', tmp_path / 'arm.csv'
+    path.write_text(
+        f'bodies: {{ground: {{O: [0, 0]}}, arm: {{O: [0, 0], A: [0.1, 0]}}}}\ndrivers: [{driver}]\n'
+    )
+    lines = solve_scene(path, sweep=True, table=table)
+    assert not any('limit' in line for line in lines)
+    found = columns(table)
+    assert found['arm'][[0, -1]] == pytest.approx(ends)
+    assert found['arm_angle_velocity'] == pytest.approx(rate)
+
+
+def test_efforts_are_told_load_by_load_or_as_a_torque_on_a_body(tmp_path: Path) -> None:
+    path = tmp_path / 'held.yaml'
+    four_bar = (scenes_folder() / 'four_bar.yaml').read_text()
+    loads = 'loads:\n  - {force: [0, -50], at: coupler.P}\n'
+
+    def statics(rest: str, at: str | None = None) -> list[str]:
+        path.write_text(four_bar + loads + rest)
+        return solve_scene(path, at=at, sweep=at is None, statics=True)
+
+    one, two = statics(''), statics('  - {torque: 2, on: rocker}\n')
+    assert 'forces at the start of the range' in one
+    assert not any(line.startswith('  of this, load by load: ') for line in one)
+    (shares,) = [line for line in two if line.startswith('  of this, load by load: ')]
+    (whole,) = [line for line in two if 'crank balances the loads with' in line]
+    parts = [float(part) for part in re.findall(r'-?[\d.]+', shares)]
+    assert len(parts) == 2
+    assert sum(parts) == pytest.approx(float(whole.split()[-3]), rel=1e-4)
+    assert whole.endswith(' N m') and shares.endswith(' N m')
+    # On the driven body itself it is the driver's effort.
+    (held,) = [line for line in statics('held_by: {on: crank}\n') if ' balance the loads' in line]
+    assert held.endswith(' N m on crank balance the loads, with crank free')
+    (driven,) = [line for line in one if 'crank balances the loads with' in line]
+    assert float(held.split()[0]) == pytest.approx(float(driven.split()[-3]))
+
+
 def test_vectors_have_efforts_and_no_reactions(
     capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
@@ -189,7 +258,11 @@ def test_vectors_have_efforts_and_no_reactions(
 
 
 def test_the_picture_is_one(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
-    told(capsys, 'four_bar', '--centers', '--plot', str(tmp_path / 'four_bar.png'))
+    one = ['--csv', str(tmp_path / 'one.csv')]
+    lines = told(capsys, 'four_bar', '--centers', '--plot', str(tmp_path / 'four_bar.png'), *one)
+    # It has the whole range; what is printed and tabulated has not.
+    assert 'instant centers' in lines
+    assert len(columns(tmp_path / 'one.csv')['crank']) == 1
     image = pytest.importorskip('matplotlib.image').imread(tmp_path / 'four_bar.png')
     assert image.shape[0] > 800
     assert image.shape[1] > 1500

@@ -5,15 +5,15 @@ from typing import Any
 
 import numpy as np
 import pytest
-from conftest import decoded, figures
+from conftest import bodies_of, decoded, figures
 from test_tracker import follow, record
 
 from kinpole_ros import cli, planar
 from kinpole_ros.demo import live_run
 from kinpole_ros.mechanism import efforts, load_scene, scene_names, scenes_folder
 from kinpole_ros.messages import stamp_to_ns
-from kinpole_ros.parameters import ParameterError, load_settings, settings_from
-from kinpole_ros.theory import Comparison, load_theory, rate_differences
+from kinpole_ros.parameters import ParameterError, Settings, load_settings, settings_from
+from kinpole_ros.theory import Comparison, Difference, load_theory, rate_differences
 from kinpole_ros.window import References
 
 LOADS = """
@@ -228,6 +228,64 @@ def test_a_scene_that_does_not_go_with_the_bodies_is_refused(
     err = capsys.readouterr().err.strip()
     assert 'scene' in err
     assert '\n' not in err
+
+
+class Stamped:
+    """Of an estimate, no more than when it holds."""
+
+    def __init__(self, stamp: np.ndarray) -> None:
+        self.stamp = stamp
+
+    def __getitem__(self, instant: int) -> int:
+        return int(self.stamp[instant])
+
+
+@pytest.mark.parametrize('piece', [1, 7, 1000])
+def test_some_instants_of_a_recording_are_compared_whatever_the_pieces_it_comes_in(
+    piece: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    looked = []
+
+    def differ(_: Any, stamp: int) -> list[Difference]:
+        looked.append(stamp)
+        value = 1.0 + 2 * len(looked)
+        return [Difference('rod', 'rate', 'rad/s', value, 2), Difference('A', 'off', 'm', 1, 0)]
+
+    monkeypatch.setattr('kinpole_ros.theory.rate_differences', differ)
+    monkeypatch.setattr('kinpole_ros.theory.joint_offsets', lambda *_: [])
+    theory = load_theory(load_settings(config(tmp_path, 'four_bar')))
+    assert theory is not None
+    comparison = Comparison(theory)
+    # 1.5 s at 100 Hz, from 0.1 s before a place that is looked at; never the first.
+    stamps = 5 * 618_033_989 - 10**8 + 10**7 * np.arange(150)
+    for k in range(0, len(stamps), piece):
+        comparison.add(Stamped(stamps[k : k + piece]))  # type: ignore[arg-type]
+    assert looked == [stamps[10], stamps[72], stamps[134]]
+    squares = np.array([3.0, 5.0, 7.0]) ** 2
+    (rod,) = comparison.found()
+    assert rod[:3] == ('rod', 'rate', 'rad/s')
+    rms = np.sqrt(squares.mean())
+    assert (rod.rms, rod.deviations, rod.instants) == pytest.approx((rms, rms / 2, 3))
+
+
+@pytest.mark.parametrize(
+    ('coupler', 'says'),
+    [
+        (
+            ('coupler_1', 'else'),
+            'its coupler has the markers coupler_1, coupler_2, coupler_3, coupler_4; parameter '
+            'coupler.markers must name two of them at least',
+        ),
+        ((), 'it has a load on coupler, which is not tracked'),
+    ],
+)
+def test_a_scene_needs_markers_of_its_bodies_and_bodies_of_its_loads(
+    coupler: tuple[str, ...], says: str, tmp_path: Path
+) -> None:
+    bodies = {**bodies_of('four_bar'), 'coupler': coupler}
+    bodies = {body: markers for body, markers in bodies.items() if markers}
+    with pytest.raises(ParameterError, match=says):
+        load_theory(Settings(bodies=bodies, scene=str(scene(tmp_path))))
 
 
 def test_of_a_record_without_estimates_nothing_is_compared(tmp_path: Path) -> None:

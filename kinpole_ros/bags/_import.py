@@ -51,7 +51,10 @@ def import_csv(
 
     columns, lines = _read_columns(csv_path)
     names, points = _markers(csv_path, columns, lines)
-    points *= [scale, -scale if y_down else scale, scale]
+    with np.errstate(over='ignore'):
+        points *= [scale, -scale if y_down else scale, scale]
+    if np.isinf(points).any():
+        raise BagError(f'scale is {scale}; mend: give the length of the unit of {csv_path} in m')
     stamps = _stamps(csv_path, columns, lines, rate)
     step = math.ceil(len(stamps) / 200)
     with BagWriter(output) as bag:

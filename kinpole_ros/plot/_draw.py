@@ -381,7 +381,7 @@ def _draw_time(axis: Any, body: Body, panel: _Panel, start: int, instant: int) -
         percent = f'{share:.0%}' if share >= 0.01 else 'less than 1%'
         text = f'determined at {percent} of the instants' if share else 'undetermined'
         axis.text(0.02, 0.96, text, transform=axis.transAxes, va='top', fontsize='small', zorder=5)
-    if panel.series is None:
+    if panel.series is None or not share:
         axis.set_yticks([])
         return
     breaks = _breaks(body, panel.series.stamp)

@@ -129,6 +129,9 @@ def read_results(bag: str | Path, progress: Callable[[float], None] | None = Non
             if f'{pole}/with_covariance' in parts:
                 parts[pole] = parts.pop(f'{pole}/with_covariance')
         series = {part: _series(*found, axes, part in _NUMBERS) for part, found in parts.items()}
+        if f'{prefix}/{_CURVATURE}' in kinds:
+            # Known at no instant: the ICR was not seen to move, which is more than not recorded.
+            series.setdefault(_CURVATURE, _series(np.empty(0, int), np.empty((0, 3)), axes, True))
         bodies.append(_body(names[prefix], stamp, values, axes, series))
     between = {
         (names[j], names[i]): _series(*rows[topic], axes, False)
@@ -151,7 +154,8 @@ def centrodes(body: Body) -> Centrodes:
     return Centrodes(stamp, fixed, moving, body.rate[own], sigma)
 
 
-_NUMBERS = ('angular_acceleration', 'angular_jerk', 'centrode_curvature')
+_CURVATURE = 'centrode_curvature'
+_NUMBERS = ('angular_acceleration', 'angular_jerk', _CURVATURE)
 _PARTS = (*_NUMBERS, *POLES, *(f'{pole}/with_covariance' for pole in POLES), 'icr_velocity')
 
 
