@@ -59,6 +59,8 @@ def _known_type(bodies: int, width: int) -> np.dtype:
         ('pin', complex, (bodies,)),
         ('pin_variance', float, (bodies,)),
         ('pin_since', np.int64, (bodies,)),
+        # ns: poses from before are not of this shape.
+        ('since', np.int64, (bodies,)),
         ('reference', complex, (bodies,)),
         ('middle', complex, (bodies,)),
         ('shape', complex, (bodies, width)),
@@ -82,6 +84,7 @@ class RigidBodies:
         self._noise = Noise(self._count)
         self._pins = Pins(self._count)
         self._references = References(self._count, window)
+        self._since = np.zeros(self._count, np.int64)
         self._last_angle = np.zeros(self._count)
         self._last_turn = np.zeros(self._count)
         # Frames since the last beat.
@@ -144,7 +147,7 @@ class RigidBodies:
             unseen = self._shapes.unseen(points[first : first + room])
             if not unseen:
                 self._learn()
-                self._shapes.begin(points[first])
+                self._since[self._shapes.begin(points[first])] = rows['stamp'][first]
                 self._learned = True
                 unseen = 1
             end = first + unseen
@@ -235,7 +238,7 @@ class RigidBodies:
             known['firm'] = noise**2 < _UNSTEADY**2 * self._shapes.spread
             known['size'] = self._size()
             known['pin'], known['pin_variance'] = pins.center, pins.variance
-            known['pin_since'] = pins.since
+            known['pin_since'], known['since'] = pins.since, self._since
             # On a pin the poles are the pin, and relative centers are best where a lens bends two
             # bodies alike: from velocities at the origins of both.
             references = self._references
@@ -258,7 +261,11 @@ class RigidBodies:
             self._pins.add(*poses)
             self._references.add(*poses, self._shapes.middle)
         self._noise.add(news.residual, news.freedom, ~news.gaps)
-        self._shapes.learn()
+        anew = self._shapes.learn()
+        if anew.any():
+            for learned in (self._pins, self._references, self._noise):
+                learned.forget(anew)
+            self._since[anew] = news.stamps[-1] + 1
 
     def _variance(self, information: np.ndarray) -> np.ndarray:
         """Variances (T, 2, B) of one coordinate of the positions, and of the angles."""

@@ -78,7 +78,7 @@ class Pins:
         running = np.where(back < 0, frame + 1 + self._strikes, frame - back)
         self._strikes = running[-1]
         gone = (running >= STRIKES).any(axis=0)
-        self._forget(gone)
+        self.forget(gone)
         fresh = np.zeros(len(gone), bool)
         usable = known & ~strayed & ~gone
         with np.errstate(invalid='ignore'):
@@ -143,9 +143,9 @@ class Pins:
         self.variance[pinned] = found[taken]
         gone = np.zeros(len(self.center), bool)
         gone[which[refuted]] = True
-        self._forget(gone)
+        self.forget(gone)
 
-    def _forget(self, which: np.ndarray) -> None:
+    def forget(self, which: np.ndarray) -> None:
         """Take the bodies `which` (B,) off their pins and look at them afresh."""
         if which.any():
             left = which & np.isfinite(self.center)

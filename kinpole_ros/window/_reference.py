@@ -83,6 +83,13 @@ class References:
                 self._judge(variance[last, 0], variance[last, 1], size, middle)
                 self._start, self._kept = None, []
 
+    def forget(self, which: np.ndarray) -> None:
+        """Look at the bodies `which` (B,) afresh."""
+        for kept in (self.point, self.middle, self._both, self._sums, self._squares):
+            kept[..., which] = 0.0
+        for _, _, angle in self._kept:
+            angle[:, which] = np.nan
+
     def _judge(self, variance: Real, of_angle: Real, size: Real, middle: Complex) -> None:
         """See what turning explains of one window of poses, and of those before."""
         stamps, z, angle = map(np.concatenate, zip(*self._kept, strict=True))
@@ -138,10 +145,11 @@ def _energy(values: Complex) -> Real:
     return np.asarray((values.real**2 + values.imag**2).sum(axis=1))
 
 
-def alike(references: Complex) -> list[slice]:
-    """Stretches of instants that have the same reference points (T, B)."""
-    changes = ((references[1:] != references[:-1]).any(axis=1).nonzero()[0] + 1).tolist()
-    return [slice(*ends) for ends in pairwise((0, *changes, len(references)))]
+def alike(*known: np.ndarray) -> list[slice]:
+    """Stretches of instants for which the same is known of all bodies, each (T, B)."""
+    changed = np.logical_or.reduce([(each[1:] != each[:-1]).any(axis=1) for each in known])
+    changes = (changed.nonzero()[0] + 1).tolist()
+    return [slice(*ends) for ends in pairwise((0, *changes, len(known[0])))]
 
 
 def seen_at(

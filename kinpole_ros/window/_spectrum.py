@@ -26,6 +26,12 @@ class Spectrum:
         self._mean = np.zeros((0, 0, 0))
         self._count = np.zeros((0, 0))
 
+    def forget(self, which: np.ndarray) -> None:
+        """Begin anew with the bodies `which` (B,), of each of whom there are as many signals."""
+        signals = np.resize(which, self._count.shape[1])
+        self._mean[..., signals] = 0.0
+        self._count[:, signals] = 0.0
+
     def follow(self, squares: Real, known: np.ndarray, memory: Real) -> tuple[Real, Real]:
         """Take the squares of some instants, one after the other: see `Past`."""
         levels, degrees, instants, groups = squares.shape

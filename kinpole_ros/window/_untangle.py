@@ -1,21 +1,29 @@
 """
 Markers that are not where the body can have them: left out, or put back where two were exchanged.
 
+Also which of the first frames of a body tell of its shape, when some of them are wild.
+
 Looked at only where a rigid fit leaves far more than it does as a rule, or a body seems to jump by
 half a turn, so what is tried here need not be fast.
 """
 
+from collections import Counter
 from itertools import combinations
 
 import numpy as np
 
-from kinpole_ros.planar import fit_pose
+from kinpole_ros.planar import Fit, fit_pose
 from kinpole_ros.planar._plane import Complex, Real
+from kinpole_ros.window._noise import mean_square, tame_part
 
 EXCHANGED = 'markers_exchanged'
 LEFT_OUT = 'markers_left_out'
 MIRRORED = 'markers_mirrored'
 DROPPED = 'markers_of_misfits'
+
+# What is off by so many times what a marker may be off spoils a shape that is learned from it for
+# longer than to begin anew takes.
+_SPOILS = 3.0
 
 
 def untangle(
@@ -72,6 +80,43 @@ def half_turn(shape: Complex, weights: Real, limit: float) -> np.ndarray | None:
     order = np.arange(len(shape))
     order[seen] = seen[other]
     return order
+
+
+def agreed(
+    points: Complex, suspect: float, least: float
+) -> tuple[Complex, Fit, Counter[str]] | None:
+    """
+    The shape (n,) of one body that most of its frames (T, n) agree on, if some are wild: else None.
+
+    The frame is taken that leaves least in all but the worst three tenths of the others. A marker
+    may be off it by `suspect` times the root of that, or by the share `least` of the size. Frames
+    in which one is farther off are mended, and the shape is the mean of all. Also returns the fits
+    of the frames to it, and what was mended.
+    """
+    seen = ~np.isnan(points)
+    count = seen.sum(axis=-1)
+    full = points[count == count.max()]
+    shared = (seen & ~np.isnan(full)[:, None]).astype(float)
+    every = fit_pose(np.broadcast_to(points, shared.shape), full[:, None], shared)
+    left = tame_part(mean_square(every.residual, every.freedom)[0])
+    best = int(np.where(np.isnan(left), np.inf, left).argmin())
+    shape = full[best] - full[best, ~np.isnan(full[best])].mean()
+    size = np.abs(shape[~np.isnan(shape)]).max()
+    limit = max(suspect * np.sqrt(left[best]), least * size)
+    off = every.residual[best]
+    worst = np.where(np.isnan(off), 0.0, np.abs(off)).max(axis=-1)
+    if worst.max() <= _SPOILS * limit:
+        return None
+    points, mended = points.copy(), Counter[str]()
+    for frame in np.flatnonzero(worst > limit):
+        points[frame], what, which = untangle(points[frame], shape, shared[best, frame], limit)
+        mended[what] += len(which)
+    weights = (~np.isnan(points) & ~np.isnan(shape)).astype(float)
+    fits = fit_pose(points, np.broadcast_to(shape, points.shape), weights)
+    fitted = ~np.isnan(fits.residual)
+    off = fits.residual.sum(axis=0, where=fitted) / np.maximum(fitted.sum(axis=0), 1)
+    shape = np.where(np.isnan(shape), 0.0, shape + off)
+    return shape, fit_pose(points, np.broadcast_to(shape, points.shape), weights), mended
 
 
 def _best(points: Complex, shape: Complex, weights: Real) -> tuple[int, float]:
