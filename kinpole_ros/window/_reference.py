@@ -26,6 +26,9 @@ _FARTHEST = 30.0
 # So many windows must tell so, reckoned as many that turn alike; one counts for this share of the
 # next. A point is put right when it is off by so many deviations.
 _WINDOWS, _FADING, _OFF = 3.0, 0.95, 3.0
+# A window of which so many times more is left than of those before, as where a pose jumps, tells
+# nothing unless the next is like it.
+_OUT = 50.0
 
 
 class References:
@@ -49,6 +52,8 @@ class References:
         self._sums = np.zeros((5, len(_DEGREES), bodies))
         # Of the squares of |e|^2 by the first degree.
         self._squares = np.zeros(bodies)
+        # Whether the last window was far out of those before.
+        self._out = np.zeros(bodies, bool)
 
     def add(
         self,
@@ -102,6 +107,10 @@ class References:
         even, still = (count * np.where(known, part, 0.0) for part in (2 * variance, of_angle))
         counts = np.broadcast_to(count, even.shape)
         new = np.stack((_energy(path), _energy(turn), even, still, counts))
+        usual = new[4] * self._sums[:2] / np.maximum(self._sums[4], 1)
+        out = known & (self._sums[4] > new[4]).all(axis=0) & (new[:2] > _OUT * usual).any((0, 1))
+        known &= ~out | self._out
+        self._out = out
         both = (turn.conj() * path).sum(axis=1)
         # One that is no better than the origin now is left, and all begins anew.
         wrong = np.abs(both + self.point * new[1]) ** 2 > np.abs(both) ** 2
