@@ -298,6 +298,19 @@ def test_markers_exchanged_by_half_a_turn_leave_no_trace(
     assert np.array_equal(turns(found), turns(straight))
 
 
+@pytest.mark.parametrize('turn', [0.0, 0.03, -0.6])
+@pytest.mark.parametrize('count', [1, 5, 250])
+def test_of_exchanges_that_fit_alike_the_one_counts_that_goes_on(count: int, turn: float) -> None:
+    """Any two markers of an equilateral triangle may be exchanged, and a turn of it fits."""
+    points = markers(0.1 * np.exp(2j * np.pi * np.arange(3) / 3), 400, turn)
+    spoiled = points.copy()
+    spoiled[90 : 90 + count, :2] = points[90 : 90 + count, 1::-1]
+    _, straight, _ = fitted(points)
+    shapes, found, _ = fitted(spoiled)
+    assert shapes.mended['markers_exchanged'] >= 2 * min(count, 100)
+    assert np.array_equal(turns(found), turns(straight))
+
+
 @pytest.mark.parametrize('shape', [KITE[:2], RECTANGLE], ids=['two', 'rectangle'])
 def test_markers_exchanged_for_good_are_taken_so_and_no_pose_jumps(shape: np.ndarray) -> None:
     points = markers(shape, 400)

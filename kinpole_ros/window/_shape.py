@@ -258,10 +258,12 @@ class Shapes:
         with np.errstate(invalid='ignore'):
             far = (np.abs(fit.residual) > self._limit[:, None]).any(axis=-1) & self._mature
         good = ~(far[:, None] | np.isnan(fit.residual))
+        ahead = self._turns.ahead()
         for b in np.flatnonzero(far):
             given = weights[b] > 0
             limit = float(self._limit[b])
-            points[b], what, which = untangle(points[b], self.points[b], weights[b], limit)
+            markers = points[b], self.points[b], weights[b], limit
+            points[b], what, which = untangle(*markers, float(ahead[b]))
             self.mended[what] += len(which)
             if what == EXCHANGED:
                 order[b, which] = order[b, which[::-1]]

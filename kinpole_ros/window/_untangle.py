@@ -21,21 +21,25 @@ LEFT_OUT = 'markers_left_out'
 MIRRORED = 'markers_mirrored'
 DROPPED = 'markers_of_misfits'
 
+# rad. Of several exchanges that fit those count that turn a body no farther than so off where it is
+# to be: any two of an equilateral triangle may be exchanged, and it fits.
+_NEAR = 0.25 * np.pi
 # What is off by so many times what a marker may be off spoils a shape that is learned from it for
 # longer than to begin anew takes.
 _SPOILS = 3.0
 
 
 def untangle(
-    points: Complex, shape: Complex, weights: Real, limit: float
+    points: Complex, shape: Complex, weights: Real, limit: float, angle: float = np.nan
 ) -> tuple[Complex, str, np.ndarray]:
     """
     Mend one body's markers (n,) that do not fit its `shape` (n,) with `weights` (n,).
 
-    Tries, in this order, every exchange of two markers, leaving out one marker, and leaving out
-    two; the first kind that leaves no marker farther than `limit` (m) from its place is taken, at
-    its best. Returns the markers, NaN where left out, what was done, and to which of them.
-    A body that none of it mends, or that fits mirrored, is left out as a whole.
+    It is to be at `angle`, rad, NaN if nobody knows. Tries, in this order, every exchange of two
+    markers, leaving out one marker, and leaving out two; the first kind that leaves no marker
+    farther than `limit` (m) from its place is taken, at its best. Returns the markers, NaN where
+    left out, what was done, and to which of them. A body that none of it mends, or that fits
+    mirrored, is left out as a whole.
     """
     seen = np.flatnonzero(weights > 0)
     pairs = list(combinations(seen, 2))
@@ -44,7 +48,7 @@ def untangle(
         exchanges[row, [i, j]] = points[[j, i]]
     nothing = np.full_like(points, complex(np.nan, np.nan))
     if len(seen) > 2:
-        best, worst = _best(exchanges, shape, np.tile(weights, (len(pairs), 1)))
+        best, worst = _best(exchanges, shape, np.tile(weights, (len(pairs), 1)), limit, angle)
         if worst <= limit:
             return exchanges[best], EXCHANGED, np.array(pairs[best])
         mirrored = points[None].conj()
@@ -119,10 +123,20 @@ def agreed(
     return shape, fit_pose(points, np.broadcast_to(shape, points.shape), weights), mended
 
 
-def _best(points: Complex, shape: Complex, weights: Real) -> tuple[int, float]:
-    """Which row (m, n) fits the shape best, by its worst marker, and how far off that is."""
-    residual = np.abs(fit_pose(points, np.broadcast_to(shape, points.shape), weights).residual)
+def _best(
+    points: Complex, shape: Complex, weights: Real, limit: float = 0.0, angle: float = np.nan
+) -> tuple[int, float]:
+    """
+    Which row (m, n) fits the shape best, by its worst marker, and how far off that is.
+
+    One near the expected `angle` goes before the others, if its markers are off by no more than
+    the `limit`, m.
+    """
+    fit = fit_pose(points, np.broadcast_to(shape, points.shape), weights)
+    residual = np.abs(fit.residual)
     worst = np.where(np.isnan(residual), 0.0, residual).max(axis=-1)
     worst = np.where(np.isnan(residual).all(axis=-1), np.inf, worst)
-    best = int(worst.argmin())
+    with np.errstate(invalid='ignore'):
+        near = (np.cos(fit.angle - angle) > np.cos(_NEAR)) & (worst <= limit)
+    best = int(np.where(near | ~near.any(), worst, np.inf).argmin())
     return best, float(worst[best])
