@@ -186,6 +186,10 @@ class RigidBodies:
             self._counts.update(self._shapes.mended)
             self._shapes.mended.clear()
             self._learned = True
+        lost = self._lost(fit.spread)
+        if np.count_nonzero(lost):
+            nowhere = np.where(lost, np.nan, 0.0)
+            fit = fit._replace(angle=fit.angle + nowhere, position=fit.position + nowhere)
         known = np.isfinite(fit.angle)
         information = np.concatenate((fit.spread, fit.weight), axis=-1)
         if np.count_nonzero(known) < known.size:
@@ -215,6 +219,16 @@ class RigidBodies:
         )
         self._new += len(rows)
         return points
+
+    def _lost(self, spread: np.ndarray) -> np.ndarray:
+        """
+        Where (T, B) the markers seen, by the `spread` of a `Fit`, tell nothing of an angle.
+
+        They are too close together for their noise, as all there are would not be.
+        """
+        least = self._misfit() / _UNSTEADY**2
+        with np.errstate(invalid='ignore'):
+            return np.asarray((spread < least) & (self._shapes.spread > least))
 
     def _turned(self, angle: np.ndarray, known: np.ndarray) -> np.ndarray:
         """How often (T, B) the bodies have turned round when they are at `angle`, where `known`."""

@@ -409,6 +409,23 @@ def test_a_pose_that_jumps_is_forgotten_once_it_has_left_the_window(
         assert np.sqrt(np.mean(((rates - usual) / deviation) ** 2)) < 0.2
 
 
+def test_two_markers_closer_than_their_noise_tell_no_angle() -> None:
+    """Of three the one far from the others is hidden for half a second, then now and then."""
+    points = markers(np.array([0.05, -0.05, -0.05 + 1e-5j]), 600)
+    hidden = points.copy()
+    hidden[200:300, 0] = hidden[400:600:7, 0] = np.nan
+    _, straight = figures(points)
+    _, found = figures(hidden)
+    told = np.array([not e.missing[0] for e in found])
+    frames = np.array([e.stamp // 5_000_000 for e in found])
+    assert not told[(frames >= 200) & (frames < 300)].any()
+    assert told[(frames >= 300) & (frames < 400)].all()
+    off = [(e.rate(1).value[0], s.rate(1).value[0]) for e, s in zip(found, straight, strict=True)]
+    errors = np.abs(np.array(off) - 0.03 * RATE)[told & (frames > 110)]
+    # Told all the same, they turned the body by any angle.
+    assert np.sqrt((errors[:, 0] ** 2).mean()) < 2 * np.sqrt((errors[:, 1] ** 2).mean())
+
+
 # --- wild in the first frames -------------------------------------------------------------------
 
 

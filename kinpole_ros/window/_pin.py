@@ -161,9 +161,9 @@ class Pins:
 
 def _arm(z: Complex, e: Complex, weights: Real) -> tuple[Complex, Complex, Complex, Real]:
     """
-    The arms (b,) to the pins of bodies at poses `z`, turned by `e`, with `weights` (T, b), 1 in all.
+    The arms (b,) to the pins of bodies at poses `z`, turned by `e` (T, b).
 
-    Also the means of both, and the spread of the turns.
+    Also the means of both, and the spread of the turns; the `weights` (T, b) add up to 1.
     """
     z_mean, e_mean = (weights * z).sum(axis=0), (weights * e).sum(axis=0)
     around = e - e_mean
