@@ -59,6 +59,8 @@ def _known_type(bodies: int, width: int) -> np.dtype:
         ('pin', complex, (bodies,)),
         ('pin_variance', float, (bodies,)),
         ('pin_since', np.int64, (bodies,)),
+        # ns: poses from before are not of this shape.
+        ('since', np.int64, (bodies,)),
         ('reference', complex, (bodies,)),
         ('middle', complex, (bodies,)),
         ('shape', complex, (bodies, width)),
@@ -82,6 +84,7 @@ class RigidBodies:
         self._noise = Noise(self._count)
         self._pins = Pins(self._count)
         self._references = References(self._count, window)
+        self._since = np.zeros(self._count, np.int64)
         self._last_angle = np.zeros(self._count)
         self._last_turn = np.zeros(self._count)
         # Frames since the last beat.
@@ -143,7 +146,7 @@ class RigidBodies:
             unseen = self._shapes.unseen(points[first : first + room])
             if not unseen:
                 self._learn()
-                self._shapes.begin(points[first])
+                self._since[self._shapes.begin(points[first])] = rows['stamp'][first]
                 self._learned = True
                 unseen = 1
             end = first + unseen
@@ -182,6 +185,10 @@ class RigidBodies:
             self._counts.update(self._shapes.mended)
             self._shapes.mended.clear()
             self._learned = True
+        lost = self._lost(fit.spread)
+        if np.count_nonzero(lost):
+            nowhere = np.where(lost, np.nan, 0.0)
+            fit = fit._replace(angle=fit.angle + nowhere, position=fit.position + nowhere)
         known = np.isfinite(fit.angle)
         information = np.concatenate((fit.spread, fit.weight), axis=-1)
         if np.count_nonzero(known) < known.size:
@@ -212,6 +219,16 @@ class RigidBodies:
         self._new += len(rows)
         return points
 
+    def _lost(self, spread: np.ndarray) -> np.ndarray:
+        """
+        Where (T, B) the markers seen, by the `spread` of a `Fit`, tell nothing of an angle.
+
+        They are too close together for their noise, as all there are would not be.
+        """
+        least = self._misfit() / _UNSTEADY**2
+        with np.errstate(invalid='ignore'):
+            return np.asarray((spread < least) & (self._shapes.spread > least))
+
     def _turned(self, angle: np.ndarray, known: np.ndarray) -> np.ndarray:
         """How often (T, B) the bodies have turned round when they are at `angle`, where `known`."""
         if np.count_nonzero(known) < known.size:
@@ -234,7 +251,7 @@ class RigidBodies:
             known['firm'] = noise**2 < _UNSTEADY**2 * self._shapes.spread
             known['size'] = self._size()
             known['pin'], known['pin_variance'] = pins.center, pins.variance
-            known['pin_since'] = pins.since
+            known['pin_since'], known['since'] = pins.since, self._since
             # On a pin the poles are the pin, and relative centers are best where a lens bends two
             # bodies alike: from velocities at the origins of both.
             references = self._references
@@ -257,7 +274,11 @@ class RigidBodies:
             self._pins.add(*poses)
             self._references.add(*poses, self._shapes.middle)
         self._noise.add(news.residual, news.freedom, ~news.gaps)
-        self._shapes.learn()
+        anew = self._shapes.learn()
+        if anew.any():
+            for learned in (self._pins, self._references, self._noise):
+                learned.forget(anew)
+            self._since[anew] = news.stamps[-1] + 1
 
     def _variance(self, information: np.ndarray) -> np.ndarray:
         """Variances (T, 2, B) of one coordinate of the positions, and of the angles."""

@@ -76,6 +76,8 @@ class Tracker:
         width = self._roster.width
         self._rigid = RigidBodies(self.settings, self._window, width, self.counts)
         self._filter = PoseFilter()
+        # From when on poses are of the bodies that the filter knows, ns.
+        self._since = np.zeros(count, np.int64)
         self._landmark_filter = LandmarkFilter()
         self._frames = Samples((), _frame_type(count))
         self._points: Samples | None = None
@@ -366,9 +368,18 @@ class Tracker:
         numbers = now + self._dropped
         noise = np.concatenate((known['noise'], known['noise']), axis=1)
         first = 0
-        for part in alike(known['reference']):
+        for part in alike(known['reference'], known['since']):
             row = known[part.start]
             poses = signals, frames['information']
+            before = frames['stamp'][:, None] < row['since']
+            if np.count_nonzero(before):
+                poses = tuple(each.copy() for each in poses)
+                both = np.concatenate((before, before), axis=1)
+                poses[0][both], poses[1][both] = np.nan, 0.0
+            anew = row['since'] != self._since
+            if np.count_nonzero(anew):
+                self._filter.forget(anew)
+                self._since = row['since'].copy()
             if np.count_nonzero(row['reference']):
                 poses = seen_at(row['reference'], row['middle'], *poses)
             some = tuple(frame[part] for frame in windows)

@@ -61,6 +61,17 @@ def ever_taken(frames: list[MarkerFrames]) -> bool:
     return False
 
 
+@pytest.mark.parametrize('count', [20, 200])
+def test_a_body_stays_on_its_pin_while_hidden_markers_hide_its_angle(count: int) -> None:
+    """What is left of it is 5 mm long, so that the angle has 20 times the noise."""
+    markers = np.array([(0.09, 0.02), (-0.08, -0.05), (0.05, 0.03), (0.055, 0.03)])
+    swinging = about(0.3 + 0.1j, 0.1 + 0j, lambda t: 1.2 * np.sin(np.pi * t))
+    frames = seen(swinging, 1000, 1e-4, markers=markers)
+    for frame in frames[600 : 600 + count]:
+        frame.points[:, :2] = np.nan
+    assert recognized(frames)[500:].all()
+
+
 @pytest.mark.parametrize('noise', [0.0, 1e-5, 1e-3])
 def test_cranks_and_rockers_are_pinned_and_couplers_are_not(noise: float) -> None:
     scene = record('four_bar', count=700, noise=noise * 0.2)

@@ -50,6 +50,18 @@ def test_the_hub_of_a_wheel_stands_for_it() -> None:
     assert found[-1].reference[0] == pytest.approx(HUB, abs=1e-4)
 
 
+@pytest.mark.parametrize('count', [1, 3, None])
+def test_a_wheel_that_is_elsewhere_for_a_frame_or_from_now_on_keeps_its_hub(
+    count: int | None,
+) -> None:
+    seen = rolling(1400)
+    seen.points[1040 : None if count is None else 1040 + count, :, 1] += 3.0
+    found = followed(seen)
+    assert found[1000].reference[0] == pytest.approx(HUB, abs=1e-4)
+    # Not even in a window that holds the jump.
+    assert all(e.reference[0] == pytest.approx(HUB, abs=1e-4) for e in found[1000:])
+
+
 @pytest.mark.parametrize(
     ('motion', 'gains'),
     [('fast rotation', (1.7, 2.5, 3)), ('rolling wheel', (1.4, 2.5, 4))],

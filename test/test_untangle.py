@@ -10,11 +10,13 @@ from hypothesis import strategies as st
 from stretches import fit_frames, instants, one_frame
 
 from kinpole_ros.estimate import Estimate
+from kinpole_ros.frame import MarkerFrames
 from kinpole_ros.mechanism import load_scene, marker_positions
 from kinpole_ros.parameters import settings_from
 from kinpole_ros.planar import Fit
 from kinpole_ros.tracker import Tracker
 from kinpole_ros.window import Noise, Shapes
+from kinpole_ros.window._untangle import agreed
 
 SCENE = load_scene('four_bar')
 NAMES = tuple(name for body in SCENE.markers for name in SCENE.marker_names[body])
@@ -296,6 +298,19 @@ def test_markers_exchanged_by_half_a_turn_leave_no_trace(
     assert np.array_equal(turns(found), turns(straight))
 
 
+@pytest.mark.parametrize('turn', [0.0, 0.03, -0.6])
+@pytest.mark.parametrize('count', [1, 5, 250])
+def test_of_exchanges_that_fit_alike_the_one_counts_that_goes_on(count: int, turn: float) -> None:
+    """Any two markers of an equilateral triangle may be exchanged, and a turn of it fits."""
+    points = markers(0.1 * np.exp(2j * np.pi * np.arange(3) / 3), 400, turn)
+    spoiled = points.copy()
+    spoiled[90 : 90 + count, :2] = points[90 : 90 + count, 1::-1]
+    _, straight, _ = fitted(points)
+    shapes, found, _ = fitted(spoiled)
+    assert shapes.mended['markers_exchanged'] >= 2 * min(count, 100)
+    assert np.array_equal(turns(found), turns(straight))
+
+
 @pytest.mark.parametrize('shape', [KITE[:2], RECTANGLE], ids=['two', 'rectangle'])
 def test_markers_exchanged_for_good_are_taken_so_and_no_pose_jumps(shape: np.ndarray) -> None:
     points = markers(shape, 400)
@@ -371,6 +386,128 @@ def test_the_figures_of_two_markers_survive_their_exchange() -> None:
     assert tracker.counts['markers_exchanged'] == 10
     for one, other in zip(straight, found, strict=True):
         assert np.array_equal(one.angle, other.angle, equal_nan=True)
+
+
+@pytest.mark.parametrize('stays', [False, True])
+@pytest.mark.parametrize('turn', [0.3, 2.0])
+def test_a_pose_that_jumps_is_forgotten_once_it_has_left_the_window(
+    turn: float, stays: bool
+) -> None:
+    """Figures were 10 times as far off for 2 s, and 3 times for another 4."""
+    points = markers(KITE, 700)
+    jumped = points.copy()
+    bad = slice(300, None if stays else 301)
+    middle = points[bad].mean(axis=1, keepdims=True)
+    jumped[bad] = middle + (points[bad] - middle) * np.exp(1j * turn) + 0.5
+    _, straight = figures(points)
+    _, found = figures(jumped)
+    after = slice(300 + 105, None)
+    for order in (1, 2, 3):
+        usual = np.array([e.rate(order).value[0] for e in straight[after]])
+        rates = np.array([e.rate(order).value[0] for e in found[after]])
+        deviation = np.sqrt([e.rate(order).variance[0] for e in straight[after]])
+        assert np.sqrt(np.mean(((rates - usual) / deviation) ** 2)) < 0.2
+
+
+def test_two_markers_closer_than_their_noise_tell_no_angle() -> None:
+    """Of three the one far from the others is hidden for half a second, then now and then."""
+    points = markers(np.array([0.05, -0.05, -0.05 + 1e-5j]), 600)
+    hidden = points.copy()
+    hidden[200:300, 0] = hidden[400:600:7, 0] = np.nan
+    _, straight = figures(points)
+    _, found = figures(hidden)
+    told = np.array([not e.missing[0] for e in found])
+    frames = np.array([e.stamp // 5_000_000 for e in found])
+    assert not told[(frames >= 200) & (frames < 300)].any()
+    assert told[(frames >= 300) & (frames < 400)].all()
+    off = [(e.rate(1).value[0], s.rate(1).value[0]) for e, s in zip(found, straight, strict=True)]
+    errors = np.abs(np.array(off) - 0.03 * RATE)[told & (frames > 110)]
+    # Told all the same, they turned the body by any angle.
+    assert np.sqrt((errors[:, 0] ** 2).mean()) < 2 * np.sqrt((errors[:, 1] ** 2).mean())
+
+
+# --- wild in the first frames -------------------------------------------------------------------
+
+
+def figures(points: np.ndarray) -> tuple[Tracker, list[Estimate]]:
+    """What a tracker finds of frames of one body (T, n), all at once."""
+    solid = np.stack((points.real, points.imag, 0 * points.real), axis=-1)
+    names = tuple(map(str, range(points.shape[1])))
+    stamps = 5_000_000 * np.arange(len(points), dtype=np.int64)
+    tracker = Tracker(settings_from({}))
+    return tracker, instants(tracker.add(MarkerFrames(stamps, 'w', names, solid), 3))
+
+
+@pytest.mark.parametrize('far', [0.05, 3000.0])
+@pytest.mark.parametrize(
+    'when',
+    [[0], [0, 1, 2, 3, 4], [2, 3], [5], [12], [19]],
+    ids=lambda when: f'{len(when)}_{when[0]}',
+)
+@pytest.mark.parametrize('count', [3, 4])
+def test_what_is_wild_in_the_first_frames_spoils_no_figure_after_them(
+    count: int, when: list[int], far: float
+) -> None:
+    points = markers(KITE[:count], 300)
+    spoiled = points.copy()
+    spoiled[when, 1] += far * np.exp(1j * np.arange(len(when)))
+    _, straight = figures(points)
+    tracker, found = figures(spoiled)
+    assert tracker.counts['markers_left_out'] == len(when)
+    for one, other in zip(straight[20:], found[20:], strict=True):
+        # The frames before are lost, which is told less and less.
+        share = 1.0 if one.stamp < 5e8 else 0.1
+        for order in (1, 2, 3):
+            (value, variance, _), (rate, _, determined) = one.rate(order), other.rate(order)
+            assert determined[0]
+            if one.stamp > 1.5e8:
+                assert abs(rate[0] - value[0]) < 3 * share * np.sqrt(variance[0])
+    assert [bool(e.missing[0]) for e in found] == [True] * 20 + [False] * (len(found) - 20)
+
+
+def test_names_exchanged_in_the_first_frames_are_put_right() -> None:
+    points = markers(KITE, 150)
+    points[:5, [0, 1]] = points[:5, [1, 0]]
+    tracker, found = figures(points)
+    assert tracker.counts['markers_exchanged'] == 10
+    sizes = [np.abs(np.subtract.outer(e.shape[0], e.shape[0])) for e in found[20:]]
+    exact = np.abs(np.subtract.outer(KITE, KITE))
+    assert np.abs(sizes - exact).max() < 3e-4
+
+
+@pytest.mark.parametrize('count', [2, 3, 8])
+def test_no_body_begins_anew_for_noise(count: int) -> None:
+    shape = 0.1 * np.exp(1j * np.arange(count))
+    rng = np.random.default_rng(4)
+    for _ in range(200):
+        turn = np.exp(0.1j * np.arange(20))[:, None]
+        noise = 1e-3 * rng.standard_normal((2, 20, count))
+        assert agreed(turn * shape + noise[0] + 1j * noise[1], 6.0, 1e-6) is None
+
+
+@pytest.mark.parametrize('hidden', [0, 60])
+def test_a_wild_start_comes_out_the_same_frame_by_frame(hidden: int) -> None:
+    """Also of a body that is seen later than the other, and of which a marker is, later still."""
+    points = np.zeros((220, 7, 3))
+    for part, shape in ((slice(3), KITE[:3]), (slice(3, 7), KITE)):
+        found = markers(shape, 220)
+        points[:, part, 0], points[:, part, 1] = found.real, found.imag
+    points[:hidden, 3:] = points[: hidden + 40, 6] = np.nan
+    points[[hidden, hidden + 7], 4, 0] += 30.0
+    values = {'bodies': ['a', 'b'], 'a.markers': list('012'), 'b.markers': list('3456')}
+    frames = MarkerFrames(5_000_000 * np.arange(220), 'w', tuple('0123456'), points)
+    whole, single = Tracker(settings_from(values)), Tracker(settings_from(values))
+    together, one_by_one = instants(whole.add(frames, 3)), []
+    for k, row in enumerate(points):
+        frame = one_frame(5_000_000 * k, 'w', frames.identities, row)
+        one_by_one += instants(single.add(frame, 3))
+    assert whole.counts == single.counts
+    assert whole.counts['markers_left_out'] == 2
+    for name in ('angle', 'angle_covariance', 'position'):
+        one, other = (np.stack([getattr(e, name) for e in all_]) for all_ in (together, one_by_one))
+        assert np.isfinite(one[hidden + 20 :]).all()
+        most = np.maximum(np.nanmax(np.abs(one), axis=(0, -1), keepdims=True), 1e-300)
+        np.testing.assert_allclose(one / most, other / most, rtol=0, atol=1e-9)
 
 
 @settings(max_examples=25)

@@ -595,12 +595,33 @@ def test_where_motion_sets_in_the_stated_errors_grow_with_the_true_ones() -> Non
 
 def test_each_window_forgets_at_its_own_pace() -> None:
     spectrum = Spectrum()
-    memory = np.array([[5.0], [50.0]])
+    length = np.array([[2.5], [25.0]])
     squares = np.broadcast_to((np.arange(60.0) < 30)[:, None], (2, 1, 60, 1)).astype(float)
-    mean, instants = spectrum.follow(squares, np.ones((2, 60, 1), bool), memory)
+    mean, instants = spectrum.follow(squares, np.ones((2, 60, 1), bool), length, 2.0)
     # Of 60 instants the first 30 held 1: means of the last 5 or so, or of all up to 50.
     assert mean[:, 0, -1, 0] == pytest.approx([0.8**30, 0.5], rel=0.2)
     assert instants[:, -1, 0].tolist() == [5, 50]
+
+
+def lasting(count: int) -> np.ndarray:
+    """Means (120,) of squares that are 1, and a million times that for so many instants."""
+    squares = np.ones((1, 2, 120, 1))
+    squares[:, :, 60 : 60 + count] = 1e6
+    squares[:, 1, 90] = 40.0
+    found = Spectrum().follow(squares, np.ones((1, 120, 1), bool), np.array([[8.25]]), 3.0)[0]
+    assert found[0, 1, 90, 0] > 2
+    return np.asarray(found[0, 0, :, 0])
+
+
+def test_what_is_over_before_a_window_has_passed_leaves_no_trace_in_averages() -> None:
+    """One frame is in the windows of 9 judgments, if they are 8.25 judgments long."""
+    for count in (1, 8, 9):
+        assert (lasting(count) == 1.0).all()
+    assert lasting(13)[72] > 1e5
+    # Before two windows nobody knows what is usual.
+    squares = np.where(np.arange(40) == 10, 1e6, 1.0)[None, None, :, None]
+    mean, _ = Spectrum().follow(squares, np.ones((1, 40, 1), bool), np.array([[8.25]]), 3.0)
+    assert mean[0, 0, 10, 0] > 1e4
 
 
 @pytest.mark.parametrize('every', [1, 12, 500])
@@ -611,9 +632,9 @@ def test_averages_take_in_as_many_squares_however_seldom_they_are_asked(every: i
     fits = project(stamps, signals, None, 2)
     seen = []
 
-    def past(squares: np.ndarray, known: np.ndarray, memory: np.ndarray) -> Any:
-        seen.append(memory)
-        return squares, np.broadcast_to(np.minimum(1000.0, memory[:, None]), known.shape)
+    def past(squares: np.ndarray, known: np.ndarray, length: np.ndarray, back: float) -> Any:
+        seen.append(back * length)
+        return squares, np.broadcast_to(np.minimum(1000.0, seen[-1][:, None]), known.shape)
 
     ones = np.ones(1, int)
     found = weigh_apart(fits, squares_of(fits, ones), np.ones(1), ones, 2, past, every)
@@ -624,13 +645,17 @@ def test_averages_take_in_as_many_squares_however_seldom_they_are_asked(every: i
 
 def test_averages_go_on_alike_over_many_instants_and_one_by_one() -> None:
     rng = np.random.default_rng(0)
-    squares, known = rng.random((2, 3, 40, 2)), rng.random((2, 40, 2)) < 0.8
-    memory = np.array([[5.0], [50.0]])
-    at_once = Spectrum().follow(squares, known, memory)
+    squares, known = rng.random((2, 3, 80, 2)), rng.random((2, 80, 2)) < 0.8
+    squares[:, :, 50:56] *= 1e4
+    squares[:, 1, 60:] *= 1e3
+    length = np.array([[2.5], [10.0]])
+    at_once = Spectrum().follow(squares, known, length, 2.0)
+    assert at_once[0][1, 0].max() < 2
+    assert at_once[0][0, 1, -1].min() > 100
     spectrum = Spectrum()
-    for k in range(40):
+    for k in range(80):
         one = slice(k, k + 1)
-        mean, instants = spectrum.follow(squares[:, :, one], known[:, one], memory)
+        mean, instants = spectrum.follow(squares[:, :, one], known[:, one], length, 2.0)
         assert np.array_equal(mean, at_once[0][:, :, one])
         assert np.array_equal(instants, at_once[1][:, one])
 

@@ -192,7 +192,7 @@ def _resized(array: np.ndarray, sizes: list[int]) -> np.ndarray:
 def known(means: Real, among: Real) -> Past:
     """What was known when bodies at instants were judged, as in `Judged`; nothing is added."""
     past = tuple(np.swapaxes(each, -1, -2).copy() for each in (means, among))
-    return lambda squares, known, memory: past
+    return lambda squares, known, length, back: past
 
 
 def joined(first: Judged | None, then: Judged) -> Judged:

@@ -68,6 +68,15 @@ class Noise:
         self._count += len(middle)
         self._measure()
 
+    def forget(self, which: np.ndarray) -> None:
+        """Forget the bodies `which` (B,): what they left so far was not noise."""
+        for kept in (self._squares, self._own, self._most):
+            kept[which] = np.nan
+        self._level = np.where(which, np.nan, self._level)
+        if self._before is not None:
+            self._before[0][:, which] = complex(np.nan, np.nan)
+            self._before[2][:, which] = np.nan
+
     def level(self) -> Real:
         """Standard deviation (B,) of one coordinate of one marker; NaN while not known."""
         return self._level

@@ -78,7 +78,7 @@ class Pins:
         running = np.where(back < 0, frame + 1 + self._strikes, frame - back)
         self._strikes = running[-1]
         gone = (running >= STRIKES).any(axis=0)
-        self._forget(gone)
+        self.forget(gone)
         fresh = np.zeros(len(gone), bool)
         usable = known & ~strayed & ~gone
         with np.errstate(invalid='ignore'):
@@ -108,31 +108,33 @@ class Pins:
         held = np.arange(_KEPT)[:, None] < count
         z = self._positions[:, which]
         e = self._turns[:, which]
-        z_mean = z.sum(axis=0, where=held) / count
-        e_mean = e.sum(axis=0, where=held) / count
-        z, around = np.where(held, z - z_mean, 0), np.where(held, e - e_mean, 0)
-        spread = (np.abs(around) ** 2).sum(axis=0)
-        arm = -(z * around.conj()).sum(axis=0) / spread
-        misfit = (z + arm * around) * e.conj()
+        even, of_angle = self._variances[:, :, which]
+        # Poses known far less than others, while markers are hidden, would be all that counts.
+        arm = _arm(z, e, held / count)[0]
+        weights = np.where(held, 1 / np.where(held, even + np.abs(arm) ** 2 * of_angle, 1), 0)
+        weights /= weights.sum(axis=0)
+        arm, z_mean, e_mean, spread = _arm(z, e, weights)
+        around = np.where(held, e - e_mean, 0)
+        misfit = (np.where(held, z - z_mean, 0) + arm * around) * e.conj()
         along = np.where(arm == 0, 1, arm / np.maximum(np.abs(arm), np.finfo(float).tiny))
         misfit = misfit * along.conj()
-        even, of_angle = self._variances[:, :, which]
         across = even + np.abs(arm) ** 2 * of_angle
         squares = misfit.real**2 / np.where(held, even, 1)
         squares += misfit.imag**2 / np.where(held, across, 1)
         square = squares.sum(axis=0) / (2 * count - 4)
         # Of the sum over poses that the center is, by the mean of the noise along and across, and
         # more for a misfit that is alike from pose to pose: no noise, it bends the arc.
-        shares = np.where(held, 1 / count - e_mean * around.conj() / spread, 0)
+        shares = weights * (1 - e_mean * around.conj() / spread)
         each = np.maximum(square, 1) * np.where(held, even + across, 0) / 2
-        alike = (misfit * np.roll(misfit, 1, axis=0).conj()).real.sum(axis=0) / count
-        total = (np.abs(misfit) ** 2).sum(axis=0) / count
+        misfit *= np.sqrt(weights)
+        alike = (misfit * np.roll(misfit, 1, axis=0).conj()).real.sum(axis=0)
+        total = (np.abs(misfit) ** 2).sum(axis=0)
         bent = np.maximum(alike - _ALIKE * total / np.sqrt(count), 0) / 2
-        found = (np.abs(shares) ** 2 * each).sum(axis=0) + _BEND * bent * count / spread
+        found = (np.abs(shares) ** 2 * each).sum(axis=0) + _BEND * bent / spread
         refuted = square > _DROPPED
         # What wandering would leave: 0.45 of it times the spread of the angles (to third order).
-        noise = np.where(held, even, 0).sum(axis=0) / count
-        seen = np.sqrt(noise) < _WANDER * 0.45 * size * spread / count
+        noise = (weights * even).sum(axis=0)
+        seen = np.sqrt(noise) < _WANDER * 0.45 * size * spread
         seen &= found < (_WANDER * size) ** 2
         taken = (square < _TAKEN) & (self._count[which] >= self._wanted[which]) & seen
         taken |= np.isfinite(self.center[which])
@@ -143,9 +145,9 @@ class Pins:
         self.variance[pinned] = found[taken]
         gone = np.zeros(len(self.center), bool)
         gone[which[refuted]] = True
-        self._forget(gone)
+        self.forget(gone)
 
-    def _forget(self, which: np.ndarray) -> None:
+    def forget(self, which: np.ndarray) -> None:
         """Take the bodies `which` (B,) off their pins and look at them afresh."""
         if which.any():
             left = which & np.isfinite(self.center)
@@ -155,6 +157,18 @@ class Pins:
             self.variance[which] = np.nan
             self._count[which] = 0
             self._strikes[which] = 0
+
+
+def _arm(z: Complex, e: Complex, weights: Real) -> tuple[Complex, Complex, Complex, Real]:
+    """
+    The arms (b,) to the pins of bodies at poses `z`, turned by `e` (T, b).
+
+    Also the means of both, and the spread of the turns; the `weights` (T, b) add up to 1.
+    """
+    z_mean, e_mean = (weights * z).sum(axis=0), (weights * e).sum(axis=0)
+    around = e - e_mean
+    spread = (weights * np.abs(around) ** 2).sum(axis=0)
+    return -(weights * (z - z_mean) * around.conj()).sum(axis=0) / spread, z_mean, e_mean, spread
 
 
 def _spaced(angles: list[float]) -> list[int]:

@@ -62,6 +62,12 @@ class PoseFilter:
             self._later()
             self._later = None
 
+    def forget(self, which: np.ndarray) -> None:
+        """Forget how the bodies `which` (B,) moved: they are others from the next instant on."""
+        self.settle()
+        self._spectrum.forget(which)
+        self._spectrum_together.forget(which)
+
     def derivatives(
         self,
         numbers: np.ndarray,

@@ -26,6 +26,9 @@ _FARTHEST = 30.0
 # So many windows must tell so, reckoned as many that turn alike; one counts for this share of the
 # next. A point is put right when it is off by so many deviations.
 _WINDOWS, _FADING, _OFF = 3.0, 0.95, 3.0
+# A window of which so many times more is left than of those before, as where a pose jumps, tells
+# nothing unless the next is like it.
+_OUT = 50.0
 
 
 class References:
@@ -49,6 +52,8 @@ class References:
         self._sums = np.zeros((5, len(_DEGREES), bodies))
         # Of the squares of |e|^2 by the first degree.
         self._squares = np.zeros(bodies)
+        # Whether the last window was far out of those before.
+        self._out = np.zeros(bodies, bool)
 
     def add(
         self,
@@ -83,6 +88,13 @@ class References:
                 self._judge(variance[last, 0], variance[last, 1], size, middle)
                 self._start, self._kept = None, []
 
+    def forget(self, which: np.ndarray) -> None:
+        """Look at the bodies `which` (B,) afresh."""
+        for kept in (self.point, self.middle, self._both, self._sums, self._squares):
+            kept[..., which] = 0.0
+        for _, _, angle in self._kept:
+            angle[:, which] = np.nan
+
     def _judge(self, variance: Real, of_angle: Real, size: Real, middle: Complex) -> None:
         """See what turning explains of one window of poses, and of those before."""
         stamps, z, angle = map(np.concatenate, zip(*self._kept, strict=True))
@@ -95,6 +107,10 @@ class References:
         even, still = (count * np.where(known, part, 0.0) for part in (2 * variance, of_angle))
         counts = np.broadcast_to(count, even.shape)
         new = np.stack((_energy(path), _energy(turn), even, still, counts))
+        usual = new[4] * self._sums[:2] / np.maximum(self._sums[4], 1)
+        out = known & (self._sums[4] > new[4]).all(axis=0) & (new[:2] > _OUT * usual).any((0, 1))
+        known &= ~out | self._out
+        self._out = out
         both = (turn.conj() * path).sum(axis=1)
         # One that is no better than the origin now is left, and all begins anew.
         wrong = np.abs(both + self.point * new[1]) ** 2 > np.abs(both) ** 2
@@ -138,10 +154,11 @@ def _energy(values: Complex) -> Real:
     return np.asarray((values.real**2 + values.imag**2).sum(axis=1))
 
 
-def alike(references: Complex) -> list[slice]:
-    """Stretches of instants that have the same reference points (T, B)."""
-    changes = ((references[1:] != references[:-1]).any(axis=1).nonzero()[0] + 1).tolist()
-    return [slice(*ends) for ends in pairwise((0, *changes, len(references)))]
+def alike(*known: np.ndarray) -> list[slice]:
+    """Stretches of instants for which the same is known of all bodies, each (T, B)."""
+    changed = np.logical_or.reduce([(each[1:] != each[:-1]).any(axis=1) for each in known])
+    changes = (changed.nonzero()[0] + 1).tolist()
+    return [slice(*ends) for ends in pairwise((0, *changes, len(known[0])))]
 
 
 def seen_at(

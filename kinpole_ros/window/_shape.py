@@ -19,7 +19,7 @@ from kinpole_ros.planar import Fit, fit_by_grip, fit_pose, grip_of
 from kinpole_ros.planar._plane import ROUNDING, Complex, Real
 from kinpole_ros.window._noise import mean_square, tame_part
 from kinpole_ros.window._turn import Turns
-from kinpole_ros.window._untangle import EXCHANGED, half_turn, untangle
+from kinpole_ros.window._untangle import EXCHANGED, agreed, half_turn, untangle
 
 # A marker's place is held from so many frames on, when it is known to a twentieth of the noise. It
 # is learned on (a marker that creeps) while its residuals, averaged over as many frames, are off by
@@ -75,6 +75,8 @@ class Shapes:
         self._left = np.full((bodies, _RULE_MEMORY), np.nan)
         self._rule = np.zeros(bodies)
         self._fits = np.zeros(bodies, int)
+        # The markers of bodies whose first frames are still to be looked at, frame by frame.
+        self._early: list[list[Complex] | None] = [[] for _ in range(bodies)]
         self._before = np.full((bodies, markers), complex(np.nan, np.nan))
         self._turns = Turns(bodies)
         # Frames running in which markers of a body were exchanged, and which took whose place.
@@ -92,9 +94,9 @@ class Shapes:
         begun = _makes_a_body(points[:, self._unmet]).any(axis=-1)
         return int(begun.argmax()) if begun.any() else len(points)
 
-    def begin(self, points: Complex) -> None:
+    def begin(self, points: Complex) -> np.ndarray:
         """
-        Take the bodies not seen before from the frame `points` (B, n), at a beat.
+        Take the bodies not seen before from the frame `points` (B, n), at a beat; which, (B,).
 
         A body's frame starts where it is first seen: its origin at the mean of the markers seen
         then, its axes along the ground's.
@@ -105,7 +107,10 @@ class Shapes:
         mean = np.where(seen, points, 0).sum(axis=-1, keepdims=True) / count
         self.points = np.where(seen, points - mean, self.points)
         self._frames[seen] = self._first[seen] = 1.0
+        for b in np.flatnonzero(new):
+            self._early[b] = []
         self._measure()
+        return new
 
     def fit(self, points: Complex) -> tuple[Fit, Complex]:
         """
@@ -150,10 +155,16 @@ class Shapes:
         """Do not expect the next poses to go on from those before a gap."""
         self._turns.forget()
 
-    def learn(self) -> None:
-        """Move the shapes towards where the markers were found since the last beat."""
+    def learn(self) -> np.ndarray:
+        """
+        Move the shapes towards where the markers were found since the last beat.
+
+        Returns which bodies (B,) begin anew, since markers were wild in their first frames: the
+        poses up to now are not theirs.
+        """
+        anew = np.zeros(len(self.points), bool)
         if not self._news:
-            return
+            return anew
         news = _News(*map(np.concatenate, zip(*self._news, strict=True)))
         self._news = []
         # Now, not ever: a marker gone wild once, before that can be told, is no reason for more.
@@ -192,7 +203,37 @@ class Shapes:
             self._exchanged[b] = 0
             # What was left with the names of before is no rule.
             self._left[b] = np.nan
+        for b, early in enumerate(self._early):
+            if early is not None and self._fits[b] >= _MATURE:
+                anew[b] = self._look_back(b, np.array(early))
+                self._early[b] = None
+        if anew.any():
+            self._turns.forget()
         self._measure()
+        return anew
+
+    def _look_back(self, b: int, points: Complex) -> bool:
+        """
+        Begin a body anew by most of its first frames (T, n), if markers are wild in the others.
+
+        Until what residuals come to is known nobody can tell, and what is wild would spoil the
+        shape for long: see `agreed`.
+        """
+        found = agreed(points, _SUSPECT / np.sqrt(_RULE_SHARE), _TINY)
+        if found is None:
+            return False
+        self.points[b], fits, mended = found
+        self.mended.update(mended)
+        self._frames[b] = (~np.isnan(fits.residual)).sum(axis=0)
+        self._drift[b] = 0.0
+        self._astray[b] = self._exchanged[b] = 0
+        left = mean_square(fits.residual, fits.freedom)[0]
+        left = left[~np.isnan(left)][-_RULE_MEMORY:]
+        self._fits[b] = len(left)
+        self._left[b] = np.nan
+        self._left[b, : len(left)] = left
+        self._rule[b] = tame_part(left[None])[0] / _RULE_SHARE
+        return True
 
     def _take(self, fit: Fit, points: Complex, residual: Complex, freedom: Real) -> None:
         """Keep what frames tell until the beat, the residuals as before the frames were mended."""
@@ -217,10 +258,12 @@ class Shapes:
         with np.errstate(invalid='ignore'):
             far = (np.abs(fit.residual) > self._limit[:, None]).any(axis=-1) & self._mature
         good = ~(far[:, None] | np.isnan(fit.residual))
+        ahead = self._turns.ahead()
         for b in np.flatnonzero(far):
             given = weights[b] > 0
             limit = float(self._limit[b])
-            points[b], what, which = untangle(points[b], self.points[b], weights[b], limit)
+            markers = points[b], self.points[b], weights[b], limit
+            points[b], what, which = untangle(*markers, float(ahead[b]))
             self.mended[what] += len(which)
             if what == EXCHANGED:
                 order[b, which] = order[b, which[::-1]]
@@ -264,6 +307,9 @@ class Shapes:
         self._before = news.points[-1]
         left = np.where(still, np.nan, np.minimum(left, most))
         fitted = ~np.isnan(left)
+        for b, early in enumerate(self._early):
+            if early is not None:
+                early.extend(news.points[fitted[:, b], b])
         frame, body = np.nonzero(fitted)
         place = self._fits + np.cumsum(fitted, axis=0) - 1
         self._left[body, place[frame, body] % _RULE_MEMORY] = left[frame, body]
@@ -281,6 +327,10 @@ class Shapes:
         self._astray = np.pad(self._astray, more)
         self._before = np.pad(self._before, more, constant_values=complex(np.nan, np.nan))
         self._drift = np.pad(self._drift, more)
+        self._early = [
+            early and [np.pad(row, more[1], constant_values=np.nan) for row in early]
+            for early in self._early
+        ]
         new = np.tile(np.arange(self.stand_in.shape[1], markers), (len(self.points), 1))
         self.stand_in = np.hstack((self.stand_in, new))
         self._order = np.hstack((self._order, new))

@@ -35,6 +35,12 @@ class Turns:
         self._work()
         self._angle = self._last = np.full_like(self._angle, np.nan)
 
+    def ahead(self) -> Real:
+        """The angles (B,) that are to be expected in the next frame, NaN where nothing tells."""
+        self._work()
+        turned = np.where(np.isfinite(self._turning), self._turning * self._ago, 0.0)
+        return np.asarray(np.where(self._ago <= _RECENT, self._angle + turned, np.nan))
+
     def jumped(self, angle: Real) -> np.ndarray:
         """Which bodies (B,) have jumped by half a turn in the next frame, NaN for none seen."""
         self._work()

@@ -105,7 +105,7 @@ def weigh(
     lengths = np.maximum(models.lengths, 1)
     # Neighboring windows share samples: this part of a square is new to the one before.
     new = np.minimum(every / lengths, 1.0)
-    means, among = past(squares, known, back / new[:, 0])
+    means, among = past(squares, known, 1 / new[:, 0], back)
     apart = np.maximum(new * among, 1.0) * dimensions
     variance = _variance(means[:, -1], freedom * apart, noise)
     energies = squares[:, :-1], means[:, :-1]
