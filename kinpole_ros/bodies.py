@@ -59,7 +59,7 @@ def _known_type(bodies: int, width: int) -> np.dtype:
         ('pin', complex, (bodies,)),
         ('pin_variance', float, (bodies,)),
         ('pin_since', np.int64, (bodies,)),
-        # ns: poses from before are not of this shape.
+        # ns: poses from before are not of this shape. 0 unless the body began anew.
         ('since', np.int64, (bodies,)),
         ('reference', complex, (bodies,)),
         ('middle', complex, (bodies,)),
@@ -146,7 +146,7 @@ class RigidBodies:
             unseen = self._shapes.unseen(points[first : first + room])
             if not unseen:
                 self._learn()
-                self._since[self._shapes.begin(points[first])] = rows['stamp'][first]
+                self._shapes.begin(points[first])
                 self._learned = True
                 unseen = 1
             end = first + unseen

@@ -371,15 +371,8 @@ class Tracker:
         for part in alike(known['reference'], known['since']):
             row = known[part.start]
             poses = signals, frames['information']
-            before = frames['stamp'][:, None] < row['since']
-            if np.count_nonzero(before):
-                poses = tuple(each.copy() for each in poses)
-                both = np.concatenate((before, before), axis=1)
-                poses[0][both], poses[1][both] = np.nan, 0.0
-            anew = row['since'] != self._since
-            if np.count_nonzero(anew):
-                self._filter.forget(anew)
-                self._since = row['since'].copy()
+            if np.count_nonzero(row['since']):
+                poses = self._of_late(row['since'], *poses)
             if np.count_nonzero(row['reference']):
                 poses = seen_at(row['reference'], row['middle'], *poses)
             some = tuple(frame[part] for frame in windows)
@@ -395,6 +388,17 @@ class Tracker:
         for angle in (apart[1], together.angle):
             angle[0] -= turned[now]
         return apart, together, known['reference']
+
+    def _of_late(
+        self, since: np.ndarray, poses: np.ndarray, information: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Poses and their information without those of bodies that began anew `since` (B,), ns."""
+        anew = since != self._since
+        if np.count_nonzero(anew):
+            self._filter.forget(anew)
+            self._since = since.copy()
+        before = np.tile(self._frames.view()['stamp'][:, None] < since, 2)
+        return np.where(before[..., None], np.nan, poses), np.where(before, 0.0, information)
 
     def _from_landmarks(
         self, windows: Windows, known: np.ndarray, order: int

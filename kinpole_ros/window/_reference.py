@@ -156,6 +156,8 @@ def _energy(values: Complex) -> Real:
 
 def alike(*known: np.ndarray) -> list[slice]:
     """Stretches of instants for which the same is known of all bodies, each (T, B)."""
+    if len(known[0]) == 1:
+        return [slice(0, 1)]
     changed = np.logical_or.reduce([(each[1:] != each[:-1]).any(axis=1) for each in known])
     changes = (changed.nonzero()[0] + 1).tolist()
     return [slice(*ends) for ends in pairwise((0, *changes, len(known[0])))]

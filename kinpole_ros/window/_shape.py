@@ -94,9 +94,9 @@ class Shapes:
         begun = _makes_a_body(points[:, self._unmet]).any(axis=-1)
         return int(begun.argmax()) if begun.any() else len(points)
 
-    def begin(self, points: Complex) -> np.ndarray:
+    def begin(self, points: Complex) -> None:
         """
-        Take the bodies not seen before from the frame `points` (B, n), at a beat; which, (B,).
+        Take the bodies not seen before from the frame `points` (B, n), at a beat.
 
         A body's frame starts where it is first seen: its origin at the mean of the markers seen
         then, its axes along the ground's.
@@ -110,7 +110,6 @@ class Shapes:
         for b in np.flatnonzero(new):
             self._early[b] = []
         self._measure()
-        return new
 
     def fit(self, points: Complex) -> tuple[Fit, Complex]:
         """
