@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from recordings import PINNED, START, STEP, follow, record
 from stretches import one_frame
-from test_tracker import PINNED, START, STEP, follow, record
 
 from kinpole_ros.bench._motions import motions, still_turning
 from kinpole_ros.frame import MarkerFrames

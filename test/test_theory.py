@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 from conftest import bodies_of, decoded, figures
-from test_tracker import follow, record
+from recordings import follow, record
 
 from kinpole_ros import cli, planar
 from kinpole_ros.demo import live_run
