@@ -286,7 +286,7 @@ class KinpoleNode(LifecycleNode):
                 made = [
                     (publisher, data)
                     for output, publisher in self._wanted
-                    for _, data in output.build(estimate)
+                    for data in output.build(estimate)[1]
                 ]
                 for publisher, data in made:
                     publisher.publish(data)

@@ -324,12 +324,10 @@ def result_columns(
 
     On topics under `prefix`, logged at `log_times` (T,), ns.
     """
-    times = log_times.tolist()
     for row in outputs:
-        made = row.build(estimate)
-        if made:
-            at, data = zip(*made, strict=True)
-            yield f'{prefix}/{row.topic}', row.message_type, [times[t] for t in at], data
+        instants, data = row.build(estimate)
+        if data:
+            yield f'{prefix}/{row.topic}', row.message_type, log_times[instants].tolist(), data
 
 
 def _count(found: dict[str, dict[str, int]], estimate: Estimate) -> None:

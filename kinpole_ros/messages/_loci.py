@@ -11,7 +11,9 @@ from kinpole_ros.estimate import POLE_NAMES, Estimate
 from kinpole_ros.messages._cdr import Writer, path
 
 Axes: TypeAlias = tuple[int, int, int]
-Build: TypeAlias = Callable[[Estimate], list[tuple[int, bytes]]]
+# Instants as indices, in order, and the messages of these.
+Built: TypeAlias = tuple[list[int], list[bytes]]
+Build: TypeAlias = Callable[[Estimate], Built]
 # Loci are drawn, not computed with: this much of them, this finely, this often (ns of stamps).
 _TRAIL_POINTS = 200
 _TRAIL_STEP = 10_000_000
@@ -109,20 +111,20 @@ def centrode(b: int, axes: Axes, trail: Trail, fixed: bool) -> Build:
     """Paths of the centrode of body `b`, on the ground or on the body."""
     beat = _Beat()
 
-    def build(estimate: Estimate) -> list[tuple[int, bytes]]:
+    def build(estimate: Estimate) -> Built:
         trail.follow(estimate, b)
         if beat.rests(estimate) or not len(trail.stamps):
-            return []
+            return [], []
         drawn = (estimate.missing[:, b] == '') & (estimate.stamp >= trail.stamps[0])
         due = beat.due(estimate.stamp, drawn.nonzero()[0])
         if not due:
-            return []
+            return [], []
         frame_id = estimate.frame_id if fixed else estimate.bodies[b]
         values, heights = (trail.fixed, trail.heights) if fixed else (trail.moving, 0.0)
         places = in_space(values, heights, axes)
         parts = zip(due, trail.until(estimate.stamp[due]), strict=True)
-        return [
-            (t, path(int(estimate.stamp[t]), frame_id, trail.stamps[part], places[part]))
+        return due, [
+            path(int(estimate.stamp[t]), frame_id, trail.stamps[part], places[part])
             for t, part in parts
         ]
 
@@ -133,11 +135,11 @@ def scene(bodies: tuple[str, ...], axes: Axes, trails: list[Trail]) -> Build:
     """Poles, both centrodes and the ICR's velocity of every body, for RViz and Foxglove."""
     beat = _Beat()
 
-    def build(estimate: Estimate) -> list[tuple[int, bytes]]:
+    def build(estimate: Estimate) -> Built:
         for b in range(len(bodies)):
             trails[b].follow(estimate, b)
         if beat.rests(estimate):
-            return []
+            return [], []
         due = beat.due(estimate.stamp, np.arange(len(estimate.stamp)))
         parts = [trail.until(estimate.stamp[due]) for trail in trails]
         found = []
@@ -146,8 +148,8 @@ def scene(bodies: tuple[str, ...], axes: Axes, trails: list[Trail]) -> Build:
             writer.pack('I', len(_KINDS) * len(bodies))
             for b in range(len(bodies)):
                 _draw(writer, estimate, t, b, axes, trails[b], parts[b][k])
-            found.append((t, bytes(writer.data)))
-        return found
+            found.append(bytes(writer.data))
+        return due, found
 
     return build
 

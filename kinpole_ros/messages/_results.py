@@ -21,7 +21,7 @@ from visualization_msgs.msg import MarkerArray
 
 from kinpole_ros.estimate import POLE_NAMES, RATE_NAMES, Estimate, Numbers, Vectors
 from kinpole_ros.messages._cdr import stamped_doubles
-from kinpole_ros.messages._loci import Axes, Build, Trail, centrode, in_space, scene
+from kinpole_ros.messages._loci import Axes, Build, Built, Trail, centrode, in_space, scene
 from kinpole_ros.roster import AXES
 from kinpole_ros.theory import Theory, balance
 
@@ -40,8 +40,8 @@ class Output(NamedTuple):
     One topic under the node's name.
 
     `order` is the highest derivative it needs. `build` makes the messages of an estimate's
-    instants: pairs, in order, of the index of the instant and the serialized message. There is
-    none of an instant at which nothing is determined, or nothing due to be drawn.
+    instants: the indices of instants, in order, and a serialized message for each. There is none of
+    an instant at which nothing is determined, or nothing due to be drawn.
     """
 
     topic: str
@@ -95,7 +95,7 @@ def result_outputs(bodies: Sequence[str], plane: str, theory: Theory | None = No
 def _balance(theory: Theory, axes: Axes, deviation: bool) -> Build:
     """The torque on the driven body that balances the loads, or its standard deviation."""
 
-    def build(estimate: Estimate) -> list[tuple[int, bytes]]:
+    def build(estimate: Estimate) -> Built:
         found = balance(theory, estimate)
 
         def figures(chosen: Chosen) -> np.ndarray:
@@ -122,21 +122,20 @@ def _messages(
     known: np.ndarray,
     figures: Callable[[Chosen], np.ndarray],
     child: str | None = None,
-) -> list[tuple[int, bytes]]:
+) -> Built:
     """Messages of the instants where `known` (T,), from their rows of figures after the header."""
     when = known.nonzero()[0]
     if not len(when):
-        return []
+        return [], []
     chosen = slice(None) if len(when) == len(known) else when
     stamps = estimate.stamp[chosen]
-    made = stamped_doubles(stamps, estimate.frame_id, figures(chosen), child)
-    return list(zip(when.tolist(), made, strict=True))
+    return when.tolist(), stamped_doubles(stamps, estimate.frame_id, figures(chosen), child)
 
 
 def _numbers(quantity: Callable[[Estimate], Numbers], k: int, axes: Axes) -> Build:
     """One quantity along the normal, of body or pair `k`, as a vector."""
 
-    def build(estimate: Estimate) -> list[tuple[int, bytes]]:
+    def build(estimate: Estimate) -> Built:
         found = quantity(estimate)
 
         def figures(chosen: Chosen) -> np.ndarray:
@@ -155,7 +154,7 @@ def _points(
 ) -> Build:
     """One vector of body or pair `k`: a point at the height of `body`, or a free one without."""
 
-    def build(estimate: Estimate) -> list[tuple[int, bytes]]:
+    def build(estimate: Estimate) -> Built:
         found = quantity(estimate)
 
         def figures(chosen: Chosen) -> np.ndarray:
@@ -172,7 +171,7 @@ def _poses(quantity: Callable[[Estimate], Vectors], k: int, axes: Axes) -> Build
     # Where that is in the figures: after seven of the pose, in a 6 x 6 matrix.
     places = [7 + 6 * axes[row] + axes[column] for row in range(2) for column in range(2)]
 
-    def build(estimate: Estimate) -> list[tuple[int, bytes]]:
+    def build(estimate: Estimate) -> Built:
         found = quantity(estimate)
 
         def figures(chosen: Chosen) -> np.ndarray:
@@ -196,7 +195,7 @@ def _odometry(b: int, axes: Axes) -> Build:
     cells = (6 * in_plane[:, None] + in_plane).ravel() - 36
     diagonal = slice(-36, None, 7)
 
-    def build(estimate: Estimate) -> list[tuple[int, bytes]]:
+    def build(estimate: Estimate) -> Built:
         def figures(chosen: Chosen) -> np.ndarray:
             position, velocity = (estimate.origin(order)[chosen, b] for order in (0, 1))
             angle, rate = estimate.angle[:2, chosen, b]
