@@ -259,7 +259,7 @@ def _latency(asker: Asker, messages: int, rate: float) -> dict[str, Latency]:
     stamp = 10**12
     warm_up = 200
     due = time.monotonic()
-    for k in range(messages + warm_up):
+    for _ in range(messages + warm_up):
         stamp += step
         # In turn, so that each has them at even times.
         for name in (NODE, RELAY):
