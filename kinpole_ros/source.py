@@ -16,7 +16,7 @@ from kinpole_ros.messages import MARKER_TYPES, ROS_TYPE_NAMES, MarkerReader, Mes
 from kinpole_ros.parameters import ParameterError, Settings
 
 # Messages that wait while others are worked on; beyond, the newest push out the oldest. A stretch
-# of 50 takes 10 ms, in which 50 more may come.
+# of 50 takes up to 10 ms, in which 50 more may come.
 _DEPTH = 200
 
 
