@@ -107,8 +107,6 @@ class Shapes:
         mean = np.where(seen, points, 0).sum(axis=-1, keepdims=True) / count
         self.points = np.where(seen, points - mean, self.points)
         self._frames[seen] = self._first[seen] = 1.0
-        for b in np.flatnonzero(new):
-            self._early[b] = []
         self._measure()
 
     def fit(self, points: Complex) -> tuple[Fit, Complex]:
