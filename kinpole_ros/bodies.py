@@ -12,7 +12,15 @@ from typing import NamedTuple
 import numpy as np
 
 from kinpole_ros.parameters import Settings
-from kinpole_ros.window import Noise, Pins, References, Samples, Shapes
+from kinpole_ros.window import (
+    Noise,
+    Pins,
+    PlainShape,
+    References,
+    Samples,
+    Shapes,
+    Unforeseen,
+)
 
 # Coordinates are known no better than a few units of their last place.
 _ROUNDING = 4 * np.finfo(float).eps
@@ -161,6 +169,27 @@ class RigidBodies:
                 landmarks[part] = np.take_along_axis(seen, stand_in, axis=-1)
             rows['beat'][part] = self._known_now()
             first = end
+
+    def foresee(self, rows: np.ndarray) -> list[PlainShape]:
+        """
+        Fill the last of some frames `rows` (3,) with what is to be expected; how it will be fitted.
+
+        Raises Unforeseen where a body was not seen of late.
+        """
+        shapes, count = self._shapes, self._count
+        held = shapes.held
+        if not (rows['information'][:-1] > 0).all() or self._lost(held[None, :count]).any():
+            raise Unforeseen
+        before, last, here = rows['poses']
+        here[:] = 2 * last - before
+        # The turns as they were; that the angle goes on from there is seen to when it comes.
+        here[:count, 0] += 2 * np.pi * (last[:count, 1] - before[:count, 1])
+        here[:count, 1] = last[:count, 1]
+        rows['information'][-1] = held
+        # As a pin has it least: it may be lost by this frame.
+        rows['strayed'][-1] = np.isfinite(self._pins.center)
+        rows['beat'][-1] = self._known_now()
+        return shapes.in_plain_numbers()
 
     def settle(self) -> None:
         """Learn if it is time for a beat."""

@@ -18,19 +18,19 @@ SIGNIFICANT = 4.0
 # Of a pole's denominator by common weights: so many times the noise and, apart from that, so many
 # times what the windows differ by, of order 1 to 4. Where a motion sets in they do so long before
 # the noise tells. Also so many times the noise by weights of its own, where that is not too much.
-_NOISE = 2.5
-_DIFFERENT = (13.0, 8.2, 5.0, 5.0)
-_APART = (2.0, 2.0, 0.0, 0.0)
+NOISE = 2.5
+DIFFERENT = (13.0, 8.2, 5.0, 5.0)
+APART = (2.0, 2.0, 0.0, 0.0)
 # Beyond this many body sizes a pole is as good as at infinity.
 FARTHEST = 1e3
 # Two values of one figure contradict each other beyond so many deviations of their difference.
-_AGREE = 3.0
+AGREE = 3.0
 # An ICR that moves by less than so many standard deviations, or body sizes per rad, stands still.
-_MOVING = 1.7
-_STILL = 1e-6
+MOVING = 1.7
+STILL = 1e-6
 # A curvature is known to this part of itself, or to one over the body's size, while the body turns
 # by more than so many standard deviations.
-_CURVED, _TURNING = 0.3, 1.5
+CURVED, TURNING = 0.3, 1.5
 POLE_NAMES = ('icr', 'iap', 'ijp', 'isp')
 RATE_NAMES = ('angular_velocity', 'angular_acceleration', 'angular_jerk', 'angular_snap')
 
@@ -205,7 +205,7 @@ class Estimate:
         both = zip(apart, self.together, strict=False)
         return tuple(map(np.concatenate, both, (1, 1, 2, 2)))
 
-    def _poses(self, order: int) -> tuple[np.ndarray, ...]:
+    def poses(self, order: int) -> tuple[np.ndarray, ...]:
         """Poses (K, S, T, B) to find the pole of that order from: apart and, if known, together."""
         position, angle, of_position, of_angle = self._all_poses
         sets = slice(0, order + 1, order)
@@ -214,7 +214,7 @@ class Estimate:
     @np.errstate(divide='ignore', invalid='ignore', over='ignore')
     def general_pole(self, order: int) -> Vectors:
         """The pole of order 1 to 4 (m) as it follows from the motion, whatever is known of pins."""
-        position, angle, of_position, of_angle = self._poses(order)
+        position, angle, of_position, of_angle = self.poses(order)
         turn = denominator, by_angle = planar.rotation(order, angle)
         poles = planar.pole(order, position, angle, turn)
         spread = planar.covariance(poles, of_position, of_angle)
@@ -229,11 +229,11 @@ class Estimate:
         else:
             different = self.together.turning[order, order - 1]
             # A single window differs from none: its noise alone has to tell.
-            times = np.where(different > 0, _NOISE, SIGNIFICANT)
-            least = times**2 * noise[1] + _DIFFERENT[order - 1] ** 2 * different
+            times = np.where(different > 0, NOISE, SIGNIFICANT)
+            least = times**2 * noise[1] + DIFFERENT[order - 1] ** 2 * different
             turning = rate[1] > np.sqrt(least)
-            if _APART[order - 1]:
-                turning &= rate[0] > _APART[order - 1] * np.sqrt(noise[0])
+            if APART[order - 1]:
+                turning &= rate[0] > APART[order - 1] * np.sqrt(noise[0])
         return Vectors(value, spread, turning & near & known)
 
     def pole(self, order: int) -> Vectors:
@@ -271,14 +271,14 @@ class Estimate:
     @cached_property
     def _velocities(self) -> planar.Linear:
         """Velocity of the ICR by each set of poses (S, T, B)."""
-        return planar.icr_velocity(*self._poses(1)[:2])
+        return planar.icr_velocity(*self.poses(1)[:2])
 
     @cached_property
     @np.errstate(divide='ignore', invalid='ignore', over='ignore')
     def icr_velocity(self) -> Vectors:
         """Velocity of the ICR along both centrodes (m/s)."""
         u = self._velocities
-        value, spread, known = _mean(u.value, planar.covariance(u, *self._poses(1)[2:]))
+        value, spread, known = _mean(u.value, planar.covariance(u, *self.poses(1)[2:]))
         if np.count_nonzero(self.pinned):
             value = np.where(self.pinned, 0.0, value)
             spread = np.where(self.pinned[..., None, None], 0.0, spread)
@@ -289,7 +289,7 @@ class Estimate:
     @np.errstate(divide='ignore', invalid='ignore', over='ignore')
     def centrode_curvature(self) -> Numbers:
         """Signed curvature of the fixed centrode (1/m); undetermined where the ICR stands still."""
-        position, angle, *covariances = self._poses(1)
+        position, angle, *covariances = self.poses(1)
         curvature = planar.centrode_curvature(position, angle, self._velocities)
         u = self.icr_velocity
         noise = planar.variance(curvature, *covariances)
@@ -298,9 +298,9 @@ class Estimate:
         # of the error x of the speed, relative to it, the change of second order is 3 x^2.
         slowness = (u.covariance[..., 0, 0] + u.covariance[..., 1, 1]) / 2 / np.abs(u.value) ** 2
         noise = noise + 18 * (value * slowness) ** 2
-        least = np.maximum(_CURVED * np.abs(value), 1 / self.size)
+        least = np.maximum(CURVED * np.abs(value), 1 / self.size)
         # Where the body does not turn for all one knows, it comes out straight, and that for sure.
-        turns = self.angle[1] ** 2 > _TURNING**2 * self.angle_covariance[1, 1]
+        turns = self.angle[1] ** 2 > TURNING**2 * self.angle_covariance[1, 1]
         known = known & turns & (noise < least**2)
         return Numbers(value, noise, self.icr_moves & known)
 
@@ -310,9 +310,9 @@ class Estimate:
         """Where (T, B) the ICR, however well known, is seen to move: on a pin it does not."""
         u = self.icr_velocity
         noise = np.sqrt(u.covariance[..., 0, 0] + u.covariance[..., 1, 1])
-        least = _STILL * np.abs(self.angle[1]) * self.size
+        least = STILL * np.abs(self.angle[1]) * self.size
         near = np.abs(self.pole(1).value - self.position[0]) < FARTHEST * self.size
-        return np.asarray(near & (np.abs(u.value) > np.maximum(_MOVING * noise, least)))
+        return np.asarray(near & (np.abs(u.value) > np.maximum(MOVING * noise, least)))
 
     @cached_property
     def pairs(self) -> tuple[np.ndarray, np.ndarray]:
@@ -429,7 +429,7 @@ def _mean(values: np.ndarray, spread: np.ndarray) -> tuple[np.ndarray, np.ndarra
     shares = 1 / (1 + ratio * ratio)
     value = np.einsum('s...,s...->...', shares, values)
     off, apart = values[1] - values[0], shares[0] * shares[1]
-    either &= off.real**2 + off.imag**2 <= _AGREE**2 * (variance[0] + variance[1])
+    either &= off.real**2 + off.imag**2 <= AGREE**2 * (variance[0] + variance[1])
     if not plane:
         return value, np.einsum('s...,s...->...', shares, spread) + apart * off**2, either
     xy = off[..., None].view(float)

@@ -280,18 +280,35 @@ class KinpoleNode(LifecycleNode):
                 self._note('message', str(frames))
                 continue
             self._stamps.extend(frames.stamps.tolist())
+            left = self._answer_at_once(frames)
             for estimate in self._tracker.add(frames, order):
                 self._latest = self._drawn = estimate
                 # All are made before the first goes out: its readers wake, and take the core.
                 made = [
                     (publisher, data)
-                    for output, publisher in self._wanted
+                    for output, publisher in left
                     for data in output.build(estimate)[1]
                 ]
                 for publisher, data in made:
                     publisher.publish(data)
         self._tracker.settle()
+        if messages == 1 and order is not None and any(row[0].prompt for row in self._wanted):
+            self._tracker.foresee(order)
         self._amid_markers = False
+
+    def _answer_at_once(self, frames: MarkerFrames) -> list[tuple[Output, Any]]:
+        """Publish what can be told of a frame before it is added; returns what is left to tell."""
+        prompt = self._tracker.prompt(frames)
+        if prompt is None:
+            return self._wanted
+        try:
+            made = [(row, row[0].prompt(prompt)) for row in self._wanted if row[0].prompt]
+        except ArithmeticError:
+            return self._wanted
+        for (_, publisher), data in made:
+            if data is not None:
+                publisher.publish(data)
+        return [row for row in self._wanted if not row[0].prompt]
 
     def _newest_last(
         self, read: list[MarkerFrames | MessageError]

@@ -19,7 +19,7 @@ AXES = {'xy': (0, 1, 2), 'yz': (1, 2, 0), 'zx': (2, 0, 1)}
 MOST_MARKERS = 1024
 _MOST_LAYOUTS = 64
 # m. No marker is that far, and the squares of what is nearer do not overflow.
-_FARTHEST = 1e15
+FARTHEST_MARKER = 1e15
 
 
 class Roster:
@@ -35,7 +35,7 @@ class Roster:
     def __init__(self, settings: Settings) -> None:
         self.markers = [list(markers) for markers in settings.bodies.values()]
         self._all_markers = not any(self.markers)
-        self._axes = AXES[settings.plane]
+        self.axes = AXES[settings.plane]
         self._places: dict[tuple[str, ...], tuple[np.ndarray, bool, list[list[str]]]] = {}
         self.width = max(2, *(len(markers) for markers in self.markers))
         self.wanted = sum(map(len, self.markers))
@@ -58,12 +58,20 @@ class Roster:
             padded[:, :-1] = rows
             rows = padded
         solid = rows.take(place, axis=1)
-        near = np.abs(solid) < _FARTHEST
+        near = np.abs(solid) < FARTHEST_MARKER
         if np.count_nonzero(near) < near.size:
             solid[~near.all(axis=-1)] = np.nan
         flat = np.empty(solid.shape[:-1], complex)
-        flat.real, flat.imag = solid[..., self._axes[0]], solid[..., self._axes[1]]
-        return flat, solid[..., self._axes[2]]
+        flat.real, flat.imag = solid[..., self.axes[0]], solid[..., self.axes[1]]
+        return flat, solid[..., self.axes[2]]
+
+    def places(self) -> list[list[int]]:
+        """Where each body's markers are in the last message; none if some are not there."""
+        if any(self.absent):
+            return []
+        place, _, _ = self._place(self.identities)
+        both = zip(place.tolist(), self.markers, strict=True)
+        return [row[: len(markers)] for row, markers in both]
 
     def _place(self, identities: tuple[str, ...]) -> tuple[np.ndarray, bool, list[list[str]]]:
         """

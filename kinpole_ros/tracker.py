@@ -8,7 +8,8 @@ Header stamps drive it; it never asks for the time.
 
 import itertools
 from collections import Counter
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
+from typing import Any
 
 import numpy as np
 
@@ -16,13 +17,16 @@ from kinpole_ros.bodies import RigidBodies, pose_columns
 from kinpole_ros.estimate import FARTHEST, Estimate, Poses
 from kinpole_ros.frame import MarkerFrames
 from kinpole_ros.parameters import Settings
+from kinpole_ros.prompt import Foreseen, Prompt
 from kinpole_ros.roster import Roster
 from kinpole_ros.window import (
     FEWEST_SAMPLES,
     STRIKES,
     LandmarkFilter,
+    PoseDerivatives,
     PoseFilter,
     Samples,
+    Unforeseen,
     Windows,
     alike,
     joined,
@@ -33,6 +37,8 @@ from kinpole_ros.window import (
 # Frames later than this many intervals of late come after a gap.
 _LATE = 2.5
 # Not by its first stamp, which a bag that loops has again and again.
+# As a rule numbers are quicker than arrays for so many bodies.
+_FEW = 4
 _run_numbers = itertools.count(1)
 
 
@@ -91,6 +97,7 @@ class Tracker:
         self._dropped = 0
         # How many frames wait to be estimated.
         self._waiting = 0
+        self._foreseen: Foreseen | None = None
 
     @property
     def interval(self) -> float:
@@ -173,6 +180,70 @@ class Tracker:
         self._filter.settle()
         self._rigid.settle()
 
+    def foresee(self, order: int) -> None:
+        """Find what can be found of the next frame, while nobody waits for it, for `prompt`."""
+        self._foreseen = None
+        frames = self._frames.view()
+        if len(self.bodies) > _FEW or self._points is not None or len(frames) < FEWEST_SAMPLES:
+            return
+        row = self._frames.room(1)
+        try:
+            self._foreseen = self._expected(row, order)
+        except Unforeseen:
+            pass
+        finally:
+            self._frames.withdraw(1)
+
+    def prompt(self, frames: MarkerFrames) -> Prompt | None:
+        """
+        What a frame says of the bodies, if it is as foreseen; it is still to be added.
+
+        It says the same as what `add` returns.
+        """
+        foreseen, self._foreseen = self._foreseen, None
+        if foreseen is None:
+            return None
+        try:
+            return foreseen.told(frames)
+        except (Unforeseen, ArithmeticError):
+            return None
+
+    def _expected(self, row: np.ndarray, order: int) -> Foreseen:
+        """The frame that is to come if all goes on as it did, its `row` for the time being."""
+        rows = self._frames.view()[-3:]
+        step = rows['stamp'][1] - rows['stamp'][0]
+        stamp = rows['stamp'][1:2] + step
+        if self._last != rows['stamp'][1] or step > min(_LATE * self._interval, self._window):
+            raise Unforeseen
+        self._place(row, stamp)
+        shapes = self._rigid.foresee(rows)
+        end, windows, _ = self._falling_due(row)
+        if end[0] != self._due + 1 or len(windows[0]) != 1:
+            raise Unforeseen
+        # Once as it is expected and once a little off, to see what it changes.
+        windows = tuple(map(np.repeat, windows, (2, 2, 2)))
+        known = self._rigid.known[-1:].repeat(2)
+        room = np.empty(0)
+
+        def ahead(*arguments: Any) -> PoseDerivatives:
+            nonlocal room
+            found, room = self._filter.ahead(*arguments)
+            return found
+
+        estimate = self._estimate(windows, order, np.zeros(2, int), known, ahead)
+        if (estimate.missing != '').any() or (np.isfinite(known['pin']) != estimate.pinned).any():
+            raise Unforeseen
+        return Foreseen(
+            int(stamp[0]),
+            self._frame_id,
+            self._roster,
+            shapes,
+            rows['poses'][1:],
+            known['reference'][0],
+            room,
+            estimate,
+        )
+
     def _sift(self, stamps: np.ndarray) -> tuple[np.ndarray, int]:
         """
         Up to where frames of `stamps` (T,) go on, T if nothing starts anew, and how far each is
@@ -219,16 +290,21 @@ class Tracker:
 
     def _enter(self, rows: np.ndarray, stamps: np.ndarray, steps: np.ndarray) -> np.ndarray:
         """Note the windows of frames; returns which (T,) come much later than those before did."""
-        rows['stamp'] = stamps
-        every = self._frames.view()['stamp']
-        oldest = every.searchsorted(stamps - self._window)
-        held = np.arange(len(every) - len(rows), len(every)) - oldest
-        interval = (stamps - every[oldest]) / np.maximum(held, 1)
-        rows['oldest'], rows['interval'] = oldest, interval
+        held = self._place(rows, stamps)
+        interval = rows['interval']
         # As the window was before the frame came.
         before = np.concatenate(((self._interval,), interval[:-1]))
         self.samples, self._interval = int(held[-1]) + 1, float(interval[-1])
         return (steps > _LATE * before) & (before > 0)
+
+    def _place(self, rows: np.ndarray, stamps: np.ndarray) -> np.ndarray:
+        """Note when frames are and what their windows hold; how many (T,) frames before them."""
+        rows['stamp'] = stamps
+        every = self._frames.view()['stamp']
+        rows['oldest'] = oldest = every.searchsorted(stamps - self._window)
+        held = np.arange(len(every) - len(rows), len(every)) - oldest
+        rows['interval'] = (stamps - every[oldest]) / np.maximum(held, 1)
+        return held
 
     def _trim(self, count: int) -> None:
         """Drop so many frames that no window to come holds."""
@@ -262,36 +338,55 @@ class Tracker:
         new, known = frames[-self._waiting :], self._rigid.known
         self._waiting = 0
         self._rigid.forget()
+        end, windows, frame = self._falling_due(new)
+        self._due = int(end[-1])
+        found = []
+        if order is not None and len(frame):
+            then = known[new['beat'][frame]]
+            found.append(self._estimate(windows, order, new['number'][frame], then))
+        self._trim(int(new['oldest'][-1]))
+        return found
+
+    def _falling_due(self, new: np.ndarray) -> tuple[np.ndarray, Windows, np.ndarray]:
+        """
+        What falls due with the newest frames (T,): up to where (T,), and which instants can be told
+        of; with which of these frames each is due.
+        """
+        frames = self._frames.view()
         ahead = np.rint(self.settings.lag * 1e9 - 0.75 * new['interval'])
         last = new['stamp'] - ahead.astype(np.int64)
         oldest, newest = new['oldest'], np.arange(len(frames) - len(new), len(frames))
         end = np.minimum(frames['stamp'].searchsorted(last, side='right'), newest + 1)
         end = np.maximum.accumulate(np.maximum(end, self._due))
         due = np.arange(self._due, end[-1])
-        self._due = int(end[-1])
-        found = []
-        if order is not None and len(due):
-            frame = end.searchsorted(due, side='right')
-            full = (newest - oldest)[frame] >= FEWEST_SAMPLES - 1
-            seen = (full & (due >= oldest[frame])).nonzero()[0]
-            if len(seen):
-                frame = frame[seen]
-                windows = due[seen], oldest[frame], newest[frame]
-                then = known[new['beat'][frame]]
-                found.append(self._estimate(windows, order, new['number'][frame], then))
-        self._trim(int(oldest[-1]))
-        return found
+        frame = end.searchsorted(due, side='right')
+        full = (newest - oldest)[frame] >= FEWEST_SAMPLES - 1
+        seen = (full & (due >= oldest[frame])).nonzero()[0]
+        frame = frame[seen]
+        return end, (due[seen], oldest[frame], newest[frame]), frame
 
     def _estimate(
-        self, windows: Windows, order: int, due: np.ndarray, known: np.ndarray
+        self,
+        windows: Windows,
+        order: int,
+        due: np.ndarray,
+        known: np.ndarray,
+        derivatives: Callable[..., PoseDerivatives] | None = None,
     ) -> Estimate:
-        """The frames `windows[0]` (T,), as those from `windows[1]` to `windows[2]` tell of them."""
+        """
+        The frames `windows[0]` (T,), as those from `windows[1]` to `windows[2]` tell of them.
+
+        By the `derivatives` of poses, those of the filter unless given.
+        """
         frames = self._frames.view()[windows[0]]
         seen = frames['information'][:, : len(self.bodies)] > 0
         measured, firm = known['measured'], known['firm']
         usable = seen & measured & firm
-        differentiated = self._from_poses if self._points is None else self._from_landmarks
-        found, together, reference = differentiated(windows, known, order)
+        if self._points is None:
+            by = derivatives or self._filter.derivatives
+            found, together, reference = self._from_poses(windows, known, order, by)
+        else:
+            found, together, reference = self._from_landmarks(windows, known, order)
         position, angle, position_covariance, angle_covariance, span, degree = found
         if np.count_nonzero(usable) < usable.size:
             for array in (*found, *(together or ())):
@@ -348,7 +443,11 @@ class Tracker:
         )
 
     def _from_poses(
-        self, windows: Windows, known: np.ndarray, order: int
+        self,
+        windows: Windows,
+        known: np.ndarray,
+        order: int,
+        derivatives: Callable[..., PoseDerivatives],
     ) -> tuple[tuple[np.ndarray, ...], Poses | None, np.ndarray | None]:
         """
         Derivatives of the fitted poses, angle and position each by itself and together.
@@ -378,9 +477,7 @@ class Tracker:
             some = tuple(frame[part] for frame in windows)
             for run in runs(frames['stamp'], some, *poses, noise[part]):
                 end = first + run[1].shape[1]
-                found.append(
-                    self._filter.derivatives(numbers[first:end], *run, reach[first:end], order)
-                )
+                found.append(derivatives(numbers[first:end], *run, reach[first:end], order))
                 first = end
         parts = joined(found)
         apart, together = parts[:6], Poses(*parts[6:])

@@ -7,6 +7,7 @@ equal bytes.
 """
 
 import struct
+from collections.abc import Sequence
 from functools import lru_cache
 
 import numpy as np
@@ -16,6 +17,7 @@ from kinpole_ros.messages._walk import HEAD, LITTLE
 
 _SECOND = 1_000_000_000
 _TIME = struct.Struct('<iI')
+_VECTOR = struct.Struct('<3d')
 
 
 class Writer:
@@ -69,6 +71,13 @@ def stamped_doubles(
     rows[:, len(head) :] = doubles.view(np.uint8)
     data = rows.tobytes()
     return [data[first : first + size] for first in range(0, len(data), size)]
+
+
+def stamped_vector(stamp: int, frame_id: str, vector: Sequence[float]) -> bytes:
+    """A message of a header and three doubles."""
+    head = _head(frame_id, None)
+    time = _TIME.pack(*divmod(stamp, _SECOND))
+    return head[:HEAD] + time + head[HEAD + _TIME.size :] + _VECTOR.pack(*vector)
 
 
 def path(stamp: int, frame_id: str, stamps: np.ndarray, positions: np.ndarray) -> bytes:

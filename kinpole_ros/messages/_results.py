@@ -20,8 +20,9 @@ from nav_msgs.msg import Odometry, Path
 from visualization_msgs.msg import MarkerArray
 
 from kinpole_ros.estimate import POLE_NAMES, RATE_NAMES, Estimate, Numbers, Vectors
-from kinpole_ros.messages._cdr import stamped_doubles
+from kinpole_ros.messages._cdr import stamped_doubles, stamped_vector
 from kinpole_ros.messages._loci import Axes, Build, Built, Trail, centrode, in_space, scene
+from kinpole_ros.prompt import Moving, Prompt
 from kinpole_ros.roster import AXES
 from kinpole_ros.theory import Theory, balance
 
@@ -41,13 +42,15 @@ class Output(NamedTuple):
 
     `order` is the highest derivative it needs. `build` makes the messages of an estimate's
     instants: the indices of instants, in order, and a serialized message for each. There is none of
-    an instant at which nothing is determined, or nothing due to be drawn.
+    an instant at which nothing is determined, or nothing due to be drawn. `prompt` makes the same
+    message of what a frame says that comes alone; None for a topic that has to wait.
     """
 
     topic: str
     message_type: type
     order: int
     build: Build
+    prompt: Callable[[Prompt], bytes | None] | None = None
 
 
 def result_outputs(bodies: Sequence[str], plane: str, theory: Theory | None = None) -> list[Output]:
@@ -63,18 +66,22 @@ def result_outputs(bodies: Sequence[str], plane: str, theory: Theory | None = No
         outputs.append(Output(f'{body}/odom', Odometry, 1, _odometry(b, axes)))
         for order in range(1, 5):
             rate = _numbers(_rate(order), b, axes)
-            outputs.append(Output(f'{body}/{RATE_NAMES[order - 1]}', Vector3Stamped, order, rate))
+            at_once = _at_once(_moving_rate(order), b, axes)
+            name = f'{body}/{RATE_NAMES[order - 1]}'
+            outputs.append(Output(name, Vector3Stamped, order, rate, at_once))
         for order in range(1, 5):
             name = f'{body}/{POLE_NAMES[order - 1]}'
             point, pose = _points(_pole(order), b, axes, b), _poses(_pole(order), b, axes)
-            outputs.append(Output(name, PointStamped, order, point))
+            at_once = _at_once(lambda moving: moving.icr, b, axes) if order == 1 else None
+            outputs.append(Output(name, PointStamped, order, point, at_once))
             outputs.append(
                 Output(f'{name}/with_covariance', PoseWithCovarianceStamped, order, pose)
             )
         velocity = _points(lambda e: e.icr_velocity, b, axes)
         outputs.append(Output(f'{body}/icr_velocity', Vector3Stamped, 2, velocity))
         curvature = _numbers(lambda e: e.centrode_curvature, b, axes)
-        outputs.append(Output(f'{body}/centrode_curvature', Vector3Stamped, 3, curvature))
+        at_once = _at_once(lambda moving: moving.centrode_curvature, b, axes)
+        outputs.append(Output(f'{body}/centrode_curvature', Vector3Stamped, 3, curvature, at_once))
         for name, fixed in (('fixed', True), ('moving', False)):
             locus = centrode(b, axes, trails[b], fixed)
             outputs.append(Output(f'{body}/centrode/{name}', Path, 1, locus))
@@ -115,6 +122,30 @@ def _rate(order: int) -> Callable[[Estimate], Numbers]:
 
 def _pole(order: int) -> Callable[[Estimate], Vectors]:
     return lambda estimate: estimate.pole(order)
+
+
+def _moving_rate(order: int) -> Callable[[Moving], float]:
+    return lambda moving: moving.rate(order)
+
+
+def _at_once(
+    quantity: Callable[[Moving], complex | None], b: int, axes: Axes
+) -> Callable[[Prompt], bytes | None]:
+    """One quantity of body `b` in plain numbers: a point, at its height, or one along the normal."""
+
+    def message(prompt: Prompt) -> bytes | None:
+        moving = prompt.bodies[b]
+        found = quantity(moving)
+        if found is None:
+            return None
+        vector = [0.0, 0.0, 0.0]
+        if isinstance(found, complex):
+            vector[axes[0]], vector[axes[1]], vector[axes[2]] = found.real, found.imag, moving.height
+        else:
+            vector[axes[2]] = found
+        return stamped_vector(prompt.stamp, prompt.frame_id, vector)
+
+    return message
 
 
 def _messages(

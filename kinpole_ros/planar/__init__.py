@@ -8,11 +8,14 @@ a product with i and each of their 2 x 2 matrices B, H and G is one complex numb
 
 from kinpole_ros.planar._balance import Port, measured_balance
 from kinpole_ros.planar._centrode import (
+    acceleration_terms,
     centrode_curvature,
+    curvature_terms,
     icr_acceleration,
     icr_velocity,
     moving_centrode,
     moving_centrode_curvature,
+    velocity_terms,
 )
 from kinpole_ros.planar._landmarks import (
     LandmarkKinematics,
@@ -36,7 +39,7 @@ from kinpole_ros.planar._poles import (
     rotation,
     rotation_coefficient,
 )
-from kinpole_ros.planar._procrustes import Fit, Grip, fit_by_grip, fit_pose, grip_of
+from kinpole_ros.planar._procrustes import Fit, Grip, PlainGrip, fit_by_grip, fit_pose, grip_of, plain_grip
 from kinpole_ros.planar._relative import (
     center_offset,
     kennedy_residual,
@@ -49,12 +52,15 @@ __all__ = [
     'Grip',
     'LandmarkKinematics',
     'Linear',
+    'PlainGrip',
     'Port',
+    'acceleration_terms',
     'body_point_derivative',
     'center_offset',
     'centrode_curvature',
     'centrode_velocities',
     'covariance',
+    'curvature_terms',
     'fit_by_grip',
     'fit_pose',
     'fixed_centrode_from_reference',
@@ -68,6 +74,7 @@ __all__ = [
     'moving_centrode',
     'moving_centrode_curvature',
     'moving_centrode_from_reference',
+    'plain_grip',
     'point_derivatives',
     'pole',
     'pole_from_reference',
@@ -81,4 +88,5 @@ __all__ = [
     'to_plane',
     'transport',
     'variance',
+    'velocity_terms',
 ]

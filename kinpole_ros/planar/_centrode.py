@@ -1,5 +1,8 @@
 """The ICR as it wanders: its velocity along the centrodes and the centrodes' curvature."""
 
+from collections.abc import Sequence
+from typing import Any, TypeAlias
+
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -14,6 +17,11 @@ from kinpole_ros.planar._plane import (
 )
 
 
+# Numbers or arrays alike: a frame that comes alone is told of in numbers.
+Number: TypeAlias = Any
+Terms: TypeAlias = tuple[Number, tuple[Number, ...], tuple[Number, ...]]
+
+
 @np.errstate(divide='ignore', invalid='ignore', over='ignore')
 def icr_velocity(position: Complex, angle: Real) -> Linear:
     """
@@ -23,17 +31,22 @@ def icr_velocity(position: Complex, angle: Real) -> Linear:
     derivatives, K > 2. Not finite where the body does not turn. With v and acc those of
     the reference point it is (w R acc - B v) / w^2.
     """
-    v, acc = position[1:3]
-    # With t = i angle, so that all is complex (a product with a real array takes three times as
-    # long) and the signs alike: u = v + q (acc + n v).
-    t1, t2 = complex_of(0.0, angle[1:3])
+    return _linear(velocity_terms(position[1:3], complex_of(0.0, angle[1:3])), 3)
+
+
+def velocity_terms(position: Sequence[Number], turn: Sequence[Number]) -> Terms:
+    """
+    The velocity of the ICR, and what it changes with each of v and acc and of w and a.
+
+    `turn` are i w and i a, so that all is complex (a product with a real array takes three times as
+    long) and the signs alike: u = v + q (acc + n v).
+    """
+    (v, acc), (t1, t2) = position, turn
     q = -1 / t1
     n = t2 * q
     nv, iqq = n * v, 1j * q * q
     inner = acc + nv
-    by_position = np.array((1 + n * q, q))
-    by_angle = np.array((iqq * (inner + nv), iqq * v))
-    return Linear(v + q * inner, by_position, by_angle, slice(1, 3), slice(1, 3))
+    return v + q * inner, (1 + n * q, q), (iqq * (inner + nv), iqq * v)
 
 
 @np.errstate(divide='ignore', invalid='ignore', over='ignore')
@@ -45,20 +58,32 @@ def icr_acceleration(position: Complex, angle: Real, u: Linear | None = None) ->
     if it was asked before.
     """
     u = icr_velocity(position, angle) if u is None else u
-    v, acc, jerk = position[1:4]
-    t2, t3 = complex_of(0.0, angle[2:4])
+    turn = complex_of(0.0, angle[2:4])
+    return _linear(acceleration_terms(position[1:4], turn, u.by_position, u.by_angle), 4)
+
+
+def acceleration_terms(
+    position: Sequence[Number],
+    turn: Sequence[Number],
+    u_by_position: Sequence[Number],
+    u_by_angle: Sequence[Number],
+) -> Terms:
+    """
+    The acceleration of the ICR, and what it changes with v, acc and jerk and with w, a and j.
+
+    `turn` are i a and i j.
+    """
+    (v, acc, jerk), (t2, t3) = position, turn
     # du is the rate of u; so its derivative by one of the pose's derivatives is the rate of that of
     # u by the same, and that of u by the one before. The rate of q is n q, that of n is c.
-    by_v, q = u.by_position
-    by_w, by_a = u.by_angle
+    by_v, q = u_by_position
+    by_w, by_a = u_by_angle
     n, m = t2 * q, t3 * q
     iqq, nn, twice = 1j * q * q, n * n, n + n
     c = m + nn
     rate = twice * by_w + iqq * (jerk + twice * acc + (c + c) * v)
-    by_position = np.array(((c + nn) * q, by_v + n * q, q))
-    by_angle = np.array((rate, by_w + by_w, by_a))
-    parts = by_position * position[1:4]
-    return Linear(parts[0] + parts[1] + parts[2], by_position, by_angle, slice(1, 4), slice(1, 4))
+    by_v, by_acc = (c + nn) * q, by_v + n * q
+    return by_v * v + by_acc * acc + q * jerk, (by_v, by_acc, q), (rate, by_w + by_w, by_a)
 
 
 @np.errstate(divide='ignore', invalid='ignore', over='ignore')
@@ -72,17 +97,36 @@ def centrode_curvature(position: Complex, angle: Real, u: Linear | None = None) 
     """
     u = icr_velocity(position, angle) if u is None else u
     du = icr_acceleration(position, angle, u)
-    # Im(conj(u) du) / |u|^3, written as Im(g) / |u| with g = du / u. A change of u and du
-    # changes g by (change of du - g * change of u) / u, and |u| by |u| Re(change of u / u).
-    inverse = 1 / u.value
-    slowness = np.abs(inverse)
-    g = du.value * inverse
-    by_du = complex_of(0.0, -slowness) * inverse
-    by_u = -by_du * complex_of(g.real, 2 * g.imag)
-    by_position, by_angle = by_du * du.by_position, by_du * du.by_angle
-    by_position[:2] += by_u * u.by_position
-    by_angle[:2] += by_u * u.by_angle
-    return Linear(g.imag * slowness, by_position, by_angle, slice(1, 4), slice(1, 4))
+    return _linear(curvature_terms(u[:3], du[:3]), 4)
+
+
+def curvature_terms(velocity: Terms, acceleration: Terms) -> Terms:
+    """
+    Im(conj(u) du) / |u|^3, and what it changes with v, acc and jerk and with w, a and j.
+
+    It is the real part of the sum of these.
+    """
+    u, *u_by = velocity
+    du, *du_by = acceleration
+    # Written as Im(g) / |u| with g = du / u. A change of u and du changes g by
+    # (change of du - g * change of u) / u, and |u| by |u| Re(change of u / u).
+    inverse = 1 / u
+    slowness = abs(inverse)
+    g = du * inverse
+    by_du = inverse * slowness * -1j
+    # g.real + 2 i g.imag
+    by_u = by_du * (0.5 * g.conjugate() - 1.5 * g)
+    by_position, by_angle = (
+        (by_du * d0 + by_u * u0, by_du * d1 + by_u * u1, by_du * d2)
+        for (u0, u1), (d0, d1, d2) in zip(u_by, du_by, strict=True)
+    )
+    return g.imag * slowness, by_position, by_angle
+
+
+def _linear(terms: Terms, end: int) -> Linear:
+    """Terms by the orders 1 to `end`, in arrays."""
+    value, by_position, by_angle = terms
+    return Linear(value, np.array(by_position), np.array(by_angle), slice(1, end), slice(1, end))
 
 
 def moving_centrode_curvature(fixed: Real, omega: Real, speed: Real) -> Real:

@@ -10,31 +10,37 @@ from kinpole_ros.window._choice import (
     differentiate,
     weigh_together,
 )
+from kinpole_ros.window._judgment import PoseDerivatives
 from kinpole_ros.window._ladder import FEWEST_SAMPLES
 from kinpole_ros.window._landmarks import LandmarkFilter
 from kinpole_ros.window._noise import Noise
 from kinpole_ros.window._pin import STRIKES, Pins
 from kinpole_ros.window._polynomial import derivative_weights, stencil
-from kinpole_ros.window._poses import PoseFilter
+from kinpole_ros.window._poses import PoseFilter, Unforeseen
 from kinpole_ros.window._projection import project
 from kinpole_ros.window._reference import References, alike, seen_at
 from kinpole_ros.window._runs import Windows, joined, runs
 from kinpole_ros.window._samples import Samples
-from kinpole_ros.window._shape import Shapes
+from kinpole_ros.window._shape import PlainShape, Shapes
 from kinpole_ros.window._spectrum import Spectrum
+from kinpole_ros.window._turn import NOT_FAR
 
 __all__ = [
     'FEWEST_SAMPLES',
+    'NOT_FAR',
     'STRIKES',
     'Derivatives',
     'LandmarkFilter',
     'Noise',
     'Pins',
+    'PlainShape',
+    'PoseDerivatives',
     'PoseFilter',
     'References',
     'Samples',
     'Shapes',
     'Spectrum',
+    'Unforeseen',
     'Windows',
     'alike',
     'derivative_weights',

@@ -28,7 +28,7 @@ from kinpole_ros.window._judgment import (
 )
 from kinpole_ros.window._ladder import longest
 from kinpole_ros.window._plan import Plan, planned
-from kinpole_ros.window._projection import Projection, project
+from kinpole_ros.window._projection import Projection, evenly, project
 from kinpole_ros.window._refuted import Fresh, judge_refuted, put
 from kinpole_ros.window._spectrum import Spectrum
 from kinpole_ros.window._weighted import squares_of
@@ -38,6 +38,10 @@ from kinpole_ros.window._weighted import squares_of
 _PART = 8
 # Squares beyond their limits by this factor are not of the motion that was judged.
 _SURPRISING = 2.0
+
+
+class Unforeseen(Exception):
+    """What the next frame makes of the figures cannot be found before it comes."""
 
 
 class PoseFilter:
@@ -113,6 +117,53 @@ class PoseFilter:
         if after < count:
             parts.append(part(slice(after, None), plan, order))
         return PoseDerivatives(*(np.concatenate(each, -2) for each in zip(*parts, strict=True)))
+
+    def ahead(
+        self,
+        numbers: np.ndarray,
+        times: np.ndarray,
+        samples: Real,
+        weights: Real | None,
+        noise: Real,
+        reach: Real,
+        order: int,
+    ) -> tuple[PoseDerivatives, Real]:
+        """
+        The derivatives at the next instant, as far as they are known before its newest sample.
+
+        Arguments as of `derivatives`, of that instant twice, with a guess of the sample. Derivatives
+        are affine in it: the first are by the guess, the second by one that is off it by 1, in x
+        for positions. Also how far (2, B) off it angle and position may be while no body can be
+        found to move in another way than was judged. Raises Unforeseen where it is not as always.
+        """
+        most, held, fresh = longest(len(times)), self._held, self._fresh
+        if (
+            weights is not None
+            or held is None
+            or self._later is not None
+            or (self._order, self._longest, self._number + 1) != (order, most, numbers[0])
+            or times[-1, 0] <= 0
+            or not evenly(times)[0]
+        ):
+            raise Unforeseen
+        bodies = reach.shape[1]
+        samples[-1, 1, :, 0] += 1.0
+        fits = project(times, samples, None, order, bodies)
+        which = np.tile(np.arange(bodies), (2, 1))
+        found = applied(held, which, fits)
+        if fresh is not None:
+            found = PoseDerivatives(*map(np.copy, found))
+            # For the one instant, which is here twice.
+            put(found, fresh._replace(end=np.where(fresh.first > 0, 0, 2 * fresh.end)), fits)
+        dimensions = dimensions_of(bodies)
+        deviations = np.sqrt(squares_of(fits, dimensions))
+        change = deviations[:, :, 0] + deviations[:, :, 1]
+        unit = fits.coefficients[:, :, 0, 1] - fits.coefficients[:, :, 0, 0]
+        change[:, :-1] = np.abs(unit) / np.sqrt(dimensions)
+        limits = np.sqrt(_SURPRISING * held.limits).reshape(change.shape)
+        with np.errstate(divide='ignore', invalid='ignore'):
+            room = (limits - deviations[:, :, 0]) / change
+        return found, room.min(axis=(0, 1)).reshape(2, -1)
 
     def _derived(
         self, fits: Projection, noise: Real, reach: Real, plan: Plan, order: int

@@ -41,8 +41,8 @@ def runs(
     levels = noise * spread
     after = newest - now
     held = newest - oldest + 1
-    if len(now) == 1:
-        held = np.array([newest_needed(int(held[0]), int(after[0]))])
+    if held.min() == held.max() and after.min() == after.max():
+        held = np.full(len(now), newest_needed(int(held[0]), int(after[0])))
     else:
         # Where stamps are uneven a window has a frame more now and then, which nobody needs.
         each, which = np.unique(np.stack((held, after)), axis=1, return_inverse=True)

@@ -37,6 +37,10 @@ class Samples:
         """Take `count` rows from the start."""
         self._first += count
 
+    def withdraw(self, count: int) -> None:
+        """Take `count` rows from the end."""
+        self._end -= count
+
     def view(self) -> np.ndarray:
         """All rows, oldest first; valid until there is more `room`."""
         return self._buffer[self._first : self._end]

@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from kinpole_ros.planar import Fit, fit_by_grip, fit_pose, grip_of
+from kinpole_ros.planar import Fit, PlainGrip, fit_by_grip, fit_pose, grip_of, plain_grip
 from kinpole_ros.planar._plane import ROUNDING, Complex, Real
 from kinpole_ros.window._noise import mean_square, tame_part
 from kinpole_ros.window._turn import Turns
@@ -48,6 +48,13 @@ class _News(NamedTuple):
     angle: Real
     residual: Complex
     freedom: Real
+
+
+class PlainShape(NamedTuple):
+    """One body: how its pose is found, and the square that no residual is to exceed."""
+
+    grip: PlainGrip
+    most: float
 
 
 class Shapes:
@@ -147,6 +154,11 @@ class Shapes:
         fits, markers = zip(*parts, strict=True)
         together = Fit(*(np.concatenate(field) for field in zip(*fits, strict=True)))
         return together, np.concatenate(markers)
+
+    def in_plain_numbers(self) -> list[PlainShape]:
+        """What the fits of the next frame are made of, body by body."""
+        most = self._most[:, 0].tolist()
+        return [PlainShape(plain_grip(self._grip, b), limit) for b, limit in enumerate(most)]
 
     def forget_motion(self) -> None:
         """Do not expect the next poses to go on from those before a gap."""
@@ -350,6 +362,11 @@ class Shapes:
         self._grip = grip_of(self.points, self._weights)
         least = self._frames.min(where=known, initial=_MEMORY) if known.any() else 0
         self.beat = max(1, int(least * _BEAT))
+
+    @property
+    def held(self) -> Real:
+        """The `spread` and `weight` (2 B,) of a `Fit` of all known markers."""
+        return np.concatenate((self._grip.spread, self._grip.weight))
 
     @property
     def middle(self) -> Complex:

@@ -12,7 +12,7 @@ from kinpole_ros.planar._plane import Real
 # less than the other per frame, was seen so many frames ago at most, and did so for so many.
 _HALF_TURN, _SLOW, _RECENT, _CALM = 0.75 * np.pi, 0.25 * np.pi, 3, 20
 # Cosine of how far a body turns in a frame without a jump.
-_NOT_FAR = np.cos(_HALF_TURN - _SLOW)
+NOT_FAR = np.cos(_HALF_TURN - _SLOW)
 # Times angles are taken before they are worked in.
 _MANY = 64
 
@@ -52,7 +52,7 @@ class Turns:
     def may_jump(self, angle: Real) -> np.ndarray:
         """In which of the next frames (T,) a body may have jumped, by its angles (T, B)."""
         before = self._last[None] if len(angle) == 1 else self._before(angle)[0]
-        return np.logical_or.reduce(np.cos(angle - before) < _NOT_FAR, -1)
+        return np.logical_or.reduce(np.cos(angle - before) < NOT_FAR, -1)
 
     def follow(self, angle: Real) -> None:
         """Take the angles (T, B) of the next frames, NaN for a body not seen."""
