@@ -34,7 +34,7 @@ from kinpole_ros.estimate import (
 )
 from kinpole_ros.frame import MarkerFrames
 from kinpole_ros.roster import FARTHEST_MARKER, Roster
-from kinpole_ros.window import NOT_FAR, PlainShape, Unforeseen
+from kinpole_ros.window import NOT_FAR, PlainShape, Room, Unforeseen
 
 Matrix = list[list[float]]
 T = TypeVar('T', float, complex)
@@ -86,7 +86,7 @@ class Foreseen:
         shapes: Sequence[PlainShape],
         poses: np.ndarray,
         reference: np.ndarray,
-        room: np.ndarray,
+        room: Room,
         estimate: Estimate,
     ) -> None:
         count = len(shapes)
@@ -103,7 +103,7 @@ class Foreseen:
         self._reference = reference.tolist()
         turn = np.exp(1j * here[:count, 0])
         self._position = (here[count:] @ (1, 1j) + reference * turn).tolist()
-        self._room = room.tolist()
+        self._room = room
         self._bodies = [_body(estimate, b) for b in range(count)]
 
     def told(self, frames: MarkerFrames) -> 'Prompt':
@@ -131,8 +131,8 @@ class Foreseen:
             position += arm * complex(math.cos(angle), math.sin(angle))
         angle_off = angle - 2 * math.pi * round(step / (2 * math.pi)) - self._angle[b]
         position_off = position - self._position[b]
-        of_angle, of_position = self._room
-        if not (abs(angle_off) <= of_angle[b] and abs(position_off) <= of_position[b]):
+        signals = (b, angle_off), (len(self._shapes) + b, position_off)
+        if not all(self._room.holds(*signal) for signal in signals):
             raise Unforeseen
         return Moving(self._bodies[b], angle_off, position_off)
 

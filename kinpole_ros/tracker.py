@@ -25,6 +25,7 @@ from kinpole_ros.window import (
     LandmarkFilter,
     PoseDerivatives,
     PoseFilter,
+    Room,
     Samples,
     Unforeseen,
     Windows,
@@ -223,11 +224,11 @@ class Tracker:
         # Once as it is expected and once a little off, to see what it changes.
         windows = tuple(map(np.repeat, windows, (2, 2, 2)))
         known = self._rigid.known[-1:].repeat(2)
-        room = np.empty(0)
+        rooms: list[Room] = []
 
         def ahead(*arguments: Any) -> PoseDerivatives:
-            nonlocal room
             found, room = self._filter.ahead(*arguments)
+            rooms.append(room)
             return found
 
         estimate = self._estimate(windows, order, np.zeros(2, int), known, ahead)
@@ -240,7 +241,7 @@ class Tracker:
             shapes,
             rows['poses'][1:],
             known['reference'][0],
-            room,
+            *rooms,
             estimate,
         )
 

@@ -16,7 +16,7 @@ from kinpole_ros.window._landmarks import LandmarkFilter
 from kinpole_ros.window._noise import Noise
 from kinpole_ros.window._pin import STRIKES, Pins
 from kinpole_ros.window._polynomial import derivative_weights, stencil
-from kinpole_ros.window._poses import PoseFilter, Unforeseen
+from kinpole_ros.window._poses import PoseFilter, Room, Unforeseen
 from kinpole_ros.window._projection import project
 from kinpole_ros.window._reference import References, alike, seen_at
 from kinpole_ros.window._runs import Windows, joined, runs
@@ -37,6 +37,7 @@ __all__ = [
     'PoseDerivatives',
     'PoseFilter',
     'References',
+    'Room',
     'Samples',
     'Shapes',
     'Spectrum',

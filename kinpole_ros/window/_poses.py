@@ -11,10 +11,11 @@ judged has its answer by a judgment of its own.
 """
 
 from collections.abc import Callable
+from typing import NamedTuple
 
 import numpy as np
 
-from kinpole_ros.planar._plane import Real
+from kinpole_ros.planar._plane import Complex, Real, complex_of
 from kinpole_ros.window._judgment import (
     Judged,
     PoseDerivatives,
@@ -42,6 +43,53 @@ _SURPRISING = 2.0
 
 class Unforeseen(Exception):
     """What the next frame makes of the figures cannot be found before it comes."""
+
+
+class Room(NamedTuple):
+    """
+    How far G signals may be off a guess of their newest sample before they refute a judgment.
+
+    Coefficients (L D, G) are `start` by the guess and change by `change`, what the fits leave
+    (L, G) by no more than `left_change`. `sure` is how far they may be anyhow.
+    """
+
+    start: Complex
+    change: Real
+    most: Real
+    left: Real
+    left_change: Real
+    most_left: Real
+    sure: list[float]
+
+    def holds(self, signal: int, off: complex) -> bool:
+        """Whether a signal may be that far off."""
+        if abs(off) <= self.sure[signal]:
+            return True
+        start, change, most, left, left_change, most_left = (part[:, signal] for part in self[:-1])
+        return bool(
+            (np.abs(start + change * off) <= most).all()
+            and (left + left_change * abs(off) <= most_left).all()
+        )
+
+
+def _room(fits: Projection, dimensions: np.ndarray, limits: Real) -> Room:
+    """By fits at two instants, of which the second has newest samples that are off by 1 in x."""
+    deviations = np.sqrt(squares_of(fits, dimensions))
+    groups = deviations.shape[-1]
+    scale = 1 / np.sqrt(dimensions)
+    most = np.sqrt(limits).reshape(*limits.shape[:2], groups)
+    x, y = fits.coefficients[:, :, 0], fits.coefficients[:, :, 1, 0]
+    start, change = complex_of(x[:, :, 0], y) * scale, (x[:, :, 1] - x[:, :, 0]) * scale
+    left = deviations[:, -1]
+    parts = start, change, most[:, :-1]
+    start, change, most_square = (part.reshape(-1, groups) for part in parts)
+    # The length of a sum is no more than that of its parts.
+    changes = np.concatenate((np.abs(change), left[:, 0] + left[:, 1]))
+    rests = np.concatenate((most_square - np.abs(start), most[:, -1] - left[:, 0]))
+    with np.errstate(divide='ignore', invalid='ignore'):
+        sure = (rests / changes).min(axis=0)
+    left_change = left[:, 0] + left[:, 1]
+    return Room(start, change, most_square, left[:, 0], left_change, most[:, -1], sure.tolist())
 
 
 class PoseFilter:
@@ -127,14 +175,14 @@ class PoseFilter:
         noise: Real,
         reach: Real,
         order: int,
-    ) -> tuple[PoseDerivatives, Real]:
+    ) -> tuple[PoseDerivatives, 'Room']:
         """
         The derivatives at the next instant, as far as they are known before its newest sample.
 
         Arguments as of `derivatives`, of that instant twice, with a guess of the sample. Derivatives
         are affine in it: the first are by the guess, the second by one that is off it by 1, in x
-        for positions. Also how far (2, B) off it angle and position may be while no body can be
-        found to move in another way than was judged. Raises Unforeseen where it is not as always.
+        for positions. Also how far off it angles and positions may be while no body is found to
+        move in another way than was judged. Raises Unforeseen where it is not as always.
         """
         most, held, fresh = longest(len(times)), self._held, self._fresh
         if (
@@ -155,15 +203,7 @@ class PoseFilter:
             found = PoseDerivatives(*map(np.copy, found))
             # For the one instant, which is here twice.
             put(found, fresh._replace(end=np.where(fresh.first > 0, 0, 2 * fresh.end)), fits)
-        dimensions = dimensions_of(bodies)
-        deviations = np.sqrt(squares_of(fits, dimensions))
-        change = deviations[:, :, 0] + deviations[:, :, 1]
-        unit = fits.coefficients[:, :, 0, 1] - fits.coefficients[:, :, 0, 0]
-        change[:, :-1] = np.abs(unit) / np.sqrt(dimensions)
-        limits = np.sqrt(_SURPRISING * held.limits).reshape(change.shape)
-        with np.errstate(divide='ignore', invalid='ignore'):
-            room = (limits - deviations[:, :, 0]) / change
-        return found, room.min(axis=(0, 1)).reshape(2, -1)
+        return found, _room(fits, dimensions_of(bodies), _SURPRISING * held.limits)
 
     def _derived(
         self, fits: Projection, noise: Real, reach: Real, plan: Plan, order: int
