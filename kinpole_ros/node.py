@@ -6,6 +6,7 @@ rows of the results table that have subscribers, and the diagnostics.
 """
 
 import gc
+import os
 import sys
 import time
 import warnings
@@ -280,8 +281,8 @@ class KinpoleNode(LifecycleNode):
                 self._note('message', str(frames))
                 continue
             self._stamps.extend(frames.stamps.tolist())
-            left = self._answer_at_once(frames)
-            for estimate in self._tracker.add(frames, order):
+            told, left = self._answer_at_once(frames)
+            for estimate in self._tracker.add(frames, order, told):
                 self._latest = self._drawn = estimate
                 # All are made before the first goes out: its readers wake, and take the core.
                 made = [
@@ -296,19 +297,22 @@ class KinpoleNode(LifecycleNode):
             self._tracker.foresee(order)
         self._amid_markers = False
 
-    def _answer_at_once(self, frames: MarkerFrames) -> list[tuple[Output, Any]]:
-        """Publish what can be told of a frame before it is added; returns what is left to tell."""
-        prompt = self._tracker.prompt(frames)
-        if prompt is None:
-            return self._wanted
+    def _answer_at_once(self, frames: MarkerFrames) -> tuple[bool, list[tuple[Output, Any]]]:
+        """Publish what can be told of a frame before it is added: whether all, and what is left."""
         try:
-            made = [(row, row[0].prompt(prompt)) for row in self._wanted if row[0].prompt]
+            prompt = self._tracker.prompt(frames)
+            made = [(row, row[0].prompt(prompt)) for row in self._wanted if prompt and row[0].prompt]
         except ArithmeticError:
-            return self._wanted
+            prompt = None
+        if prompt is None:
+            return False, self._wanted
         for (_, publisher), data in made:
             if data is not None:
                 publisher.publish(data)
-        return [row for row in self._wanted if not row[0].prompt]
+        # They wake on this core as often as not.
+        os.sched_yield()
+        left = [row for row in self._wanted if not row[0].prompt]
+        return not left, left
 
     def _newest_last(
         self, read: list[MarkerFrames | MessageError]

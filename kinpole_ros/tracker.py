@@ -123,7 +123,9 @@ class Tracker:
         """The markers that the last message has."""
         return self._roster.identities
 
-    def add(self, frames: MarkerFrames, order: int | None) -> list[Estimate]:
+    def add(
+        self, frames: MarkerFrames, order: int | None, told: bool = False
+    ) -> list[Estimate]:
         """
         Take frames; return what is now known, stamped `lag` earlier, an instant for most frames.
 
@@ -131,10 +133,14 @@ class Tracker:
         seen already is left out, and so is a frame that comes late: before the newest, within the
         window. Everything starts anew with another frame_id, with a stamp farther from the newest
         than the window, and where stamps go on from a late one: then the clock has stepped back.
+        With `told`, for a frame of which nothing is wanted but what `prompt` said, there is an
+        estimate only where it is needed to go on.
         """
-        return self.add_parts((frames,), order)
+        return self.add_parts((frames,), order, told)
 
-    def add_parts(self, parts: Iterable[MarkerFrames], order: int | None) -> list[Estimate]:
+    def add_parts(
+        self, parts: Iterable[MarkerFrames], order: int | None, told: bool = False
+    ) -> list[Estimate]:
         """
         The same of frames in parts, at less cost than one by one.
 
@@ -174,7 +180,7 @@ class Tracker:
                     self.reset()
             self._last = int(stamps[-1])
             before += len(stamps)
-        return found + self._estimates(order)
+        return found + self._estimates(order, told)
 
     def settle(self) -> None:
         """Learn and judge what is due, while nobody waits for it; else the next `add` does."""
@@ -326,7 +332,7 @@ class Tracker:
             self._points = Samples(wide.shape[1:], complex)
             self._points.room(len(wide))[...] = wide
 
-    def _estimates(self, order: int | None) -> list[Estimate]:
+    def _estimates(self, order: int | None, told: bool = False) -> list[Estimate]:
         """
         What falls due with the frames that wait: to wait for one more would trail beyond lag.
 
@@ -342,7 +348,8 @@ class Tracker:
         end, windows, frame = self._falling_due(new)
         self._due = int(end[-1])
         found = []
-        if order is not None and len(frame):
+        told = told and self._filter.passed(int(windows[0][0]) + self._dropped)
+        if order is not None and len(frame) and not told:
             then = known[new['beat'][frame]]
             found.append(self._estimate(windows, order, new['number'][frame], then))
         self._trim(int(new['oldest'][-1]))

@@ -205,6 +205,20 @@ class PoseFilter:
             put(found, fresh._replace(end=np.where(fresh.first > 0, 0, 2 * fresh.end)), fits)
         return found, _room(fits, dimensions_of(bodies), _SURPRISING * held.limits)
 
+    def passed(self, number: int) -> bool:
+        """
+        Go by the sample that was looked `ahead` to, if nobody is to be judged or asked then.
+
+        Returns False where the derivatives are to be found as always.
+        """
+        plan = planned(np.array([number]), self._number, max(1, self._longest // _PART))
+        if plan.due[0] or plan.asked()[0]:
+            return False
+        self._number = number
+        if self._fresh is not None:
+            self._fresh = self._fresh.after(1)
+        return True
+
     def _derived(
         self, fits: Projection, noise: Real, reach: Real, plan: Plan, order: int
     ) -> PoseDerivatives:
