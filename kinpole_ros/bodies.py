@@ -172,24 +172,24 @@ class RigidBodies:
 
     def foresee(self, rows: np.ndarray) -> list[PlainShape]:
         """
-        Fill the last of some frames `rows` (3,) with what is to be expected; how it will be fitted.
+        Fill the last of three frames with what is to be expected; by what it will be fitted.
 
-        Raises Unforeseen where a body was not seen of late.
+        Raises Unforeseen where the others do not have all bodies.
         """
-        shapes, count = self._shapes, self._count
-        held = shapes.held
-        if not (rows['information'][:-1] > 0).all() or self._lost(held[None, :count]).any():
+        count, held = self._count, self._shapes.held
+        seen = rows['information'][:-1] > 0
+        if np.count_nonzero(seen) < seen.size or np.count_nonzero(self._lost(held[None, :count])):
             raise Unforeseen
         before, last, here = rows['poses']
         here[:] = 2 * last - before
-        # The turns as they were; that the angle goes on from there is seen to when it comes.
+        # Turns are counted when it has come.
         here[:count, 0] += 2 * np.pi * (last[:count, 1] - before[:count, 1])
         here[:count, 1] = last[:count, 1]
         rows['information'][-1] = held
-        # As a pin has it least: it may be lost by this frame.
+        # As a pin has it least: that may be lost by this frame.
         rows['strayed'][-1] = np.isfinite(self._pins.center)
-        rows['beat'][-1] = self._known_now()
-        return shapes.in_plain_numbers()
+        self._known_now()
+        return self._shapes.in_plain_numbers()
 
     def settle(self) -> None:
         """Learn if it is time for a beat."""

@@ -299,19 +299,21 @@ class KinpoleNode(LifecycleNode):
 
     def _answer_at_once(self, frames: MarkerFrames) -> tuple[bool, list[tuple[Output, Any]]]:
         """Publish what can be told of a frame before it is added: whether all, and what is left."""
-        try:
-            prompt = self._tracker.prompt(frames)
-            made = [(row, row[0].prompt(prompt)) for row in self._wanted if prompt and row[0].prompt]
-        except ArithmeticError:
-            prompt = None
-        if prompt is None:
+        found = self._tracker.prompt(frames)
+        if found is None:
             return False, self._wanted
-        for (_, publisher), data in made:
+        rows = [(publisher, output.prompt) for output, publisher in self._wanted if output.prompt]
+        try:
+            made = [(publisher, prompt(found)) for publisher, prompt in rows]
+        except ArithmeticError:
+            return False, self._wanted
+        for publisher, data in made:
             if data is not None:
                 publisher.publish(data)
-        # They wake on this core as often as not.
+        # Readers wake on this core as often as not.
         os.sched_yield()
-        left = [row for row in self._wanted if not row[0].prompt]
+        self._tracker.counts['prompt'] += 1
+        left = [row for row in self._wanted if row[0].prompt is None]
         return not left, left
 
     def _newest_last(

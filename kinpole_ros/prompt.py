@@ -1,12 +1,12 @@
 """
-The answer to a frame that comes as expected, in plain numbers, found at once.
+The prompt answer to a frame that comes as expected.
 
-Until the next frame comes a live node has nothing to do. So all that can be found of it before is
-found then, and when it comes only its own share is left (as the real-time iteration has it: Diehl,
-Bock and Schloeder 2005): the derivatives are affine in the newest poses. Numbers take a twentieth
-of the time of arrays with one element, so the figures that are read most are written here once
-more for one body. `Estimate` has the same for all figures, bodies and instants, and says why;
-whatever is not as expected is left to it.
+While a live node waits for the next frame it has nothing to do. So all that hangs on the frames
+before is found then, and only what the new one adds is left for when it comes, as in real-time
+iterations (Diehl, Bock and Schloeder 2005): derivatives are affine in the newest poses. Numbers
+take a twentieth of the time of arrays with one element, so the figures that are read most are here
+once more, for one body. `Estimate` has them all and says why they are as they are; what is not as
+expected is left to it.
 """
 
 import math
@@ -18,7 +18,6 @@ from typing import NamedTuple, TypeVar
 import numpy as np
 
 from kinpole_ros import planar
-
 from kinpole_ros.estimate import (
     AGREE,
     APART,
@@ -42,15 +41,16 @@ T = TypeVar('T', float, complex)
 
 class _Body(NamedTuple):
     """
-    What is known of a body before its newest pose: lists by set, apart and together, then by order.
+    What is known of a body before its newest pose.
 
-    Derivatives as by the pose that was guessed, and by how much they change with it.
+    Derivatives by order, apart and then together: as they are by the pose that is expected, and by
+    how much they change with what it is off that; their covariances, and what `Estimate` has.
     """
 
     angle: Matrix
-    angle_by: Matrix
+    angle_change: Matrix
     position: list[list[complex]]
-    position_by: Matrix
+    position_change: Matrix
     of_angle: list[Matrix]
     of_position: list[Matrix]
     turning: float
@@ -69,19 +69,17 @@ class Prompt(NamedTuple):
 
 class Foreseen:
     """
-    The next frame as it is expected.
+    The next frame as it is expected: at `stamp`, laid out as the last that `roster` has sorted.
 
-    Raises
-    ------
-    Unforeseen
-        If it is not as expected.
-
+    `poses` (2, 2 B, 2) are those before and those expected, angles first; `reference` (B,) are the
+    points of the bodies that are differentiated. The `estimate` is of the same instant by what is
+    expected and by poses that are off that as in `PoseFilter.ahead`; `room` is how far off they may
+    be.
     """
 
     def __init__(
         self,
         stamp: int,
-        frame_id: str,
         roster: Roster,
         shapes: Sequence[PlainShape],
         poses: np.ndarray,
@@ -90,11 +88,13 @@ class Foreseen:
         estimate: Estimate,
     ) -> None:
         count = len(shapes)
-        self._layout = stamp, frame_id, roster.identities
+        self._layout = stamp, estimate.frame_id, roster.identities
         self._stamp = int(estimate.stamp[0])
+        # Whether it is this frame that is told of.
+        self._newest = self._stamp == stamp
         self._axes = roster.axes
         self._places = roster.places()
-        if len(self._places) != count:
+        if [len(shape.grip.arms) for shape in shapes] != [len(place) for place in self._places]:
             raise Unforeseen
         self._shapes = shapes
         before, here = poses
@@ -106,8 +106,8 @@ class Foreseen:
         self._room = room
         self._bodies = [_body(estimate, b) for b in range(count)]
 
-    def told(self, frames: MarkerFrames) -> 'Prompt':
-        """What the one frame that has come says."""
+    def told(self, frames: MarkerFrames) -> Prompt:
+        """What the frame that has come says; raises Unforeseen or ArithmeticError."""
         stamps, *layout, points = frames
         if len(stamps) != 1 or (stamps[0], *layout) != self._layout:
             raise Unforeseen
@@ -121,7 +121,7 @@ class Foreseen:
             for coordinate in row:
                 if not abs(coordinate) < FARTHEST_MARKER:
                     raise Unforeseen
-        x, y, _ = self._axes
+        x, y, normal = self._axes
         position, angle, left = grip.fit([complex(row[x], row[y]) for row in rows])
         step = angle - self._before[b]
         if not (left <= most and math.cos(step) >= NOT_FAR):
@@ -134,11 +134,14 @@ class Foreseen:
         signals = (b, angle_off), (len(self._shapes) + b, position_off)
         if not all(self._room.holds(*signal) for signal in signals):
             raise Unforeseen
-        return Moving(self._bodies[b], angle_off, position_off)
+        body = self._bodies[b]
+        if self._newest:
+            body = body._replace(height=sum(row[normal] for row in rows) / len(rows))
+        return Moving(body, angle_off, position_off)
 
 
 def _body(estimate: Estimate, b: int) -> _Body:
-    """Of the estimates of two instants that are the same but for the newest pose."""
+    """What the `estimate` of a `Foreseen` says of one body."""
     position, angle, of_position, of_angle = (part[..., b] for part in estimate.poses(1))
     assert estimate.together is not None
     # The orders last.
@@ -160,22 +163,19 @@ class Moving:
     """
     One body at one instant: figures as of `Estimate`, None where they are not determined.
 
-    Raises
-    ------
-    ArithmeticError
-        Where a figure does not come out, for the arrays to tell.
-
+    They raise ArithmeticError where they do not come out.
     """
 
     def __init__(self, body: _Body, angle_off: float, position_off: complex) -> None:
         self._body = body
-        self._angle = _moved(body.angle, body.angle_by, angle_off)
-        self._position = _moved(body.position, body.position_by, position_off)
+        self._angle = _moved(body.angle, body.angle_change, angle_off)
+        self._position = _moved(body.position, body.position_change, position_off)
         self.height = body.height
 
-    def rate(self, order: int) -> float:
+    def rate(self, order: int) -> float | None:
         """As `Estimate.rate`, rad/s^order."""
-        return self._angle[0][order]
+        value = self._angle[0][order]
+        return value if isfinite(value) else None
 
     @cached_property
     def _pole(self) -> tuple[complex, bool]:
@@ -184,7 +184,7 @@ class Moving:
         for angle, position, of_angle, of_position in self._sets():
             q = 1j / angle[1]
             arm = position[1] * q
-            even = mean_square((1.0, q), of_position, 0)
+            even = _mean_square((1.0, q), of_position, 0)
             values.append(position[0] + arm)
             variances.append(2 * even + abs(arm * q) ** 2 * of_angle[1][1])
         value, _, agreed = _mean(values, variances)
@@ -195,23 +195,24 @@ class Moving:
         """As `Estimate.pole` of order 1, m."""
         pin, (apart, both) = self._body.pin, self._angle
         noise, noise_both = self._body.of_angle
-        if pin is not None and abs(apart[1]) > SIGNIFICANT * math.sqrt(noise[1][1]):
+        if pin is not None and apart[1] ** 2 > SIGNIFICANT**2 * noise[1][1]:
             return pin
-        value, agreed = self._pole
         different = self._body.turning
         times = NOISE if different > 0 else SIGNIFICANT
-        turning = (
-            abs(both[1]) > math.sqrt(times**2 * noise_both[1][1] + DIFFERENT[0] ** 2 * different)
-            and abs(apart[1]) > APART[0] * math.sqrt(noise[1][1])
-            and agreed
-            and self._near(value)
-        )
-        return (value if pin is None else pin) if turning else None
+        least = times**2 * noise_both[1][1] + DIFFERENT[0] ** 2 * different
+        if not (both[1] ** 2 > least and apart[1] ** 2 > APART[0] ** 2 * noise[1][1]):
+            return None
+        value, agreed = self._pole
+        if not (agreed and self._near(value)):
+            return None
+        return value if pin is None else pin
 
     @property
     def centrode_curvature(self) -> float | None:
         """As `Estimate.centrode_curvature`, 1/m."""
-        if self._body.pin is not None:
+        rate = self._angle[0][1]
+        turns = rate**2 > TURNING**2 * self._body.of_angle[0][1][1]
+        if not turns or self._body.pin is not None:
             return None
         velocities, curvatures, of_velocity, of_curvature = [], [], [], []
         for angle, position, of_angle, of_position in self._sets():
@@ -222,20 +223,18 @@ class Moving:
             by_angle = [by.real for by in curvature[2]]
             velocities.append(u[0])
             curvatures.append(curvature[0])
-            even = mean_square(u[1], of_position, 1)
-            of_velocity.append(2 * even + mean_square(u[2], of_angle, 1))
-            even = mean_square(curvature[1], of_position, 1)
-            of_curvature.append(even + mean_square(by_angle, of_angle, 1))
+            even = _mean_square(u[1], of_position, 1)
+            of_velocity.append(2 * even + _mean_square(u[2], of_angle, 1))
+            even = _mean_square(curvature[1], of_position, 1)
+            of_curvature.append(even + _mean_square(by_angle, of_angle, 1))
         u, spread, _ = _mean(velocities, of_velocity)
         value, noise, agreed = _mean(curvatures, of_curvature)
-        noise += 18 * (value * spread / 2 / abs(u) ** 2) ** 2
-        size, rate = self._body.size, self._angle[0][1]
-        moves = self._near(self._pole[0]) and (
-            abs(u) > max(MOVING * math.sqrt(spread), STILL * abs(rate) * size)
-        )
-        turns = rate**2 > TURNING**2 * self._body.of_angle[0][1][1]
+        size, speed = self._body.size, abs(u) ** 2
+        noise += 18 * (value * spread / 2 / speed) ** 2
+        moves = speed > max(MOVING**2 * spread, (STILL * rate * size) ** 2)
+        moves = moves and self._near(self._pole[0])
         sure = noise < max(CURVED * abs(value), 1 / size) ** 2
-        return value if moves and turns and sure and agreed else None
+        return value if moves and sure and agreed else None
 
     def _sets(self) -> Iterator[tuple[list[float], list[complex], Matrix, Matrix]]:
         """Angle and position with their covariances, apart and together."""
@@ -253,7 +252,7 @@ def _moved(values: list[list[T]], changes: Matrix, off: T) -> list[list[T]]:
     ]
 
 
-def mean_square(factors: Sequence[complex], matrix: Matrix, first: int) -> float:
+def _mean_square(factors: Sequence[complex], matrix: Matrix, first: int) -> float:
     """As `planar.mean_square`, by the orders of the matrix from `first` on."""
     total = 0.0
     for k, one in enumerate(factors):
@@ -266,7 +265,7 @@ def mean_square(factors: Sequence[complex], matrix: Matrix, first: int) -> float
 
 
 def _mean(values: list[T], variances: list[float]) -> tuple[T, float, bool]:
-    """The mean of two, its variance, and whether they agree: see `estimate`, which has it of arrays."""
+    """The mean of two, its variance, and whether they agree, as `estimate` has it of arrays."""
     (one, other), (v, w) = values, variances
     if not (isfinite(v) and isfinite(w) and isfinite(one) and isfinite(other)):
         raise ArithmeticError

@@ -9,7 +9,6 @@ Header stamps drive it; it never asks for the time.
 import itertools
 from collections import Counter
 from collections.abc import Callable, Iterable
-from typing import Any
 
 import numpy as np
 
@@ -25,7 +24,6 @@ from kinpole_ros.window import (
     LandmarkFilter,
     PoseDerivatives,
     PoseFilter,
-    Room,
     Samples,
     Unforeseen,
     Windows,
@@ -39,7 +37,7 @@ from kinpole_ros.window import (
 _LATE = 2.5
 # Not by its first stamp, which a bag that loops has again and again.
 # As a rule numbers are quicker than arrays for so many bodies.
-_FEW = 4
+_FEW = 8
 _run_numbers = itertools.count(1)
 
 
@@ -123,9 +121,7 @@ class Tracker:
         """The markers that the last message has."""
         return self._roster.identities
 
-    def add(
-        self, frames: MarkerFrames, order: int | None, told: bool = False
-    ) -> list[Estimate]:
+    def add(self, frames: MarkerFrames, order: int | None, told: bool = False) -> list[Estimate]:
         """
         Take frames; return what is now known, stamped `lag` earlier, an instant for most frames.
 
@@ -148,6 +144,7 @@ class Tracker:
         frame of that part. Instants are `due` by the number of the frame in all parts.
         """
         found: list[Estimate] = []
+        self._foreseen = None
         before = 0
         for frames in parts:
             stamps = np.asarray(frames.stamps)
@@ -189,23 +186,22 @@ class Tracker:
 
     def foresee(self, order: int) -> None:
         """Find what can be found of the next frame, while nobody waits for it, for `prompt`."""
-        self._foreseen = None
-        frames = self._frames.view()
-        if len(self.bodies) > _FEW or self._points is not None or len(frames) < FEWEST_SAMPLES:
+        few = len(self.bodies) <= _FEW and self._points is None
+        if not few or len(self._frames) < FEWEST_SAMPLES:
             return
         row = self._frames.room(1)
         try:
             self._foreseen = self._expected(row, order)
         except Unforeseen:
-            pass
+            self._foreseen = None
         finally:
             self._frames.withdraw(1)
 
     def prompt(self, frames: MarkerFrames) -> Prompt | None:
         """
-        What a frame says of the bodies, if it is as foreseen; it is still to be added.
+        What `add` will say of a frame that comes as foreseen, at once; else None.
 
-        It says the same as what `add` returns.
+        It is to be added then.
         """
         foreseen, self._foreseen = self._foreseen, None
         if foreseen is None:
@@ -216,38 +212,34 @@ class Tracker:
             return None
 
     def _expected(self, row: np.ndarray, order: int) -> Foreseen:
-        """The frame that is to come if all goes on as it did, its `row` for the time being."""
-        rows = self._frames.view()[-3:]
-        step = rows['stamp'][1] - rows['stamp'][0]
-        stamp = rows['stamp'][1:2] + step
-        if self._last != rows['stamp'][1] or step > min(_LATE * self._interval, self._window):
+        """The frame that comes if all goes on as it did, for which there is a `row` for now."""
+        rows = self._frames.view()[-5:]
+        steps = rows['stamp'][1:-1] - rows['stamp'][:-2]
+        # The step of three frames ago: at 120 Hz and the like one in three is a ns longer.
+        stamp = rows['stamp'][-2:-1] + steps[0]
+        uneven = np.ptp(steps) > 1 or rows['stamp'][-2] != self._last
+        if uneven or steps[0] > min(_LATE * self._interval, self._window):
             raise Unforeseen
         self._place(row, stamp)
-        shapes = self._rigid.foresee(rows)
+        shapes = self._rigid.foresee(rows[-3:])
         end, windows, _ = self._falling_due(row)
-        if end[0] != self._due + 1 or len(windows[0]) != 1:
+        if (end[0], len(windows[0])) != (self._due + 1, 1):
             raise Unforeseen
-        # Once as it is expected and once a little off, to see what it changes.
-        windows = tuple(map(np.repeat, windows, (2, 2, 2)))
-        known = self._rigid.known[-1:].repeat(2)
-        rooms: list[Room] = []
-
-        def ahead(*arguments: Any) -> PoseDerivatives:
-            found, room = self._filter.ahead(*arguments)
-            rooms.append(room)
-            return found
-
-        estimate = self._estimate(windows, order, np.zeros(2, int), known, ahead)
-        if (estimate.missing != '').any() or (np.isfinite(known['pin']) != estimate.pinned).any():
+        # Once as it is expected, and off that to see what it changes.
+        now, oldest, newest = (index.repeat(3) for index in windows)
+        known = self._rigid.known[-1:].repeat(3)
+        windows = now, oldest, newest
+        estimate = self._estimate(windows, order, np.zeros(3, int), known, self._filter.ahead)
+        unknown = (estimate.missing != '') | (estimate.pinned != np.isfinite(known['pin']))
+        if np.count_nonzero(unknown):
             raise Unforeseen
         return Foreseen(
             int(stamp[0]),
-            self._frame_id,
             self._roster,
             shapes,
-            rows['poses'][1:],
+            rows['poses'][-2:],
             known['reference'][0],
-            *rooms,
+            self._filter.room,
             estimate,
         )
 

@@ -223,6 +223,9 @@ def test_live_figures_are_those_of_replay(simulated: Bag, tmp_path: Path) -> Non
     replay(bag, settings, tmp_path / 'replay.mcap')
     live = decoded(tmp_path / 'live.mcap')
     assert [array.status[1].name for array in live['/diagnostics']][:1] == ['kinpole: crank']
+    # Some of them come from what was foreseen, all told from arrays in replay.
+    prompt = said(live['/diagnostics'])['frames answered at once, since they came as foreseen']
+    assert int(prompt) > 10
     live.pop('/kinpole/transition_event', None)
     found = figures(live)
     expected = figures(decoded(tmp_path / 'replay.mcap'))
@@ -644,9 +647,15 @@ def test_nothing_is_computed_that_nobody_subscribes_to(
     asked: list[int | None] = []
 
     class Watched(Tracker):
-        def add(self, frames: MarkerFrames, order: int | None) -> list[Estimate]:
+        def add(
+            self, frames: MarkerFrames, order: int | None, told: bool = False
+        ) -> list[Estimate]:
             asked.append(order)
-            return super().add(frames, order)
+            return super().add(frames, order, told)
+
+        def foresee(self, order: int) -> None:
+            asked.append(order)
+            super().foresee(order)
 
     monkeypatch.setattr('kinpole_ros.node.Tracker', Watched)
     context = rclpy.get_default_context()

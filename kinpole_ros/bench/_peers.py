@@ -321,7 +321,7 @@ class FixedTracker(Tracker):
     """The same pipeline with a fixed local polynomial (41 samples, degree 4) for the choice."""
 
     def _from_poses(
-        self, windows: Windows, known: np.ndarray, order: int
+        self, windows: Windows, known: np.ndarray, order: int, derivatives: object
     ) -> tuple[tuple[np.ndarray, ...], None, None]:
         frames = zip(*windows, known['noise'], strict=True)
         found = [self._at(*frame, order) for frame in frames]

@@ -31,6 +31,7 @@ _WORDS = {
     'unreadable': 'messages that could not be read',
     'dropped': 'messages dropped, since the node or the network could not keep up',
     'untold': 'results left out, since the node could not keep up',
+    'prompt': 'frames answered at once, since they came as foreseen',
     'failures': 'failures of the node itself',
 }
 

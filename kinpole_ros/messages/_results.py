@@ -66,22 +66,21 @@ def result_outputs(bodies: Sequence[str], plane: str, theory: Theory | None = No
         outputs.append(Output(f'{body}/odom', Odometry, 1, _odometry(b, axes)))
         for order in range(1, 5):
             rate = _numbers(_rate(order), b, axes)
-            at_once = _at_once(_moving_rate(order), b, axes)
-            name = f'{body}/{RATE_NAMES[order - 1]}'
-            outputs.append(Output(name, Vector3Stamped, order, rate, at_once))
+            name, prompt = f'{body}/{RATE_NAMES[order - 1]}', _prompt(_moving_rate(order), b, axes)
+            outputs.append(Output(name, Vector3Stamped, order, rate, prompt))
         for order in range(1, 5):
             name = f'{body}/{POLE_NAMES[order - 1]}'
             point, pose = _points(_pole(order), b, axes, b), _poses(_pole(order), b, axes)
-            at_once = _at_once(lambda moving: moving.icr, b, axes) if order == 1 else None
-            outputs.append(Output(name, PointStamped, order, point, at_once))
+            icr = _prompt(lambda moving: moving.icr, b, axes) if order == 1 else None
+            outputs.append(Output(name, PointStamped, order, point, icr))
             outputs.append(
                 Output(f'{name}/with_covariance', PoseWithCovarianceStamped, order, pose)
             )
         velocity = _points(lambda e: e.icr_velocity, b, axes)
         outputs.append(Output(f'{body}/icr_velocity', Vector3Stamped, 2, velocity))
         curvature = _numbers(lambda e: e.centrode_curvature, b, axes)
-        at_once = _at_once(lambda moving: moving.centrode_curvature, b, axes)
-        outputs.append(Output(f'{body}/centrode_curvature', Vector3Stamped, 3, curvature, at_once))
+        prompt = _prompt(lambda moving: moving.centrode_curvature, b, axes)
+        outputs.append(Output(f'{body}/centrode_curvature', Vector3Stamped, 3, curvature, prompt))
         for name, fixed in (('fixed', True), ('moving', False)):
             locus = centrode(b, axes, trails[b], fixed)
             outputs.append(Output(f'{body}/centrode/{name}', Path, 1, locus))
@@ -124,25 +123,24 @@ def _pole(order: int) -> Callable[[Estimate], Vectors]:
     return lambda estimate: estimate.pole(order)
 
 
-def _moving_rate(order: int) -> Callable[[Moving], float]:
+def _moving_rate(order: int) -> Callable[[Moving], float | None]:
     return lambda moving: moving.rate(order)
 
 
-def _at_once(
+def _prompt(
     quantity: Callable[[Moving], complex | None], b: int, axes: Axes
 ) -> Callable[[Prompt], bytes | None]:
-    """One quantity of body `b` in plain numbers: a point, at its height, or one along the normal."""
+    """One quantity of body `b` in plain numbers: a point at its height, or one along the normal."""
 
     def message(prompt: Prompt) -> bytes | None:
         moving = prompt.bodies[b]
         found = quantity(moving)
         if found is None:
             return None
-        vector = [0.0, 0.0, 0.0]
+        along = 0.0, 0.0, found
         if isinstance(found, complex):
-            vector[axes[0]], vector[axes[1]], vector[axes[2]] = found.real, found.imag, moving.height
-        else:
-            vector[axes[2]] = found
+            along = found.real, found.imag, moving.height
+        vector = [value for _, value in sorted(zip(axes, along, strict=True))]
         return stamped_vector(prompt.stamp, prompt.frame_id, vector)
 
     return message

@@ -39,7 +39,15 @@ from kinpole_ros.planar._poles import (
     rotation,
     rotation_coefficient,
 )
-from kinpole_ros.planar._procrustes import Fit, Grip, PlainGrip, fit_by_grip, fit_pose, grip_of, plain_grip
+from kinpole_ros.planar._procrustes import (
+    Fit,
+    Grip,
+    PlainGrip,
+    fit_by_grip,
+    fit_pose,
+    grip_of,
+    plain_grip,
+)
 from kinpole_ros.planar._relative import (
     center_offset,
     kennedy_residual,

@@ -16,7 +16,6 @@ from kinpole_ros.planar._plane import (
     to_plane,
 )
 
-
 # Numbers or arrays alike: a frame that comes alone is told of in numbers.
 Number: TypeAlias = Any
 Terms: TypeAlias = tuple[Number, tuple[Number, ...], tuple[Number, ...]]

@@ -49,14 +49,17 @@ class Room(NamedTuple):
     """
     How far G signals may be off a guess of their newest sample before they refute a judgment.
 
-    Coefficients (L D, G) are `start` by the guess and change by `change`, what the fits leave
-    (L, G) by no more than `left_change`. `sure` is how far they may be anyhow.
+    By roots of mean squares: coefficients (L D, G) are `start` by the guess and change by `change`;
+    what the fits leave (L, G) has the square `left` by the guess, which changes by twice its
+    product with `left_along` and by `left_change` times its square. Signals off by less than `sure`
+    (G,) refute nothing.
     """
 
     start: Complex
     change: Real
     most: Real
     left: Real
+    left_along: Complex
     left_change: Real
     most_left: Real
     sure: list[float]
@@ -65,35 +68,45 @@ class Room(NamedTuple):
         """Whether a signal may be that far off."""
         if abs(off) <= self.sure[signal]:
             return True
-        start, change, most, left, left_change, most_left = (part[:, signal] for part in self[:-1])
-        return bool(
-            (np.abs(start + change * off) <= most).all()
-            and (left + left_change * abs(off) <= most_left).all()
-        )
+        *fields, _ = self
+        start, change, most, left, along, left_change, most_left = (f[:, signal] for f in fields)
+        rest = left + 2 * (off * along.conj()).real + left_change * abs(off) ** 2
+        return bool((np.abs(start + change * off) <= most).all() and (rest <= most_left).all())
 
 
 def _room(fits: Projection, dimensions: np.ndarray, limits: Real) -> Room:
-    """By fits at two instants, of which the second has newest samples that are off by 1 in x."""
-    deviations = np.sqrt(squares_of(fits, dimensions))
-    groups = deviations.shape[-1]
-    scale = 1 / np.sqrt(dimensions)
-    most = np.sqrt(limits).reshape(*limits.shape[:2], groups)
+    """
+    By fits at an instant as guessed, and with newest samples that are off by 1 and -1.
+
+    Of signals with two components both are.
+    """
+    groups = len(dimensions)
     x, y = fits.coefficients[:, :, 0], fits.coefficients[:, :, 1, 0]
-    start, change = complex_of(x[:, :, 0], y) * scale, (x[:, :, 1] - x[:, :, 0]) * scale
-    left = deviations[:, -1]
-    parts = start, change, most[:, :-1]
-    start, change, most_square = (part.reshape(-1, groups) for part in parts)
+    squares = fits.squares / (np.maximum(fits.models.freedom[:, None], 1) * dimensions)
+    guess, more, less = squares.transpose(2, 0, 1, 3)  # (L, 2, G) each
+    left_change = np.maximum(((more + less) / 2 - guess)[:, 0], 0.0)
+    along = (more - less) / 4
+    left = guess[:, 0] + guess[:, 1]
+    most = np.sqrt(limits[:, :-1]).reshape(-1, groups)
+    most_left = limits[:, -1].reshape(-1, groups)
+    parts = complex_of(x[:, :, 0], y), x[:, :, 1] - x[:, :, 0]
+    start, change = (part.reshape(-1, groups) / np.sqrt(dimensions) for part in parts)
     # The length of a sum is no more than that of its parts.
-    changes = np.concatenate((np.abs(change), left[:, 0] + left[:, 1]))
-    rests = np.concatenate((most_square - np.abs(start), most[:, -1] - left[:, 0]))
+    rests = np.concatenate((most - np.abs(start), np.sqrt(most_left) - np.sqrt(left)))
     with np.errstate(divide='ignore', invalid='ignore'):
-        sure = (rests / changes).min(axis=0)
-    left_change = left[:, 0] + left[:, 1]
-    return Room(start, change, most_square, left[:, 0], left_change, most[:, -1], sure.tolist())
+        sure = rests / np.concatenate((np.abs(change), np.sqrt(left_change)))
+    of_left = left, complex_of(along[:, 0], along[:, 1]), left_change, most_left
+    return Room(start, change, most, *of_left, sure.min(axis=0).tolist())
 
 
 class PoseFilter:
-    """Finds the derivatives of the poses of B bodies, instant after instant."""
+    """
+    Finds the derivatives of the poses of B bodies, instant after instant.
+
+    `room` is how far the samples may be off what was guessed of them by the last look `ahead`.
+    """
+
+    room: Room
 
     def __init__(self) -> None:
         self._spectrum = Spectrum()
@@ -175,14 +188,14 @@ class PoseFilter:
         noise: Real,
         reach: Real,
         order: int,
-    ) -> tuple[PoseDerivatives, 'Room']:
+    ) -> PoseDerivatives:
         """
-        The derivatives at the next instant, as far as they are known before its newest sample.
+        Derivatives at the next instant, as far as they are known before its newest sample is.
 
-        Arguments as of `derivatives`, of that instant twice, with a guess of the sample. Derivatives
-        are affine in it: the first are by the guess, the second by one that is off it by 1, in x
-        for positions. Also how far off it angles and positions may be while no body is found to
-        move in another way than was judged. Raises Unforeseen where it is not as always.
+        The arguments are those of `derivatives`, of that instant three times, with a guess of the
+        sample. Derivatives are affine in it: the first are by the guess, the others by samples that
+        are off it by 1 and by -1, positions in x and in y. How far off it may be is the `room`
+        then. Raises Unforeseen where what holds is not all that it takes.
         """
         most, held, fresh = longest(len(times)), self._held, self._fresh
         if (
@@ -190,20 +203,22 @@ class PoseFilter:
             or held is None
             or self._later is not None
             or (self._order, self._longest, self._number + 1) != (order, most, numbers[0])
-            or times[-1, 0] <= 0
             or not evenly(times)[0]
         ):
             raise Unforeseen
         bodies = reach.shape[1]
-        samples[-1, 1, :, 0] += 1.0
+        off = np.array((1.0, -1.0))[:, None]
+        samples[-1, 1:, :, 0] += off
+        samples[-1, 1:, bodies:, 1] += off
         fits = project(times, samples, None, order, bodies)
-        which = np.tile(np.arange(bodies), (2, 1))
+        which = np.tile(np.arange(bodies), (3, 1))
         found = applied(held, which, fits)
         if fresh is not None:
             found = PoseDerivatives(*map(np.copy, found))
-            # For the one instant, which is here twice.
-            put(found, fresh._replace(end=np.where(fresh.first > 0, 0, 2 * fresh.end)), fits)
-        return found, _room(fits, dimensions_of(bodies), _SURPRISING * held.limits)
+            # For the one instant, which is here three times.
+            put(found, fresh._replace(end=np.where(fresh.first > 0, 0, 3 * fresh.end)), fits)
+        self.room = _room(fits, dimensions_of(bodies), _SURPRISING * held.limits)
+        return found
 
     def passed(self, number: int) -> bool:
         """
