@@ -610,10 +610,10 @@ import sys
 from kinpole_ros.node import main
 from kinpole_ros.tracker import Tracker
 add = Tracker.add
-def failing(self, frames, order):
+def failing(self, frames, *rest):
     if int(frames.stamps[0]) % 1000 == 7:
         raise IndexError('what nobody thought of')
-    return add(self, frames, order)
+    return add(self, frames, *rest)
 Tracker.add = failing
 sys.exit(main(['kinpole', *sys.argv[1:]]))
 """
