@@ -39,7 +39,7 @@ Matrix = list[list[float]]
 T = TypeVar('T', float, complex)
 
 
-class _Body(NamedTuple):
+class Body(NamedTuple):
     """
     What is known of a body before its newest pose.
 
@@ -104,7 +104,7 @@ class Foreseen:
         turn = np.exp(1j * here[:count, 0])
         self._position = (here[count:] @ (1, 1j) + reference * turn).tolist()
         self._room = room
-        self._bodies = [_body(estimate, b) for b in range(count)]
+        self._bodies = [body_of(estimate, b) for b in range(count)]
 
     def told(self, frames: MarkerFrames) -> Prompt:
         """What the frame that has come says; raises Unforeseen or ArithmeticError."""
@@ -140,12 +140,12 @@ class Foreseen:
         return Moving(body, angle_off, position_off)
 
 
-def _body(estimate: Estimate, b: int) -> _Body:
+def body_of(estimate: Estimate, b: int) -> Body:
     """What the `estimate` of a `Foreseen` says of one body."""
     position, angle, of_position, of_angle = (part[..., b] for part in estimate.poses(1))
     assert estimate.together is not None
     # The orders last.
-    return _Body(
+    return Body(
         angle[..., 0].T.tolist(),
         (angle[..., 1] - angle[..., 0]).T.tolist(),
         position[..., 0].T.tolist(),
@@ -166,7 +166,7 @@ class Moving:
     They raise ArithmeticError where they do not come out.
     """
 
-    def __init__(self, body: _Body, angle_off: float, position_off: complex) -> None:
+    def __init__(self, body: Body, angle_off: float, position_off: complex) -> None:
         self._body = body
         self._angle = _moved(body.angle, body.angle_change, angle_off)
         self._position = _moved(body.position, body.position_change, position_off)

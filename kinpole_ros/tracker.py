@@ -189,6 +189,7 @@ class Tracker:
         few = len(self.bodies) <= _FEW and self._points is None
         if not few or len(self._frames) < FEWEST_SAMPLES:
             return
+        self.settle()
         row = self._frames.room(1)
         try:
             self._foreseen = self._expected(row, order)

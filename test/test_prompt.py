@@ -12,11 +12,11 @@ from stretches import one_frame
 
 from kinpole_ros.bench._motions import motions
 from kinpole_ros.bench._record import observe
-from kinpole_ros.estimate import RATE_NAMES, Estimate
+from kinpole_ros.estimate import RATE_NAMES, Estimate, Poses
 from kinpole_ros.frame import MarkerFrames
 from kinpole_ros.messages import result_outputs
 from kinpole_ros.parameters import settings_from
-from kinpole_ros.prompt import Moving, Prompt
+from kinpole_ros.prompt import Moving, Prompt, body_of
 from kinpole_ros.tracker import Tracker
 
 pytestmark = pytest.mark.filterwarnings('error')
@@ -70,7 +70,6 @@ def follow_both(
             check(found, added[0])
             told.append(k)
         estimates += added
-        tracker.settle()
         tracker.foresee(ORDER)
     return told, estimates
 
@@ -164,6 +163,7 @@ FAULTS = {
     'a marker hidden': lambda frame: with_marker(frame, np.nan),
     'a marker infinitely far': lambda frame: with_marker(frame, np.inf),
     'a marker too far to square': lambda frame: with_marker(frame, 1e200),
+    'a marker without height': lambda frame: with_marker(frame, [*frame.points[0, 0, :2], np.nan]),
     'a marker wild': lambda frame: with_marker(frame, frame.points[0, 0] + 1.0),
     'all markers at one place': lambda frame: frame._replace(points=0 * frame.points),
     'turned by half a turn': lambda frame: frame._replace(points=frame.points[:, ::-1]),
@@ -207,6 +207,85 @@ def test_a_frame_that_is_not_as_expected_is_left_to_the_arrays(fault: str) -> No
         np.testing.assert_array_equal(one.stamp, other.stamp)
         np.testing.assert_array_equal(one.position, other.position)
         np.testing.assert_array_equal(one.angle_covariance, other.angle_covariance)
+
+
+def test_a_marker_seen_for_the_first_time_is_left_to_the_arrays() -> None:
+    frames, values = moving('two sines', 1e-3, 180)
+    late = 150
+    for k in range(late):
+        frames[k] = with_marker(frames[k], np.nan)
+    told, _ = follow_both(frames, values)
+    assert not [k for k in told if k <= late]
+    assert [k for k in told if k > late + 5]
+
+
+def random_bodies(count: int, seed: int) -> Estimate:
+    """One instant two times, of bodies whose figures are now lost in their noise, now beyond it."""
+    rng = np.random.default_rng(seed)
+    shape, arms = (ORDER + 1, 1, count), (ORDER + 1, ORDER, 1, count)
+    noise = 10 ** rng.uniform(-4, 1, size=count)
+    off = 10 ** rng.uniform(-2, 1, size=count) * noise
+
+    def vectors(*shape: int) -> np.ndarray:
+        return rng.normal(size=(*shape, 2)) @ (1, 1j)
+
+    def covariance(*shape: int) -> np.ndarray:
+        parts = rng.normal(size=(ORDER + 1, *shape))
+        return noise**2 * np.einsum('ij...,ik...->jk...', parts, parts)
+
+    position, angle = vectors(*shape), rng.normal(size=shape)
+    angle[1] *= 10 ** rng.uniform(-3, 1, size=count)
+    together = Poses(
+        position[:, None] + off * vectors(*arms),
+        angle[:, None] + off * rng.normal(size=arms),
+        covariance(*arms),
+        covariance(*arms),
+        rng.choice([0.0, 1.0], size=arms) * (off * rng.uniform(size=arms)) ** 2,
+        np.zeros(shape),
+    )
+    apart = position, angle, covariance(*shape), covariance(*shape)
+    pin = np.where(rng.random((1, count)) < 0.2, vectors(1, count), np.nan)
+    size = 10 ** rng.uniform(-4, 2, size=(1, count))
+
+    def twice(array: np.ndarray) -> np.ndarray:
+        return np.repeat(array, 2, axis=-2)
+
+    one = np.ones((2, count))
+    names = tuple(f'body{b}' for b in range(count))
+    return Estimate(
+        np.array([START, START]),
+        'world',
+        names,
+        *map(twice, apart),
+        *(twice(size), one, one, one),
+        np.full((2, count), '', object),
+        pin=twice(pin),
+        pin_variance=0.1 * one,
+        together=Poses(*map(twice, together)),
+    )
+
+
+@pytest.mark.parametrize('seed', range(3))
+def test_figures_are_determined_where_the_arrays_have_them(seed: int) -> None:
+    count = 2000
+    estimate = random_bodies(count, seed)
+    found = [Moving(body_of(estimate, b), 0.0, 0.0) for b in range(count)]
+    for figures, arrays in (
+        ([moving.rate(1) for moving in found], estimate.rate(1)),
+        ([moving.icr for moving in found], estimate.pole(1)),
+        ([moving.centrode_curvature for moving in found], estimate.centrode_curvature),
+    ):
+        known = np.array([figure is not None for figure in figures])
+        np.testing.assert_array_equal(known, arrays.determined[0])
+        assert known.mean() > 0.1
+        told = np.array([figure for figure in figures if figure is not None])
+        np.testing.assert_allclose(told, arrays.value[0, known], rtol=1e-9)
+
+
+def test_a_rate_that_does_not_come_out_is_not_told() -> None:
+    body = body_of(random_bodies(1, 0), 0)
+    assert Moving(body, 0.0, 0.0).rate(1) is not None
+    assert Moving(body, float('nan'), 0.0).rate(1) is None
 
 
 def test_a_frame_is_foreseen_once() -> None:

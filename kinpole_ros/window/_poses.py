@@ -29,7 +29,7 @@ from kinpole_ros.window._judgment import (
 )
 from kinpole_ros.window._ladder import longest
 from kinpole_ros.window._plan import Plan, planned
-from kinpole_ros.window._projection import Projection, evenly, project
+from kinpole_ros.window._projection import Projection, project
 from kinpole_ros.window._refuted import Fresh, judge_refuted, put
 from kinpole_ros.window._spectrum import Spectrum
 from kinpole_ros.window._weighted import squares_of
@@ -197,13 +197,12 @@ class PoseFilter:
         are off it by 1 and by -1, positions in x and in y. How far off it may be is the `room`
         then. Raises Unforeseen where what holds is not all that it takes.
         """
+        self.settle()
         most, held, fresh = longest(len(times)), self._held, self._fresh
         if (
             weights is not None
             or held is None
-            or self._later is not None
             or (self._order, self._longest, self._number + 1) != (order, most, numbers[0])
-            or not evenly(times)[0]
         ):
             raise Unforeseen
         bodies = reach.shape[1]

@@ -91,7 +91,9 @@ def _parts(times: np.ndarray, places: np.ndarray) -> list[tuple[np.ndarray | sli
 
     0 is at `places` (M,) of their times (N, M), in the same place for those together.
     """
-    even = evenly(times)
+    steps = times[1:] - times[:-1] if len(times) > 1 else times
+    # By the stamps alone: no figure may hang on what was asked before.
+    even = np.maximum.reduce(steps) - np.minimum.reduce(steps) <= _UNEVEN
     if len(places) == 1 or (even.all() and (times == times[:, :1]).all()):
         return [(slice(None), bool(even[0]))]
     parts: list[tuple[np.ndarray | slice, bool]] = []
@@ -106,16 +108,6 @@ def _parts(times: np.ndarray, places: np.ndarray) -> list[tuple[np.ndarray | sli
             parts.append((those[alike], True))
             those = those[~alike]
     return parts
-
-
-def evenly(times: np.ndarray) -> np.ndarray:
-    """
-    At which instants (M,) samples at times (N, M) are even.
-
-    By the stamps alone: no figure may hang on what was asked before.
-    """
-    steps = times[1:] - times[:-1] if len(times) > 1 else times
-    return np.asarray(np.maximum.reduce(steps) - np.minimum.reduce(steps) <= _UNEVEN)
 
 
 def _joined(
