@@ -18,6 +18,9 @@ from kinpole_ros.messages import result_outputs
 from kinpole_ros.parameters import settings_from
 from kinpole_ros.prompt import Moving, Prompt, body_of
 from kinpole_ros.tracker import Tracker
+from kinpole_ros.window._poses import room_of
+from kinpole_ros.window._projection import Projection, project
+from kinpole_ros.window._weighted import squares_of
 
 pytestmark = pytest.mark.filterwarnings('error')
 
@@ -280,6 +283,44 @@ def test_figures_are_determined_where_the_arrays_have_them(seed: int) -> None:
         assert known.mean() > 0.1
         told = np.array([figure for figure in figures if figure is not None])
         np.testing.assert_allclose(told, arrays.value[0, known], rtol=1e-9)
+
+
+@pytest.mark.parametrize(('decides', 'far'), [('coefficients', 3), ('rest', 30)])
+@pytest.mark.parametrize('scale', [1e-6, 1.0, 1e3])
+def test_room_is_where_no_square_exceeds_its_limit(scale: float, decides: str, far: float) -> None:
+    rng = np.random.default_rng(1)
+    times = STEP * np.arange(-70, 21)[:, None]
+    # An angle and a position, of which the guess of the newest is far off.
+    samples = scale * rng.normal(size=(91, 1, 2, 2))
+    samples[:, :, 0, 1] = 0.0
+    samples[-1] += 5 * scale * np.array([[1, 0], [1, -1]])
+    dimensions = np.array((1, 2))
+
+    def squares(*newest: np.ndarray) -> tuple[Projection, np.ndarray]:
+        some = np.repeat(samples, len(newest), axis=1)
+        some[-1] += newest
+        fits = project(np.repeat(times, len(newest), axis=1), some, None, ORDER)
+        return fits, squares_of(fits, dimensions)
+
+    unit = np.array([[1.0, 0.0], [1.0, 1.0]])
+    fits, now = squares(0 * unit, unit, -unit)
+    # As they would be by another sample, and a little more.
+    true = 5 * scale * np.array([[-1, 0], [-1, 1]])
+    limits = 1.3 * squares(true)[1]
+    limits[:, -1 if decides == 'coefficients' else slice(-1)] *= 1e6
+    room = room_of(fits, dimensions, limits.swapaxes(-2, -1))
+    held = []
+    for _ in range(1500):
+        off = scale * rng.uniform(0, far) * (rng.normal(size=2) @ (1, 1j))
+        off += true[1] @ (1, 1j)
+        newest = np.array([[off.real, 0.0], [off.real, off.imag]])
+        _, there = squares(newest)
+        within = (there[:, :, 0] <= limits[:, :, 0]).all(axis=(0, 1))
+        holds = [room.holds(0, off.real), room.holds(1, off)]
+        assert holds == within.tolist()
+        held.append(holds)
+    assert (np.mean(held, axis=0) > 0.02).all()
+    assert (np.mean(held, axis=0) < 0.98).all()
 
 
 def test_a_rate_that_does_not_come_out_is_not_told() -> None:

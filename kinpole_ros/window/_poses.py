@@ -74,7 +74,7 @@ class Room(NamedTuple):
         return bool((np.abs(start + change * off) <= most).all() and (rest <= most_left).all())
 
 
-def _room(fits: Projection, dimensions: np.ndarray, limits: Real) -> Room:
+def room_of(fits: Projection, dimensions: np.ndarray, limits: Real) -> Room:
     """
     By fits at an instant as guessed, and with newest samples that are off by 1 and -1.
 
@@ -215,8 +215,8 @@ class PoseFilter:
         if fresh is not None:
             found = PoseDerivatives(*map(np.copy, found))
             # For the one instant, which is here three times.
-            put(found, fresh._replace(end=np.where(fresh.first > 0, 0, 3 * fresh.end)), fits)
-        self.room = _room(fits, dimensions_of(bodies), _SURPRISING * held.limits)
+            put(found, fresh._replace(end=3 * fresh.end), fits)
+        self.room = room_of(fits, dimensions_of(bodies), _SURPRISING * held.limits)
         return found
 
     def passed(self, number: int) -> bool:
