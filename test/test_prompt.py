@@ -303,7 +303,7 @@ def test_room_is_where_no_square_exceeds_its_limit(scale: float, decides: str, f
         return fits, squares_of(fits, dimensions)
 
     unit = np.array([[1.0, 0.0], [1.0, 1.0]])
-    fits, now = squares(0 * unit, unit, -unit)
+    fits, _ = squares(0 * unit, unit, -unit)
     # As they would be by another sample, and a little more.
     true = 5 * scale * np.array([[-1, 0], [-1, 1]])
     limits = 1.3 * squares(true)[1]
