@@ -162,12 +162,16 @@ def test_landmarks_and_many_bodies_are_left_to_the_arrays() -> None:
     assert not follow_both(seen.frames, values)[0]
 
 
+SIZE = motions()['two sines'].size
 FAULTS = {
     'a marker hidden': lambda frame: with_marker(frame, np.nan),
     'a marker infinitely far': lambda frame: with_marker(frame, np.inf),
     'a marker too far to square': lambda frame: with_marker(frame, 1e200),
     'a marker without height': lambda frame: with_marker(frame, [*frame.points[0, 0, :2], np.nan]),
     'a marker wild': lambda frame: with_marker(frame, frame.points[0, 0] + 1.0),
+    'a marker off by some deviations': lambda frame: with_marker(
+        frame, frame.points[0, 0] + [12e-3 * SIZE, 0, 0]
+    ),
     'all markers at one place': lambda frame: frame._replace(points=0 * frame.points),
     'turned by half a turn': lambda frame: frame._replace(points=frame.points[:, ::-1]),
     'all moved': lambda frame: frame._replace(points=frame.points + 0.3),

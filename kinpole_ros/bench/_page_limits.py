@@ -58,7 +58,9 @@ def speed_part(rows: Rows) -> str:
 Bold does not reach its bar. CPU times, but for the latencies and what is live; each pair in one
 run. The relay is a node that reads the same message as rclpy makes it and publishes one vector;
 the node follows one body of 4 markers in a cloud of 20 and is asked for its angular velocity, ICR
-and centrode curvature. A rate is held when it is in one of three tries of 2 s, by either."""
+and centrode curvature. The stamps are even, so nearly all of it is found before the frame comes
+([how](architecture.md#speed), and what it is where they are not). A rate is held when it is in
+one of three tries of 2 s, by either."""
 
 
 def _beyond_bar(row: dict[str, Any]) -> bool:
