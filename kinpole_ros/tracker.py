@@ -218,8 +218,7 @@ class Tracker:
         steps = rows['stamp'][1:-1] - rows['stamp'][:-2]
         # The step of three frames ago: at 120 Hz and the like one in three is a ns longer.
         stamp = rows['stamp'][-2:-1] + steps[0]
-        uneven = np.ptp(steps) > 1 or rows['stamp'][-2] != self._last
-        if uneven or steps[0] > min(_LATE * self._interval, self._window):
+        if np.ptp(steps) > 1 or steps[0] > min(_LATE * self._interval, self._window):
             raise Unforeseen
         self._place(row, stamp)
         shapes = self._rigid.foresee(rows[-3:])

@@ -401,3 +401,19 @@ def test_prompt_messages_are_those_of_the_table(plane: str) -> None:
         'crank/centrode_curvature',
         'rocker/centrode_curvature',
     ]
+
+
+def test_a_pin_that_lets_go_is_told_of_as_by_the_arrays() -> None:
+    seen = record('four_bar', 420, noise=2e-4)
+    values = {'bodies': ['crank'], 'crank.markers': seen.values['crank.markers']}
+    frames = []
+    for k, frame in enumerate(seen.frames):
+        drift = 1e-4 * max(0, k - 300)
+        frames.append(frame._replace(points=frame.points + [drift, 0.0, 0.0]))
+    told, estimates = follow_both(frames, values)
+    pinned = [bool(estimate.pinned.any()) for estimate in estimates]
+    assert pinned[250]
+    lost = pinned.index(False, 250)
+    # It goes while frames are told of at once.
+    before = len(frames) - len(estimates) + lost
+    assert {before - 1, before, before + 1} & set(told)
