@@ -186,7 +186,7 @@ class RigidBodies:
         here[:count, 0] += 2 * np.pi * (last[:count, 1] - before[:count, 1])
         here[:count, 1] = last[:count, 1]
         rows['information'][-1] = held
-        # As a pin has it least: that may be lost by this frame.
+        # As far as it may be.
         rows['strayed'][-1] = np.isfinite(self._pins.center)
         self._known_now()
         return self._shapes.in_plain_numbers()

@@ -218,21 +218,23 @@ class Tracker:
         steps = rows['stamp'][1:-1] - rows['stamp'][:-2]
         # The step of three frames ago: at 120 Hz and the like one in three is a ns longer.
         stamp = rows['stamp'][-2:-1] + steps[0]
-        if np.ptp(steps) > 1 or steps[0] > min(_LATE * self._interval, self._window):
+        if np.ptp(steps) > 1:
             raise Unforeseen
         self._place(row, stamp)
         shapes = self._rigid.foresee(rows[-3:])
-        end, windows, _ = self._falling_due(row)
-        if (end[0], len(windows[0])) != (self._due + 1, 1):
+        _, windows, _ = self._falling_due(row)
+        if len(windows[0]) != 1:
             raise Unforeseen
         # Once as it is expected, and off that to see what it changes.
         now, oldest, newest = (index.repeat(3) for index in windows)
         known = self._rigid.known[-1:].repeat(3)
         windows = now, oldest, newest
         estimate = self._estimate(windows, order, np.zeros(3, int), known, self._filter.ahead)
-        unknown = (estimate.missing != '') | (estimate.pinned != np.isfinite(known['pin']))
-        if np.count_nonzero(unknown):
-            raise Unforeseen
+        if np.count_nonzero(row['strayed']):
+            # A pin may be lost by this frame.
+            row['strayed'] = False
+            if (np.isfinite(self._pinned(windows, known)[0]) != estimate.pinned).any():
+                raise Unforeseen
         return Foreseen(
             int(stamp[0]),
             self._roster,

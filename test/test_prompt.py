@@ -18,6 +18,7 @@ from kinpole_ros.messages import result_outputs
 from kinpole_ros.parameters import settings_from
 from kinpole_ros.prompt import Moving, Prompt, body_of
 from kinpole_ros.tracker import Tracker
+from kinpole_ros.window import STRIKES
 from kinpole_ros.window._poses import room_of
 from kinpole_ros.window._projection import Projection, project
 from kinpole_ros.window._weighted import squares_of
@@ -403,17 +404,37 @@ def test_prompt_messages_are_those_of_the_table(plane: str) -> None:
     ]
 
 
-def test_a_pin_that_lets_go_is_told_of_as_by_the_arrays() -> None:
+# Off its pin for ever, in so many frames that it may be by the next, and in none.
+@pytest.mark.parametrize('off', [120, STRIKES - 1, 0])
+def test_a_pin_is_told_of_as_by_the_arrays(off: int) -> None:
     seen = record('four_bar', 420, noise=2e-4)
     values = {'bodies': ['crank'], 'crank.markers': seen.values['crank.markers']}
     frames = []
     for k, frame in enumerate(seen.frames):
-        drift = 1e-4 * max(0, k - 300)
+        drift = 1e-4 * (k - 290) if 300 <= k < 300 + off else 0.0
         frames.append(frame._replace(points=frame.points + [drift, 0.0, 0.0]))
     told, estimates = follow_both(frames, values)
     pinned = [bool(estimate.pinned.any()) for estimate in estimates]
     assert pinned[250]
-    lost = pinned.index(False, 250)
-    # It goes while frames are told of at once.
-    before = len(frames) - len(estimates) + lost
-    assert {before - 1, before, before + 1} & set(told)
+    assert all(pinned[250:]) == (off < STRIKES)
+    if off > STRIKES:
+        # It goes while frames are told of at once.
+        before = len(frames) - len(estimates) + pinned.index(False, 250)
+        assert {before - 1, before, before + 1} & set(told)
+
+
+def test_a_marker_that_is_sent_no_more_is_left_to_the_arrays() -> None:
+    frames, values = moving('two sines', 1e-3, 180)
+    frames[150:] = [FAULTS['without a marker'](frame) for frame in frames[150:]]
+    told, estimates = follow_both(frames, values)
+    assert max(told) == 149
+    assert estimates[-1].rate(1).determined.all()
+
+
+@pytest.mark.parametrize('rate', [50, 1000])
+def test_another_rate_is_told_of_again(rate: int) -> None:
+    frames, values = moving('two sines', 1e-3, 400)
+    later = frames[200].stamps[0] + 10**9 // rate * np.arange(200)
+    new = [frame._replace(stamps=later[k : k + 1]) for k, frame in enumerate(frames[200:])]
+    told, _ = follow_both(frames[:200] + new, values)
+    assert 380 in told
