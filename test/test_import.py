@@ -156,6 +156,13 @@ def test_missing_table_and_table_as_output(tmp_path):
     assert table.read_text() == 't,a_x,a_y\n1,2,3\n'
 
 
+@pytest.mark.skipif(not Path('/dev/zero').exists(), reason='needs /dev/zero')
+def test_table_without_end_is_refused(tmp_path):
+    with pytest.raises(BagError, match='larger than 256 MiB; mend: cut it into parts'):
+        import_csv('/dev/zero', tmp_path / 'out.mcap')
+    assert not list(tmp_path.iterdir())
+
+
 def test_progress_rises_to_one(tmp_path):
     seen: list[float] = []
     import_text(tmp_path, 'a_x,a_y\n' + '1,2\n' * 1001, rate=100.0, progress=seen.append)

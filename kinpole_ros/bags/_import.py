@@ -15,6 +15,8 @@ from kinpole_ros.messages import to_message
 
 _SECOND = 1_000_000_000  # ns
 _LONGEST = 2.0**31  # s; the seconds of a ROS stamp are an int32
+# Bytes of a table, which is held as text and cell by cell; hours of tracked points are less.
+_MOST = 256 << 20
 
 
 def import_csv(
@@ -68,7 +70,10 @@ def import_csv(
 def _read_columns(path: Path) -> tuple[dict[str, Sequence[str]], list[int]]:
     """Cells by the name of their column, and the number of each row's line."""
     try:
-        content = path.read_bytes()
+        with path.open('rb') as table:
+            content = table.read(_MOST + 1)
+        if len(content) > _MOST:
+            raise BagError(f'{path} is larger than {_MOST >> 20} MiB; mend: cut it into parts')
         text = content.decode('utf-8-sig')
     except OSError as error:
         raise BagError(
