@@ -195,7 +195,7 @@ class KinpoleNode(LifecycleNode):
         self._telling.cancel()
         self._active = False
         self.source.close()
-        self.take_drawings_away()
+        self._take_drawings_away()
         return super().on_deactivate(state)
 
     def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
@@ -242,13 +242,13 @@ class KinpoleNode(LifecycleNode):
     def _drop_outputs(self, kept: Sequence[str]) -> None:
         """Destroy the publishers of all topics but those kept."""
         if DRAWING not in kept:
-            self.take_drawings_away()
+            self._take_drawings_away()
         for topic in self._publishers_made.keys() - set(kept):
             self.destroy_lifecycle_publisher(self._publishers_made.pop(topic))
         self._outputs = []
         self._wanted = []
 
-    def take_drawings_away(self) -> None:
+    def _take_drawings_away(self) -> None:
         """Viewers keep what was drawn until they are told."""
         drawn, self._drawn = self._drawn, None
         publisher = self._publishers_made.get(DRAWING)
@@ -443,7 +443,6 @@ def main(args: Sequence[str] | None = None) -> int:
             )
         executor = MessagesFirst(node.source)
         _spin(node, executor, told_to_stop)
-        node.take_drawings_away()
     except KeyboardInterrupt:
         pass
     except Exception as error:

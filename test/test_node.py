@@ -458,20 +458,6 @@ def test_what_was_drawn_is_taken_away_when_no_more_is_drawn(
     assert [len(array.markers) for array in drawn].count(1) == 1
 
 
-def test_what_was_drawn_is_taken_away_when_the_node_is_told_to_stop(
-    peer: Peer, simulated: Bag, by_place: Path, tmp_path: Path
-) -> None:
-    with process(*node_words(by_place), log=tmp_path / 'stderr') as node:
-        drawn = peer.hear('/kinpole/visualization', MarkerArray)
-        with peer.publisher(MarkerArray) as publisher:
-            peer.feed(publisher, endless(simulated), lambda: drawn, 'a drawing')
-        node.send_signal(signal.SIGINT)
-        gone = lambda: drawn[-1].markers[0].action == Marker.DELETEALL  # noqa: E731
-        peer.until(gone, 'its end')
-        assert node.wait(LIMIT) == 0
-    assert not complaints(tmp_path / 'stderr')
-
-
 def test_activated_again_the_node_compares_no_publisher_with_those_of_before(
     peer: Peer, simulated: Bag, by_place: Path, tmp_path: Path
 ) -> None:
