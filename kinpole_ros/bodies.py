@@ -186,7 +186,7 @@ class RigidBodies:
         here[:count, 0] += 2 * np.pi * (last[:count, 1] - before[:count, 1])
         here[:count, 1] = last[:count, 1]
         rows['information'][-1] = held
-        # As far as it may be.
+        # It may stray from a pin; whether that matters is for the caller to see.
         rows['strayed'][-1] = np.isfinite(self._pins.center)
         self._known_now()
         return self._shapes.in_plain_numbers()

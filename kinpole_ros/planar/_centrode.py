@@ -35,10 +35,11 @@ def icr_velocity(position: Complex, angle: Real) -> Linear:
 
 def velocity_terms(position: Sequence[Number], turn: Sequence[Number]) -> Terms:
     """
-    The velocity of the ICR, and what it changes with each of v and acc and of w and a.
+    The velocity of the ICR (m/s), and its derivatives by v and acc and by w and a.
 
-    `turn` are i w and i a, so that all is complex (a product with a real array takes three times as
-    long) and the signs alike: u = v + q (acc + n v).
+    `position` are v and acc, complex, `turn` i w and i a; numbers, or arrays of one shape. They
+    are complex since a product with a real array takes three times as long, and the signs are
+    alike: u = v + q (acc + n v) with q = -1 / i w and n = q i a.
     """
     (v, acc), (t1, t2) = position, turn
     q = -1 / t1
@@ -68,9 +69,10 @@ def acceleration_terms(
     u_by_angle: Sequence[Number],
 ) -> Terms:
     """
-    The acceleration of the ICR, and what it changes with v, acc and jerk and with w, a and j.
+    The acceleration of the ICR (m/s^2), and its derivatives by v, acc and jerk and by w, a and j.
 
-    `turn` are i a and i j.
+    `position` are v, acc and jerk, complex, `turn` i a and i j, and the others what
+    `velocity_terms` gives; numbers, or arrays of one shape.
     """
     (v, acc, jerk), (t2, t3) = position, turn
     # du is the rate of u; so its derivative by one of the pose's derivatives is the rate of that of
@@ -101,9 +103,10 @@ def centrode_curvature(position: Complex, angle: Real, u: Linear | None = None) 
 
 def curvature_terms(velocity: Terms, acceleration: Terms) -> Terms:
     """
-    Im(conj(u) du) / |u|^3, and what it changes with v, acc and jerk and with w, a and j.
+    Im(conj(u) du) / |u|^3 (1/m), and its derivatives by v, acc and jerk and by w, a and j.
 
-    It is the real part of the sum of these.
+    The change is the real part of their sum. From what `velocity_terms` and `acceleration_terms`
+    give; numbers, or arrays of one shape.
     """
     u, *u_by = velocity
     du, *du_by = acceleration
