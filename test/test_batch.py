@@ -23,7 +23,8 @@ from conftest import bodies_of, decoded, write_config
 import kinpole_ros.batch as module
 from kinpole_ros.bags import BagError
 from kinpole_ros.bags import replay as replay_one
-from kinpole_ros.batch import _finished, _replay_one, batch
+from kinpole_ros.batch import _cluster, _results, batch
+from kinpole_ros.batch._results import finished, replay_bag
 from kinpole_ros.cli import main
 from kinpole_ros.parameters import Settings
 
@@ -187,7 +188,7 @@ def test_a_dask_cluster_is_used_by_its_address(
         until(lambda: where.read_text().endswith('}'))
         address = json.loads(where.read_text())['address']
         with monkeypatch.context() as patience:
-            patience.setattr(module, '_PATIENCE', 0.5)
+            patience.setattr(_cluster, '_PATIENCE', 0.5)
             assert main([*words, address]) == 2
         assert f'the Dask scheduler at {address} has no workers; mend' in capsys.readouterr().err
         worker = ['-m', 'dask', 'worker', '--scheduler-file', str(where), '--nthreads', '1']
@@ -206,7 +207,7 @@ def test_a_dask_cluster_is_used_by_its_address(
     assert said.out.startswith('4 bags, 1 failed, 0 cut off; 180 frames in')
     assert len(said.err.splitlines()) == 1
     assert len(list((tmp_path / 'out').glob('run_*.parquet'))) == 3
-    monkeypatch.setattr(module, '_PATIENCE', 0.5)
+    monkeypatch.setattr(_cluster, '_PATIENCE', 0.5)
     assert main([*words, 'tcp://127.0.0.1:9']) == 2
     assert 'no Dask scheduler answers at tcp://127.0.0.1:9' in capsys.readouterr().err
 
@@ -220,11 +221,11 @@ def test_results_are_made_anew_when_bag_settings_or_scene_change(
     scene = tmp_path / 'mine.yaml'
     scene.write_text((ROOT / 'config' / 'scenes' / 'four_bar.yaml').read_text())
     settings = replace(SETTINGS, bodies=bodies_of('four_bar'), scene=str(scene))
-    row = _replay_one(bag, out, settings, None, ['csv'])
+    row = replay_bag(bag, out, settings, None, ['csv'])
     assert row['error'] == ''
 
     def there(*given: Any) -> bool:
-        return _finished(bag, out, *given) == row
+        return finished(bag, out, *given) == row
 
     assert there(settings, None, ['csv'])
     assert not there(settings, None, ['csv', 'mcap'])
@@ -233,11 +234,11 @@ def test_results_are_made_anew_when_bag_settings_or_scene_change(
     with scene.open('a') as file:
         file.write('# changed\n')
     assert not there(settings, None, ['csv'])
-    _replay_one(bag, out, settings, None, ['csv'])
+    replay_bag(bag, out, settings, None, ['csv'])
     assert there(settings, None, ['csv'])
     os.utime(bag, ns=(0, 0))
     assert not there(settings, None, ['csv'])
-    _replay_one(bag, out, settings, None, ['csv'])
+    replay_bag(bag, out, settings, None, ['csv'])
     for text in ('', '[]', '{"made_of": 1}', '{"made_of": [], "row": 5}'):
         next(out.glob('*.json')).write_text(text)
         assert not there(settings, None, ['csv'])
@@ -254,15 +255,15 @@ def bag_and_folder(simulated: Simulated, tmp_path: Path) -> tuple[str, Path]:
 def test_results_of_other_settings_are_none_of_these(simulated: Simulated, tmp_path: Path) -> None:
     bag, out = bag_and_folder(simulated, tmp_path)
     other = replace(SETTINGS, window=0.3)
-    _replay_one(bag, out, SETTINGS, None, ['csv'])
-    row = _replay_one(bag, out, other, None, ['mcap'])
+    replay_bag(bag, out, SETTINGS, None, ['csv'])
+    row = replay_bag(bag, out, other, None, ['mcap'])
     # The table is there, but of settings that are no longer.
     assert row['results'].endswith('.mcap')
-    assert _finished(bag, out, other, None, ['csv']) is None
-    assert _finished(bag, out, other, None, ['mcap']) == row
-    row = _replay_one(bag, out, other, None, ['csv'])
+    assert finished(bag, out, other, None, ['csv']) is None
+    assert finished(bag, out, other, None, ['mcap']) == row
+    row = replay_bag(bag, out, other, None, ['csv'])
     assert [name[-4:] for name in row['results'].split()] == ['mcap', '.csv']
-    assert _finished(bag, out, other, None, ['csv', 'mcap']) == row
+    assert finished(bag, out, other, None, ['csv', 'mcap']) == row
     replay_one(bag, other, csv=tmp_path / 'one.csv')
     assert next(out.glob('*.csv')).read_bytes() == (tmp_path / 'one.csv').read_bytes()
 
@@ -271,14 +272,14 @@ def test_results_that_are_exchanged_in_part_are_not_finished(
     simulated: Simulated, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     bag, out = bag_and_folder(simulated, tmp_path)
-    row = _replay_one(bag, out, SETTINGS, None, ['csv', 'mcap'])
-    assert _finished(bag, out, SETTINGS, None, ['csv', 'mcap']) == row
+    row = replay_bag(bag, out, SETTINGS, None, ['csv', 'mcap'])
+    assert finished(bag, out, SETTINGS, None, ['csv', 'mcap']) == row
     with monkeypatch.context() as broken:
         # A stop between the names, as a kill would have it, has no error of ours.
-        broken.setattr(module, '_write_whole', lambda *_: 1 / 0)
+        broken.setattr(_results, '_write_whole', lambda *_: 1 / 0)
         with pytest.raises(ZeroDivisionError):
-            _replay_one(bag, out, replace(SETTINGS, window=0.3), None, ['csv', 'mcap'])
-    assert _finished(bag, out, SETTINGS, None, ['csv', 'mcap']) is None
+            replay_bag(bag, out, replace(SETTINGS, window=0.3), None, ['csv', 'mcap'])
+    assert finished(bag, out, SETTINGS, None, ['csv', 'mcap']) is None
 
 
 def test_runs_into_one_folder_take_turns_at_a_bag(
@@ -295,15 +296,15 @@ def test_runs_into_one_folder_take_turns_at_a_bag(
         return replay_one(*args, **options)
 
     def one_run() -> None:
-        rows.append(_replay_one(bag, out, SETTINGS, None, ['csv']))
+        rows.append(replay_bag(bag, out, SETTINGS, None, ['csv']))
 
-    monkeypatch.setattr(module, 'replay', replay_when_told)
+    monkeypatch.setattr(_results, 'replay', replay_when_told)
     runs = [threading.Thread(target=one_run) for _ in range(2)]
     for run_ in runs:
         run_.start()
     assert begun.wait(60)
     # One that is stopped now does not clean up after the one at work.
-    with pytest.raises(BlockingIOError), module._alone(bag, out, wait=False):
+    with pytest.raises(BlockingIOError), _results.alone(bag, out, wait=False):
         pass
     go.set()
     for run_ in runs:
@@ -327,7 +328,7 @@ def test_another_cluster_on_this_machine_is_not_complained_of(
 def test_a_bag_of_a_long_name_has_results(simulated: Simulated, tmp_path: Path) -> None:
     bag = link(simulated('cardan', rate=100, duration=0.6), tmp_path / f'{"x" * 250}.mcap')[0]
     (tmp_path / 'out').mkdir()
-    assert _replay_one(str(bag), tmp_path / 'out', SETTINGS, None, ['parquet'])['error'] == ''
+    assert replay_bag(str(bag), tmp_path / 'out', SETTINGS, None, ['parquet'])['error'] == ''
 
 
 def test_what_cannot_be_used_is_one_line(
@@ -359,7 +360,7 @@ def test_what_cannot_be_used_is_one_line(
     assert line.count('\n') == 1
     (tmp_path / 'summary.csv').mkdir()
     with pytest.raises(BagError, match=r'summary\.csv cannot be written: Is a directory'):
-        module._write_summary(tmp_path / 'summary.csv', [])
+        _results.write_summary(tmp_path / 'summary.csv', [])
     assert not list(tmp_path.glob('*.part'))
     with monkeypatch.context() as crowded:
         failed = RuntimeError('Nanny failed to start.')
@@ -466,11 +467,11 @@ def test_progress_goes_by_bytes_within_bags_and_over_what_is_left(
 
 def test_a_summary_that_does_not_fit_the_disk_leaves_the_one_before(tmp_path: Path) -> None:
     path = tmp_path / 'summary.csv'
-    module._write_summary(path, [{'bag': 'a', 'error': ''}])
+    _results.write_summary(path, [{'bag': 'a', 'error': ''}])
     before = path.read_bytes()
     (tmp_path / 'summary.csv.part').symlink_to('/dev/full')
     with pytest.raises(BagError, match='cannot be written: No space left on device; mend'):
-        module._write_summary(path, [{'bag': 'b', 'error': ''}])
+        _results.write_summary(path, [{'bag': 'b', 'error': ''}])
     assert [(file.name, file.read_bytes()) for file in tmp_path.iterdir()] == [
         ('summary.csv', before)
     ]
