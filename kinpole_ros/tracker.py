@@ -12,14 +12,14 @@ from collections.abc import Callable, Iterable
 
 import numpy as np
 
-from kinpole_ros.bodies import RigidBodies, pose_columns
+from kinpole_ros.bodies import RigidBodies
 from kinpole_ros.estimate import FARTHEST, Estimate, Poses
 from kinpole_ros.frame import MarkerFrames
 from kinpole_ros.parameters import Settings
 from kinpole_ros.prompt import Foreseen, Prompt
 from kinpole_ros.roster import Roster
+from kinpole_ros.timeline import Timeline
 from kinpole_ros.window import (
-    FEWEST_SAMPLES,
     STRIKES,
     LandmarkFilter,
     PoseDerivatives,
@@ -33,26 +33,10 @@ from kinpole_ros.window import (
     seen_at,
 )
 
-# Frames later than this many intervals of late come after a gap.
-_LATE = 2.5
 # So many bodies are told of sooner in numbers than by arrays: eight in 0.66 ms, not 1.3.
 _FEW = 8
 # Not by its first stamp, which a bag that loops has again and again.
 _run_numbers = itertools.count(1)
-
-
-def _frame_type(bodies: int) -> np.dtype:
-    """What is held of a frame, in one row."""
-    columns: list[tuple] = [
-        ('stamp', np.int64),
-        # While it waits: its number among the frames that were given together, the oldest frame in
-        # the window, and the mean interval, ns.
-        ('number', np.int64),
-        ('oldest', np.int64),
-        ('interval', float),
-        *pose_columns(bodies),
-    ]
-    return np.dtype(columns, align=True)
 
 
 class Tracker:
@@ -68,10 +52,7 @@ class Tracker:
         self.settings = settings
         self.bodies = tuple(settings.bodies)
         self.counts: Counter[str] = Counter()
-        self._window = round(settings.window * 1e9)
         self._frame_id = ''
-        # The stamp of the frame that came last, taken or not.
-        self._last = 0
         self.reset()
 
     def reset(self) -> None:
@@ -79,29 +60,27 @@ class Tracker:
         count = len(self.bodies)
         self._roster = Roster(self.settings)
         width = self._roster.width
-        self._rigid = RigidBodies(self.settings, self._window, width, self.counts)
+        self._timeline = Timeline(self.settings, self.counts)
+        self._rigid = RigidBodies(self.settings, self._timeline.window, width, self.counts)
         self._filter = PoseFilter()
         # From when on poses are of the bodies that the filter knows, ns.
         self._since = np.zeros(count, np.int64)
         self._landmark_filter = LandmarkFilter()
-        self._frames = Samples((), _frame_type(count))
         self._points: Samples | None = None
         if self.settings.method == 'landmarks':
             self._points = Samples((count, width), complex)
-        self.samples = 0
-        # Mean time between the frames of the window, ns, 0 for fewer than two.
-        self._interval = 0.0
         self._run_number = next(_run_numbers)
-        self._due = 0
-        self._dropped = 0
-        # How many frames wait to be estimated.
-        self._waiting = 0
         self._foreseen: Foreseen | None = None
+
+    @property
+    def samples(self) -> int:
+        """How many frames the window holds."""
+        return self._timeline.samples
 
     @property
     def interval(self) -> float:
         """Mean time between the frames of the window in s; NaN for fewer than two."""
-        return self._interval * 1e-9 if self.samples > 1 else float('nan')
+        return self._timeline.interval * 1e-9 if self.samples > 1 else float('nan')
 
     def noise(self) -> np.ndarray:
         """Noise (B,) of one coordinate of a marker, m, given or measured; NaN while not known."""
@@ -152,14 +131,14 @@ class Tracker:
                 continue
             self.counts['frames'] += len(stamps)
             if frames.frame_id != self._frame_id:
-                if len(self._frames):
+                if len(self._timeline):
                     found += self._estimates(order)
                     self.counts['frame_changes'] += 1
                     self.reset()
                 self._frame_id = frames.frame_id
             first = 0
             while first < len(stamps):
-                steps, end = self._sift(stamps[first:])
+                steps, end = self._timeline.sift(stamps[first:])
                 new = (steps > 0).nonzero()[0]
                 if len(new):
                     taken, place = frames, first + new
@@ -175,7 +154,7 @@ class Tracker:
                     found += self._estimates(order)
                     self.counts['resets'] += 1
                     self.reset()
-            self._last = int(stamps[-1])
+            self._timeline.last = int(stamps[-1])
             before += len(stamps)
         return found + self._estimates(order, told)
 
@@ -186,17 +165,19 @@ class Tracker:
 
     def foresee(self, order: int) -> None:
         """Find what can be found of the next frame, while nobody waits for it, for `prompt`."""
-        few = len(self.bodies) <= _FEW and self._points is None
-        if not few or len(self._frames) < FEWEST_SAMPLES:
+        if len(self.bodies) > _FEW or self._points is not None:
             return
         self.settle()
-        row = self._frames.room(1)
+        try:
+            row = self._timeline.guess()
+        except Unforeseen:
+            return
         try:
             self._foreseen = self._expected(row, order)
         except Unforeseen:
-            self._foreseen = None
+            pass
         finally:
-            self._frames.withdraw(1)
+            self._timeline.withdraw()
 
     def prompt(self, frames: MarkerFrames) -> Prompt | None:
         """
@@ -214,15 +195,9 @@ class Tracker:
 
     def _expected(self, row: np.ndarray, order: int) -> Foreseen:
         """The frame that comes if all goes on as it did, for which there is a `row` for now."""
-        rows = self._frames.view()[-5:]
-        steps = rows['stamp'][1:-1] - rows['stamp'][:-2]
-        # The step of three frames ago: at 120 Hz and the like one in three is a ns longer.
-        stamp = rows['stamp'][-2:-1] + steps[0]
-        if np.ptp(steps) > 1:
-            raise Unforeseen
-        self._place(row, stamp)
-        shapes = self._rigid.foresee(rows[-3:])
-        _, windows, _ = self._falling_due(row)
+        rows = self._timeline.view()[-3:]
+        shapes = self._rigid.foresee(rows)
+        _, windows, _ = self._timeline.falling_due(row)
         if len(windows[0]) != 1:
             raise Unforeseen
         # Once as it is expected, and off that to see what it changes.
@@ -236,7 +211,7 @@ class Tracker:
             if (np.isfinite(self._pinned(windows, known)[0]) != estimate.pinned).any():
                 raise Unforeseen
         return Foreseen(
-            int(stamp[0]),
+            int(row['stamp'][0]),
             self._roster,
             shapes,
             rows['poses'][-2:],
@@ -244,31 +219,6 @@ class Tracker:
             self._filter.room,
             estimate,
         )
-
-    def _sift(self, stamps: np.ndarray) -> tuple[np.ndarray, int]:
-        """
-        Up to where frames of `stamps` (T,) go on, T if nothing starts anew, and how far each is
-        ahead of all before it, ns: it is one to take where that is positive.
-        """
-        last, newest = self._last, int(stamps[0]) - 1
-        if len(self._frames):
-            newest = int(self._frames.view()['stamp'][-1])
-        else:
-            last = newest
-        ahead = stamps - np.concatenate(((newest,), stamps[:-1]))
-        if np.minimum.reduce(ahead) > 0 and np.maximum.reduce(ahead) <= self._window:
-            return ahead, len(stamps)
-        # As it is when each frame comes.
-        reached = np.maximum.accumulate(np.concatenate(((newest,), stamps[:-1])))
-        before = np.concatenate(((last,), stamps[:-1]))
-        ahead = stamps - reached
-        back = (before < reached) & (before < stamps) & (ahead <= 0)
-        anew = back | (np.abs(ahead) > self._window)
-        end = int(anew.argmax()) if anew.any() else len(stamps)
-        ahead = ahead[:end]
-        self.counts['late'] += int((ahead < 0).sum())
-        self.counts['repeated'] += int((ahead == 0).sum())
-        return ahead, end
 
     def _run(
         self,
@@ -282,38 +232,9 @@ class Tracker:
         self.counts['markers_unknown'] = self._roster.unknown
         seen = points.size - np.count_nonzero(np.isnan(points))
         self.counts['markers_not_seen'] += self._roster.wanted * len(points) - seen
-        rows = self._frames.room(len(stamps))
-        gaps = self._enter(rows, stamps, steps)
-        rows['number'] = numbers
+        rows, gaps = self._timeline.enter(stamps, steps, numbers)
         landmarks = None if self._points is None else self._points.room(len(rows))
         self._rigid.take(rows, points, heights, gaps, landmarks)
-        self._waiting += len(rows)
-
-    def _enter(self, rows: np.ndarray, stamps: np.ndarray, steps: np.ndarray) -> np.ndarray:
-        """Note the windows of frames; returns which (T,) come much later than those before did."""
-        held = self._place(rows, stamps)
-        interval = rows['interval']
-        # As the window was before the frame came.
-        before = np.concatenate(((self._interval,), interval[:-1]))
-        self.samples, self._interval = int(held[-1]) + 1, float(interval[-1])
-        return (steps > _LATE * before) & (before > 0)
-
-    def _place(self, rows: np.ndarray, stamps: np.ndarray) -> np.ndarray:
-        """Note when frames are and what their windows hold; how many (T,) frames before them."""
-        rows['stamp'] = stamps
-        every = self._frames.view()['stamp']
-        rows['oldest'] = oldest = every.searchsorted(stamps - self._window)
-        held = np.arange(len(every) - len(rows), len(every)) - oldest
-        rows['interval'] = (stamps - every[oldest]) / np.maximum(held, 1)
-        return held
-
-    def _trim(self, count: int) -> None:
-        """Drop so many frames that no window to come holds."""
-        self._frames.drop(count)
-        if self._points is not None:
-            self._points.drop(count)
-        self._due = max(0, self._due - count)
-        self._dropped += count
 
     def _widen(self) -> None:
         """A body of all markers has more of them."""
@@ -333,39 +254,21 @@ class Tracker:
         Each instant is seen as of the frame it falls due with, whatever has come since: by what was
         known then.
         """
-        if not self._waiting:
+        new, known = self._timeline.waiting(), self._rigid.known
+        if not len(new):
             return []
-        frames = self._frames.view()
-        new, known = frames[-self._waiting :], self._rigid.known
-        self._waiting = 0
         self._rigid.forget()
-        end, windows, frame = self._falling_due(new)
-        self._due = int(end[-1])
+        end, windows, frame = self._timeline.falling_due(new)
         found = []
-        told = told and self._filter.passed(int(windows[0][0]) + self._dropped)
+        told = told and self._filter.passed(int(windows[0][0]) + self._timeline.dropped)
         if order is not None and len(frame) and not told:
             then = known[new['beat'][frame]]
             found.append(self._estimate(windows, order, new['number'][frame], then))
-        self._trim(int(new['oldest'][-1]))
+        outlived = int(new['oldest'][-1])
+        self._timeline.pass_by(int(end[-1]), outlived)
+        if self._points is not None:
+            self._points.drop(outlived)
         return found
-
-    def _falling_due(self, new: np.ndarray) -> tuple[np.ndarray, Windows, np.ndarray]:
-        """
-        What falls due with the newest frames (T,): up to where (T,), and which instants can be told
-        of; with which of these frames each is due.
-        """
-        frames = self._frames.view()
-        ahead = np.rint(self.settings.lag * 1e9 - 0.75 * new['interval'])
-        last = new['stamp'] - ahead.astype(np.int64)
-        oldest, newest = new['oldest'], np.arange(len(frames) - len(new), len(frames))
-        end = np.minimum(frames['stamp'].searchsorted(last, side='right'), newest + 1)
-        end = np.maximum.accumulate(np.maximum(end, self._due))
-        due = np.arange(self._due, end[-1])
-        frame = end.searchsorted(due, side='right')
-        full = (newest - oldest)[frame] >= FEWEST_SAMPLES - 1
-        seen = (full & (due >= oldest[frame])).nonzero()[0]
-        frame = frame[seen]
-        return end, (due[seen], oldest[frame], newest[frame]), frame
 
     def _estimate(
         self,
@@ -380,7 +283,7 @@ class Tracker:
 
         By the `derivatives` of poses, those of the filter unless given.
         """
-        frames = self._frames.view()[windows[0]]
+        frames = self._timeline.view()[windows[0]]
         seen = frames['information'][:, : len(self.bodies)] > 0
         measured, firm = known['measured'], known['firm']
         usable = seen & measured & firm
@@ -433,7 +336,7 @@ class Tracker:
         if not np.count_nonzero(held):
             return pin, variance
         _, oldest, newest = windows
-        frames = self._frames.view()
+        frames = self._timeline.view()
         held &= known['pin_since'] <= frames['stamp'][oldest, None]
         strayed = frames['strayed']
         if np.count_nonzero(strayed):
@@ -458,7 +361,7 @@ class Tracker:
         """
         now = windows[0]
         count = len(self.bodies)
-        frames = self._frames.view()
+        frames = self._timeline.view()
         signals = frames['poses'].copy()
         angles, turns = signals[:, :count, 0], signals[:, :count, 1]
         turned = 2 * np.pi * (turns - turns[0])
@@ -466,7 +369,7 @@ class Tracker:
         turns[...] = 0.0
         reach = FARTHEST * known['size']
         found = []
-        numbers = now + self._dropped
+        numbers = now + self._timeline.dropped
         noise = np.concatenate((known['noise'], known['noise']), axis=1)
         first = 0
         for part in alike(known['reference'], known['since']):
@@ -496,7 +399,7 @@ class Tracker:
         if np.count_nonzero(anew):
             self._filter.forget(anew)
             self._since = since.copy()
-        before = np.tile(self._frames.view()['stamp'][:, None] < since, 2)
+        before = np.tile(self._timeline.view()['stamp'][:, None] < since, 2)
         return np.where(before[..., None], np.nan, poses), np.where(before, 0.0, information)
 
     def _from_landmarks(
@@ -504,7 +407,7 @@ class Tracker:
     ) -> tuple[tuple[np.ndarray, ...], Poses | None, np.ndarray | None]:
         """The same from the derivatives of each landmark."""
         assert self._points is not None
-        frames = self._frames.view()
+        frames = self._timeline.view()
         found = self._landmark_filter.derivatives(
             frames['stamp'], windows, self._points.view(), known['noise'], order
         )

@@ -340,7 +340,7 @@ class FixedTracker(Tracker):
             bad = np.full((order + 1, count), np.nan)
             wide = np.full((order + 1, order + 1, count), np.nan)
             return bad + 0j, bad, wide, wide, bad[0], bad[0]
-        frames = self._frames.view()
+        frames = self._timeline.view()
         times = frames['stamp'][rows] - frames['stamp'][now]
         poses = frames['poses']
         position, angle = poses[:, count:] @ (1, 1j), np.unwrap(poses[rows, :count, 0], axis=0)
