@@ -13,6 +13,7 @@ import numpy as np
 
 from kinpole_ros.parameters import Settings
 from kinpole_ros.window import (
+    LastingNoise,
     Noise,
     Pins,
     PlainShape,
@@ -90,6 +91,7 @@ class RigidBodies:
         self._counts = counts
         self._shapes = Shapes(self._count, width)
         self._noise = Noise(self._count)
+        self._lasting = LastingNoise(self._count, window)
         self._pins = Pins(self._count)
         self._references = References(self._count, window)
         self._since = np.zeros(self._count, np.int64)
@@ -119,7 +121,10 @@ class RigidBodies:
 
     def noise(self) -> np.ndarray:
         """Noise (B,) of one coordinate of a marker, m, given or measured; NaN while not known."""
-        level = np.full(self._count, self._given) if self._given > 0 else self._noise.level()
+        if self._given > 0:
+            level = np.full(self._count, self._given)
+        else:
+            level = self._lasting.level(self._noise.level())
         return np.maximum(level, _ROUNDING * self._shapes.farthest)
 
     def looseness(self) -> np.ndarray:
@@ -303,9 +308,10 @@ class RigidBodies:
             self._pins.add(*poses)
             self._references.add(*poses, self._shapes.middle)
         self._noise.add(news.residual, news.freedom, ~news.gaps)
+        self._lasting.add(news.stamps, news.residual, news.freedom, news.gaps)
         anew = self._shapes.learn()
         if anew.any():
-            for learned in (self._pins, self._references, self._noise):
+            for learned in (self._pins, self._references, self._noise, self._lasting):
                 learned.forget(anew)
             self._since[anew] = news.stamps[-1] + 1
 

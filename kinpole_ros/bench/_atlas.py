@@ -31,6 +31,8 @@ class Cell(NamedTuple):
     value: float
     motion: Motion
     noise: float = 1e-3
+    # Hz. Where the noise is smoothed as motion capture does it, forth and back; 0 for white.
+    cutoff: float = 0.0
     rate: float = RATE
     dropout: float = 0.0
     rounding: float = 0.0
@@ -84,6 +86,8 @@ def cells() -> Iterator[Cell]:
         yield Cell('markers to a point', 'spread kept', spread, shaped(line * spread), noise=noise)
     for noise in (0.0, 1e-6, 1e-5, 1e-4, 1e-3, 1e-2, 1e-1):
         yield Cell('noise', 'body sizes', noise, bar, noise=noise)
+    for cutoff in (40.0, 20.0, 10.0, 6.0):
+        yield Cell('smoothing of the markers', 'Hz, cutoff', cutoff, bar, cutoff=cutoff)
     for dropout in (0.0, 0.1, 0.3, 0.5, 0.7, 0.9):
         yield Cell('dropouts', 'share of markers', dropout, bar, dropout=dropout)
     for rounding in (1e-6, 1e-4, 1e-3, 2e-3, 5e-3):
@@ -98,6 +102,12 @@ def cells() -> Iterator[Cell]:
         yield Cell('body size', 'times 0.3 m', factor, scaled(factor))
     for turn in (0.05, 0.1, 0.2, 0.3, 0.4):
         yield Cell('turning', 'rev per frame', turn, turning(2 * np.pi * turn * RATE))
+
+
+def smoothed(values: np.ndarray, rate: float, cutoff: float) -> np.ndarray:
+    """Values (T, ...) through a Butterworth filter of fourth order, forth and back."""
+    share = 1 / (1 + (np.fft.fftfreq(len(values), 1 / rate) / cutoff) ** 8)
+    return np.asarray(np.fft.ifft(np.fft.fft(values, axis=0).T * share).T)
 
 
 METHODS: dict[str, Callable[[Settings], Tracker]] = {'ours': Tracker, 'fixed 41/4': FixedTracker}
@@ -136,7 +146,8 @@ def _row(cell: Cell, name: str, kind: Callable[[Settings], Tracker]) -> dict[str
     markers = planar.to_complex(marker_positions(moved, cell.motion.markers))
     size = cell.motion.size
     noise = cell.noise * size
-    markers = markers + noise * (rng.normal(size=(*markers.shape, 2)) @ (1, 1j))
+    shake = rng.normal(size=(*markers.shape, 2)) @ (1, 1j)
+    markers = markers + noise * (smoothed(shake, cell.rate, cell.cutoff) if cell.cutoff else shake)
     markers[rng.random(markers.shape) < cell.dropout] = np.nan
     markers = markers + cell.offset * size
     row: dict[str, object] = {'limit': cell.limit, 'value': cell.value, 'unit': cell.unit}

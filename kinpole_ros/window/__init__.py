@@ -13,6 +13,7 @@ from kinpole_ros.window._choice import (
 from kinpole_ros.window._judgment import PoseDerivatives
 from kinpole_ros.window._ladder import FEWEST_SAMPLES
 from kinpole_ros.window._landmarks import LandmarkFilter
+from kinpole_ros.window._lasting import LastingNoise
 from kinpole_ros.window._noise import Noise
 from kinpole_ros.window._pin import STRIKES, Pins
 from kinpole_ros.window._polynomial import derivative_weights, stencil
@@ -31,6 +32,7 @@ __all__ = [
     'STRIKES',
     'Derivatives',
     'LandmarkFilter',
+    'LastingNoise',
     'Noise',
     'Pins',
     'PlainShape',

@@ -81,6 +81,11 @@ class Noise:
         """Standard deviation (B,) of one coordinate of one marker; NaN while not known."""
         return self._level
 
+    def degrees(self) -> Real:
+        """Of how many degrees of freedom (B,) the level is, about."""
+        # Every frame is in three of the comparisons.
+        return np.asarray((~np.isnan(self._squares)).sum(axis=1) * self._freedom / 2)
+
     def _measure(self) -> None:
         """
         From the mean of the squares without those of wild frames, less the largest tenth.

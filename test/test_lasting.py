@@ -1,0 +1,185 @@
+"""Markers that their tracker has smoothed: the noise that windows see, not what is left of it."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from kinpole_ros.frame import MarkerFrames
+from kinpole_ros.mechanism import load_scene
+from kinpole_ros.parameters import Settings
+from kinpole_ros.planar import fit_pose
+from kinpole_ros.tracker import Tracker
+from kinpole_ros.window import LastingNoise, Noise
+
+RATE = 200
+SIGMA = 1e-4
+WINDOW = 500_000_000
+SHAPE = np.array([0.05 + 0.03j, -0.05 + 0.025j, -0.04 - 0.03j, 0.045 - 0.025j])
+
+
+def white(seed: int, *shape: int) -> np.ndarray:
+    return np.asarray(np.random.default_rng(seed).normal(size=(*shape, 2)) @ (1, 1j))
+
+
+def low_passed(values: np.ndarray, cutoff: float) -> np.ndarray:
+    """As motion capture does it: Butterworth, fourth order, forth and back."""
+    share = 1 / (1 + (np.fft.fftfreq(len(values), 1 / RATE) / cutoff) ** 8)
+    return np.asarray(np.fft.ifft(np.fft.fft(values, axis=0).T * share).T)
+
+
+def averaged(values: np.ndarray, samples: int) -> np.ndarray:
+    """A running mean, as a driver does it that smooths live."""
+    total = np.cumsum(np.concatenate((np.zeros_like(values[:1]), values)), axis=0)
+    mean = (total[samples:] - total[:-samples]) / samples
+    return np.concatenate((values[: samples - 1], mean))
+
+
+# How it is smoothed, and the share of errors that 95% intervals cover at least.
+SMOOTHED = {
+    'at 40 Hz': (lambda values: low_passed(values, 40), 0.85),
+    'at 20 Hz': (lambda values: low_passed(values, 20), 0.85),
+    'at 10 Hz': (lambda values: low_passed(values, 10), 0.65),
+    'over 5 frames': (lambda values: averaged(values, 5), 0.85),
+}
+
+
+def errors(noise: np.ndarray) -> np.ndarray:
+    """Errors of ω, α and jerk of the coupler (3, T) over 30 s, and in deviations (3, T)."""
+    times = np.arange(len(noise)) / RATE
+    position, angle = load_scene('four_bar').motion(times)['coupler']
+    flat = position[0][:, None] + np.exp(1j * angle[0])[:, None] * SHAPE + SIGMA * noise
+    points = np.stack((flat.real, flat.imag, 0 * flat.real), axis=-1)
+    stamps = 10**18 + np.round(times * 1e9).astype(np.int64)
+    tracker = Tracker(Settings(bodies={'coupler': tuple('abcd')}, window=0.5, lag=0.1))
+    found = tracker.add(MarkerFrames(stamps, 'world', tuple('abcd'), points), 3)
+    (estimate,) = found
+    place = np.searchsorted(stamps, estimate.stamp)
+    off = estimate.angle[1:, :, 0] - angle[1:4, place]
+    spread = np.sqrt(estimate.angle_covariance[[1, 2, 3], [1, 2, 3], :, 0])
+    settled = estimate.stamp > stamps[0] + 4_000_000_000
+    return np.stack((off, off / spread))[:, :, settled]
+
+
+@pytest.mark.parametrize('how', SMOOTHED)
+def test_smoothing_spoils_no_figures_and_they_are_hardly_stated_too_sure(how: str) -> None:
+    smoothed, covered = SMOOTHED[how]
+    noise = white(3, 6000, 4)
+    raw, _ = np.sqrt(np.mean(errors(noise) ** 2, axis=-1))
+    off, deviations = errors(smoothed(noise))
+    # Judged by what is new from frame to frame they would be up to 30 times as large.
+    assert np.all(np.sqrt(np.mean(off**2, axis=-1)) < 1.1 * raw)
+    assert np.all((np.abs(deviations) < 1.96).mean(axis=-1) > covered)
+
+
+def residuals(noise: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """What rigid fits of one body leave of noise (T, n), and how free that is."""
+    count = noise.shape[1]
+    seen = SHAPE[:count] + SIGMA * noise[:, None]
+    fit = fit_pose(seen, SHAPE[None, :count], np.ones(seen.shape))
+    return fit.residual, fit.freedom
+
+
+def stamped(frames: int, rate: float = RATE) -> np.ndarray:
+    return np.asarray(np.round(np.arange(frames) * 1e9 / rate)).astype(np.int64)
+
+
+def levels(
+    noise: np.ndarray, gaps: np.ndarray | None = None, rate: float = RATE
+) -> tuple[float, float]:
+    """Noise of single frames over SIGMA, and as it lasts, which is the same if it does not."""
+    gaps = np.zeros(len(noise), bool) if gaps is None else gaps
+    single, lasting = Noise(1), LastingNoise(1, WINDOW)
+    residual, freedom = residuals(noise)
+    single.add(residual, freedom, ~gaps)
+    lasting.add(stamped(len(noise), rate), residual, freedom, gaps)
+    level = single.level()
+    return float(level[0]) / SIGMA, float(lasting.level(level)[0]) / SIGMA
+
+
+@pytest.mark.parametrize('frames', [20, 50, 200, 6000])
+@pytest.mark.parametrize('markers', [2, 4])
+@pytest.mark.parametrize('hidden', [0.0, 0.05, 0.3])
+def test_white_noise_never_lasts(frames: int, markers: int, hidden: float) -> None:
+    for seed in range(30):
+        noise = white(seed, frames, markers)
+        noise[np.random.default_rng(seed).random(noise.shape) < hidden] = np.nan
+        one, lasting = levels(noise)
+        assert lasting == one or np.isnan(one)
+
+
+@pytest.mark.parametrize(('rate', 'turns'), [(200, 2.0), (2000, 5.0)])
+def test_what_a_lens_does_is_no_noise_that_lasts(rate: float, turns: float) -> None:
+    """Three deviations, to and fro so often a second."""
+    phase = 2 * np.pi * turns * np.arange(6000)[:, None] / rate + np.arange(4)
+    one, lasting = levels(white(0, 6000, 4) + 3 * np.sin(phase), rate=rate)
+    assert lasting == one == pytest.approx(1, abs=0.05)
+
+
+def test_noise_that_lasts_counts_for_as_much_as_it_does_in_a_window() -> None:
+    """As the error of means of many frames: for a running mean of 4 the same as without."""
+    one, lasting = levels(averaged(white(1, 20_000, 4), 4))
+    assert one == pytest.approx(24**-0.5, abs=0.02)
+    assert lasting == pytest.approx(1, abs=0.15)
+
+
+@given(cuts=st.lists(st.integers(1, 499).map(lambda k: 2 * k), max_size=40, unique=True))
+@settings(max_examples=20)
+def test_however_frames_come_the_noise_is_the_same(cuts: list[int]) -> None:
+    residual, freedom = residuals(averaged(white(2, 1000, 4), 5))
+    stamps, gaps = stamped(1000), np.random.default_rng(2).random(1000) < 0.01
+    whole, parts = LastingNoise(1, WINDOW), LastingNoise(1, WINDOW)
+    whole.add(stamps, residual, freedom, gaps)
+    for some in np.split(np.arange(1000), sorted(cuts)):
+        parts.add(stamps[some], residual[some], freedom[some], gaps[some])
+    low = np.full(1, 1e-9)
+    assert parts.level(low) == pytest.approx(whole.level(low), rel=1e-9)
+
+
+def test_blocks_hold_no_frames_from_before_and_after_a_gap() -> None:
+    """The body looks another one after each, as if marked anew."""
+    parts = np.arange(6000) // 28
+    steps = 20 * white(4, 215, 4)[parts]
+    gaps = np.concatenate(([False], np.diff(parts) > 0))
+    noise = white(5, 6000, 4) + steps
+    one, lasting = levels(noise, gaps)
+    assert lasting == one == pytest.approx(1, abs=0.05)
+    assert levels(noise)[1] > 3
+
+
+def test_what_was_measured_at_another_rate_is_forgotten() -> None:
+    lasting, low = LastingNoise(1, WINDOW), np.full(1, 1e-9)
+    residual, freedom = residuals(averaged(white(6, 2000, 4), 5))
+    gaps = np.zeros(2000, bool)
+    lasting.add(stamped(2000), residual, freedom, gaps)
+    assert lasting.level(low) > 0.5 * SIGMA
+    # Nothing is known of blocks of another length until there are some.
+    lasting.add(stamped(20, 2 * RATE), residual[:20], freedom[:20], gaps[:20])
+    assert lasting.level(low) == low
+    # Windows of ten frames have no blocks.
+    lasting.add(stamped(2000, 20), residual, freedom, gaps)
+    assert lasting.level(low) == low
+
+
+def test_a_body_that_begins_anew_has_its_own_noise() -> None:
+    lasting, low = LastingNoise(2, WINDOW), np.full(2, 1e-9)
+    residual, freedom = (np.repeat(part, 2, axis=1) for part in
+                         residuals(averaged(white(7, 2003, 4), 5)))  # fmt: skip
+    gaps = np.zeros(2003, bool)
+    lasting.add(stamped(2003), residual, freedom, gaps)
+    lasting.forget(np.array([True, False]))
+    first, second = lasting.level(low)
+    assert first == low[0]
+    assert second > 0.5 * SIGMA
+    lasting.add(stamped(2003), 10 * residual, freedom, gaps)
+    first, second = lasting.level(low)
+    # What blocks of eight frames see of means of five.
+    assert first == pytest.approx(8 * SIGMA, rel=0.15)
+
+
+def test_a_body_may_get_more_markers() -> None:
+    lasting, low = LastingNoise(1, WINDOW), np.full(1, 1e-9)
+    for count in (2, 4):
+        residual, freedom = residuals(averaged(white(8, 2003, 4)[:, :count], 5))
+        lasting.add(stamped(2003), residual, freedom, np.zeros(2003, bool))
+    assert lasting.level(low) == pytest.approx(0.8 * SIGMA, rel=0.15)
