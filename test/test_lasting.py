@@ -108,6 +108,14 @@ def test_white_noise_never_lasts(frames: int, markers: int, hidden: float) -> No
         assert lasting == one or np.isnan(one)
 
 
+def test_white_noise_that_falls_does_not_last() -> None:
+    for frames in range(1010, 2000, 30):
+        noise = white(frames, frames, 4)
+        noise[:1000] *= 10
+        one, lasting = levels(noise)
+        assert lasting == one
+
+
 @pytest.mark.parametrize(('rate', 'turns'), [(200, 2.0), (2000, 5.0)])
 def test_what_a_lens_does_is_no_noise_that_lasts(rate: float, turns: float) -> None:
     """Three deviations, to and fro so often a second."""

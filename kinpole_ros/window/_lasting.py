@@ -11,7 +11,7 @@ changes with the motion.
 import numpy as np
 
 from kinpole_ros.planar._plane import Complex, Real
-from kinpole_ros.window._noise import Noise
+from kinpole_ros.window._noise import KEPT, Noise
 
 # So many blocks make a window; a block has no more frames than this.
 _BLOCKS, _LONGEST = 12, 16
@@ -29,7 +29,8 @@ class LastingNoise:
 
     def _start_anew(self, length: int) -> None:
         self._length = length
-        self._noise = Noise(self._bodies)
+        # Of the same frames as the noise it is held against, which may have been louder before.
+        self._noise = Noise(self._bodies, KEPT // max(length, 1))
         # Frames that make no block yet, and whether it goes on from the one before.
         self._rest: tuple[Complex, Real] | None = None
         self._goes_on = False

@@ -17,7 +17,7 @@ import numpy as np
 from kinpole_ros.planar._plane import Complex, Real
 
 # How many frames the level is taken from, and which share of what is left may be wild.
-_KEPT = 512
+KEPT = 512
 _WILD = 0.1
 # A frame is wild whose fit leaves so many times what it leaves in all but the worst three tenths:
 # however wild they are, more than these tenths are never called so.
@@ -27,11 +27,12 @@ _FAR, _TAME = 9.0, 0.7
 class Noise:
     """Running noise level (m, per axis) of B bodies, from the residuals of their rigid fits."""
 
-    def __init__(self, bodies: int) -> None:
-        self._squares = np.full((bodies, _KEPT), np.nan)
+    def __init__(self, bodies: int, kept: int = KEPT) -> None:
+        self._kept = kept
+        self._squares = np.full((bodies, kept), np.nan)
         # What the fit itself leaves in the frame, and at most in it and its two neighbors.
-        self._own = np.full((bodies, _KEPT), np.nan)
-        self._most = np.full((bodies, _KEPT), np.nan)
+        self._own = np.full((bodies, kept), np.nan)
+        self._most = np.full((bodies, kept), np.nan)
         self._freedom = np.ones(bodies)
         self._count = 0
         self._before: tuple[Complex, Real, Real, np.ndarray] | None = None
@@ -60,7 +61,7 @@ class Noise:
         known = ~np.isnan(squares)
         mean = np.where(known, degrees, 0).sum(axis=0) / np.maximum(known.sum(axis=0), 1) / 1.5
         self._freedom = np.where(known.any(axis=0), mean, self._freedom)
-        place = (self._count + np.arange(len(middle))) % _KEPT
+        place = (self._count + np.arange(len(middle))) % self._kept
         self._squares[:, place] = squares.T
         self._own[:, place] = left[middle].T
         most = np.maximum(left[middle], np.maximum(left[before], left[after]))
@@ -93,7 +94,7 @@ class Noise:
         A median would call a tracker that rounds its coordinates free of noise, and a plain mean
         believes every jump.
         """
-        filled = slice(max(1, min(self._count, _KEPT)))
+        filled = slice(max(1, min(self._count, self._kept)))
         usual = tame_part(self._own[:, filled])
         tame = ~(self._most[:, filled] > _FAR * usual[:, None])
         known = np.sort(np.where(tame, self._squares[:, filled], np.nan))
