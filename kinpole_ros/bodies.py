@@ -308,7 +308,8 @@ class RigidBodies:
             self._pins.add(*poses)
             self._references.add(*poses, self._shapes.middle)
         self._noise.add(news.residual, news.freedom, ~news.gaps)
-        self._lasting.add(news.stamps, news.residual, news.freedom, news.gaps)
+        if not self._given:
+            self._lasting.add(news.stamps, news.residual, news.freedom, news.gaps)
         anew = self._shapes.learn()
         if anew.any():
             for learned in (self._pins, self._references, self._noise, self._lasting):
