@@ -85,11 +85,14 @@ def stamped(frames: int, rate: float = RATE) -> np.ndarray:
 
 
 def levels(
-    noise: np.ndarray, gaps: np.ndarray | None = None, rate: float = RATE
+    noise: np.ndarray,
+    gaps: np.ndarray | None = None,
+    rate: float = RATE,
+    window: int = WINDOW,
 ) -> tuple[float, float]:
     """Noise of single frames over SIGMA, and as it lasts, which is the same if it does not."""
     gaps = np.zeros(len(noise), bool) if gaps is None else gaps
-    single, lasting = Noise(1), LastingNoise(1, WINDOW)
+    single, lasting = Noise(1), LastingNoise(1, window)
     residual, freedom = residuals(noise)
     single.add(residual, freedom, ~gaps)
     lasting.add(stamped(len(noise), rate), residual, freedom, gaps)
@@ -124,11 +127,14 @@ def test_what_a_lens_does_is_no_noise_that_lasts(rate: float, turns: float) -> N
     assert lasting == one == pytest.approx(1, abs=0.05)
 
 
-def test_noise_that_lasts_counts_for_as_much_as_it_does_in_a_window() -> None:
+@pytest.mark.parametrize(('markers', 'window'), [(4, WINDOW), (2, 2 * WINDOW)])
+def test_noise_that_lasts_counts_for_as_much_as_it_does_in_a_window(
+    markers: int, window: int
+) -> None:
     """As the error of means of many frames: for a running mean of 4 the same as without."""
-    one, lasting = levels(averaged(white(1, 20_000, 4), 4))
-    assert one == pytest.approx(24**-0.5, abs=0.02)
-    assert lasting == pytest.approx(1, abs=0.15)
+    one, lasting = levels(averaged(white(1, 20_000, markers), 4), window=window)
+    assert one == pytest.approx(24**-0.5, abs=0.03)
+    assert lasting == pytest.approx(1, abs=0.2)
 
 
 @given(cuts=st.lists(st.integers(1, 499).map(lambda k: 2 * k), max_size=40, unique=True))

@@ -86,5 +86,6 @@ class LastingNoise:
     def level(self, white: Real) -> Real:
         """Standard deviation (B,) of one coordinate: as it lasts, or `white` where it does not."""
         found = self._noise.level()
-        sure = found * (1 - _SURE / np.sqrt(np.maximum(self._noise.degrees(), 1.0)))
+        # A standard deviation of n degrees of freedom has that of 1 / (2 n)^1/2 of it.
+        sure = found * (1 - _SURE / np.sqrt(2 * np.maximum(self._noise.degrees(), 1.0)))
         return np.where(sure > white, found, white)
