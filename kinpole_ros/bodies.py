@@ -137,6 +137,10 @@ class RigidBodies:
         loose = (off > _LOOSE * noise) & (off > _LOOSE_SHARE * self._size())
         return np.where(loose, off, 0.0)
 
+    def underrated(self) -> np.ndarray:
+        """Which bodies (B,) have more noise than can be measured: see `LastingNoise.longer`."""
+        return self._lasting.longer(self._noise.level())
+
     def take(
         self,
         rows: np.ndarray,

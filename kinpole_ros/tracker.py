@@ -90,6 +90,10 @@ class Tracker:
         """How far (B,) markers are off one rigid body: see `RigidBodies.looseness`."""
         return self._rigid.looseness()
 
+    def underrated(self) -> np.ndarray:
+        """Which bodies (B,) have more noise than can be measured, since it lasts long."""
+        return self._rigid.underrated()
+
     def lacking(self) -> dict[str, list[str]]:
         """Markers by body that the last message has not, where less than two of the body are."""
         lacks = zip(self.bodies, self._roster.markers, self._roster.absent, strict=False)

@@ -661,6 +661,24 @@ def test_replay_warns_of_a_body_whose_markers_are_of_several_links(
     assert 'off one rigid body' in said.err
 
 
+def test_replay_warns_of_markers_that_were_smoothed_beyond_what_can_be_measured(
+    kinpole: Any, tmp_path: Path
+) -> None:
+    times = np.arange(1000) / 100
+    shake = np.fft.rfft(np.random.default_rng(3).normal(size=(1000, 3, 2)), axis=0)
+    shake[30:] = 0.0
+    shape = np.array([[0.05, 0.03], [-0.05, 0.02], [0.0, -0.05]])
+    turn = np.array([[np.cos(times), -np.sin(times)], [np.sin(times), np.cos(times)]])
+    seen = np.einsum('ijt,nj->tni', turn, shape) + 1e-3 * np.fft.irfft(shake, axis=0)
+    table, bag = tmp_path / 'tracked.csv', tmp_path / 'markers.mcap'
+    rows = [','.join(map(repr, row)) for row in seen.reshape(1000, 6).tolist()]
+    table.write_text('\n'.join(['a_x,a_y,b_x,b_y,c_x,c_y', *rows]))
+    assert kinpole('import', str(table), '--rate', '100', '--output', str(bag)).status == 0
+    said = kinpole('replay', str(bag))
+    assert said.status == 0
+    assert 'send them unsmoothed' in said.err
+
+
 def test_simulate_replay_and_plot_go_together(kinpole: Any, tmp_path: Path) -> None:
     pytest.importorskip('matplotlib')
     bag, result, picture = (tmp_path / name for name in ('a.mcap', 'b.mcap', 'c.png'))

@@ -1,12 +1,17 @@
 """Markers that their tracker has smoothed: the noise that windows see, not what is left of it."""
 
+from typing import Any
+
 import numpy as np
 import pytest
+from diagnostic_msgs.msg import DiagnosticStatus
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from kinpole_ros.estimate import Estimate
 from kinpole_ros.frame import MarkerFrames
 from kinpole_ros.mechanism import load_scene
+from kinpole_ros.messages import SMOOTHED, DiagnosticsMaker
 from kinpole_ros.parameters import Settings
 from kinpole_ros.planar import fit_pose
 from kinpole_ros.tracker import Tracker
@@ -36,7 +41,7 @@ def averaged(values: np.ndarray, samples: int) -> np.ndarray:
 
 
 # How it is smoothed, and the share of errors that 95% intervals cover at least.
-SMOOTHED = {
+FILTERS = {
     'at 40 Hz': (lambda values: low_passed(values, 40), 0.85),
     'at 20 Hz': (lambda values: low_passed(values, 20), 0.85),
     'at 10 Hz': (lambda values: low_passed(values, 10), 0.65),
@@ -44,32 +49,51 @@ SMOOTHED = {
 }
 
 
-def errors(noise: np.ndarray) -> np.ndarray:
-    """Errors of ω, α and jerk of the coupler (3, T) over 30 s, and in deviations (3, T)."""
+def tracked(noise: np.ndarray, given: float = 0.0) -> tuple[Tracker, Estimate, Any]:
+    """The coupler seen with noise, at 200 Hz: what follows it, what it says, and the truth."""
     times = np.arange(len(noise)) / RATE
     position, angle = load_scene('four_bar').motion(times)['coupler']
     flat = position[0][:, None] + np.exp(1j * angle[0])[:, None] * SHAPE + SIGMA * noise
     points = np.stack((flat.real, flat.imag, 0 * flat.real), axis=-1)
     stamps = 10**18 + np.round(times * 1e9).astype(np.int64)
-    tracker = Tracker(Settings(bodies={'coupler': tuple('abcd')}, window=0.5, lag=0.1))
-    found = tracker.add(MarkerFrames(stamps, 'world', tuple('abcd'), points), 3)
-    (estimate,) = found
-    place = np.searchsorted(stamps, estimate.stamp)
-    off = estimate.angle[1:, :, 0] - angle[1:4, place]
+    tracker = Tracker(Settings(bodies={'coupler': tuple('abcd')}, window=0.5, lag=0.1, noise=given))
+    (estimate,) = tracker.add(MarkerFrames(stamps, 'world', tuple('abcd'), points), 3)
+    return tracker, estimate, angle[:, np.searchsorted(stamps, estimate.stamp)]
+
+
+def errors(noise: np.ndarray) -> np.ndarray:
+    """Errors of ω, α and jerk (3, T) over 30 s, and in deviations (3, T)."""
+    _, estimate, angle = tracked(noise)
+    off = estimate.angle[1:, :, 0] - angle[1:4]
     spread = np.sqrt(estimate.angle_covariance[[1, 2, 3], [1, 2, 3], :, 0])
-    settled = estimate.stamp > stamps[0] + 4_000_000_000
+    settled = estimate.stamp > estimate.stamp[0] + 4_000_000_000
     return np.stack((off, off / spread))[:, :, settled]
 
 
-@pytest.mark.parametrize('how', SMOOTHED)
+@pytest.mark.parametrize('how', FILTERS)
 def test_smoothing_spoils_no_figures_and_they_are_hardly_stated_too_sure(how: str) -> None:
-    smoothed, covered = SMOOTHED[how]
+    smoothed, covered = FILTERS[how]
     noise = white(3, 6000, 4)
     raw, _ = np.sqrt(np.mean(errors(noise) ** 2, axis=-1))
     off, deviations = errors(smoothed(noise))
     # Judged by what is new from frame to frame they would be up to 30 times as large.
     assert np.all(np.sqrt(np.mean(off**2, axis=-1)) < 1.1 * raw)
     assert np.all((np.abs(deviations) < 1.96).mean(axis=-1) > covered)
+
+
+@pytest.mark.parametrize(
+    ('cutoff', 'given', 'warned'),
+    [(None, 0, False), (20, 0, False), (10, 0, True), (6, 0, True), (6, 3 * SIGMA, False)],
+)
+def test_diagnostics_tell_where_noise_lasts_too_long_to_be_measured(
+    cutoff: float | None, given: float, warned: bool
+) -> None:
+    noise = white(9, 2000, 4)
+    noise = noise if cutoff is None else low_passed(noise, cutoff)
+    tracker, estimate, _ = tracked(noise, given)
+    status = DiagnosticsMaker('kinpole').make(10**18, tracker, estimate, 1.0, {}).status[1]
+    assert (SMOOTHED in status.message) == warned
+    assert (status.level == DiagnosticStatus.WARN) == warned
 
 
 def residuals(noise: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

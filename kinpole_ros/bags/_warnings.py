@@ -3,7 +3,7 @@
 from collections.abc import Iterator
 
 from kinpole_ros.bags._replay import Replayed
-from kinpole_ros.messages import not_rigid, not_there
+from kinpole_ros.messages import SMOOTHED, not_rigid, not_there
 from kinpole_ros.parameters import Settings
 from kinpole_ros.window import FEWEST_SAMPLES
 
@@ -38,6 +38,7 @@ def warnings_of(result: Replayed, settings: Settings) -> list[str]:
             mend = f'; {_MENDS[reason]}' if reason in _MENDS else ''
             lines.append(f'{body} is known at no instant: {reason}{mend}')
     lines += [f'{body}: {not_rigid(off)}' for body, off in result.looseness.items() if off]
+    lines += [f'{body}: {SMOOTHED}' for body in result.underrated if not result.looseness[body]]
     if settings.scene and result.estimates and not result.beside:
         lines.append(
             f'the scene {settings.scene} could be put where the bodies are seen at none of the '

@@ -2,7 +2,7 @@
 
 from kinpole_ros.messages._cdr import diagnostics_data
 from kinpole_ros.messages._cloud import MessageError
-from kinpole_ros.messages._diagnostics import DiagnosticsMaker, not_rigid, not_there
+from kinpole_ros.messages._diagnostics import SMOOTHED, DiagnosticsMaker, not_rigid, not_there
 from kinpole_ros.messages._loci import nothing_drawn
 from kinpole_ros.messages._markers import (
     MARKER_TYPES,
@@ -19,6 +19,7 @@ __all__ = [
     'DRAWING',
     'MARKER_TYPES',
     'ROS_TYPE_NAMES',
+    'SMOOTHED',
     'DiagnosticsMaker',
     'MarkerReader',
     'MessageError',

@@ -89,7 +89,7 @@ class DiagnosticsMaker:
         faults = _faults(tracker, since, trouble, self._nothing)
         faults += stamp_faults(stamps, seconds, tracker.settings.window)
         array.status = [self._input(tracker, since, seconds, faults)]
-        noise, loose = tracker.noise(), tracker.looseness()
+        noise, loose, more = tracker.noise(), tracker.looseness(), tracker.underrated()
         receiving = bool(since.get('frames'))
         lacking = {
             body: not_there(body, names, tracker.identities)
@@ -102,7 +102,8 @@ class DiagnosticsMaker:
                     name = f'{self._name}: {body}'
                     array.status.append(_status(name, DiagnosticStatus.WARN, lacking[body], {}))
                     continue
-                status = self._body(b, body, now, float(noise[b]), float(loose[b]), receiving)
+                known = float(noise[b]), float(loose[b]), bool(more[b])
+                status = self._body(b, body, now, *known, receiving)
                 array.status.append(status)
             if now is not None and (len(tracker.bodies) > 1 or self._theory is not None):
                 array.status.append(self._linkage(now))
@@ -157,6 +158,7 @@ class DiagnosticsMaker:
         now: Estimate | None,
         noise: float,
         loose: float,
+        more: bool,
         receiving: bool,
     ) -> DiagnosticStatus:
         name = f'{self._name}: {body}'
@@ -184,9 +186,19 @@ class DiagnosticsMaker:
         level, message = DiagnosticStatus.OK, 'tracking'
         if loose:
             level, message = DiagnosticStatus.WARN, not_rigid(loose)
+        elif more:
+            level, message = DiagnosticStatus.WARN, SMOOTHED
         if reasons:
             message += '; undetermined: ' + ', '.join(reasons)
         return _status(name, level, message, values)
+
+
+# What is to be said of a body whose markers have more noise than can be measured.
+SMOOTHED = (
+    'its markers err alike for so long, as smoothed ones do, that their noise is more than is '
+    'measured, and figures are stated too sure: send them unsmoothed, or set noise or a longer '
+    'window'
+)
 
 
 def not_there(body: str, names: Sequence[str], identities: Sequence[str]) -> str:

@@ -13,10 +13,12 @@ import numpy as np
 from kinpole_ros.planar._plane import Complex, Real
 from kinpole_ros.window._noise import KEPT, Noise
 
-# So many blocks make a window; a block has no more frames than this.
-_BLOCKS, _LONGEST = 12, 16
+# So many blocks make a window; half a block has no more frames than this.
+_BLOCKS, _LONGEST = 12, 8
 # It lasts where so many standard deviations below what was found is more than white noise.
 _SURE = 4.0
+# Where blocks have so many times the noise of their halves, longer ones had more still.
+_RISES = 3.0
 
 
 class LastingNoise:
@@ -27,11 +29,12 @@ class LastingNoise:
         self._window = window
         self._start_anew(0)
 
-    def _start_anew(self, length: int) -> None:
-        self._length = length
-        # Of the same frames as the noise it is held against, which may have been louder before.
-        self._noise = Noise(self._bodies, KEPT // max(length, 1))
-        # Frames that make no block yet, and whether it goes on from the one before.
+    def _start_anew(self, half: int) -> None:
+        self._half = half
+        # Of the same frames as the noise they are held against, which may have been louder before.
+        kept = KEPT // max(2 * half, 1)
+        self._blocks, self._halves = Noise(self._bodies, kept), Noise(self._bodies, 2 * kept)
+        # Frames that make no block yet, and whether the next block goes on from one before.
         self._rest: tuple[Complex, Real] | None = None
         self._goes_on = False
 
@@ -42,7 +45,7 @@ class LastingNoise:
         `gaps` (T,) is True for a frame that comes after a gap.
         """
         self._fit_length(stamps)
-        if self._length < 2:
+        if not self._half:
             return
         first = 0
         for end in (*gaps.nonzero()[0], len(gaps)):
@@ -57,35 +60,45 @@ class LastingNoise:
         if len(stamps) < 2:
             return
         frames = self._window / max(float(np.median(np.diff(stamps))), 1.0)
-        length = min(max(1, round(frames / _BLOCKS)), _LONGEST)
-        if not self._length / 1.5 <= length <= self._length * 1.5:
-            self._start_anew(length)
+        half = min(round(frames / _BLOCKS / 2), _LONGEST)
+        if not self._half / 1.5 <= half <= self._half * 1.5:
+            self._start_anew(half)
 
     def _add_run(self, residual: Complex, freedom: Real) -> None:
         """Frames one after the other, without gaps."""
         run = residual, freedom
         if self._rest is not None and self._rest[0].shape[1:] == residual.shape[1:]:
             run = tuple(np.concatenate(pair) for pair in zip(self._rest, run, strict=True))
-        count = len(run[0]) // self._length
-        whole = count * self._length
+        count = len(run[0]) // (2 * self._half)
+        whole = count * 2 * self._half
         self._rest = run[0][whole:], run[1][whole:]
         if not count:
             return
-        means, freedoms = (
-            part[:whole].reshape(count, self._length, *part.shape[1:]).mean(axis=1) for part in run
-        )
-        goes_on = np.ones(count, bool)
+        goes_on = np.ones(2 * count, bool)
         goes_on[0], self._goes_on = self._goes_on, True
-        # As large as the residuals of single frames, if they are white.
-        self._noise.add(np.sqrt(self._length) * means, freedoms, goes_on)
+        means, freedoms = (part[:whole] for part in run)
+        for noise, length in ((self._halves, self._half), (self._blocks, 2)):
+            means, freedoms = (
+                part.reshape(-1, length, *part.shape[1:]).mean(axis=1) for part in (means, freedoms)
+            )
+            # As large as the residuals of single frames, if they are white.
+            means = np.sqrt(length) * means
+            noise.add(means, freedoms, goes_on[: len(means)])
 
     def forget(self, which: np.ndarray) -> None:
         """Forget the bodies `which` (B,), as `Noise` does."""
-        self._noise.forget(which)
+        for noise in (self._halves, self._blocks):
+            noise.forget(which)
 
     def level(self, white: Real) -> Real:
         """Standard deviation (B,) of one coordinate: as it lasts, or `white` where it does not."""
-        found = self._noise.level()
+        return np.where(self._lasts(white), self._blocks.level(), white)
+
+    def longer(self, white: Real) -> np.ndarray:
+        """Whether (B,) noise lasts so long that no more can be said of it than that it is more."""
+        return self._lasts(white) & (self._blocks.level() > _RISES * self._halves.level())
+
+    def _lasts(self, white: Real) -> np.ndarray:
         # A standard deviation of n degrees of freedom has that of 1 / (2 n)^1/2 of it.
-        sure = found * (1 - _SURE / np.sqrt(2 * np.maximum(self._noise.degrees(), 1.0)))
-        return np.where(sure > white, found, white)
+        share = 1 - _SURE / np.sqrt(2 * np.maximum(self._blocks.degrees(), 1.0))
+        return np.asarray(self._blocks.level() * share > white)
