@@ -113,33 +113,35 @@ def levels(
     gaps: np.ndarray | None = None,
     rate: float = RATE,
     window: int = WINDOW,
-) -> tuple[float, float]:
-    """Noise of single frames over SIGMA, and as it lasts, which is the same if it does not."""
+) -> tuple[float, float, bool]:
+    """Noise of single frames over SIGMA, as it lasts, which may be the same, and if for longer."""
     gaps = np.zeros(len(noise), bool) if gaps is None else gaps
     single, lasting = Noise(1), LastingNoise(1, window)
     residual, freedom = residuals(noise)
     single.add(residual, freedom, ~gaps)
     lasting.add(stamped(len(noise), rate), residual, freedom, gaps)
     level = single.level()
-    return float(level[0]) / SIGMA, float(lasting.level(level)[0]) / SIGMA
+    lasts = float(lasting.level(level)[0])
+    return float(level[0]) / SIGMA, lasts / SIGMA, bool(lasting.longer(level)[0])
 
 
-@pytest.mark.parametrize('frames', [20, 50, 200, 6000])
+@pytest.mark.parametrize('frames', [20, 26, 32, 50, 200, 6000])
 @pytest.mark.parametrize('markers', [2, 4])
 @pytest.mark.parametrize('hidden', [0.0, 0.05, 0.3])
 def test_white_noise_never_lasts(frames: int, markers: int, hidden: float) -> None:
-    for seed in range(30):
+    for seed in range(200 if frames < 50 else 30):
         noise = white(seed, frames, markers)
         noise[np.random.default_rng(seed).random(noise.shape) < hidden] = np.nan
-        one, lasting = levels(noise)
+        one, lasting, longer = levels(noise)
         assert lasting == one or np.isnan(one)
+        assert not longer
 
 
 def test_white_noise_that_falls_does_not_last() -> None:
     for frames in range(1010, 2000, 30):
         noise = white(frames, frames, 4)
         noise[:1000] *= 10
-        one, lasting = levels(noise)
+        one, lasting, _ = levels(noise)
         assert lasting == one
 
 
@@ -147,7 +149,7 @@ def test_white_noise_that_falls_does_not_last() -> None:
 def test_what_a_lens_does_is_no_noise_that_lasts(rate: float, turns: float) -> None:
     """Three deviations, to and fro so often a second."""
     phase = 2 * np.pi * turns * np.arange(6000)[:, None] / rate + np.arange(4)
-    one, lasting = levels(white(0, 6000, 4) + 3 * np.sin(phase), rate=rate)
+    one, lasting, _ = levels(white(0, 6000, 4) + 3 * np.sin(phase), rate=rate)
     assert lasting == one == pytest.approx(1, abs=0.05)
 
 
@@ -156,7 +158,7 @@ def test_noise_that_lasts_counts_for_as_much_as_it_does_in_a_window(
     markers: int, window: int
 ) -> None:
     """As the error of means of many frames: for a running mean of 4 the same as without."""
-    one, lasting = levels(averaged(white(1, 20_000, markers), 4), window=window)
+    one, lasting, _ = levels(averaged(white(1, 20_000, markers), 4), window=window)
     assert one == pytest.approx(24**-0.5, abs=0.03)
     assert lasting == pytest.approx(1, abs=0.2)
 
@@ -180,7 +182,7 @@ def test_blocks_hold_no_frames_from_before_and_after_a_gap() -> None:
     steps = 20 * white(4, 215, 4)[parts]
     gaps = np.concatenate(([False], np.diff(parts) > 0))
     noise = white(5, 6000, 4) + steps
-    one, lasting = levels(noise, gaps)
+    one, lasting, _ = levels(noise, gaps)
     assert lasting == one == pytest.approx(1, abs=0.05)
     assert levels(noise)[1] > 3
 
@@ -213,6 +215,11 @@ def test_a_body_that_begins_anew_has_its_own_noise() -> None:
     first, second = lasting.level(low)
     # What blocks of eight frames see of means of five.
     assert first == pytest.approx(8 * SIGMA, rel=0.15)
+    # Neither blocks nor their halves remember how loud it was.
+    lasting.forget(np.array([True, True]))
+    residual, freedom = residuals(low_passed(white(7, 200, 4), 10))
+    lasting.add(stamped(200), *(np.repeat(p, 2, axis=1) for p in (residual, freedom)), gaps[:200])
+    assert lasting.longer(low).all()
 
 
 def test_a_body_may_get_more_markers() -> None:
