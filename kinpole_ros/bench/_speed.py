@@ -73,14 +73,15 @@ def compared(
     }
 
 
-def _best(work: Callable[[], object], repeats: int) -> float:
-    """Least CPU time of some calls, s."""
+def _best(repeats: int, *works: Callable[[], object]) -> list[float]:
+    """Least CPU time of some calls of each, s: in turns, since a machine is not always as fast."""
     times = []
     for _ in range(repeats):
-        begun = time.process_time()
-        work()
-        times.append(time.process_time() - begun)
-    return min(times)
+        for work in works:
+            begun = time.process_time()
+            work()
+            times.append(time.process_time() - begun)
+    return [min(times[k :: len(works)]) for k in range(len(works))]
 
 
 def _reading(markers: int = 100, number: int = 50) -> Rows:
@@ -104,7 +105,7 @@ def _reading(markers: int = 100, number: int = 50) -> Rows:
                 deserialize_message(one, cls)
 
         what = f'reading {markers} markers of a {kind}, against rclpy making the message'
-        ours, other = (1e6 * _best(work, 7) / number for work in (singly, ordinary))
+        ours, other = (1e6 * best / number for best in _best(7, singly, ordinary))
         rows.append(compared(what, ours, other, 'µs', bar, least=True))
     return rows
 
@@ -136,14 +137,13 @@ def _replaying(bag: Path, folder: Path) -> Rows:
         with bag.open('rb') as file:
             count = sum(1 for _ in make_reader(file).iter_messages())
 
-    other = _best(iterate, 3)
-    ours = _best(lambda: replay(bag, settings), 2)
+    ours, other = _best(3, lambda: replay(bag, settings), iterate)
     per = 1e6 / count
     what = f'replay of {count:,} frames of {_MARKERS} markers without output, against mcap reading'
     rows = [compared(what, per * ours, per * other, 'µs a frame', 3.0)]
 
     results, copy = folder / 'results.mcap', folder / 'copy.mcap'
-    ours = _best(lambda: replay(bag, settings, results), 2)
+    replay(bag, settings, results)
     ready = [(m.topic, m.type_name, m.data, m.log_time) for m in read_messages(results)]
 
     def write() -> None:
@@ -158,7 +158,7 @@ def _replaying(bag: Path, folder: Path) -> Rows:
                 writer.add_message(channels[topic], log_time, data, log_time)
             writer.finish()
 
-    other = _best(write, 2)
+    ours, other = _best(2, lambda: replay(bag, settings, results), write)
     what = (
         f'the same with all {len({m[0] for m in ready})} topics written, against mcap writing them'
     )
@@ -189,8 +189,12 @@ def _estimating(count: int) -> Rows:
             times.append(time.process_time() - begun)
         return 1e6 * float(np.median(times))
 
-    one, many = cost(1, 61), cost(_MOST_BODIES, 61)
-    short, long = cost(1, 30), cost(1, _LONGEST_WINDOW)
+    # In turns, as above.
+    costs = [
+        [cost(1, 61), cost(_MOST_BODIES, 61), cost(1, 30), cost(1, _LONGEST_WINDOW)]
+        for _ in range(5)
+    ]
+    one, many, short, long = map(min, zip(*costs, strict=True))
     return [
         compared(f'estimates of {_MOST_BODIES} bodies, against one', many, one, 'µs a frame', 5.0),
         compared(
