@@ -76,7 +76,7 @@ def test_smoothing_spoils_no_figures_and_they_are_hardly_stated_too_sure(how: st
     noise = white(3, 6000, 4)
     raw, _ = np.sqrt(np.mean(errors(noise) ** 2, axis=-1))
     off, deviations = errors(smoothed(noise))
-    # Judged by what is new from frame to frame they would be up to 30 times as large.
+    # Judged by what is new from frame to frame they would be many times as large.
     assert np.all(np.sqrt(np.mean(off**2, axis=-1)) < 1.1 * raw)
     assert np.all((np.abs(deviations) < 1.96).mean(axis=-1) > covered)
 

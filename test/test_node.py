@@ -464,7 +464,7 @@ def test_what_was_drawn_is_taken_away_when_no_more_is_drawn(
 def test_publishers_stay_until_readers_have_their_last_messages_but_not_for_long(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """On busy cores every tenth or so was lost: the end of a writer overtakes its messages."""
+    """With all cores busy 19 of 510 were lost: the end of a writer overtakes its messages."""
     waited: dict[str, float] = {}
     gone: list[str] = []
     destroy = KinpoleNode.destroy_lifecycle_publisher

@@ -89,7 +89,7 @@ class DiagnosticsMaker:
         faults = _faults(tracker, since, trouble, self._nothing)
         faults += stamp_faults(stamps, seconds, tracker.settings.window)
         array.status = [self._input(tracker, since, seconds, faults)]
-        noise, loose, more = tracker.noise(), tracker.looseness(), tracker.underrated()
+        noise, loose, underrated = tracker.noise(), tracker.looseness(), tracker.underrated()
         receiving = bool(since.get('frames'))
         lacking = {
             body: not_there(body, names, tracker.identities)
@@ -102,7 +102,7 @@ class DiagnosticsMaker:
                     name = f'{self._name}: {body}'
                     array.status.append(_status(name, DiagnosticStatus.WARN, lacking[body], {}))
                     continue
-                known = float(noise[b]), float(loose[b]), bool(more[b])
+                known = float(noise[b]), float(loose[b]), bool(underrated[b])
                 status = self._body(b, body, now, *known, receiving)
                 array.status.append(status)
             if now is not None and (len(tracker.bodies) > 1 or self._theory is not None):
@@ -158,7 +158,7 @@ class DiagnosticsMaker:
         now: Estimate | None,
         noise: float,
         loose: float,
-        more: bool,
+        underrated: bool,
         receiving: bool,
     ) -> DiagnosticStatus:
         name = f'{self._name}: {body}'
@@ -186,7 +186,7 @@ class DiagnosticsMaker:
         level, message = DiagnosticStatus.OK, 'tracking'
         if loose:
             level, message = DiagnosticStatus.WARN, not_rigid(loose)
-        elif more:
+        elif underrated:
             level, message = DiagnosticStatus.WARN, SMOOTHED
         if reasons:
             message += '; undetermined: ' + ', '.join(reasons)

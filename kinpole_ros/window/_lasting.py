@@ -3,9 +3,9 @@ Noise that lasts: markers that were smoothed on their way err alike from frame t
 
 What residuals do between frames then says a quarter of their noise, or a hundredth, and figures are
 fitted to the rest of it. So it is measured between the means of blocks of frames too, which is the
-Hadamard variance of clocks: for white noise the same at any length, and for noise that lasts what
-it counts for in a window. Blocks are much shorter than windows, lest what a lens does counts, which
-changes with the motion.
+Hadamard variance of clocks (Baugh 1971): for white noise the same at any length, and for noise that
+lasts what it counts for in a window. Blocks are much shorter than windows, lest what a lens does
+counts, which changes with the motion.
 """
 
 import numpy as np
@@ -22,7 +22,11 @@ _RISES = 3.0
 
 
 class LastingNoise:
-    """Noise of blocks of frames (m, per axis) of B bodies, as `Noise` is of single ones."""
+    """
+    Noise of blocks of frames (m, per axis) of B bodies, as `Noise` is of single ones.
+
+    `window`, ns, is as long as the estimates'.
+    """
 
     def __init__(self, bodies: int, window: int) -> None:
         self._bodies = bodies
@@ -40,9 +44,10 @@ class LastingNoise:
 
     def add(self, stamps: np.ndarray, residual: Complex, freedom: Real, gaps: np.ndarray) -> None:
         """
-        Take the fits of some frames, as `Noise` does, with their stamps (T,), ns.
+        Take the fits of some frames, with their stamps (T,), ns.
 
-        `gaps` (T,) is True for a frame that comes after a gap.
+        `residual`, m, and `freedom` (T, B, n) are as of `Fit`; `gaps` (T,) is True for a frame that
+        comes after a gap.
         """
         self._fit_length(stamps)
         if not self._half:
@@ -91,7 +96,11 @@ class LastingNoise:
             noise.forget(which)
 
     def level(self, white: Real) -> Real:
-        """Standard deviation (B,) of one coordinate: as it lasts, or `white` where it does not."""
+        """
+        Standard deviation (B,) of one coordinate of a marker, m.
+
+        As it lasts, or `white` (B,), that of single frames, where it does not.
+        """
         return np.where(self._lasts(white), self._blocks.level(), white)
 
     def longer(self, white: Real) -> np.ndarray:
