@@ -21,6 +21,8 @@ from kinpole_ros.usage import make_parser
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
+    from kinpole_ros.parameters import Settings
+
 # The products computed here are small. A BLAS that has them done by threads waits for these longer
 # than it computes where other processes run: 207 us a frame of replay on 2 busy cores against 60.
 os.environ.setdefault('OPENBLAS_NUM_THREADS', '1')
@@ -118,11 +120,10 @@ def _on_terminal() -> bool:
 
 def _replay(options: argparse.Namespace) -> int:
     from kinpole_ros.bags import replay, warnings_of
-    from kinpole_ros.parameters import Settings, load_settings
 
     outputs = (options.output, options.csv, options.parquet)
     _keep(options.config, *outputs)
-    settings = load_settings(options.config) if options.config else Settings()
+    settings = _settings(options)
     with _progress('replay') as progress:
         result = replay(
             options.bag,
@@ -163,13 +164,12 @@ def _replay(options: argparse.Namespace) -> int:
 def _batch(options: argparse.Namespace) -> int:
     from kinpole_ros.bags import BagError
     from kinpole_ros.batch import KINDS, batch
-    from kinpole_ros.parameters import Settings, load_settings
 
     if options.workers is not None and options.workers < 1:
         raise BagError(f'--workers is {options.workers}; it must be 1 or more')
     if options.workers is not None and options.scheduler is not None:
         raise BagError('--workers is for this machine alone; leave it out with --scheduler')
-    settings = load_settings(options.config) if options.config else Settings()
+    settings = _settings(options)
     kinds = [kind for kind in KINDS if getattr(options, kind)] or ['mcap']
 
     def report(row: dict[str, Any]) -> None:
@@ -199,6 +199,16 @@ def _batch(options: argparse.Namespace) -> int:
     print(f'{len(rows)} bags, {failed} failed, {cut} cut off{lack}; {frames} frames in')
     print(f'written to {options.output}, with a table over all in {options.output}/summary.csv')
     return 2 if failed or cut or lacking else 0
+
+
+def _settings(options: argparse.Namespace) -> 'Settings':
+    """Those of --config, or the defaults, with what --set says instead."""
+    from kinpole_ros.parameters import assignments, load_settings, settings_from
+
+    changes = assignments(options.set)
+    if options.config:
+        return load_settings(options.config, changes=changes)
+    return settings_from(changes)
 
 
 def _keep(given: str | None, *outputs: str | None) -> None:
@@ -240,6 +250,10 @@ def _simulate(options: argparse.Namespace) -> int:
             dropout=options.dropout,
             jitter=options.jitter,
             message=options.message,
+            arrival=options.arrival,
+            tilt=options.tilt,
+            scale=options.scale,
+            unlabeled=options.unlabeled,
             progress=progress,
         )
     print(f'{count} frames of {", ".join(scene.markers)} written to {options.output}')
@@ -317,11 +331,13 @@ def _demo(options: argparse.Namespace) -> int:
 
 
 def _bench(options: argparse.Namespace) -> int:
-    from kinpole_ros.bench import bench, bench_long, bench_soak
+    from kinpole_ros.bench import bench, bench_long, bench_rigs, bench_soak
 
     with _progress('bench') as progress:
         if options.long:
             written = bench_long(options.output, progress)
+        elif options.rigs:
+            written = bench_rigs(options.output, progress=progress)
         elif options.soak is not None:
             written = bench_soak(options.output, options.soak, progress)
         else:

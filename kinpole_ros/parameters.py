@@ -7,7 +7,7 @@ the same things in the same words.
 
 import math
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -217,6 +217,16 @@ AUTOSTART = Parameter(
 )
 # Characters of a value or name.
 _MOST_TOLD = 80
+# Not YAML; the others are what PyYAML lets through of a malformed date or number, or !!bool of what
+# is none.
+_MALFORMED = (
+    yaml.YAMLError,
+    ValueError,
+    LookupError,
+    TypeError,
+    AttributeError,
+    RecursionError,
+)
 # What ROS itself, or the node alone, understands in the same file.
 _NODE_ONLY = ('use_sim_time', 'autostart', 'start_type_description_service')
 
@@ -286,25 +296,20 @@ _Loader.add_implicit_resolver(
 )
 
 
-def load_settings(path: str | Path, node_name: str = 'kinpole') -> Settings:
+def load_settings(
+    path: str | Path, node_name: str = 'kinpole', changes: Mapping[str, Any] | None = None
+) -> Settings:
     """
     Read a ROS 2 parameter file: the sections '/**' and that of the node.
 
-    Raises ParameterError naming the file for anything that cannot be used.
+    `changes`, by ROS names, override what it says. Raises ParameterError naming the file for
+    anything that cannot be used.
     """
     try:
-        document = yaml.load(Path(path).read_text(encoding='utf-8'), _Loader)
+        document = _parse(Path(path).read_text(encoding='utf-8'))
     except OSError as error:
         raise ParameterError(f'{path}: {error.strerror}; name a readable parameter file') from None
-    # The others: what PyYAML lets through of a malformed date or number, or !!bool of what is none.
-    except (
-        yaml.YAMLError,
-        ValueError,
-        LookupError,
-        TypeError,
-        AttributeError,
-        RecursionError,
-    ) as error:
+    except _MALFORMED as error:
         reason = ' '.join(str(error).split())
         raise ParameterError(f'{path}: not YAML ({reason})') from None
     wanted = {'/**', node_name, f'/{node_name}'}
@@ -326,9 +331,34 @@ def load_settings(path: str | Path, node_name: str = 'kinpole') -> Settings:
             'ros__parameters:'
         )
     try:
-        return settings_from(values)
+        return settings_from(values | dict(changes or {}))
     except ParameterError as error:
-        raise ParameterError(f'{path}: {error}') from None
+        source = f'{path} and --set' if changes else path
+        raise ParameterError(f'{source}: {error}') from None
+
+
+def assignments(words: Iterable[str]) -> dict[str, Any]:
+    """
+    Parameters by their ROS names from words as of `ros2 run ... -p`: NAME:=VALUE, VALUE in YAML.
+
+    The last of several of one name holds. Raises ParameterError for a word that is none.
+    """
+    values: dict[str, Any] = {}
+    for word in words:
+        name, sign, text = word.partition(':=')
+        if not sign or not name:
+            raise ParameterError(f'{_cut(word)} is not NAME:=VALUE, such as lag:=0.05')
+        try:
+            values.update(_flat({name: _parse(text)}))
+        except _MALFORMED as error:
+            reason = ' '.join(str(error).split())
+            raise ParameterError(f'{_cut(word)}: the value is not YAML ({reason})') from None
+    return values
+
+
+def _parse(text: str) -> Any:
+    """What YAML says, as ROS reads it; raises one of _MALFORMED."""
+    return yaml.load(text, _Loader)
 
 
 def _flat(section: Mapping[str, Any], prefix: str = '') -> dict[str, Any]:

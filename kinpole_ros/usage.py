@@ -57,6 +57,7 @@ def make_parser() -> argparse.ArgumentParser:
         metavar='FILE',
         help='ROS 2 parameter file, as for the node; without it one body, "body", of all markers',
     )
+    _add_set(replay)
     replay.add_argument('--output', metavar='OUT.mcap', help='bag of results, under /kinpole/...')
     replay.add_argument(
         '--csv', metavar='OUT.csv', help='the same as a table, in SI units, with sigmas'
@@ -93,6 +94,7 @@ def make_parser() -> argparse.ArgumentParser:
     batch.add_argument(
         '--config', metavar='FILE', help='ROS 2 parameter file for all of them, as for replay'
     )
+    _add_set(batch)
     batch.add_argument(
         '--output', metavar='DIR', default='batch', help='folder for results and summary (batch)'
     )
@@ -110,7 +112,9 @@ def make_parser() -> argparse.ArgumentParser:
     simulate = commands.add_parser(
         'simulate',
         help='a bag of markers from a mechanism, with the exact answer beside it',
-        description='Writes markers on /markers and the exact motion on /kinpole/truth/...',
+        description='Writes markers on /markers and the exact motion on /kinpole/truth/... The '
+        'last four options spoil the markers as real rigs do; the exact motion is in m, in the '
+        'frame of the markers, under the stamp of its frame.',
     )
     simulate.add_argument(
         'scene', metavar='SCENE', help='a file, or the name of one in config/scenes: see --list'
@@ -138,6 +142,33 @@ def make_parser() -> argparse.ArgumentParser:
         default='marker_array',
         metavar='TYPE',
         help='marker_array (the default), marker, pose_array or point_cloud2',
+    )
+    simulate.add_argument(
+        '--arrival',
+        type=float,
+        default=0.0,
+        metavar='S',
+        help='stamps are late by a random time of this mean, exponential, s (0); the frames come '
+        'in the order in which they were taken',
+    )
+    simulate.add_argument(
+        '--tilt',
+        type=float,
+        default=0.0,
+        metavar='DEG',
+        help='turns the plane of the motion about the x axis, degrees (0)',
+    )
+    simulate.add_argument(
+        '--scale',
+        type=float,
+        default=1.0,
+        metavar='F',
+        help='times by which the markers are larger than in m: 1000 for mm (1)',
+    )
+    simulate.add_argument(
+        '--unlabeled',
+        action='store_true',
+        help='points without names, in random order in each frame; those not seen leave no gap',
     )
 
     solve = commands.add_parser(
@@ -235,12 +266,28 @@ def make_parser() -> argparse.ArgumentParser:
         '--long', action='store_true', help='only the run of 1e7 frames: some minutes'
     )
     part.add_argument(
+        '--rigs',
+        action='store_true',
+        help='only what drivers send of real rigs, late stamps to soft tissue: two minutes',
+    )
+    part.add_argument(
         '--soak',
         type=float,
         metavar='MINUTES',
         help='only the live node, for so long at 500 Hz with dropouts, outliers and clock jumps',
     )
     return parser
+
+
+def _add_set(command: argparse.ArgumentParser) -> None:
+    """--set, for what takes --config."""
+    command.add_argument(
+        '--set',
+        action='append',
+        default=[],
+        metavar='NAME:=VALUE',
+        help='a parameter instead of what the file says, as ros2 run takes it after -p; repeatable',
+    )
 
 
 class _ListScenes(argparse.Action):

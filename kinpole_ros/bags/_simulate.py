@@ -1,7 +1,13 @@
-"""Bags with a known answer: the markers of a scene, and beside them the exact motion."""
+"""
+Bags with a known answer: the markers of a scene, and beside them the exact motion.
 
-from collections.abc import Callable
+On request they are as bad as what real rigs send: late stamps, a tilted plane, other units, points
+without names in no order.
+"""
+
+from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from geometry_msgs.msg import PointStamped, Vector3Stamped
@@ -24,6 +30,8 @@ _AT_ONCE = 1000
 _LONGEST = 2e9
 # Loci and covariances of an exact motion say nothing more.
 _EXACT_TYPES = (Odometry, PointStamped, Vector3Stamped)
+# Doubles after the header (and child_frame_id) of these.
+_DOUBLES = {Odometry: 85, PointStamped: 3, Vector3Stamped: 3}
 
 
 def simulate(
@@ -36,6 +44,10 @@ def simulate(
     dropout: float = 0.0,
     jitter: float = 0.0,
     message: str = 'marker_array',
+    arrival: float = 0.0,
+    tilt: float = 0.0,
+    scale: float = 1.0,
+    unlabeled: bool = False,
     progress: Callable[[float], None] | None = None,
 ) -> int:
     """
@@ -44,10 +56,22 @@ def simulate(
     `rate` in Hz, `duration` in s; `noise` is the standard deviation (m) of white noise on both
     coordinates of every marker, `dropout` the probability that a marker is missing from a frame,
     `jitter` the standard deviation (s) by which the instants of the frames leave the even beat (the
-    stamps tell the true instants). The first stamp is 1 s. Returns the number of frames. Raises
-    BagError for a value out of range or an output that cannot be written.
+    stamps tell the true instants). The first frame is taken at 1 s.
+
+    What follows spoils the bag as real rigs do; the same seed has the same noise with and without.
+    `arrival`: stamps are late by an exponential time of this mean (s). Frames come in the order in
+    which they were taken, so one that overtakes waits for those before it, and is stamped 1 ns
+    after the last. `tilt`: the plane is turned about the x axis by so many degrees, its normal is
+    (0, -sin, cos) of it, and there is noise along the normal too. `scale`: markers are in units of
+    which so many make 1 m. `unlabeled`: the points of a frame come in random order without names,
+    and one that is missing leaves no gap; a marker_array counts its ids anew in each frame.
+
+    The exact motion is that of the instant of capture under the stamp of its frame, in m, in the
+    frame of the markers: tilted, poles are points of the tilted plane, vectors lie along its
+    normal, and a body's own z axis too. Returns the number of frames. Raises BagError for a value
+    out of range or an output that cannot be written.
     """
-    _check(rate, duration, noise, seed, dropout, jitter, message)
+    _check(rate, duration, noise, seed, dropout, jitter, message, arrival, tilt, scale)
     if not scene.markers:
         raise BagError(
             f'scene {scene.name} has no markers to be seen; add them, as markers: '
@@ -58,16 +82,19 @@ def simulate(
     times = np.arange(count) / rate
     if jitter > 0:
         times = np.sort(times + jitter * generator.standard_normal(count))
-    length = times[-1] - times[0]
+    # Each has numbers of its own: to spoil a bag one way changes nothing else in it.
+    delays, heights, orders = np.random.default_rng((seed, 1)).spawn(3)
+    late = arrival * delays.standard_exponential(count)
+    length = times[-1] - times[0] + late.max()
     if length > _LONGEST:
         raise BagError(
-            f'--rate, --duration and --jitter make a bag of {length:g} s; it must be at most '
-            f'{_LONGEST:g} s'
+            f'--rate, --duration, --arrival and --jitter make a bag of {length:g} s; it must be at '
+            f'most {_LONGEST:g} s'
         )
-    stamps = np.round((1.0 + times - times[0]) * 1e9).astype(np.int64)
-    # Stamps are whole ns and all different; the motion is that of the stamps.
-    stamps = np.maximum.accumulate(stamps - np.arange(count)) + np.arange(count)
-    motion = scene.motion((stamps - stamps[0]) * 1e-9)
+    captured = _increasing(np.round((1.0 + times - times[0]) * 1e9).astype(np.int64))
+    # The motion is that of whole ns too.
+    motion = scene.motion((captured - captured[0]) * 1e-9)
+    stamps = _increasing(captured + np.round(late * 1e9).astype(np.int64))
     bodies = tuple(scene.markers)
     names = [name for body in bodies for name in scene.marker_names[body]]
     flat = [marker_positions(motion[body], scene.markers[body]) for body in bodies]
@@ -75,6 +102,14 @@ def simulate(
     points[..., :2] = np.concatenate(flat, axis=1)
     points[..., :2] += noise * generator.standard_normal((count, len(names), 2))
     points[generator.random((count, len(names))) < dropout] = np.nan
+    turn = _about_x(np.deg2rad(tilt))
+    if tilt:
+        points[..., 2] += noise * heights.standard_normal((count, len(names)))
+        points = points @ turn.T
+    points *= scale
+    if unlabeled:
+        order = orders.permuted(np.tile(np.arange(len(names)), (count, 1)), axis=1)
+        points = np.take_along_axis(points, order[..., None], axis=1)
 
     position = np.stack([motion[body].position for body in bodies], axis=-1)  # (5, T, B)
     angle = np.stack([motion[body].angle for body in bodies], axis=-1)
@@ -86,7 +121,7 @@ def simulate(
         for first in range(0, count, _AT_ONCE):
             part = slice(first, min(first + _AT_ONCE, count))
             markers = [
-                serialize_message(to_message(message, stamp, _FRAME, names, seen))
+                serialize_message(_markers(message, stamp, None if unlabeled else names, seen))
                 for stamp, seen in zip(stamps[part].tolist(), points[part], strict=True)
             ]
             shape = (part.stop - part.start, len(bodies))
@@ -106,6 +141,11 @@ def simulate(
                 np.full(shape, '', object),
             )
             columns = result_columns(outputs, truth, f'/{NODE_NAME}/truth', stamps[part])
+            if tilt:
+                columns = (
+                    (topic, kind, at, _turned(kind, data, turn))
+                    for topic, kind, at, data in columns
+                )
             of_markers = '/markers', MARKER_TYPES[message], stamps[part].tolist(), markers
             writer.write_many([of_markers, *columns])
             if progress is not None:
@@ -121,6 +161,9 @@ def _check(
     dropout: float,
     jitter: float,
     message: str,
+    arrival: float,
+    tilt: float,
+    scale: float,
 ) -> None:
     wrong = [
         ('--rate', rate, 'more than 0 Hz, and 1e9 Hz at most', 0 < rate <= 1e9),
@@ -130,11 +173,59 @@ def _check(
         ('--jitter', jitter, '0 s or more', 0 <= jitter < np.inf),
         ('--seed', seed, '0 or more', seed >= 0),
         ('--message', message, f'one of {", ".join(MARKER_TYPES)}', message in MARKER_TYPES),
+        ('--arrival', arrival, '0 s or more', 0 <= arrival < np.inf),
+        ('--tilt', tilt, 'from -180 to 180 degrees', -180 <= tilt <= 180),
+        ('--scale', scale, 'from 1e-9 to 1e9 units per m', 1e-9 <= scale <= 1e9),
         ('--rate times --duration', rate * duration, '1e8 at most', rate * duration <= 1e8),
     ]
     for name, value, allowed, good in wrong:
         if not good:
             raise BagError(f'{name} is {value}; it must be {allowed}')
+
+
+def _increasing(stamps: np.ndarray) -> np.ndarray:
+    """Stamps (T,), ns, all different and in order: each waits for those before it."""
+    count = np.arange(len(stamps))
+    return np.asarray(np.maximum.accumulate(stamps - count) + count)
+
+
+def _markers(kind: str, stamp: int, names: list[str] | None, points: np.ndarray) -> Any:
+    """A message of the markers (n, 3); without names, of those that are seen, under none."""
+    if names is None:
+        points = points[np.isfinite(points[:, 0])]
+        names = [''] * len(points)
+    return to_message(kind, stamp, _FRAME, names, points)
+
+
+def _about_x(angle: float) -> np.ndarray:
+    """The matrix (3, 3) that turns vectors about the x axis by `angle`, rad."""
+    cos, sin = np.cos(angle), np.sin(angle)
+    return np.array([[1.0, 0.0, 0.0], [0.0, cos, -sin], [0.0, sin, cos]])
+
+
+def _turned(kind: type, data: Sequence[bytes], turn: np.ndarray) -> list[bytes]:
+    """
+    The messages of one topic with their points and vectors turned by `turn` (3, 3), about x.
+
+    Of an Odometry the body's own axes turn with it, so that its twist, which is in these, stays.
+    """
+    rows = np.frombuffer(b''.join(data), np.uint8).reshape(len(data), -1).copy()
+    tail = rows[:, -8 * _DOUBLES[kind] :]
+    figures = tail.copy().view('<f8')
+    figures[:, :3] = figures[:, :3] @ turn.T
+    if kind is Odometry:
+        half = np.arctan2(turn[2, 1], turn[1, 1]) / 2
+        # Quaternions: (cos half, sin half, 0, 0) times (w, x, y, z) of the body in its plane.
+        x, y, z, w = (part.copy() for part in figures[:, 3:7].T)
+        cos, sin = np.cos(half), np.sin(half)
+        figures[:, 3:7] = np.stack(
+            (cos * x + sin * w, cos * y - sin * z, cos * z + sin * y, cos * w - sin * x), axis=1
+        )
+        both = np.kron(np.eye(2), turn)
+        covariance = figures[:, 7:43].reshape(-1, 6, 6)
+        figures[:, 7:43] = (both @ covariance @ both.T).reshape(-1, 36)
+    tail[...] = figures.view(np.uint8)
+    return [row.tobytes() for row in rows]
 
 
 def _diameter(points: np.ndarray) -> float:
