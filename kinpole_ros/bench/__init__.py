@@ -6,6 +6,21 @@ Nothing else depends on it. What is measured is the real tracker, run as replay 
 
 from kinpole_ros.bench._atlas import survey
 from kinpole_ros.bench._motions import Motion, motions
-from kinpole_ros.bench._report import bench, bench_long, bench_soak, hindsight_table
+from kinpole_ros.bench._report import (
+    bench,
+    bench_long,
+    bench_rigs,
+    bench_soak,
+    hindsight_table,
+)
 
-__all__ = ['Motion', 'bench', 'bench_long', 'bench_soak', 'hindsight_table', 'motions', 'survey']
+__all__ = [
+    'Motion',
+    'bench',
+    'bench_long',
+    'bench_rigs',
+    'bench_soak',
+    'hindsight_table',
+    'motions',
+    'survey',
+]

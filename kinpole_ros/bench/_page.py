@@ -22,6 +22,7 @@ from kinpole_ros.bench._page_limits import (
     speed_part,
     time_part,
 )
+from kinpole_ros.bench._page_rigs import rigs_part
 from kinpole_ros.bench._peers import Table
 
 Rows = list[dict[str, Any]]
@@ -39,6 +40,7 @@ class Results(NamedTuple):
     offline: dict[str, Table]
     version: str
     pendulum: Rows
+    rigs: Rows
     spent: dict[str, float]
     atlas: Rows
     speed: Rows
@@ -56,6 +58,7 @@ def make_page(results: Results) -> str:
         chi_part(results.coverage),
         peers_part(results.tables, results.offline, results.version),
         pendulum_part(results.pendulum, results.quick),
+        rigs_part(results.rigs),
         time_part(results.spent),
         speed_part(results.speed),
         lag_part(),

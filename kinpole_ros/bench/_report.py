@@ -5,6 +5,7 @@ Seeds are fixed: except for the times everything comes out the same again.
 """
 
 import csv
+import re
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -27,7 +28,9 @@ from kinpole_ros.bench._hindsight import (
 from kinpole_ros.bench._live import live_rows, measure_live
 from kinpole_ros.bench._long import long_run
 from kinpole_ros.bench._motions import motions
+from kinpole_ros.bench._outcome import rig_rows
 from kinpole_ros.bench._page import Results, make_page
+from kinpole_ros.bench._page_rigs import TITLE, rigs_part
 from kinpole_ros.bench._peers import (
     OURS,
     Table,
@@ -39,6 +42,7 @@ from kinpole_ros.bench._peers import (
 )
 from kinpole_ros.bench._pendulum import TABLE, pendulum
 from kinpole_ros.bench._record import NOISES, QUANTITIES, RATE, UNITS, make_recording, measure
+from kinpole_ros.bench._rigs import rigs
 from kinpole_ros.bench._soak import soak, soak_rows
 from kinpole_ros.bench._speed import speed_rows
 
@@ -56,6 +60,7 @@ _SECONDS = {
     'PyNumDiff': (60, 0),
     'atlas': (98, 11),
     'pendulum': (10, 0),
+    'rigs': (110, 9),
 }
 
 
@@ -154,6 +159,8 @@ def bench(
         swung = pendulum()
         write('pendulum', swung, None)
     tell('pendulum')(1.0)
+    rigged = _measure_rigs(quick, tell('rigs'))
+    write('rigs', rigged, charts.rigs)
 
     page = folder / 'benchmarks.md'
     results = Results(
@@ -166,6 +173,7 @@ def bench(
         offline,
         version,
         swung,
+        rigged,
         spent,
         cells,
         fast,
@@ -220,6 +228,44 @@ def bench_soak(
     path.parent.mkdir(parents=True, exist_ok=True)
     _write_csv(path, soak_rows(soak(minutes, progress)))
     return [path]
+
+
+def bench_rigs(
+    output: str | Path, quick: bool = False, progress: Callable[[float], None] | None = None
+) -> list[Path]:
+    """
+    Measure what real rigs send: `charts/rigs.csv`, its chart, and its section of `benchmarks.md`.
+
+    Returns the files written in the folder `output`; a page that is not there is not begun. Raises
+    OSError where they cannot be written, ImportError where matplotlib is missing.
+    """
+    import matplotlib  # noqa: F401 - before minutes of work are lost for want of it
+
+    folder = Path(output)
+    (folder / 'charts').mkdir(parents=True, exist_ok=True)
+    rows = _measure_rigs(quick, progress or (lambda share: None))
+    table, chart = (folder / 'charts' / f'rigs.{kind}' for kind in ('csv', 'png'))
+    _write_csv(table, rows)
+    with _writing(chart):
+        charts.rigs(rows, chart)
+    page = folder / 'benchmarks.md'
+    if not page.exists():
+        return [table, chart]
+    with _writing(page):
+        sections = re.split(r'^(?=## )', page.read_text(encoding='utf-8'), flags=re.MULTILINE)
+        place = [k for k, section in enumerate(sections) if section.startswith(TITLE)]
+        sections = [section for section in sections if not section.startswith(TITLE)]
+        sections.insert(place[0] if place else len(sections), f'{rigs_part(rows)}\n\n')
+        page.write_text(''.join(sections).rstrip() + '\n', encoding='utf-8')
+    return [table, chart, page]
+
+
+def _measure_rigs(quick: bool, progress: Callable[[float], None]) -> Rows:
+    """Rows of all cases: with `quick` of one rig at one rate, and shorter."""
+    names = tuple(rigs())
+    if quick:
+        return rig_rows(names[:1], 3.5, rates=1, progress=progress)
+    return rig_rows(names, 5.0, progress=progress)
 
 
 @contextmanager
