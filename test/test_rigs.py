@@ -139,7 +139,11 @@ def test_markers_and_bodies_are_as_bad_as_is_said() -> None:
     assert wobble.std() == pytest.approx(0.005, rel=0.1)
     assert (wobble[40:] * wobble[:-40]).mean() / wobble.var() == pytest.approx(np.exp(-1), abs=0.1)
     bent = np.abs(off('barrel distortion of 5%'))
-    assert bent.max() == pytest.approx(0.05 * np.ptp(r.points[..., 0]) / 2, rel=0.5)
+    flat = exact(r)
+    edges = (
+        (part.min() + part.max()) / 2 * axis for part, axis in ((flat.real, 1), (flat.imag, 1j))
+    )
+    assert bent.max() == pytest.approx(0.05 * np.abs(flat - sum(edges)).max(), rel=0.02)
     for what, turned in (
         ('one with a body turned by 0.3 rad', 2 * np.sin(0.15)),
         ('one with a body 20 mm off', 0.0),

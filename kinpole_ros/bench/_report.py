@@ -264,8 +264,8 @@ def _measure_rigs(quick: bool, progress: Callable[[float], None]) -> Rows:
     """Rows of all cases: with `quick` of one rig at one rate, and shorter."""
     names = tuple(rigs())
     if quick:
-        return rig_rows(names[:1], 3.5, rates=1, progress=progress)
-    return rig_rows(names, 5.0, progress=progress)
+        return rig_rows(names[:1], 3.0, rates=1, progress=progress)
+    return rig_rows(names, 4.0, progress=progress)
 
 
 @contextmanager
