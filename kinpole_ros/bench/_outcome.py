@@ -7,7 +7,7 @@ points of space and rates vectors, whatever the plane. Words are those of diagno
 
 import re
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from textwrap import shorten
 from typing import Any, NamedTuple
 
@@ -114,15 +114,10 @@ def run(r: Recording, sent: Sent) -> Outcome:
     order = np.argsort(sent.stamps, kind='stable')
     seconds = np.floor(r.times[sent.frames]).astype(int)
     for second in np.unique(seconds):
-        part = seconds == second
-        points = sent.points[part]
-        # A marker that is in no message has no name in any.
-        there = np.isfinite(points[..., 0]).any(axis=0)
-        names = tuple(np.array(sent.names)[there].tolist())
-        frames = MarkerFrames(sent.stamps[part], 'world', names, points[:, there])
-        found = tracker.add(frames, 3)
+        part = np.flatnonzero(seconds == second)
+        found = tracker.add_parts(_messages(sent, part), 3)
         last = found[-1] if found else None
-        array = maker.make(int(frames.stamps[-1]), tracker, last, 1.0, {})
+        array = maker.make(int(sent.stamps[part[-1]]), tracker, last, 1.0, {})
         if second >= 1:
             said |= _words(array.status)
         for estimate in found:
@@ -144,6 +139,18 @@ def run(r: Recording, sent: Sent) -> Outcome:
         {name: np.concatenate([square[name] for square in squares]) for name in FIGURES},
         said,
     )
+
+
+def _messages(sent: Sent, frames: np.ndarray) -> Iterator[MarkerFrames]:
+    """Some of the frames that were sent, in runs of one layout, as they are read from messages."""
+    points = sent.points[frames]
+    there = np.isfinite(points[..., 0])
+    counts = there.sum(axis=1) if sent.nameless else np.zeros(len(frames))
+    for part in np.split(np.arange(len(frames)), np.flatnonzero(np.diff(counts)) + 1):
+        # A marker that is in no message has no name in any.
+        named = there[part].any(axis=0)
+        names = tuple(name for name, seen in zip(sent.names, named, strict=True) if seen)
+        yield MarkerFrames(sent.stamps[frames[part]], 'world', names, points[part][:, named])
 
 
 def _errors(

@@ -23,7 +23,8 @@ class Sent(NamedTuple):
     (M, n, 3) under `names`.
 
     `settings` are the parameters, by their ROS names; `turn` (3, 3) takes the plane of the
-    recording to that of the points.
+    recording to that of the points. `nameless` points are known by their place alone, and those
+    that are not seen, which come last, are in no message.
     """
 
     frames: np.ndarray
@@ -32,6 +33,7 @@ class Sent(NamedTuple):
     names: tuple[str, ...]
     settings: dict[str, Any]
     turn: np.ndarray
+    nameless: bool = False
 
 
 Spoil: TypeAlias = Callable[[Recording, np.random.Generator], Sent]
@@ -125,14 +127,13 @@ def _renamed(r: Recording, rng: np.random.Generator) -> Sent:
 
 
 def _nameless(r: Recording, points: np.ndarray, **settings: Any) -> Sent:
-    """Points (T, n, 3) known by their place; those that are not seen leave no gap."""
+    """Points (T, n, 3) known by their place, less those that are not seen."""
     unseen = ~np.isfinite(points[..., 0])
     order = np.argsort(unseen, axis=1, kind='stable')
     points = np.take_along_axis(points, order[..., None], axis=1)
     names = tuple(map(str, range(points.shape[1])))
-    return ideal(
-        r, points=points, names=names, settings=_markers(r, names[: len(r.names)]) | settings
-    )
+    settings = _markers(r, names[: len(r.names)]) | settings
+    return ideal(r, points=points, names=names, settings=settings, nameless=True)
 
 
 def _absent(r: Recording, rng: np.random.Generator) -> Sent:
