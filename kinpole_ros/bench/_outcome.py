@@ -86,7 +86,8 @@ def rig_rows(
                     recording = record(rig, rate, seconds, case.uneven)
                     made[key] = recording, run(recording, ideal(recording, settings=case.ideal))
                 recording, base = made[key]
-                rng = np.random.default_rng((number, len(made)))
+                # By name, so that a case is the same in whatever selection it is in.
+                rng = np.random.default_rng((*case.what.encode(), *rig.encode(), round(rate)))
                 sent = case.spoil(recording, rng)
                 found = run(recording, sent)
                 scores.append(_scores(recording, sent, found, base))
