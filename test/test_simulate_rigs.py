@@ -184,6 +184,29 @@ def test_the_command_spoils_as_the_function_does(simulated: Simulated, tmp_path:
     assert output.read_bytes() == expected.read_bytes()
 
 
+def test_the_example_of_a_real_rig_tracks_what_it_says(
+    simulated: Simulated, tmp_path: Path
+) -> None:
+    words: dict[str, Any] = {'message': 'point_cloud2', 'unlabeled': True, 'scale': 1000.0}
+    words |= {'tilt': 20.0, 'arrival': 0.001, 'noise': 2e-4, 'dropout': 0.02}
+    bag = simulated('four_bar', duration=4.0, **words)
+    config = Path(__file__).parents[1] / 'config' / 'real_rig.yaml'
+    output = tmp_path / 'rig.mcap'
+    replay(bag, load_settings(config), output)
+    for body in 'crank', 'coupler', 'rocker':
+        for name, most in ('angular_velocity', 0.05), ('icr', 0.01):
+            truth = f'/kinpole/truth/{body}/{name}'
+            known = dict(zip(stamps(bag, truth).tolist(), vectors(bag, truth), strict=True))
+            found = f'/kinpole/{body}/{name}'
+            # Figures keep the stamps of their frames; clock and plane are known after 2 s.
+            found_at = stamps(output, found)
+            late = found_at > 3 * 10**9
+            assert late.sum() > 200
+            expected = np.array([known[stamp] for stamp in found_at[late].tolist()])
+            off = np.linalg.norm(vectors(output, found)[late] - expected, axis=1)
+            assert np.median(off) < most
+
+
 class TestSet:
     def test_values_are_read_as_ros_reads_them(self) -> None:
         words = [
