@@ -38,8 +38,8 @@ _EXACT = {'ω': 1e-9, 'α': 1e-3, 'jerk': 1e-3, 'ICR': 1e-9}
 _LIMITS = dict.fromkeys(RATES, 3.841459) | {'ICR': 5.991465}
 # Doubles of a pose with covariance.
 _POSE = 43
-# Characters of a warning that are quoted.
-_MOST = 64
+# Warnings that are quoted of a case, and characters of each.
+_QUOTED, _MOST = 3, 64
 _NUMBER = re.compile(r'[-+]?\d[\d.]*(e[-+]?\d+)?')
 
 
@@ -92,7 +92,8 @@ def rig_rows(
                 found = run(recording, sent)
                 scores.append(_scores(recording, sent, found, base))
                 said.update(found.said - base.said)
-        words = '; '.join(f'{text} ({n}/{len(scores)})' for text, n in said.most_common(3))
+        often = sorted(said.items(), key=lambda item: (-item[1], item[0]))[:_QUOTED]
+        words = '; '.join(f'{text} ({count}/{len(scores)})' for text, count in often)
         for name in FIGURES:
             parts = [score[name] for score in scores]
             rows.append(
