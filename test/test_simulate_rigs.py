@@ -198,7 +198,7 @@ def test_the_example_of_a_real_rig_tracks_what_it_says(
             truth = f'/kinpole/truth/{body}/{name}'
             known = dict(zip(stamps(bag, truth).tolist(), vectors(bag, truth), strict=True))
             found = f'/kinpole/{body}/{name}'
-            # Figures keep the stamps of their frames; clock and plane are known after 2 s.
+            # Figures keep the stamps of their frames; the clock is known after 2 s.
             found_at = stamps(output, found)
             late = found_at > 3 * 10**9
             assert late.sum() > 200
