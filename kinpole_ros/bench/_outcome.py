@@ -276,7 +276,7 @@ def _words(statuses: list[DiagnosticStatus]) -> set[str]:
     for status in statuses:
         if status.level in (DiagnosticStatus.WARN, DiagnosticStatus.ERROR):
             found |= {part for part in status.message.split('; ') if part.count(' ') > 2}
-    found = {part for part in found if not part.startswith(('fix:', 'mend:', 'undetermined:'))}
+    found = {part for part in found if not part.startswith(('fix:', 'undetermined:'))}
     for pair in statuses[0].values:
         number = _NUMBER.fullmatch(pair.value)
         if pair.value != '0' and (number is None or pair.value.isdigit()):

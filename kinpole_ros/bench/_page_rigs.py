@@ -86,8 +86,8 @@ def _number(value: float) -> str:
 
 
 def _covered(row: dict[str, Any]) -> str:
-    told = (f'{100 * row[name]:.0f}' for name in ('covered', 'least_covered', 'ideal_covered'))
-    middle, least, ideal = ('–' if text == 'nan' else text for text in told)
+    shares = (f'{100 * row[name]:.0f}' for name in ('covered', 'least_covered', 'ideal_covered'))
+    middle, least, ideal = ('–' if text == 'nan' else text for text in shares)
     return f'{middle}, {least} ({ideal})'
 
 

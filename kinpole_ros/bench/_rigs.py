@@ -76,11 +76,11 @@ def rigs() -> dict[str, Rig]:
 
 
 def record(rig: str, rate: float, seconds: float, uneven: float = 0.0) -> Recording:
-    """A rig at so many frames per s; `uneven` is how far they are off the even beat, intervals."""
+    """A rig at so many frames per s; `uneven` is how far they are off even instants, intervals."""
     number = list(rigs()).index(rig)
     rng = np.random.default_rng((number, round(rate)))
-    beat = np.arange(round(seconds * rate)) + uneven * rng.uniform(-1, 1, round(seconds * rate))
-    stamps = START + np.rint(1e9 * beat * (1 + _DRIFT) / rate).astype(np.int64)
+    ticks = np.arange(round(seconds * rate)) + uneven * rng.uniform(-1, 1, round(seconds * rate))
+    stamps = START + np.rint(1e9 * ticks * (1 + _DRIFT) / rate).astype(np.int64)
     times = (stamps - START) * 1e-9
     moved, markers = rigs()[rig](times)
     bodies = tuple(moved)
