@@ -1,0 +1,58 @@
+"""A draft scene held against the markers that it was drawn from."""
+
+import tempfile
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from kinpole_ros.linkage._draft import first_frame
+from kinpole_ros.linkage._model import Linkage
+from kinpole_ros.mechanism import LinkageError, SceneError, load_scene, marker_positions
+
+# Frames at which it is looked whether the draft goes on as the markers do.
+_LATER = 20
+_SECONDS = 2.0
+
+
+class Checked(NamedTuple):
+    """
+    How a draft does: `problem` says why it cannot be loaded or moved, '' if it can.
+
+    `first` is the rms distance of its markers from those measured at the first frame, `later` over
+    the first 2 s, m: the drivers are fits, too.
+    """
+
+    problem: str
+    first: float
+    later: float
+
+
+def check_draft(text: str, linkage: Linkage) -> Checked:
+    """Load a draft from its text, and compare."""
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / 'draft.yaml'
+        path.write_text(text, encoding='utf-8')
+        try:
+            scene = load_scene(path)
+            start = first_frame(linkage)
+            seconds = linkage.seconds - linkage.seconds[start]
+            frames = np.flatnonzero((seconds >= 0) & (seconds <= _SECONDS))
+            frames = frames[:: max(1, len(frames) // _LATER)]
+            motion = scene.motion(seconds[frames])
+        except (LinkageError, SceneError) as error:
+            return Checked(str(error).replace(f'{path}: ', ''), np.nan, np.nan)
+    off = []
+    for name, places in scene.markers.items():
+        number = linkage.names.index(name)
+        drawn = marker_positions(motion[name], places)
+        flat = drawn[..., 0] + 1j * drawn[..., 1]
+        known = dict(zip(linkage.markers[number], linkage.columns[number], strict=True))
+        columns = [known[marker] for marker in scene.marker_names[name]]
+        off.append(np.abs(flat - linkage.tracks[frames][:, columns]))
+    if not off:
+        return Checked('', np.nan, np.nan)
+    square = np.concatenate(off, axis=1) ** 2
+    with np.errstate(invalid='ignore'):
+        first = float(np.sqrt(np.nanmean(square[0])))
+        return Checked('', first, float(np.sqrt(np.nanmean(square))))

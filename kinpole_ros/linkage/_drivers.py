@@ -1,0 +1,83 @@
+"""What drives a linkage, as a scene says it: a steady turn, a sine, or values over time."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from kinpole_ros.planar._plane import Real
+
+# rms off a steady turn, rad, that is still called one; share of its amplitude off a sine.
+_STEADY = 0.05
+_SINE = 0.05
+# Values of a table, and the time they are over, s.
+_VALUES = 41
+_TABLE = 10.0
+_TURN = 2 * np.pi
+
+
+class Drive(NamedTuple):
+    """
+    How a variable goes over time.
+
+    `kind` is rate (`values`: rate, start), sine (mean, amplitude, frequency, phase, of cos... as in
+    scenes: mean + amplitude * sin(2 pi frequency t + phase)) or table (times, values one after the
+    other); `off` is the rms of what it leaves over, and `at_start` its value at time 0.
+    """
+
+    kind: str
+    values: tuple[float, ...]
+    off: float
+    at_start: float
+
+
+def fit_drive(seconds: Real, values: Real, turns: bool) -> Drive:
+    """A drive of values (T,) at `seconds` (T,), NaN for none; `turns`: a steady turn is possible."""
+    seen = np.isfinite(values)
+    t, y = seconds[seen], values[seen]
+    rate, start = np.polyfit(t, y, 1)
+    off = float(np.std(y - rate * t - start))
+    if turns and off < _STEADY and np.ptp(y) > _TURN:
+        return Drive('rate', (float(rate), float(start)), off, float(start))
+    sine = _sine(t, y)
+    if sine is not None:
+        return sine
+    last = min(_TABLE, float(t[-1]))
+    times = np.linspace(0.0, last, _VALUES)
+    table = np.interp(times, t, y)
+    return Drive('table', (*times.tolist(), *table.tolist()), 0.0, float(table[0]))
+
+
+def _sine(t: Real, y: Real) -> Drive | None:
+    """The sine that fits best, if one fits at all; frequencies by scanning, then by halving."""
+    length = float(t[-1] - t[0])
+    some = slice(None, None, max(1, len(t) // 2000))
+    t, y = t[some], y[some]
+    usual = length / max(len(t) - 1, 1)
+    crossings = int((np.diff(np.sign(y - np.median(y))) != 0).sum())
+    guess = max(crossings / (2 * length), 0.25 / length)
+    highest = min(3 * guess + 2 / length, 0.5 / usual)
+    frequencies = np.arange(0.25 / length, max(highest, 0.5 / length), 0.2 / length)
+    if len(frequencies) > 3000:
+        return None
+    left = [_left_over(t, y, f)[0] for f in frequencies]
+    best = float(frequencies[int(np.argmin(left))])
+    step = 0.1 / length
+    while step > 1e-9 * best:
+        around = [best - step, best, best + step]
+        best = around[int(np.argmin([_left_over(t, y, f)[0] for f in around]))]
+        step /= 1.7
+    off, (mean, a, b) = _left_over(t, y, best)
+    amplitude = float(np.hypot(a, b))
+    # Less than half a swing may be anything.
+    if off > _SINE * amplitude or best * length < 0.5:
+        return None
+    phase = float(np.arctan2(b, a))
+    start = mean + amplitude * np.sin(phase)
+    return Drive('sine', (float(mean), amplitude, best, phase), off, float(start))
+
+
+def _left_over(t: Real, y: Real, frequency: float) -> tuple[float, Real]:
+    angle = _TURN * frequency * t
+    rows = np.stack((np.ones(len(t)), np.sin(angle), np.cos(angle)), axis=1)
+    found, *_ = np.linalg.lstsq(rows, y, rcond=None)
+    return float(np.std(y - rows @ found)), found
