@@ -1,8 +1,7 @@
 """Linkages held against measured bodies: which bodies markers make, and what joins them."""
 
-from kinpole_ros.linkage._check import Checked, check_draft
+from kinpole_ros.linkage._check import Checked, check_draft, draft
 from kinpole_ros.linkage._discover import discover
-from kinpole_ros.linkage._draft import draft_scene
 from kinpole_ros.linkage._lines import table
 from kinpole_ros.linkage._model import Length, Linkage, Place
 from kinpole_ros.linkage._record import UndiscoveredError
@@ -16,7 +15,7 @@ __all__ = [
     'UndiscoveredError',
     'check_draft',
     'discover',
-    'draft_scene',
+    'draft',
     'parameter_file',
     'table',
 ]

@@ -5,6 +5,8 @@ Each body has its first point for origin and its x axis toward the second, so th
 lengths as one would write them.
 """
 
+from collections.abc import Iterator
+from itertools import combinations
 from typing import NamedTuple
 
 import numpy as np
@@ -13,6 +15,7 @@ from kinpole_ros.linkage._drivers import Drive, fit_drive
 from kinpole_ros.linkage._joints import Joint
 from kinpole_ros.linkage._model import GROUND_NUMBER, LINE, Linkage
 from kinpole_ros.linkage._places import trammel_ends
+from kinpole_ros.linkage._poses import ground
 from kinpole_ros.linkage._rolling import Rolling
 
 _DECIMALS = 7  # of a length, m
@@ -58,10 +61,14 @@ def first_frame(linkage: Linkage) -> int:
     return int(np.argmax(seen))
 
 
-def draft_scene(linkage: Linkage, about: str = '') -> str | None:
-    """The text of the scene, None where nothing is joined to the ground."""
+def draft_scenes(linkage: Linkage, about: str = '') -> Iterator[str]:
+    """
+    Texts of the scene, which differ in what drives it, the likeliest first.
+
+    None where nothing is joined to the ground. Not every body can drive a linkage all the way.
+    """
     if not reached(linkage):
-        return None
+        return
     sketch = _sketch(linkage)
     lines = [f'# {line}' for line in about.splitlines()]
     lines.append('bodies:')
@@ -72,11 +79,11 @@ def draft_scene(linkage: Linkage, about: str = '') -> str | None:
         lines.append(f'  {name + ":":<{width + 1}} {{{points}}}')
     if sketch.joints:
         lines += ['joints:', *(f'  - {joint}' for joint in sketch.joints)]
-    lines += ['drivers:', *(f'  - {drive}' for drive in _drivers(linkage, sketch))]
     start = ', '.join(f'{names[k]}: {np.degrees(a):.6f} deg' for k, a in sketch.angles.items())
-    lines.append(f'start: {{{start}}}')
-    lines += _markers(linkage, sketch)
-    return '\n'.join(lines) + '\n'
+    rest = [f'start: {{{start}}}', *_markers(linkage, sketch)]
+    for drivers in combinations(_choices(linkage, sketch), max(1, linkage.freedom)):
+        driven = ['drivers:', *(f'  - {drive}' for drive in drivers)]
+        yield '\n'.join([*lines, *driven, *rest]) + '\n'
 
 
 def _xy(z: complex) -> str:
@@ -206,37 +213,52 @@ def _rolling(linkage: Linkage, sketch: _Sketch, wheel: Rolling, turned: set[int]
     )
 
 
-def _drivers(linkage: Linkage, sketch: _Sketch) -> list[str]:
-    """As many as there are degrees of freedom: what turns steadily first, then what swings."""
+def _choices(linkage: Linkage, sketch: _Sketch) -> list[str]:
+    """Drivers, the simplest first: what turns steadily, what swings as a sine, then tables."""
     seconds = linkage.seconds - linkage.seconds[sketch.first]
     grounded = {j.one for j in linkage.joints if j.other == GROUND_NUMBER and j.kind == 'pin'}
-    choices: list[tuple[tuple[int, ...], str]] = []
+    found: list[tuple[tuple[float, ...], str]] = []
+
+    def add(name: str, values: np.ndarray, offset: float, unit: str, last: tuple[int, ...]) -> None:
+        drive = fit_drive(seconds, values, unit == 'deg')
+        rank = ('rate', 'sine', 'table').index(drive.kind)
+        # Sines that fit alike are alike.
+        fit = round(4 * np.log10(drive.off + 1e-4)) if drive.kind == 'sine' else 0
+        found.append(((rank, fit, *last), _drive(name, drive, offset, unit)))
+
     for place, k in enumerate(sketch.bodies):
-        pose = linkage.poses[k]
         if any(j.kind == 'slide' and k in (j.one, j.other) for j in linkage.joints):
             continue
-        drive = fit_drive(seconds, pose.angle, True)
-        # What is written is as at the first frame, and by the angle that the start is.
+        pose = linkage.poses[k]
+        # What is written is by the angle that the start is.
         offset = sketch.angles[k] - float(np.nan_to_num(pose.angle[sketch.first]))
-        text = _drive(linkage.name(k), drive, offset, 'deg')
-        rank = ('rate', 'sine', 'table').index(drive.kind)
-        choices.append(((rank, k not in grounded, place), text))
-    for joint in linkage.joints:
-        if joint.kind == 'slide' and joint.one != GROUND_NUMBER:
-            choices.append(((1, 0, 0), _driven_slide(linkage, joint, seconds)))
-    choices.sort()
-    return [text for _, text in choices[: max(1, linkage.freedom)]]
+        add(linkage.name(k), pose.angle, offset, 'deg', (k not in grounded, place))
+        for j in linkage.joints:
+            parent = j.one if k == j.other else j.other
+            if j.kind == 'pin' and k in (j.one, j.other) and parent in sketch.bodies[:place]:
+                relative = pose.angle - linkage.poses[parent].angle
+                shift = sketch.angles[k] - sketch.angles[parent] - relative[sketch.first]
+                name = f'{linkage.name(k)}, of: {linkage.name(parent)}'
+                add(name, relative, float(np.nan_to_num(shift)), 'deg', (2, place))
+    for place, joint in enumerate(linkage.joints):
+        if joint.kind in ('slot', 'slide', 'trammel'):
+            for name, along in _along(linkage, joint):
+                add(name, along, 0.0, 'm', (1, place))
+    return [text for _, text in sorted(found)]
 
 
-def _driven_slide(linkage: Linkage, joint: Joint, seconds: np.ndarray) -> str:
-    one = linkage.poses[joint.one]
-    at = one.position + joint.on_one * np.exp(1j * one.angle)
-    if joint.other != GROUND_NUMBER:
-        base = linkage.poses[joint.other]
-        at = (at - base.position) * np.exp(-1j * base.angle)
-    along = (np.exp(-1j * joint.along) * (at - joint.on_other)).real
-    name = f'slide_{_point(linkage, joint.one, joint.on_one)}'
-    return _drive(name, fit_drive(seconds, along, False), 0.0, 'm')
+def _along(linkage: Linkage, joint: Joint) -> Iterator[tuple[str, np.ndarray]]:
+    """The variables of a slide: how far its points are along their lines."""
+    ends = trammel_ends(joint) if joint.kind == 'trammel' else (joint.on_one,)
+    directions = (0.0, np.pi / 2) if joint.kind == 'trammel' else (joint.along,)
+    ground_pose = ground(len(linkage.seconds))
+    one, other = (
+        ground_pose if k == GROUND_NUMBER else linkage.poses[k] for k in (joint.one, joint.other)
+    )
+    for end, along in zip(ends, directions, strict=True):
+        at = one.position + end * np.exp(1j * one.angle) - other.position
+        at = at * np.exp(-1j * other.angle) - joint.on_other
+        yield f'slide_{_point(linkage, joint.one, end)}', (np.exp(-1j * along) * at).real
 
 
 def _drive(name: str, drive: Drive, offset: float, unit: str) -> str:

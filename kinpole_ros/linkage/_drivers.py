@@ -8,10 +8,10 @@ from kinpole_ros.planar._plane import Real
 
 # rms off a steady turn, rad, that is still called one; share of its amplitude off a sine.
 _STEADY = 0.05
-_SINE = 0.05
-# Values of a table, and the time they are over, s.
-_VALUES = 41
-_TABLE = 10.0
+_SINE = 0.02
+# Values of a table, and as many of them for each swing.
+_VALUES = 61
+_EACH = 16
 _TURN = 2 * np.pi
 
 
@@ -19,15 +19,14 @@ class Drive(NamedTuple):
     """
     How a variable goes over time.
 
-    `kind` is rate (`values`: rate, start), sine (mean, amplitude, frequency, phase, of cos... as in
-    scenes: mean + amplitude * sin(2 pi frequency t + phase)) or table (times, values one after the
-    other); `off` is the rms of what it leaves over, and `at_start` its value at time 0.
+    `kind` is rate (`values`: rate, start), sine (mean, amplitude, frequency, phase, with
+    mean + amplitude sin(2π frequency t + phase)) or table (times, values one after the other);
+    `off` is the rms of what it leaves over, as a share of the amplitude.
     """
 
     kind: str
     values: tuple[float, ...]
     off: float
-    at_start: float
 
 
 def fit_drive(seconds: Real, values: Real, turns: bool) -> Drive:
@@ -37,29 +36,29 @@ def fit_drive(seconds: Real, values: Real, turns: bool) -> Drive:
     rate, start = np.polyfit(t, y, 1)
     off = float(np.std(y - rate * t - start))
     if turns and off < _STEADY and np.ptp(y) > _TURN:
-        return Drive('rate', (float(rate), float(start)), off, float(start))
+        return Drive('rate', (float(rate), float(start)), off)
     sine = _sine(t, y)
     if sine is not None:
         return sine
-    last = min(_TABLE, float(t[-1]))
+    last = min(float(t[-1]), _VALUES / _EACH / _usual_frequency(t, y))
     times = np.linspace(0.0, last, _VALUES)
     table = np.interp(times, t, y)
-    return Drive('table', (*times.tolist(), *table.tolist()), 0.0, float(table[0]))
+    return Drive('table', (*times.tolist(), *table.tolist()), 1.0)
 
 
 def _sine(t: Real, y: Real) -> Drive | None:
     """The sine that fits best, if one fits at all; frequencies by scanning, then by halving."""
     length = float(t[-1] - t[0])
-    some = slice(None, None, max(1, len(t) // 2000))
-    t, y = t[some], y[some]
     usual = length / max(len(t) - 1, 1)
-    crossings = int((np.diff(np.sign(y - np.median(y))) != 0).sum())
-    guess = max(crossings / (2 * length), 0.25 / length)
+    guess = _usual_frequency(t, y)
     highest = min(3 * guess + 2 / length, 0.5 / usual)
     frequencies = np.arange(0.25 / length, max(highest, 0.5 / length), 0.2 / length)
     if len(frequencies) > 3000:
         return None
-    left = [_left_over(t, y, f)[0] for f in frequencies]
+    some = slice(None, None, max(1, min(len(t) // 500, int(0.2 / highest / usual) or 1)))
+    left = [_left_over(t[some], y[some], f)[0] for f in frequencies]
+    some = slice(None, None, max(1, len(t) // 2000))
+    t, y = t[some], y[some]
     best = float(frequencies[int(np.argmin(left))])
     step = 0.1 / length
     while step > 1e-9 * best:
@@ -72,8 +71,15 @@ def _sine(t: Real, y: Real) -> Drive | None:
     if off > _SINE * amplitude or best * length < 0.5:
         return None
     phase = float(np.arctan2(b, a))
-    start = mean + amplitude * np.sin(phase)
-    return Drive('sine', (float(mean), amplitude, best, phase), off, float(start))
+    return Drive('sine', (float(mean), amplitude, best, phase), off / amplitude)
+
+
+def _usual_frequency(t: Real, y: Real) -> float:
+    """How often it crosses its median, of two crossings a period."""
+    length = float(t[-1] - t[0])
+    # What is nearer than a twentieth of its range to the median is not a crossing yet.
+    clear = np.sign(y - np.median(y))[np.abs(y - np.median(y)) > 0.05 * np.ptp(y)]
+    return max(int((np.diff(clear) != 0).sum()) / (2 * length), 0.25 / length)
 
 
 def _left_over(t: Real, y: Real, frequency: float) -> tuple[float, Real]:

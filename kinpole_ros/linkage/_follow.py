@@ -5,7 +5,7 @@ A body goes on as it did, and its shape tells its markers apart where they pass 
 points cannot be told apart there.
 """
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
@@ -36,13 +36,15 @@ def follow(
     angle: np.ndarray,
     noise: float,
     progress: Callable[[float], None] | None = None,
+    begin: tuple[int, int] | None = None,
 ) -> Complex:
     """
     The markers (T, N) of bodies, one body's after the other's, NaN where they are not found.
 
     `points` (T, n) in no order; `shapes` are the markers of each body in its own frame, and
-    `position`, `angle` (T, B) its poses as far as they are known, NaN elsewhere. From the middle of
-    the known frames on both ways. `steps` (T,) number the frames.
+    `position`, `angle` (T, B) its poses as far as they are known, NaN elsewhere. From the frames
+    `begin` on, back from the first and on from the second: by default the middle of those known.
+    `steps` (T,) number the frames.
     """
     count = sum(map(len, shapes))
     width = max(map(len, shapes))
@@ -53,27 +55,30 @@ def follow(
     size = np.array([np.abs(s[:, None] - s).max() for s in shapes])
     found = np.full((len(points), count), np.nan + 0j)
     known = np.isfinite(angle).all(axis=1).nonzero()[0]
-    middle, before = (int(known[len(known) // 2 - k]) for k in (0, 1))
-    apart = int(steps[middle] - steps[before]) or 1
+    middle = int(known[len(known) // 2])
+    back, on = begin or (middle, middle)
     seen = np.isfinite(points.real)
     done = 0
 
-    def go(frames: Iterable[int]) -> None:
+    def go(at: int, frames: Sequence[int]) -> None:
         nonlocal done
-        start = _State(position[middle], angle[middle], int(steps[middle]), 0.05 * size)
-        start.speed = (position[middle] - position[before]) / apart
-        start.turning = (angle[middle] - angle[before]) / apart
+        start = _State(position[at], angle[at], int(steps[at]), 0.05 * size)
+        near = known[np.abs(known - at).argsort()[:2]]
+        apart = int(steps[near[1]] - steps[near[0]])
+        if apart:
+            start.speed = (position[near[1]] - position[near[0]]) / apart
+            start.turning = (angle[near[1]] - angle[near[0]]) / apart
         for k in frames:
             done += 1
             if progress is not None and done % 500 == 0:
-                progress(done / len(points))
+                progress(min(1.0, done / len(points)))
             there = points[k, seen[k]]
             if len(there):
                 got = _step(start, there, int(steps[k]), local, body, place, size, noise)
                 found[k] = np.where(got >= 0, there[got], np.nan)
 
-    go(range(middle, len(points)))
-    go(range(middle - 1, -1, -1))
+    go(on, range(on, len(points)))
+    go(back, range(back - 1, -1, -1))
     return found
 
 

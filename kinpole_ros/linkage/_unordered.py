@@ -217,6 +217,8 @@ def _everywhere(
     position[stretch] = np.stack([pose.position for pose in poses], axis=1)
     angle[stretch] = np.stack([pose.angle for pose in poses], axis=1)
     learned = [np.where(np.isfinite(p.shape), p.shape, s) for p, s in zip(poses, shapes, strict=True)]
-    return follow(
-        plane.project(record.points), record.steps(), learned, position, angle, noise, progress
-    )
+    flat = plane.project(record.points)
+    begin = stretch.start, stretch.stop - 1
+    found = follow(flat, record.steps(), learned, position, angle, noise, progress, begin)
+    found[stretch] = tracks
+    return found
