@@ -55,9 +55,7 @@ def read_frames(
     return _within(found, first or 0, seconds), name
 
 
-def _within(
-    found: list[MarkerFrames], first: int, seconds: float | None
-) -> list[MarkerFrames]:
+def _within(found: list[MarkerFrames], first: int, seconds: float | None) -> list[MarkerFrames]:
     if seconds is None:
         return found
     kept = []

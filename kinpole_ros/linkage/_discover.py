@@ -145,7 +145,9 @@ def _pins(bodies: dict[int, Pose], names: list[str], notes: list[str]) -> list[J
         if joint is not None:
             pins.append(joint)
         elif not turns:
-            notes.append(f'{names[one]} does not turn: it has no pin to the ground that can be seen')
+            notes.append(
+                f'{names[one]} does not turn: it has no pin to the ground that can be seen'
+            )
     return sorted(pins, key=lambda joint: joint.ratio)
 
 

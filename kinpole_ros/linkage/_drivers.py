@@ -12,6 +12,7 @@ _SINE = 0.02
 # Values of a table, and as many of them for each swing.
 _VALUES = 61
 _EACH = 16
+_SHORTEST = 0.5  # s
 _TURN = 2 * np.pi
 
 
@@ -40,10 +41,16 @@ def fit_drive(seconds: Real, values: Real, turns: bool) -> Drive:
     sine = _sine(t, y)
     if sine is not None:
         return sine
-    last = min(float(t[-1]), _VALUES / _EACH / _usual_frequency(t, y))
-    times = np.linspace(0.0, last, _VALUES)
-    table = np.interp(times, t, y)
-    return Drive('table', (*times.tolist(), *table.tolist()), 1.0)
+    last = min(float(t[-1]), 2 * _VALUES / _EACH / _usual_frequency(t, y))
+    while True:
+        times = np.linspace(0.0, last, _VALUES)
+        table = np.interp(times, t, y)
+        part = (t >= 0) & (t <= last)
+        off = float(np.sqrt(np.mean((np.interp(t[part], times, table) - y[part]) ** 2)))
+        # A spline through the values is better by far than the straight lines that are tried.
+        if off < 0.01 * np.ptp(y[part]) or last < _SHORTEST:
+            return Drive('table', (*times.tolist(), *table.tolist()), 1.0)
+        last *= 0.7
 
 
 def _sine(t: Real, y: Real) -> Drive | None:

@@ -32,6 +32,7 @@ def follow(
     points: Complex,
     steps: np.ndarray,
     shapes: list[Complex],
+    same: np.ndarray,
     position: Complex,
     angle: np.ndarray,
     noise: float,
@@ -42,8 +43,8 @@ def follow(
     The markers (T, N) of bodies, one body's after the other's, NaN where they are not found.
 
     `points` (T, n) in no order; `shapes` are the markers of each body in its own frame, and
-    `position`, `angle` (T, B) its poses as far as they are known, NaN elsewhere. From the frames
-    `begin` on, back from the first and on from the second: by default the middle of those known.
+    markers with one number in `same` (N,) are one, on the axis of a pin; `position`, `angle` (T, B)
+    are the poses as far as they are known, NaN elsewhere. From the frames `begin` on, back from the first and on from the second: by default the middle of those known.
     `steps` (T,) number the frames.
     """
     count = sum(map(len, shapes))
@@ -74,7 +75,7 @@ def follow(
                 progress(min(1.0, done / len(points)))
             there = points[k, seen[k]]
             if len(there):
-                got = _step(start, there, int(steps[k]), local, body, place, size, noise)
+                got = _step(start, there, int(steps[k]), local, body, place, same, size, noise)
                 found[k] = np.where(got >= 0, there[got], np.nan)
 
     go(on, range(on, len(points)))
@@ -89,6 +90,7 @@ def _step(
     local: Complex,
     body: np.ndarray,
     place: np.ndarray,
+    same: np.ndarray,
     size: np.ndarray,
     noise: float,
 ) -> np.ndarray:
@@ -98,11 +100,12 @@ def _step(
     ahead = (state.position + state.speed * gap)[body] + (turn[:, None] * local)[body, place]
     off = np.abs(ahead[:, None] - there)
     long = np.abs(gap) ** 1.5
-    gate = np.minimum(_GATE * np.maximum(state.error, noise) * np.maximum(long, 1), _FARTHEST * size)
+    gate = np.minimum(
+        _GATE * np.maximum(state.error, noise) * np.maximum(long, 1), _FARTHEST * size
+    )
     got = off.argmin(axis=1)
-    rows = np.arange(len(got))
-    best = off[rows, got]
-    good = (off.argmin(axis=0)[got] == rows) & (best < gate[body])
+    best = off[np.arange(len(got)), got]
+    good = (same[off.argmin(axis=0)[got]] == same) & (best < gate[body])
     limit = _LOOSE * noise
     for _ in range(3):
         weight = np.zeros(local.shape)

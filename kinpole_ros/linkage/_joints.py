@@ -71,7 +71,10 @@ def fit_pin(one: Pose, other: Pose, numbers: tuple[int, int]) -> tuple[Joint | N
     shrunk = np.exp(-one.angle_variance / 2), np.exp(-other.angle_variance / 2)
     cross = -np.mean(np.exp(1j * (b - a))) / (shrunk[0] * shrunk[1])
     right = np.array(
-        [-np.mean(np.exp(-1j * a) * apart) / shrunk[0], np.mean(np.exp(-1j * b) * apart) / shrunk[1]]
+        [
+            -np.mean(np.exp(-1j * a) * apart) / shrunk[0],
+            np.mean(np.exp(-1j * b) * apart) / shrunk[1],
+        ]
     )
     left = 1 - abs(cross) ** 2
     if left <= 0:
@@ -90,8 +93,15 @@ def fit_pin(one: Pose, other: Pose, numbers: tuple[int, int]) -> tuple[Joint | N
     if not fits or abs(on_one) > reach:
         return None, True
     joint = Joint(
-        'pin', *numbers, complex(on_one), complex(on_other), (deviation, deviation), 0.0, 0.0,
-        residual, expected,
+        'pin',
+        *numbers,
+        complex(on_one),
+        complex(on_other),
+        (deviation, deviation),
+        0.0,
+        0.0,
+        residual,
+        expected,
     )
     return joint, True
 
@@ -155,8 +165,15 @@ def fit_slide(one: Pose, other: Pose, numbers: tuple[int, int]) -> Joint | None:
     middle = normal * d + direction * float(np.median(along))
     line = max(residual, expected) * float(np.sqrt(inverse[2, 2]))
     return Joint(
-        'slot', *numbers, place, middle, (deviation, line), float(np.angle(direction)), 0.0,
-        residual, expected,
+        'slot',
+        *numbers,
+        place,
+        middle,
+        (deviation, line),
+        float(np.angle(direction)),
+        0.0,
+        residual,
+        expected,
     )
 
 
@@ -175,8 +192,15 @@ def _prismatic(one: Pose, other: Pose, w: Complex, numbers: tuple[int, int]) -> 
         return None
     deviation = max(residual, expected) / float(np.sqrt(len(w)))
     return Joint(
-        'slide', *numbers, 0j, middle, (deviation, deviation), float(np.angle(direction)), 0.0,
-        residual, expected,
+        'slide',
+        *numbers,
+        0j,
+        middle,
+        (deviation, deviation),
+        float(np.angle(direction)),
+        0.0,
+        residual,
+        expected,
     )
 
 
@@ -199,6 +223,13 @@ def _trammel(
     inverse = np.linalg.inv(rows.T @ rows)
     deviation = max(residual, expected) * float(np.sqrt(inverse[0, 0] + inverse[1, 1])) / 2
     return Joint(
-        'trammel', *numbers, complex(alpha), complex(d), (deviation, deviation),
-        float(np.angle(beta)), abs(beta), residual, expected,
+        'trammel',
+        *numbers,
+        complex(alpha),
+        complex(d),
+        (deviation, deviation),
+        float(np.angle(beta)),
+        abs(beta),
+        residual,
+        expected,
     )

@@ -18,7 +18,9 @@ def table(linkage: Linkage, checked: Checked | None) -> list[str]:
                 ' '.join(markers),
                 f'{pose.noise * 1e3:.2g} mm',
                 f'{float(pose.seen.mean()):.0%}',
-                f'{turned / 2 / np.pi:.1f} rev' if turned > 2 * np.pi else f'{np.degrees(turned):.1f} deg',
+                f'{turned / 2 / np.pi:.1f} rev'
+                if turned > 2 * np.pi
+                else f'{np.degrees(turned):.1f} deg',
             )
         )
     lines += _columns(rows)
@@ -31,7 +33,12 @@ def table(linkage: Linkage, checked: Checked | None) -> list[str]:
     if lengths:
         rows = [('length', 'of', 'mm', 'deviation')]
         rows += [
-            (f'{one.one}-{one.other}', one.body, f'{one.value * 1e3:.3f}', f'{one.deviation * 1e3:.2g}')
+            (
+                f'{one.one}-{one.other}',
+                one.body,
+                f'{one.value * 1e3:.3f}',
+                f'{one.deviation * 1e3:.2g}',
+            )
             for one in lengths
         ]
         lines += ['', *_columns(rows)]
@@ -82,11 +89,18 @@ def _joints(linkage: Linkage) -> list[str]:
             of = ' '.join(linkage.name(k) for k in sorted(place.on, key=lambda k: (k < 0, k)))
             where = _where(place.on[-1]) if -1 in place.on else 'moves'
             ratios = [
-                j.ratio for j in linkage.joints
+                j.ratio
+                for j in linkage.joints
                 if j.kind == 'pin' and {j.one, j.other} <= set(place.on)
             ]
             rows.append(
-                (f'pin {place.name}', of, where, f'{place.deviation * 1e3:.2g} mm', _times(max(ratios)))
+                (
+                    f'pin {place.name}',
+                    of,
+                    where,
+                    f'{place.deviation * 1e3:.2g} mm',
+                    _times(max(ratios)),
+                )
             )
     for joint in linkage.joints:
         one, other = linkage.name(joint.one), linkage.name(joint.other)
@@ -144,5 +158,3 @@ def _columns(rows: list[tuple[str, ...]]) -> list[str]:
         '  '.join(f'{cell:<{width}}' for cell, width in zip(row, widths, strict=True)).rstrip()
         for row in rows
     ]
-
-

@@ -81,6 +81,8 @@ class Linkage(NamedTuple):
             there = [place for place in self.places if number in place.on]
             # Where a line is begun to be measured along is anybody's choice.
             there = [place for place in there if not place.name.endswith(LINE)]
+            if len(there) == 1 and number != GROUND_NUMBER:
+                found += self._reach(number, there[0])
             for one, other in combinations(there, 2):
                 apart = abs(one.on[number] - other.on[number])
                 deviation = float(np.hypot(one.deviation, other.deviation))
@@ -89,3 +91,13 @@ class Linkage(NamedTuple):
                         Length(self.name(number), one.name, other.name, float(apart), deviation)
                     )
         return found
+
+    def _reach(self, number: int, place: Place) -> list[Length]:
+        """The distance of a body's one joint to its farthest marker: its length is not known."""
+        pose = self.poses[number]
+        apart = np.abs(pose.shape - place.on[number])
+        far = int(apart.argmax())
+        marker = self.markers[number][far]
+        known = np.sqrt(pose.noise**2 / max(int(pose.seen.sum()), 1))
+        deviation = float(np.hypot(place.deviation, known))
+        return [Length(self.names[number], place.name, marker, float(apart[far]), deviation)]

@@ -54,7 +54,10 @@ def trammel_ends(joint: Joint) -> tuple[complex, complex]:
 
     b = α + |β| e^{iφ} moves in the direction (φ + γ) / 2 + 90 deg, where β = |β| e^{iγ}.
     """
-    along = [joint.on_one + joint.radius * np.exp(1j * (2 * d - np.pi - joint.along)) for d in (0, np.pi / 2)]
+    along = [
+        joint.on_one + joint.radius * np.exp(1j * (2 * d - np.pi - joint.along))
+        for d in (0, np.pi / 2)
+    ]
     return complex(along[0]), complex(along[1])
 
 

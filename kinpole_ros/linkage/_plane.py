@@ -69,8 +69,10 @@ def fit_plane(points: np.ndarray) -> Plane:
 
 def _axes(name: str, normal: np.ndarray) -> np.ndarray:
     """Two axes (2, 3) of the plane: of the frame where it is level, else the nearest to these."""
-    k = int(np.abs(normal).argmax()) if not name else list('xyz').index(
-        {'xy': 'z', 'yz': 'x', 'zx': 'y'}[name]
+    k = (
+        int(np.abs(normal).argmax())
+        if not name
+        else list('xyz').index({'xy': 'z', 'yz': 'x', 'zx': 'y'}[name])
     )
     first = np.eye(3)[(k + 1) % 3]
     first = first - (first @ normal) * normal

@@ -58,8 +58,18 @@ def fit_wheel(one: Pose, other: Pose, slot: Joint) -> Rolling | None:
     at = slot.on_other - 1j * direction * radius
     deviation = max(residual, expected) / float(np.std(theta) * np.sqrt(len(theta)))
     return Rolling(
-        slot.one, slot.other, slot.on_one, radius, float(np.angle(direction)), complex(at), 0.0,
-        -1, deviation, residual, expected, False,
+        slot.one,
+        slot.other,
+        slot.on_one,
+        radius,
+        float(np.angle(direction)),
+        complex(at),
+        0.0,
+        -1,
+        deviation,
+        residual,
+        expected,
+        False,
     )
 
 
@@ -100,6 +110,16 @@ def fit_gear(
     rate = np.polyfit(np.arange(len(y)), y, 1)
     steady = float(np.std(y - np.polyval(rate, np.arange(len(y))))) < 3 * expected
     return Rolling(
-        numbers[0], numbers[1], pins[0], float(radius), 0.0, pins[2], float(circle), numbers[2],
-        float(deviation), residual, expected, bool(steady),
+        numbers[0],
+        numbers[1],
+        pins[0],
+        float(radius),
+        0.0,
+        pins[2],
+        float(circle),
+        numbers[2],
+        float(deviation),
+        residual,
+        expected,
+        bool(steady),
     )

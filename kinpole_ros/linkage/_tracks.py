@@ -142,7 +142,9 @@ def _spacing(found: np.ndarray) -> np.ndarray:
     return np.asarray(apart.min(axis=1))
 
 
-def best_window(tracks: Tracks, wanted: int, steps: np.ndarray, least: int) -> tuple[slice, np.ndarray]:
+def best_window(
+    tracks: Tracks, wanted: int, steps: np.ndarray, least: int
+) -> tuple[slice, np.ndarray]:
     """
     The frames over which the most tracks last, and these tracks.
 

@@ -31,11 +31,11 @@ _SHORTEST = 30
 _ON = 1.7
 # Share of the points of a frame that may be left over.
 _FEW = 0.02
+# Share of the frames that a body must be seen in.
+_SELDOM = 0.2
 
 
-def order_points(
-    record: Record, progress: Callable[[float], None] | None
-) -> tuple[Complex, Plane]:
+def order_points(record: Record, progress: Callable[[float], None] | None) -> tuple[Complex, Plane]:
     """
     Tracks (T, N), complex, NaN for none, of a record of points in no order, and their plane.
 
@@ -48,6 +48,8 @@ def order_points(
     left = part.points.copy()
     flat: Complex = np.zeros(0, complex)
     shapes: list[Complex] = []
+    # The numbers of each body's markers: one on the axis of a pin has one on both bodies.
+    same: list[list[int]] = []
     tracks: Complex = np.zeros((len(steps), 0), complex)
     plane: Plane | None = None
     noise = 0.0
@@ -69,11 +71,13 @@ def order_points(
             flat = plane.project(part.points)
         poses = _split(tracks, shapes)
         shapes, more = _add_markers(poses, found, plane.project(left), noise)
-        grown = _grow(shapes, poses, plane.project(solid), frames, noise, more, len(steps))
+        for shape, numbers in zip(shapes, same, strict=True):
+            numbers += [_new(same) + k for k in range(len(shape) - len(numbers))]
+        grown = _grow(shapes, same, poses, plane.project(solid), frames, noise, more, len(steps))
         if grown is None:
             break
         shapes, position, angle, noise = grown
-        tracks = follow(flat, steps, shapes, position, angle, noise)
+        tracks = follow(flat, steps, shapes, _numbers(same), position, angle, noise)
         used = _used(flat, tracks)
         left[used] = np.nan
         left[~used] = part.points[~used]
@@ -86,8 +90,33 @@ def order_points(
         )
     if len(steps) < len(record.stamps):
         rest = None if progress is None else (lambda share: progress(0.7 + 0.3 * share))
-        tracks = _everywhere(record, stretch, plane, shapes, tracks, noise, rest)
-    return tracks, plane
+        tracks = _everywhere(record, stretch, plane, shapes, same, tracks, noise, rest)
+    return _merged(tracks, shapes, same), plane
+
+
+def _new(same: list[list[int]]) -> int:
+    """The first number that no marker has."""
+    return 1 + max((k for numbers in same for k in numbers), default=-1)
+
+
+def _numbers(same: list[list[int]]) -> np.ndarray:
+    return np.array([k for numbers in same for k in numbers])
+
+
+def _merged(tracks: Complex, shapes: list[Complex], same: list[list[int]]) -> Complex:
+    """Tracks with those of one marker as one, without bodies that were hardly ever seen."""
+    body = np.repeat(np.arange(len(shapes)), [len(shape) for shape in shapes])
+    seen = np.isfinite(tracks.real)
+    often = [seen[:, body == b].mean() > _SELDOM for b in range(len(shapes))]
+    columns: dict[int, Complex] = {}
+    for k, number in enumerate(_numbers(same).tolist()):
+        if not often[body[k]]:
+            continue
+        if number in columns:
+            columns[number] = np.where(seen[:, k], tracks[:, k], columns[number])
+        else:
+            columns[number] = tracks[:, k]
+    return np.stack(list(columns.values()), axis=1)
 
 
 def _liveliest(points: np.ndarray) -> slice:
@@ -150,6 +179,7 @@ def _add_markers(
 
 def _grow(
     shapes: list[Complex],
+    same: list[list[int]],
     poses: list[Pose],
     flat: Complex,
     frames: slice,
@@ -170,16 +200,13 @@ def _grow(
             free[k] &= not off_body(there, flat[:, k], noise)[0] < _ON
     rest = flat[:, free]
     new: list[Pose] = []
+    base = _new(same)
     if rest.shape[1] > 1:
         groups, _ = settle(rest, group(rest, of_tracks[free]))
         fixed = [groups.fixed] if len(groups.fixed) > 1 else []
-        taken: set[int] = set()
         for body in (*groups.bodies, *fixed):
-            # A marker on the axis of a pin is one point, and so followed on one body.
-            own = [k for k in body if k not in taken]
-            use = own if len(own) > 1 else body
-            taken |= set(use)
-            new.append(fit_body(rest[:, use]))
+            new.append(fit_body(rest[:, body]))
+            same.append([base + k for k in body])
     if not new and not added:
         return None
     noises = [pose.noise for pose in (*poses, *new) if pose.noise > 0]
@@ -206,6 +233,7 @@ def _everywhere(
     stretch: slice,
     plane: Plane,
     shapes: list[Complex],
+    same: list[list[int]],
     tracks: Complex,
     noise: float,
     progress: Callable[[float], None] | None,
@@ -216,9 +244,13 @@ def _everywhere(
     angle = np.full(position.shape, np.nan)
     position[stretch] = np.stack([pose.position for pose in poses], axis=1)
     angle[stretch] = np.stack([pose.angle for pose in poses], axis=1)
-    learned = [np.where(np.isfinite(p.shape), p.shape, s) for p, s in zip(poses, shapes, strict=True)]
+    learned = [
+        np.where(np.isfinite(p.shape), p.shape, s) for p, s in zip(poses, shapes, strict=True)
+    ]
     flat = plane.project(record.points)
     begin = stretch.start, stretch.stop - 1
-    found = follow(flat, record.steps(), learned, position, angle, noise, progress, begin)
+    found = follow(
+        flat, record.steps(), learned, _numbers(same), position, angle, noise, progress, begin
+    )
     found[stretch] = tracks
     return found
