@@ -14,7 +14,7 @@ _EPILOG = """examples:
   kinpole replay four_bar.mcap --config config/four_bar.yaml --output result.mcap
   kinpole batch runs/*.mcap --config rig.yaml --output results
   kinpole plot result.mcap --output result.png
-  kinpole discover recording.mcap --output rig.yaml --scene rig_scene.yaml --plot rig.png
+  kinpole discover recording.mcap --output rig.yaml --scene draft.yaml --plot rig.png
   kinpole solve four_bar --sweep --centers --plot four_bar.png
   kinpole import tracked.csv --rate 240 --scale 0.001 --y-down --output markers.mcap
   kinpole node --ros-args --params-file config/kinpole.yaml
@@ -257,11 +257,11 @@ def _add_discover(commands: Any) -> None:
         'solve and simulate, where names and drivers are a first guess.',
         epilog='examples:\n'
         '  kinpole discover recording.mcap\n'
-        '  kinpole discover recording.mcap --output rig.yaml --scene rig_scene.yaml --plot rig.png\n'
+        '  kinpole discover recording.mcap --output rig.yaml --scene draft.yaml --plot rig.png\n'
         '  kinpole discover /mocap/markers --seconds 30 --output rig.yaml\n'
         'and then\n'
         '  kinpole replay recording.mcap --config rig.yaml --output result.mcap\n'
-        '  kinpole solve rig_scene.yaml --centers\n'
+        '  kinpole solve draft.yaml --centers\n'
         '\n'
         'Move all joints through their range, one against the other, at changing speed: what does\n'
         'not move cannot be found. "left over" is what a joint does not explain, over the noise:\n'

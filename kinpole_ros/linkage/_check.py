@@ -15,7 +15,7 @@ from kinpole_ros.mechanism import LinkageError, SceneError, load_scene, marker_p
 _LATER = 20
 _SECONDS = 2.0
 # Drafts that are tried, and noises that the markers of a good one are off at the first frame.
-_MOST_DRAFTS = 8
+_MOST_DRAFTS = 6
 _CLOSE = 5.0
 
 

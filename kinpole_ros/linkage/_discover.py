@@ -10,12 +10,11 @@ from kinpole_ros.linkage._identify import Bodies, identify
 from kinpole_ros.linkage._joints import Joint, fit_pin, fit_slide
 from kinpole_ros.linkage._model import GROUND_NUMBER, Linkage
 from kinpole_ros.linkage._names import body_names, marker_names
-from kinpole_ros.linkage._places import make_places
+from kinpole_ros.linkage._places import connected, make_places
 from kinpole_ros.linkage._plane import scale_of
 from kinpole_ros.linkage._poses import Pose, ground
 from kinpole_ros.linkage._record import Record, Stamps, gather
 from kinpole_ros.linkage._rolling import Rolling, fit_gear, fit_wheel
-
 
 # Times the noise a pin may leave over without doubt.
 _DOUBTFUL = 1.5
@@ -187,14 +186,17 @@ def _gears(bodies: dict[int, Pose], pins: Sequence[Joint]) -> list[Rolling]:
     sides.sort(key=lambda side: side[0] in grounded)
     for one, hub, arm, at, _ in sides:
         for other, center, same, there, deviation in sides:
-            if one == GROUND_NUMBER or same != arm or one == other:
+            if one in (GROUND_NUMBER, other) or same != arm:
                 continue
             if abs(at - there) < 10 * deviation:
                 continue
             if any({g.one, g.other} == {one, other} for g in found):
                 continue
             gear = fit_gear(
-                bodies[one], bodies[other], bodies[arm], (one, other, arm), (hub, at, center, there)
+                *(bodies[k] for k in (one, other, arm)),
+                (one, other, arm),
+                (hub, at, center, there),
+                deviation,
             )
             if gear is not None:
                 found.append(gear)
@@ -204,15 +206,7 @@ def _gears(bodies: dict[int, Pose], pins: Sequence[Joint]) -> list[Rolling]:
 def _note_loose(
     joints: Sequence[Joint], rolling: Sequence[Rolling], names: list[str], notes: list[str]
 ) -> None:
-    near: dict[int, set[int]] = {}
-    for joint in (*joints, *rolling):
-        near.setdefault(joint.one, set()).add(joint.other)
-        near.setdefault(joint.other, set()).add(joint.one)
-    reached, grown = {GROUND_NUMBER}, True
-    while grown:
-        more = {b for a in reached for b in near.get(a, set())}
-        grown = not more <= reached
-        reached |= more
+    reached = connected(joints, rolling)
     loose = [name for k, name in enumerate(names) if k not in reached]
     if loose:
         notes.append(

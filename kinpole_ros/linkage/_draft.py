@@ -14,7 +14,7 @@ import numpy as np
 from kinpole_ros.linkage._drivers import Drive, fit_drive
 from kinpole_ros.linkage._joints import Joint
 from kinpole_ros.linkage._model import GROUND_NUMBER, LINE, Linkage
-from kinpole_ros.linkage._places import trammel_ends
+from kinpole_ros.linkage._places import connected, trammel_ends
 from kinpole_ros.linkage._poses import ground
 from kinpole_ros.linkage._rolling import Rolling
 
@@ -45,13 +45,7 @@ class _Sketch(NamedTuple):
 
 def reached(linkage: Linkage) -> list[int]:
     """Bodies, by number, that joints connect with the ground."""
-    near: dict[int, set[int]] = {}
-    for joint in (*linkage.joints, *linkage.rolling):
-        near.setdefault(joint.one, set()).add(joint.other)
-        near.setdefault(joint.other, set()).add(joint.one)
-    found = {GROUND_NUMBER}
-    while not (more := {b for a in found for b in near.get(a, set())}) <= found:
-        found |= more
+    found = connected(linkage.joints, linkage.rolling)
     return [k for k in range(len(linkage.names)) if k in found]
 
 
@@ -65,7 +59,7 @@ def draft_scenes(linkage: Linkage, about: str = '') -> Iterator[str]:
     """
     Texts of the scene, which differ in what drives it, the likeliest first.
 
-    None where nothing is joined to the ground. Not every body can drive a linkage all the way.
+    No text where nothing is joined to the ground. Not every body can drive a linkage all the way.
     """
     if not reached(linkage):
         return

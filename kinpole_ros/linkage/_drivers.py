@@ -8,7 +8,7 @@ from kinpole_ros.planar._plane import Real
 
 # rms off a steady turn, rad, that is still called one; share of its amplitude off a sine.
 _STEADY = 0.05
-_SINE = 0.02
+_SINE = 0.005
 # Values of a table, and as many of them for each swing.
 _VALUES = 61
 _EACH = 16
@@ -31,7 +31,7 @@ class Drive(NamedTuple):
 
 
 def fit_drive(seconds: Real, values: Real, turns: bool) -> Drive:
-    """A drive of values (T,) at `seconds` (T,), NaN for none; `turns`: a steady turn is possible."""
+    """A drive of values (T,) at `seconds` (T,), NaN for none; `turns`: it may turn steadily."""
     seen = np.isfinite(values)
     t, y = seconds[seen], values[seen]
     rate, start = np.polyfit(t, y, 1)

@@ -14,6 +14,7 @@ from kinpole_ros.planar._plane import Complex
 # As for single tracks; a body that was seen some frames ago may be anywhere by then.
 _GATE = 8.0
 _FARTHEST = 0.4  # of a body's size
+_SMOOTH = 0.25
 _LOOSE = 6.0  # deviations of a marker from its place on the body
 
 
@@ -42,10 +43,10 @@ def follow(
     """
     The markers (T, N) of bodies, one body's after the other's, NaN where they are not found.
 
-    `points` (T, n) in no order; `shapes` are the markers of each body in its own frame, and
-    markers with one number in `same` (N,) are one, on the axis of a pin; `position`, `angle` (T, B)
-    are the poses as far as they are known, NaN elsewhere. From the frames `begin` on, back from the first and on from the second: by default the middle of those known.
-    `steps` (T,) number the frames.
+    `points` (T, n) in no order; `shapes` are the markers of each body in its own frame, and those
+    with one number in `same` (N,) are one, on the axis of a pin. `position`, `angle` (T, B) are the
+    poses as far as they are known, NaN elsewhere. From the frames `begin` on, back from the first
+    and on from the second: by default the middle of those known. `steps` (T,) number the frames.
     """
     count = sum(map(len, shapes))
     width = max(map(len, shapes))
@@ -136,8 +137,11 @@ def _step(
     np.maximum.at(error, body[good], best[good])
     some = enough & (gap != 0)
     apart = np.where(gap == 0, 1, gap)
-    state.speed = np.where(some, (position - state.position) / apart, state.speed)
-    state.turning = np.where(some, (angle - state.angle) / apart, state.turning)
+    # Rates are smoothed where noise is most of what is new in them, so that gaps are bridged.
+    gain = np.maximum(_SMOOTH, error**2 / (error**2 + (4 * noise) ** 2))
+    late = gain * (position - state.position - state.speed * gap) / apart
+    state.speed = np.where(some, state.speed + late, state.speed)
+    state.turning = np.where(some, state.turning + gain * swing / apart, state.turning)
     state.error = np.where(
         enough, 0.7 * state.error + 0.3 * error / np.maximum(long, 1), state.error
     )

@@ -27,11 +27,12 @@ class Joint(NamedTuple):
     A joint of two bodies, by their numbers; the ground is -1 and is never `one` unless it slides.
 
     `kind` is pin, slot (the point of `one` moves along a line on `other`), slide (the same, and the
-    two do not turn against each other), trammel (each point of a circle on `one` moves along a line
-    through one point of `other`; `along` is the angle of β in fit_slide). `on_one` and `on_other` are its places on them, complex, about
-    the means of their markers, with the `deviation` of each per axis. A line has the direction
-    `along` on `other`, rad. A trammel's circle has its center at `on_one` and the radius `radius`.
-    `residual` is the rms of what the model leaves over per axis, `expected` what noise explains.
+    two do not turn against each other) or trammel (each point of a circle on `one` moves along a
+    line through one point of `other`). `on_one` and `on_other` are its places on them, complex,
+    about the means of their markers, with the `deviation` of each per axis. A line has the
+    direction `along` on `other`, rad. A trammel's circle has its center at `on_one` and the radius
+    `radius`; its `along` is the angle of β, see fit_slide. `residual` is the rms of what the model
+    leaves over per axis, `expected` what noise explains.
     """
 
     kind: str
@@ -213,7 +214,7 @@ def _trammel(
     moved: float,
     numbers: tuple[int, int],
 ) -> Joint | None:
-    """w = d - α u - β u* by what w is in terms of u_x, u_y, 1, (3, 2)."""
+    """The trammel w = d - α u - β u*, by what w is in terms of u_x, u_y, 1, (3, 2)."""
     of_x, of_y, d = (complex(*row) for row in found)
     alpha, beta = -(of_x - 1j * of_y) / 2, -(of_x + 1j * of_y) / 2
     expected = _lever(one, other, alpha, 0)

@@ -9,7 +9,7 @@ from kinpole_ros.linkage._model import Linkage
 def table(linkage: Linkage, checked: Checked | None) -> list[str]:
     """Lines for a terminal: input, bodies, joints, lengths, and what could not be told."""
     lines = [*_input(linkage), '']
-    rows = [('body', 'markers', 'noise', 'seen', 'turns')]
+    rows: list[tuple[str, ...]] = [('body', 'markers', 'noise', 'seen', 'turns')]
     for name, markers, pose in zip(linkage.names, linkage.markers, linkage.poses, strict=True):
         turned = float(np.ptp(pose.angle[pose.seen]))
         rows.append(
@@ -83,7 +83,9 @@ def _marked(linkage: Linkage, columns: list[int]) -> str:
 
 
 def _joints(linkage: Linkage) -> list[str]:
-    rows = [('joint', 'of', 'where it is on the ground, mm', 'deviation', 'left over')]
+    rows: list[tuple[str, ...]] = [
+        ('joint', 'of', 'where it is on the ground, mm', 'deviation', 'left over')
+    ]
     for place in linkage.places:
         if place.kind == 'pin':
             of = ' '.join(linkage.name(k) for k in sorted(place.on, key=lambda k: (k < 0, k)))

@@ -1,7 +1,7 @@
 """Names of bodies and markers: the markers' own as far as they go."""
 
-import os
 import re
+from itertools import takewhile
 
 from kinpole_ros.linkage._identify import Bodies
 from kinpole_ros.linkage._poses import GROUND
@@ -20,7 +20,10 @@ def body_names(labels: list[list[str]]) -> list[str]:
 
 def _common(labels: list[str]) -> str:
     parts = [label.rpartition('/')[0] or label for label in labels]
-    name = os.path.commonprefix(parts).rstrip('0123456789').rstrip('_-/ ')
+    # Of texts in order, what first and last begin with all do.
+    both = zip(min(parts), max(parts), strict=False)
+    name = ''.join(a for a, _ in takewhile(lambda pair: pair[0] == pair[1], both))
+    name = name.rstrip('0123456789').rstrip('_-/ ')
     return name if _BODY.fullmatch(name) else ''
 
 

@@ -15,6 +15,16 @@ _SAME = 6.0
 _NEAR = 0.01
 
 
+def connected(joints: Sequence[Joint], rolling: Sequence[Rolling]) -> set[int]:
+    """Bodies that joints connect with the ground, by number, the ground among them."""
+    pairs = [(joint.one, joint.other) for joint in joints]
+    pairs += [(wheel.one, wheel.other) for wheel in rolling]
+    found = {GROUND_NUMBER}
+    while more := {k for pair in pairs if found & {*pair} for k in pair} - found:
+        found |= more
+    return found
+
+
 def make_places(
     bodies: Mapping[int, Pose], joints: Sequence[Joint], rolling: Sequence[Rolling]
 ) -> list[Place]:
@@ -65,8 +75,8 @@ def _pin_groups(pins: Sequence[Joint]) -> list[tuple[dict[int, complex], float]]
     """Pins joined where they are at one place of a body: place by body, and the least deviation."""
     groups: list[tuple[dict[int, complex], float]] = []
     for pin in pins:
-        ends = ((pin.one, pin.on_one, pin.other, pin.on_other),)
-        ends += ((pin.other, pin.on_other, pin.one, pin.on_one),)
+        ends = [(pin.one, pin.on_one, pin.other, pin.on_other)]
+        ends.append((pin.other, pin.on_other, pin.one, pin.on_one))
         for body, place, far, there in ends:
             home = next(
                 (

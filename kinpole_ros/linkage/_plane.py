@@ -81,7 +81,7 @@ def _axes(name: str, normal: np.ndarray) -> np.ndarray:
 
 
 def scale_of(largest: float) -> float:
-    """m per unit, by the largest distance of two markers of one body."""
+    """Length of a unit, m, by the largest distance of two markers of one body."""
     return 0.001 if largest > _LARGEST_BODY else 1.0
 
 

@@ -53,7 +53,7 @@ class Record(NamedTuple):
 
 
 class Stamps(NamedTuple):
-    """Interval and rms jitter of the stamps, s; frames lost, and frames whose stamp did not rise."""
+    """Interval and rms jitter, s; frames lost, and frames left out for a repeated stamp."""
 
     interval: float
     jitter: float

@@ -74,13 +74,18 @@ def fit_wheel(one: Pose, other: Pose, slot: Joint) -> Rolling | None:
 
 
 def fit_gear(
-    one: Pose, other: Pose, arm: Pose, numbers: tuple[int, int, int], pins: tuple[complex, ...]
+    one: Pose,
+    other: Pose,
+    arm: Pose,
+    numbers: tuple[int, int, int],
+    pins: tuple[complex, ...],
+    of_pins: float,
 ) -> Rolling | None:
     """
     Whether `one` rolls on `other`, both pinned to `arm`: their turns against it have one ratio.
 
-    `numbers` are those of the three, `pins` the hub on `one`, its place on the arm, the center on
-    `other` and its place on the arm. Willis: R (θ_j - θ_arm) = -r (θ_i - θ_arm), R < 0 inside.
+    `numbers` are those of the three, `pins` the hub on `one`, its place on the arm, the center on `other`
+    and its place on the arm, `of_pins` their deviation. Willis: R (θ_j - θ_arm) = -r (θ_i - θ_arm), R < 0 inside.
     """
     both = one.seen & other.seen & arm.seen
     if both.sum() < _FEWEST:
@@ -107,6 +112,7 @@ def fit_gear(
     radius = apart / abs(1 - ratio)
     circle = -ratio * radius
     deviation = apart / (1 - ratio) ** 2 * max(residual, expected) / (spread[0] * len(x) ** 0.5)
+    deviation = np.hypot(deviation, 2**0.5 * of_pins / abs(1 - ratio))
     rate = np.polyfit(np.arange(len(y)), y, 1)
     steady = float(np.std(y - np.polyval(rate, np.arange(len(y))))) < 3 * expected
     return Rolling(

@@ -1,4 +1,4 @@
-"""A picture of a linkage that was found: bodies over the tracks of their markers, and its joints."""
+"""A picture of a linkage that was found: bodies over the tracks of markers, and joints."""
 
 import warnings
 from pathlib import Path
