@@ -193,7 +193,9 @@ def _gears(bodies: dict[int, Pose], pins: Sequence[Joint]) -> list[Rolling]:
             if any({g.one, g.other} == {one, other} for g in found):
                 continue
             gear = fit_gear(
-                *(bodies[k] for k in (one, other, arm)),
+                bodies[one],
+                bodies[other],
+                bodies[arm],
                 (one, other, arm),
                 (hub, at, center, there),
                 deviation,

@@ -86,13 +86,13 @@ def fit_body(tracks: Complex) -> Pose:
     freedom = np.maximum(2 * used.sum(axis=1) - 3, 0)
     square = np.nansum(np.where(used, np.abs(fit.residual) ** 2, 0), axis=1)
     noise = float(np.sqrt(square[freedom > 0].sum() / max(freedom.sum(), 1)))
-    good = np.isfinite(fit.angle)
+    good = np.isfinite(fit.angle) & ~_flipped(fit.angle)
     angle = np.full(len(tracks), np.nan)
     angle[good] = np.unwrap(fit.angle[good])
     # Shape and positions are about the mean of all; with some unseen they are known a little less.
     variance = noise**2
     return Pose(
-        fit.position,
+        np.where(good, fit.position, np.nan),
         angle,
         shape,
         noise,
@@ -100,6 +100,16 @@ def fit_body(tracks: Complex) -> Pose:
         variance * float(np.mean(1 / fit.spread[good])),
         used.mean(axis=0),
     )
+
+
+def _flipped(angle: Real) -> np.ndarray:
+    """Frames (T,) that are turned against those before and after: two markers exchanged."""
+    seen = np.isfinite(angle).nonzero()[0]
+    step = np.abs(np.angle(np.exp(1j * np.diff(angle[seen]))))
+    over = np.abs(np.angle(np.exp(1j * (angle[seen][2:] - angle[seen][:-2]))))
+    flipped = np.zeros(len(angle), bool)
+    flipped[seen[1:-1][np.minimum(step[:-1], step[1:]) > 1 + over]] = True
+    return flipped
 
 
 def off_body(pose: Pose, track: Complex, noise: float) -> tuple[float, complex]:

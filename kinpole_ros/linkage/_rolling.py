@@ -84,8 +84,9 @@ def fit_gear(
     """
     Whether `one` rolls on `other`, both pinned to `arm`: their turns against it have one ratio.
 
-    `numbers` are those of the three, `pins` the hub on `one`, its place on the arm, the center on `other`
-    and its place on the arm, `of_pins` their deviation. Willis: R (θ_j - θ_arm) = -r (θ_i - θ_arm), R < 0 inside.
+    `numbers` are those of the three, `pins` the hub on `one`, its place on the arm, the center on
+    `other` and its place on the arm, `of_pins` their deviation. Willis:
+    R (θ_j - θ_arm) = -r (θ_i - θ_arm), with R < 0 inside.
     """
     both = one.seen & other.seen & arm.seen
     if both.sum() < _FEWEST:
