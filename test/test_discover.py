@@ -268,4 +268,3 @@ def test_command_refuses_in_one_line(tmp_path, capsys):
     assert 'none of 2 markers moves; fix: ' in lines[1]
     with pytest.raises(BagError, match='it holds /points'):
         discover_rig(str(bag), topic='/other')
-

@@ -14,8 +14,10 @@ from kinpole_ros.planar._plane import Complex
 # As for single tracks; a body that was seen some frames ago may be anywhere by then.
 _GATE = 8.0
 _FARTHEST = 0.4  # of a body's size
-_SMOOTH = 0.25
+_SMOOTH = 0.25  # least share of what is new in a rate
 _LOOSE = 6.0  # deviations of a marker from its place on the body
+
+_NOWHERE = complex(np.nan, np.nan)
 
 
 class _State:
@@ -55,7 +57,7 @@ def follow(
     local = np.zeros((len(shapes), width), complex)
     local[body, place] = np.concatenate(shapes)
     size = np.array([np.abs(s[:, None] - s).max() for s in shapes])
-    found = np.full((len(points), count), np.nan + 0j)
+    found = np.full((len(points), count), _NOWHERE)
     known = np.isfinite(angle).all(axis=1).nonzero()[0]
     middle = int(known[len(known) // 2])
     back, on = begin or (middle, middle)
@@ -77,7 +79,7 @@ def follow(
             there = points[k, seen[k]]
             if len(there):
                 got = _step(start, there, int(steps[k]), local, body, place, same, size, noise)
-                found[k] = np.where(got >= 0, there[got], np.nan)
+                found[k] = np.where(got >= 0, there[got], _NOWHERE)
 
     go(on, range(on, len(points)))
     go(back, range(back - 1, -1, -1))

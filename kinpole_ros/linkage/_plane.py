@@ -93,7 +93,8 @@ def noise_of(tracks: Complex) -> Real:
     """
     steep = tracks[:-4] - 4 * tracks[1:-3] + 6 * tracks[2:-2] - 4 * tracks[3:-1] + tracks[4:]
     both = np.concatenate((steep.real, steep.imag))
-    seen = np.isfinite(both)
+    seen = np.isfinite(both) & np.isfinite(np.concatenate((steep.real, steep.real)))
+    both[~seen] = np.nan
     enough = seen.sum(axis=0) >= 10
     both[:, ~enough] = 0.0
     noise = np.nanmedian(np.abs(both), axis=0) / (0.67449 * np.sqrt(70))

@@ -13,6 +13,8 @@ _FEWEST = 30
 # Spreads of a distance over its noise: below the first all are rigid, beyond the last none is. In
 # between the widest gap parts them, which a lens or a soft mount moves up.
 _RIGID, _LOOSE = 2.5, 40.0
+# A ratio that noise alone makes.
+_PLAIN = 1.5
 # Share of the frames at either end of a distance's range that may be of another marker.
 _TAIL = 0.01
 _TAIL_WIDTH = 4.6527  # that range of a normal distribution, in standard deviations
@@ -54,7 +56,7 @@ def group(tracks: Complex, noise: Real) -> Groups:
     standing = np.isin(np.arange(count), fixed)
     rigid[np.ix_(standing, standing)] = False
     cliques = [sorted(c) for c in _cliques(rigid) if len(c) > 1]
-    bodies = _merge(cliques)
+    bodies = _merge(cliques, ratio)
     held = {k for body in bodies for k in body}
     single = [k for k in range(count) if k not in held and not standing[k]]
     return Groups(bodies, fixed, single, ratio, limit)
@@ -100,12 +102,13 @@ def _cliques(edges: np.ndarray) -> list[set[int]]:
     return found
 
 
-def _merge(cliques: list[list[int]]) -> list[list[int]]:
+def _merge(cliques: list[list[int]], ratio: Real) -> list[list[int]]:
     """
     Bodies of cliques: those that share two markers are one, since two hold a body of the plane.
 
     Two markers alone are a body if one of them is in no larger one: distances are constant by
-    chance, too, as between markers of two cranks that turn alike.
+    chance, too, as between markers of two cranks that turn alike. And if both are on bodies by
+    then, only if they are as rigid as these.
     """
     large = sorted((c for c in cliques if len(c) > 2), key=len, reverse=True)
     bodies: list[set[int]] = []
@@ -117,5 +120,9 @@ def _merge(cliques: list[list[int]]) -> list[list[int]]:
         else:
             bodies.append(set(clique))
     held = set().union(*bodies) if bodies else set()
-    bodies += [set(c) for c in cliques if len(c) == 2 and not set(c) <= held]
+    pairs = [set(c) for c in cliques if len(c) == 2 and not set(c) <= held]
+    for pair in sorted(pairs, key=lambda pair: ratio[tuple(pair)]):
+        if not pair <= held or ratio[tuple(pair)] < _PLAIN:
+            bodies.append(pair)
+            held |= pair
     return [sorted(body) for body in bodies]

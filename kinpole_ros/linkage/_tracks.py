@@ -16,6 +16,8 @@ _GATE = 8.0
 _DOUBT = 2.5
 # Frames over which a track goes on unseen.
 _LONGEST_GAP = 10
+# Points after which a track is one that others may be mistaken for.
+_YOUNG = 3
 
 
 class Tracks(NamedTuple):
@@ -85,7 +87,9 @@ def link(
         taken = np.full(len(columns), -1, np.int64)
         if len(live.number) and len(found):
             taken = _go_on(live, found, step)
-        live.keep(step - live.step < _LONGEST_GAP)
+        # A point that comes once is soon forgotten.
+        unseen = step - live.step
+        live.keep(unseen < np.where(live.age < _YOUNG, 3, _LONGEST_GAP))
         new = (taken < 0).nonzero()[0]
         if len(new):
             taken[new] = np.arange(total, total + len(new))
@@ -111,7 +115,7 @@ def _go_on(live: _Live, found: np.ndarray, step: int) -> np.ndarray:
     rows = np.arange(len(off))
     best = off[rows, nearest]
     good = (off.argmin(axis=0)[nearest] == rows) & (best < _GATE * error)
-    near = off < _DOUBT * error[:, None]
+    near = (off < _DOUBT * error[:, None]) & (live.age >= _YOUNG)[:, None]
     doubt = near & ((near.sum(axis=1) > 1)[:, None] | (near.sum(axis=0) > 1))
     ended = doubt.any(axis=1)
     good &= ~ended

@@ -167,13 +167,21 @@ def _add_markers(
         if frames.stop - frames.start < _SHORTEST:
             break
         own = found.dense(flat[..., None], np.array([track]), frames)[:, 0, 0]
-        for body, pose in enumerate(poses):
-            there = pose._replace(position=pose.position[frames], angle=pose.angle[frames])
-            off, place = off_body(there, own, noise)
-            if off < _ON and np.abs(place - shapes[body]).min() > 8 * noise:
-                shapes[body] = np.append(shapes[body], place)
-                added = True
-                break
+        fits = [
+            off_body(
+                pose._replace(position=pose.position[frames], angle=pose.angle[frames]), own, noise
+            )
+            for pose in poses
+        ]
+        body = min(range(len(fits)), key=lambda k: fits[k][0])
+        off, place = fits[body]
+        others = [fit[0] for k, fit in enumerate(fits) if k != body]
+        # What may be of two bodies, by so short a track, is of neither yet.
+        if off > _ON or min(others, default=np.inf) < 2 * _ON:
+            continue
+        if np.abs(place - shapes[body]).min() > 8 * noise:
+            shapes[body] = np.append(shapes[body], place)
+            added = True
     return shapes, added
 
 
