@@ -324,6 +324,24 @@ def _solve(options: argparse.Namespace) -> int:
     return 0
 
 
+def _discover(options: argparse.Namespace) -> int:
+    from kinpole_ros.discover import discover_rig
+
+    _keep(options.source, options.output, options.scene, options.plot)
+    with _progress('discover') as progress:
+        lines = discover_rig(
+            options.source,
+            options.topic,
+            options.seconds,
+            options.output,
+            options.scene,
+            options.plot,
+            progress,
+        )
+    print('\n'.join(lines))
+    return 0
+
+
 def _demo(options: argparse.Namespace) -> int:
     from kinpole_ros.demo import demo
 
@@ -387,6 +405,7 @@ _COMMANDS: dict[str, Callable[[argparse.Namespace], int]] = {
     'batch': _batch,
     'simulate': _simulate,
     'solve': _solve,
+    'discover': _discover,
     'plot': _plot,
     'import': _import,
     'play': _play,

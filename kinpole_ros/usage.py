@@ -14,6 +14,7 @@ _EPILOG = """examples:
   kinpole replay four_bar.mcap --config config/four_bar.yaml --output result.mcap
   kinpole batch runs/*.mcap --config rig.yaml --output results
   kinpole plot result.mcap --output result.png
+  kinpole discover recording.mcap --output rig.yaml --scene draft.yaml --plot rig.png
   kinpole solve four_bar --sweep --centers --plot four_bar.png
   kinpole import tracked.csv --rate 240 --scale 0.001 --y-down --output markers.mcap
   kinpole node --ros-args --params-file config/kinpole.yaml
@@ -198,6 +199,8 @@ def make_parser() -> argparse.ArgumentParser:
         help='centrodes of two bodies as pitch curves: .csv, or .svg true to scale',
     )
 
+    _add_discover(commands)
+
     plot = commands.add_parser(
         'plot',
         help='a picture of a result bag',
@@ -288,6 +291,44 @@ def _add_set(command: argparse.ArgumentParser) -> None:
         metavar='NAME:=VALUE',
         help='a parameter instead of what the file says, as ros2 run takes it after -p; repeatable',
     )
+
+
+def _add_discover(commands: Any) -> None:
+    discover = commands.add_parser(
+        'discover',
+        help='what a rig is, from its markers: bodies, joints, lengths; a parameter file to start',
+        description='Finds which markers make which rigid body, in which plane and unit, and what\n'
+        'joins the bodies: pins, slides, wheels and gears, with places, lengths and deviations.\n'
+        'Needs two or more markers a body, in motion. Names, order and dropouts do not matter.\n'
+        'Prints a table; writes a parameter file for replay and the node, and a draft scene for\n'
+        'solve and simulate, where names and drivers are a first guess.',
+        epilog='examples:\n'
+        '  kinpole discover recording.mcap\n'
+        '  kinpole discover recording.mcap --output rig.yaml --scene draft.yaml --plot rig.png\n'
+        '  kinpole discover /mocap/markers --seconds 30 --output rig.yaml\n'
+        'and then\n'
+        '  kinpole replay recording.mcap --config rig.yaml --output result.mcap\n'
+        '  kinpole solve draft.yaml --centers\n'
+        '\n'
+        'Move all joints through their range, one against the other, at changing speed: what does\n'
+        'not move cannot be found. "left over" is what a joint does not explain, over the noise:\n'
+        '1 is perfect, more is play, a lens, or a body that bends.\n',
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    discover.add_argument(
+        'source',
+        metavar='BAG_OR_TOPIC',
+        help='an .mcap file or a rosbag2 folder, or a topic that is being published',
+    )
+    discover.add_argument(
+        '--topic', metavar='T', help='topic of the markers in the bag (/markers, or the only one)'
+    )
+    discover.add_argument(
+        '--seconds', type=float, metavar='S', help='use so much of it (60; of a live topic 20)'
+    )
+    discover.add_argument('--output', metavar='RIG.yaml', help='parameter file to write')
+    discover.add_argument('--scene', metavar='SCENE.yaml', help='draft scene to write')
+    discover.add_argument('--plot', metavar='FILE.png', help='picture of what was found')
 
 
 class _ListScenes(argparse.Action):

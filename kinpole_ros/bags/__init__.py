@@ -1,6 +1,7 @@
 """MCAP bags in rosbag2's conventions, in and out, and spreadsheets into them."""
 
 from kinpole_ros.bags._files import RECORDER, recorder_of
+from kinpole_ros.bags._frames import read_frames
 from kinpole_ros.bags._import import import_csv
 from kinpole_ros.bags._reader import (
     BagError,
@@ -30,6 +31,7 @@ __all__ = [
     'import_csv',
     'message_class',
     'read_blocks',
+    'read_frames',
     'read_messages',
     'recorder_of',
     'replay',

@@ -1,6 +1,7 @@
 """Pictures of result bags."""
 
 from kinpole_ros.plot._draw import plot
+from kinpole_ros.plot._linkage import draw_linkage
 from kinpole_ros.plot._read import Body, Centrodes, Results, Series, centrodes, read_results
 
 __all__ = [
@@ -9,6 +10,7 @@ __all__ = [
     'Results',
     'Series',
     'centrodes',
+    'draw_linkage',
     'plot',
     'read_results',
 ]

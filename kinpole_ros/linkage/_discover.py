@@ -1,0 +1,217 @@
+"""Frames of markers in, a linkage out: the steps one after the other."""
+
+from collections.abc import Callable, Sequence
+from itertools import combinations
+
+import numpy as np
+
+from kinpole_ros.frame import MarkerFrames
+from kinpole_ros.linkage._identify import Bodies, identify
+from kinpole_ros.linkage._joints import Joint, fit_pin, fit_slide
+from kinpole_ros.linkage._model import GROUND_NUMBER, Linkage
+from kinpole_ros.linkage._names import body_names, marker_names
+from kinpole_ros.linkage._places import connected, make_places
+from kinpole_ros.linkage._plane import scale_of
+from kinpole_ros.linkage._poses import Pose, ground
+from kinpole_ros.linkage._record import Record, Stamps, gather
+from kinpole_ros.linkage._rolling import Rolling, fit_gear, fit_wheel
+
+# Times the noise a pin may leave over without doubt.
+_DOUBTFUL = 1.5
+
+
+def discover(
+    parts: Sequence[MarkerFrames], progress: Callable[[float], None] | None = None
+) -> Linkage:
+    """
+    The linkage whose markers `parts` hold, in order; identities need not be right.
+
+    Raises UndiscoveredError, with the fix, where there is too little to find anything.
+    """
+    record, stamps = gather(parts)
+    most = None if progress is None else (lambda share: progress(0.8 * share))
+    found = identify(record, most)
+    return _joined(record, stamps, found)
+
+
+def _joined(record: Record, stamps: Stamps, found: Bodies) -> Linkage:
+    scale = scale_of(max(pose.size for pose in found.poses))
+    found = _in_order(found)
+    poses = [_scaled(pose, scale) for pose in found.poses]
+    standing = ground(len(record.stamps))
+    bodies = {**dict(enumerate(poses)), GROUND_NUMBER: standing}
+    notes: list[str] = []
+    names = body_names([[found.labels[k] for k in body] for body in found.groups.bodies])
+    pins = _pins(bodies, names, notes)
+    freedom = 3 * len(poses) - 2 * _independent(pins)
+    # Where more is held than lets it move, what fits worst is no pin but nearly one.
+    while freedom < 1 and pins and pins[-1].ratio > _DOUBTFUL:
+        pins.pop()
+        freedom = 3 * len(poses) - 2 * _independent(pins)
+    pins.sort(key=lambda pin: (pin.other != GROUND_NUMBER, min(pin.one, pin.other), pin.one))
+    joints: list[Joint] = list(pins)
+    rolling: list[Rolling] = []
+    pinned = {frozenset((joint.one, joint.other)) for joint in pins}
+    slides = _slides(bodies, pinned)
+    for joint in slides:
+        if freedom <= 1:
+            break
+        joints.append(joint)
+        freedom -= 2 if joint.kind in ('trammel', 'slide') else 1
+        if joint.kind == 'slot' and freedom > 1:
+            wheel = fit_wheel(bodies[joint.one], bodies[joint.other], joint)
+            if wheel is not None:
+                joints.remove(joint)
+                rolling.append(wheel)
+                freedom -= 1
+    for gear in _gears(bodies, pins):
+        if freedom > 1:
+            rolling.append(gear)
+            freedom -= 1
+    _note_loose(joints, rolling, names, notes)
+    return Linkage(
+        names,
+        poses,
+        marker_names(found, names),
+        found.groups.bodies,
+        found.groups.fixed,
+        found.groups.single,
+        found.tracks * scale,
+        record.seconds,
+        found.ordered,
+        found.labels,
+        found.plane,
+        scale,
+        stamps,
+        record.frame_id,
+        joints,
+        rolling,
+        make_places(bodies, joints, rolling),
+        freedom,
+        notes,
+    )
+
+
+def _in_order(found: Bodies) -> Bodies:
+    """From the ground on, first what turns farthest there: as one names links from the input."""
+    count = len(found.poses)
+    bodies = {**dict(enumerate(found.poses)), GROUND_NUMBER: ground(len(found.tracks))}
+    near: dict[int, set[int]] = {number: set() for number in bodies}
+    for pair in combinations(bodies, 2):
+        if fit_pin(bodies[pair[0]], bodies[pair[1]], pair)[0] is not None:
+            near[pair[0]].add(pair[1])
+            near[pair[1]].add(pair[0])
+    turned = [float(np.ptp(pose.angle[pose.seen])) for pose in found.poses]
+    order = [GROUND_NUMBER]
+    rest = set(range(count))
+    for number in order:
+        # One way round a loop, before the other way.
+        more = sorted(near[number] & rest, key=lambda k: -turned[k])
+        if number == GROUND_NUMBER:
+            more = more[:1]
+        order += more
+        rest -= set(more)
+    order += sorted(rest, key=lambda k: (k not in near[GROUND_NUMBER], -turned[k]))
+    order.remove(GROUND_NUMBER)
+    groups = found.groups._replace(bodies=[found.groups.bodies[k] for k in order])
+    return found._replace(groups=groups, poses=[found.poses[k] for k in order])
+
+
+def _scaled(pose: Pose, scale: float) -> Pose:
+    if scale == 1:
+        return pose
+    return pose._replace(
+        position=pose.position * scale,
+        shape=pose.shape * scale,
+        noise=pose.noise * scale,
+        position_variance=pose.position_variance * scale**2,
+    )
+
+
+def _pins(bodies: dict[int, Pose], names: list[str], notes: list[str]) -> list[Joint]:
+    pins = []
+    for one, other in combinations(range(len(names)), 2):
+        joint, turns = fit_pin(bodies[one], bodies[other], (one, other))
+        if joint is not None:
+            pins.append(joint)
+        elif not turns:
+            notes.append(
+                f'{names[one]} and {names[other]} do not turn against each other: whether a pin '
+                'joins them, and where, cannot be told'
+            )
+    for one in range(len(names)):
+        joint, turns = fit_pin(bodies[one], bodies[GROUND_NUMBER], (one, GROUND_NUMBER))
+        if joint is not None:
+            pins.append(joint)
+        elif not turns:
+            notes.append(
+                f'{names[one]} does not turn: it has no pin to the ground that can be seen'
+            )
+    return sorted(pins, key=lambda joint: joint.ratio)
+
+
+def _independent(pins: Sequence[Joint]) -> int:
+    """How many of the pins hold something: of three bodies on one axle two pins do."""
+    groups = make_places({}, list(pins), [])
+    return sum(len(place.on) - 1 for place in groups)
+
+
+def _slides(bodies: dict[int, Pose], pinned: set[frozenset[int]]) -> list[Joint]:
+    """Slides of all pairs that no pin joins, those that fit best first, one for each pair."""
+    found = []
+    for pair in combinations(bodies, 2):
+        if frozenset(pair) in pinned:
+            continue
+        tried = [
+            joint
+            for one, other in (pair, pair[::-1])
+            if (joint := fit_slide(bodies[one], bodies[other], (one, other))) is not None
+        ]
+        # A trammel holds the most, and looks like a slot from the other side.
+        tried.sort(key=lambda joint: (joint.kind != 'trammel', joint.kind != 'slide', joint.ratio))
+        found += tried[:1]
+    # Slides on the ground are more usual than between bodies.
+    return sorted(found, key=lambda j: (GROUND_NUMBER not in (j.one, j.other), j.ratio))
+
+
+def _gears(bodies: dict[int, Pose], pins: Sequence[Joint]) -> list[Rolling]:
+    """Pairs of gears on one arm, those that fit best first."""
+    sides = [
+        (joint.one, joint.on_one, joint.other, joint.on_other, joint.deviation[0]) for joint in pins
+    ]
+    sides += [(other, b, one, a, deviation) for one, a, other, b, deviation in sides]
+    found: list[Rolling] = []
+    # Of two gears the wheel is the one that is not pinned to the ground.
+    grounded = {joint.one for joint in pins if joint.other == GROUND_NUMBER}
+    sides.sort(key=lambda side: side[0] in grounded)
+    for one, hub, arm, at, _ in sides:
+        for other, center, same, there, deviation in sides:
+            if one in (GROUND_NUMBER, other) or same != arm:
+                continue
+            if abs(at - there) < 10 * deviation:
+                continue
+            if any({g.one, g.other} == {one, other} for g in found):
+                continue
+            gear = fit_gear(
+                bodies[one],
+                bodies[other],
+                bodies[arm],
+                (one, other, arm),
+                (hub, at, center, there),
+                deviation,
+            )
+            if gear is not None:
+                found.append(gear)
+    return sorted(found, key=lambda gear: gear.residual / gear.expected)
+
+
+def _note_loose(
+    joints: Sequence[Joint], rolling: Sequence[Rolling], names: list[str], notes: list[str]
+) -> None:
+    reached = connected(joints, rolling)
+    loose = [name for k, name in enumerate(names) if k not in reached]
+    if loose:
+        notes.append(
+            f'no joint connects {", ".join(loose)} with the ground: mark the bodies between, or '
+            'move the rig further'
+        )

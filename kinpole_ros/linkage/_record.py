@@ -1,0 +1,133 @@
+"""
+Frames of markers, whatever their layouts, as one array; and what their stamps are like.
+
+Drivers name markers well, badly or not at all: here it is found out whether a name is an identity.
+"""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from kinpole_ros.frame import MarkerFrames
+
+# Names are counted anew in every frame by some drivers: more names than this many times the markers
+# of a frame are none.
+_MOST_NAMES = 3
+# Share of the steps at which a marker must be nearest to where its own last two places lead.
+_HELD = 0.9
+# Frames that are looked at for it.
+_SAMPLE = 1500
+
+
+class UndiscoveredError(ValueError):
+    """What keeps a linkage from being found in a record; the message ends with the fix."""
+
+
+class Record(NamedTuple):
+    """
+    Markers of T frames: `stamps` (T,) ns, `points` (T, n, 3), NaN for none, in units of the source.
+
+    `names` are the n columns' names, () where the columns mean nothing: points in no order.
+    """
+
+    stamps: np.ndarray
+    points: np.ndarray
+    names: tuple[str, ...]
+    frame_id: str
+
+    def steps(self) -> np.ndarray:
+        """Number of each frame (T,), counted in intervals: one that was lost is counted too."""
+        gaps = np.maximum(1, np.rint(np.diff(self.stamps) / self.interval))
+        return np.concatenate(([0], np.cumsum(gaps))).astype(np.int64)
+
+    @property
+    def interval(self) -> float:
+        """Usual time between frames, ns."""
+        return float(np.median(np.diff(self.stamps)))
+
+    @property
+    def seconds(self) -> np.ndarray:
+        """Times (T,) from the first frame on, s."""
+        return (self.stamps - self.stamps[0]) * 1e-9
+
+
+class Stamps(NamedTuple):
+    """Interval and rms jitter, s; frames lost, and frames left out for a repeated stamp."""
+
+    interval: float
+    jitter: float
+    lost: int
+    dropped: int
+
+
+def gather(parts: Sequence[MarkerFrames]) -> tuple[Record, Stamps]:
+    """
+    All frames as a record, in order of stamps, those with a stamp of another left out.
+
+    Raises UndiscoveredError where there is too little to look at.
+    """
+    parts = [part for part in parts if len(part.stamps)]
+    count = sum(len(part.stamps) for part in parts)
+    if count < 20:
+        raise UndiscoveredError(
+            f'{count} frames of markers are too few to find anything; fix: record 10 s or more'
+        )
+    usual = np.median(np.repeat([p.points.shape[1] for p in parts], [len(p.stamps) for p in parts]))
+    names = tuple(dict.fromkeys(name for part in parts for name in part.identities))
+    if len(names) > _MOST_NAMES * max(usual, 1) + 3:
+        names = ()
+    place = {name: k for k, name in enumerate(names)}
+    width = len(names) or max(part.points.shape[1] for part in parts)
+    points = np.full((count, width, 3), np.nan)
+    stamps = np.concatenate([part.stamps for part in parts])
+    first = 0
+    for part in parts:
+        rows = slice(first, first + len(part.stamps))
+        columns = [place[name] for name in part.identities] if names else slice(len(part.points[0]))
+        points[rows, columns] = part.points
+        first = rows.stop
+    points[~np.isfinite(points).all(axis=-1)] = np.nan
+    order = np.argsort(stamps, kind='stable')
+    order = order[np.concatenate(([True], np.diff(stamps[order]) > 0))]
+    record = Record(stamps[order], points[order], names, parts[0].frame_id)
+    if len(order) < 20:
+        raise UndiscoveredError(
+            f'{count} frames have {len(order)} different stamps; fix: have the driver stamp each'
+        )
+    _check_seen(record)
+    if names and not _names_hold(record):
+        record = record._replace(names=())
+    return record, _stamps(record, count)
+
+
+def _check_seen(record: Record) -> None:
+    most = int(np.isfinite(record.points[..., 0]).sum(axis=1).max())
+    if most < 2:
+        what = 'one marker' if most else 'no marker'
+        raise UndiscoveredError(
+            f'there is {what} in any frame; fix: put two or more markers on each body'
+        )
+
+
+def _names_hold(record: Record) -> bool:
+    """Whether a marker goes on where its own last two places lead, rather than any other's."""
+    points = record.points
+    starts = np.arange(len(points) - 2)
+    starts = starts[:: max(1, len(starts) // _SAMPLE)]
+    ahead = 2 * points[starts + 1] - points[starts]  # (S, n, 3)
+    own = points[starts + 2]
+    seen = np.isfinite(ahead[..., 0]) & np.isfinite(own[..., 0])
+    off = np.linalg.norm(ahead[:, :, None] - own[:, None], axis=-1)
+    nearest = np.where(np.isfinite(off), off, np.inf).argmin(axis=-1)
+    held = (nearest == np.arange(points.shape[1]))[seen]
+    return bool(len(held) == 0 or held.mean() >= _HELD)
+
+
+def _stamps(record: Record, count: int) -> Stamps:
+    steps = record.steps()
+    seconds = record.seconds
+    line = np.polyfit(steps, seconds, 1)
+    jitter = float(np.sqrt(np.mean((seconds - np.polyval(line, steps)) ** 2)))
+    lost = int(steps[-1] + 1 - len(steps))
+    return Stamps(float(line[0]), jitter, lost, count - len(steps))

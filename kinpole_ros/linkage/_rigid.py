@@ -1,0 +1,128 @@
+"""Which tracks keep their distances, and so are of one rigid body."""
+
+from itertools import combinations
+from typing import NamedTuple
+
+import numpy as np
+
+from kinpole_ros.planar._plane import Complex, Real
+
+# Frames of a pair of tracks that distances are looked at in, and fewer than which say nothing.
+_FRAMES = 3000
+_FEWEST = 30
+# Spreads of a distance over its noise: below the first all are rigid, beyond the last none is. In
+# between the widest gap parts them, which a lens or a soft mount moves up.
+_RIGID, _LOOSE = 2.5, 40.0
+# A ratio that noise alone makes.
+_PLAIN = 1.5
+# Share of the frames at either end of a distance's range that may be of another marker.
+_TAIL = 0.01
+_TAIL_WIDTH = 4.6527  # that range of a normal distribution, in standard deviations
+
+
+class Groups(NamedTuple):
+    """
+    `bodies` are lists of columns, largest first; a column on the axis of a pin may be in two.
+
+    `fixed` are columns that stand still and `single` those that are rigid with nothing. `ratio`
+    (n, n) is the spread of each distance over its noise, `limit` what was taken for rigid.
+    """
+
+    bodies: list[list[int]]
+    fixed: list[int]
+    single: list[int]
+    ratio: Real
+    limit: float
+
+
+def group(tracks: Complex, noise: Real) -> Groups:
+    """Bodies of tracks (T, n), complex, NaN for none, whose `noise` (n,) is per axis."""
+    count = tracks.shape[1]
+    some = tracks[:: max(1, len(tracks) // _FRAMES)]
+    known = np.where(np.isfinite(noise), noise, np.nanmedian(noise) if count else 0.0)
+    extent = np.nanmax(np.abs(some - np.nanmean(some)), initial=0.0)
+    floor = 1e-9 * float(extent)
+    known = np.maximum(np.nan_to_num(known), floor)
+    ratio = np.full((count, count), np.inf)
+    for one, other in combinations(range(count), 2):
+        apart = np.abs(some[:, one] - some[:, other])
+        spread = _spread(apart)
+        ratio[one, other] = ratio[other, one] = spread / np.hypot(known[one], known[other])
+    still = np.array([_still(some[:, k]) / known[k] for k in range(count)])
+    limit = _limit(ratio[np.triu_indices(count, 1)])
+    rigid = ratio < limit
+    fixed = (still < limit).nonzero()[0].tolist()
+    # Of those that stand still one is enough to tell what turns about it.
+    standing = np.isin(np.arange(count), fixed)
+    rigid[np.ix_(standing, standing)] = False
+    cliques = [sorted(c) for c in _cliques(rigid) if len(c) > 1]
+    bodies = _merge(cliques, ratio)
+    held = {k for body in bodies for k in body}
+    single = [k for k in range(count) if k not in held and not standing[k]]
+    return Groups(bodies, fixed, single, ratio, limit)
+
+
+def _spread(values: Real) -> float:
+    """Standard deviation (of values (T,), NaN for none) as of the range without its tails."""
+    values = values[np.isfinite(values)]
+    if len(values) < _FEWEST:
+        return float('inf')
+    low, high = np.quantile(values, (_TAIL, 1 - _TAIL))
+    return float(high - low) / _TAIL_WIDTH
+
+
+def _still(track: Complex) -> float:
+    return max(_spread(track.real), _spread(track.imag))
+
+
+def _limit(ratios: Real) -> float:
+    """Where the ratios of rigid pairs end: in the middle of the widest gap that is possible."""
+    inside = np.sort(ratios[(ratios > _RIGID) & (ratios < _LOOSE)])
+    steps = np.log(np.concatenate(([_RIGID], inside, [_LOOSE])))
+    k = int(np.diff(steps).argmax())
+    return float(np.exp((steps[k] + steps[k + 1]) / 2)) if len(inside) else 2 * _RIGID
+
+
+def _cliques(edges: np.ndarray) -> list[set[int]]:
+    """All maximal cliques of a graph (n, n) (Bron and Kerbosch 1973, with pivots)."""
+    near = [set(row.nonzero()[0].tolist()) for row in edges]
+    found: list[set[int]] = []
+
+    def grow(clique: set[int], rest: set[int], done: set[int]) -> None:
+        if not rest and not done:
+            found.append(clique)
+            return
+        pivot = max(rest | done, key=lambda k: len(near[k] & rest))
+        for k in sorted(rest - near[pivot]):
+            grow(clique | {k}, rest & near[k], done & near[k])
+            rest = rest - {k}
+            done = done | {k}
+
+    grow(set(), set(range(len(near))), set())
+    return found
+
+
+def _merge(cliques: list[list[int]], ratio: Real) -> list[list[int]]:
+    """
+    Bodies of cliques: those that share two markers are one, since two hold a body of the plane.
+
+    Two markers alone are a body if one of them is in no larger one: distances are constant by
+    chance, too, as between markers of two cranks that turn alike. And if both are on bodies by
+    then, only if they are as rigid as these.
+    """
+    large = sorted((c for c in cliques if len(c) > 2), key=len, reverse=True)
+    bodies: list[set[int]] = []
+    for clique in large:
+        for body in bodies:
+            if len(body & set(clique)) > 1:
+                body |= set(clique)
+                break
+        else:
+            bodies.append(set(clique))
+    held = set().union(*bodies) if bodies else set()
+    pairs = [set(c) for c in cliques if len(c) == 2 and not set(c) <= held]
+    for pair in sorted(pairs, key=lambda pair: ratio[tuple(pair)]):
+        if not pair <= held or ratio[tuple(pair)] < _PLAIN:
+            bodies.append(pair)
+            held |= pair
+    return [sorted(body) for body in bodies]

@@ -1,0 +1,194 @@
+"""A picture of a linkage that was found: bodies over the tracks of markers, and joints."""
+
+import warnings
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from kinpole_ros.bags import BagError
+from kinpole_ros.linkage import Linkage
+from kinpole_ros.linkage._draft import first_frame
+
+_SIZE, _DPI = (10.0, 6.2), 110  # inches
+_COLORS = ('#0060a8', '#b34700', '#00785a', '#7a3d9a', '#8a6d00', '#a3234f', '#3a6f8f', '#555555')
+_MOST_POINTS = 1500  # of a track
+_HALO: dict[str, Any] = {'facecolor': 'white', 'edgecolor': 'none', 'alpha': 0.8, 'pad': 1.2}
+_GROUND = -1
+
+
+def draw_linkage(linkage: Linkage, output: str | Path, title: str) -> None:
+    """
+    Draw what was found to `output`, in the format of its suffix.
+
+    Raises BagError when `output` cannot be written or matplotlib is missing.
+    """
+    try:
+        from matplotlib.figure import Figure
+    except ImportError as error:
+        raise BagError(
+            "drawing needs matplotlib; install it with pip install 'kinpole_ros[plot]'"
+        ) from error
+    figure = Figure(figsize=_SIZE, layout='constrained')
+    formats = sorted(figure.canvas.get_supported_filetypes())
+    if Path(output).suffix[1:].lower() not in formats:
+        raise BagError(f'{output} is no picture; end its name in one of {", ".join(formats)}')
+    axis = figure.add_subplot()
+    _draw(axis, linkage)
+    axis.set_title(f'{title}: {_about(linkage)}', fontsize=10, parse_math=False)
+    try:
+        Path(output).parent.mkdir(parents=True, exist_ok=True)
+        with warnings.catch_warnings():
+            warnings.filterwarnings('ignore', 'Glyph .* missing from', UserWarning)
+            figure.savefig(output, dpi=_DPI)
+    except OSError as error:
+        raise BagError(
+            f'{output} cannot be written: {error.strerror}; '
+            'fix: check the path, its rights and the space on the disk'
+        ) from error
+
+
+def _about(linkage: Linkage) -> str:
+    plane = linkage.plane
+    bodies, joints = len(linkage.names), len(linkage.joints) + len(linkage.rolling)
+    parts = [f'{bodies} bod{"y" if bodies == 1 else "ies"}, {joints} joint{"s"[: joints != 1]}']
+    parts.append(f'plane {plane.name}' if plane.name else f'plane tilted by {plane.tilt:.1f} deg')
+    parts.append('markers in m' if linkage.scale == 1 else 'markers in mm')
+    if not linkage.ordered:
+        parts.append('points without names')
+    return ', '.join(parts)
+
+
+def _draw(axis: Any, linkage: Linkage) -> None:
+    frame = first_frame(linkage) if linkage.joints or linkage.rolling else _most_seen(linkage)
+    unit = 1e3
+    step = max(1, len(linkage.seconds) // _MOST_POINTS)
+    extent = 0.0
+    at: dict[str, complex] = {}
+    for k, (name, pose) in enumerate(zip(linkage.names, linkage.poses, strict=True)):
+        color = _COLORS[k % len(_COLORS)]
+        turn = np.exp(1j * pose.angle[frame])
+        tracks = linkage.tracks[::step][:, linkage.columns[k]] * unit
+        axis.plot(tracks.real, tracks.imag, '.', color=color, markersize=0.7, alpha=0.35, zorder=1)
+        extent = max(extent, float(np.nanmax(np.abs(tracks - np.nanmean(tracks)))))
+        markers = (pose.position[frame] + turn * pose.shape) * unit
+        own = {p.name: pose.position[frame] + turn * p.on[k] for p in linkage.places if k in p.on}
+        at |= {p: z * unit for p, z in own.items()}
+        corners = _hull(np.concatenate((markers, np.array([z * unit for z in own.values()]))))
+        axis.fill(corners.real, corners.imag, color=color, alpha=0.18, zorder=2)
+        outline = np.append(corners, corners[0])
+        axis.plot(outline.real, outline.imag, color=color, linewidth=1.4, zorder=3, label=name)
+        axis.plot(markers.real, markers.imag, 'o', color=color, markersize=4, zorder=4)
+    for place in linkage.places:
+        if _GROUND in place.on:
+            at[place.name] = place.on[_GROUND] * unit
+    axis.set_aspect('equal')
+    axis.margins(0.06)
+    _draw_lengths(axis, linkage, at)
+    _draw_joints(axis, linkage, at, extent)
+    axis.set_xlabel('mm')
+    axis.set_ylabel('mm')
+    axis.grid(True, color='#e8e8e8', linewidth=0.6, zorder=0)
+    axis.set_axisbelow(True)
+    axis.legend(loc='upper left', bbox_to_anchor=(1.0, 1.0), frameon=False, title='bodies')
+
+
+def _most_seen(linkage: Linkage) -> int:
+    return int(np.sum([pose.seen for pose in linkage.poses], axis=0).argmax())
+
+
+def _hull(points: np.ndarray) -> np.ndarray:
+    """Corners of the convex hull of complex points, counterclockwise (Andrew 1979)."""
+    ordered = sorted({(float(z.real), float(z.imag)) for z in points if np.isfinite(z.real)})
+    if len(ordered) < 3:
+        return np.array([complex(*p) for p in ordered])
+
+    def half(path: list[tuple[float, float]]) -> list[tuple[float, float]]:
+        kept: list[tuple[float, float]] = []
+        for p in path:
+            while len(kept) > 1:
+                (ax, ay), (bx, by) = kept[-2], kept[-1]
+                if (bx - ax) * (p[1] - ay) - (by - ay) * (p[0] - ax) > 0:
+                    break
+                kept.pop()
+            kept.append(p)
+        return kept[:-1]
+
+    return np.array([complex(*p) for p in half(ordered) + half(ordered[::-1])])
+
+
+def _draw_lengths(axis: Any, linkage: Linkage, at: dict[str, complex]) -> None:
+    for length in linkage.lengths():
+        if length.one not in at or length.other not in at:
+            continue
+        ends = np.array([at[length.one], at[length.other]])
+        grounded = length.body == 'ground'
+        color = '#777777' if grounded else _COLORS[linkage.names.index(length.body) % len(_COLORS)]
+        style = (0, (1, 2)) if grounded else '-'
+        axis.plot(ends.real, ends.imag, color=color, linestyle=style, linewidth=0.9, zorder=3)
+        # Away from the middle, where lines to other points of the ground cross.
+        middle = ends[0] + (0.64 if grounded else 0.5) * (ends[1] - ends[0])
+        across = ends[1] - ends[0]
+        angle = np.degrees(np.angle(across))
+        axis.text(
+            middle.real,
+            middle.imag,
+            f'{length.value * 1e3:.2f} ± {length.deviation * 1e3:.2g}',
+            color=color,
+            fontsize=8,
+            ha='center',
+            va='center',
+            rotation=(angle + 90) % 180 - 90,
+            rotation_mode='anchor',
+            bbox=_HALO,
+            zorder=6,
+        )
+
+
+def _draw_joints(axis: Any, linkage: Linkage, at: dict[str, complex], extent: float) -> None:
+    size = 0.03 * extent
+    for joint in linkage.joints:
+        if joint.kind in ('slot', 'slide', 'trammel') and joint.other == _GROUND:
+            directions = (0.0, np.pi / 2) if joint.kind == 'trammel' else (joint.along,)
+            for along in directions:
+                ends = joint.on_other * 1e3 + np.exp(1j * along) * extent * np.array([-1, 1])
+                axis.plot(ends.real, ends.imag, color='black', linewidth=1, dashes=(6, 3), zorder=3)
+    for wheel in linkage.rolling:
+        if not wheel.circle and wheel.other == _GROUND:
+            ends = wheel.at * 1e3 + np.exp(1j * wheel.along) * extent * np.array([-1, 1])
+            axis.plot(ends.real, ends.imag, color='black', linewidth=1, zorder=3)
+    for place in linkage.places:
+        z = at.get(place.name)
+        if z is None or place.name.endswith('_line'):
+            continue
+        if _GROUND in place.on:
+            _hatch(axis, z, size)
+        axis.plot(
+            [z.real],
+            [z.imag],
+            'o',
+            markersize=9,
+            markerfacecolor='white',
+            markeredgecolor='black',
+            markeredgewidth=1.4,
+            zorder=7,
+        )
+        axis.annotate(
+            f'{place.name} ±{place.deviation * 1e3:.2g}',
+            (z.real, z.imag),
+            xytext=(8, 7),
+            textcoords='offset points',
+            fontsize=8.5,
+            fontweight='bold',
+            bbox=_HALO,
+            zorder=8,
+        )
+
+
+def _hatch(axis: Any, z: complex, size: float) -> None:
+    """The sign of a point on the ground: a triangle on hatching."""
+    foot = np.array([z, z + size * (-0.8 - 1.3j), z + size * (0.8 - 1.3j), z])
+    axis.plot(foot.real, foot.imag, color='black', linewidth=1.2, zorder=5)
+    for k in range(-3, 4):
+        ends = z + size * np.array([0.4 * k - 1.3j, 0.4 * k - 0.35 - 1.75j])
+        axis.plot(ends.real, ends.imag, color='black', linewidth=0.9, zorder=5)

@@ -1,0 +1,270 @@
+"""kinpole discover: from markers alone to bodies, joints, lengths and files that work."""
+
+from itertools import combinations
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from kinpole_ros.bags import BagError, BagWriter
+from kinpole_ros.cli import main
+from kinpole_ros.discover import discover_rig
+from kinpole_ros.frame import MarkerFrames
+from kinpole_ros.linkage import (
+    Linkage,
+    UndiscoveredError,
+    discover,
+    draft,
+    parameter_file,
+    table,
+)
+from kinpole_ros.mechanism import load_scene, marker_positions
+from kinpole_ros.messages import to_message
+
+START = 10**18
+NOISE = 2e-4
+ROOT = Path(__file__).parents[1]
+
+
+def rotation(degrees, axis=(1.0, 0.3, 0.0)):
+    a = np.array(axis) / np.linalg.norm(axis)
+    cross = np.array([[0, -a[2], a[1]], [a[2], 0, -a[0]], [-a[1], a[0], 0]])
+    angle = np.deg2rad(degrees)
+    return np.eye(3) + np.sin(angle) * cross + (1 - np.cos(angle)) * cross @ cross
+
+
+def markers_of(name, seconds, rate=200, noise=NOISE, hidden=0.05, tilt=0.0, scale=1.0, seed=0):
+    """Frames of a scene's markers with their names, and the scene."""
+    rng = np.random.default_rng(seed)
+    scene = load_scene(name)
+    t = np.arange(round(rate * seconds)) / rate
+    motion = scene.motion(t)
+    flat = np.concatenate([marker_positions(motion[b], m) for b, m in scene.markers.items()], 1)
+    points = np.zeros((*flat.shape[:2], 3))
+    points[..., :2] = flat
+    points += noise * rng.normal(size=points.shape)
+    points = scale * points @ rotation(tilt).T
+    points[rng.random(points.shape[:2]) < hidden] = np.nan
+    names = tuple(name for body in scene.markers for name in scene.marker_names[body])
+    stamps = START + np.rint(t * 1e9).astype(np.int64)
+    return MarkerFrames(stamps, 'world', names, points), scene
+
+
+def shuffled(frames, seed=0):
+    """The same as points in another order in every frame, without those not seen."""
+    rng = np.random.default_rng((seed, 1))
+    parts = []
+    for stamp, points in zip(frames.stamps, frames.points, strict=True):
+        seen = rng.permutation(points[np.isfinite(points[:, 0])])
+        names = tuple(map(str, range(len(seen))))
+        parts.append(MarkerFrames(np.array([stamp]), 'world', names, seen[None]))
+    return parts
+
+
+def joined(linkage: Linkage):
+    """Pairs of bodies by kind of joint."""
+    found = [(j.kind, {linkage.name(j.one), linkage.name(j.other)}) for j in linkage.joints]
+    return found + [
+        ('rolling', {linkage.name(wheel.one), linkage.name(wheel.other)})
+        for wheel in linkage.rolling
+    ]
+
+
+def assert_lengths(linkage: Linkage, scene, exact=1e-3):
+    """Each length between joints is one of the scene's, to 0.1% or 3 deviations."""
+    places = {}
+    for body, z in scene.points.values():
+        places.setdefault(body, []).append(z)
+    joints = {place.name for place in linkage.places}
+    found = [one for one in linkage.lengths() if {one.one, one.other} <= joints]
+    for length in found:
+        # Without names any body may be meant.
+        bodies = [places[length.body]] if length.body in places else places.values()
+        true = [abs(a - b) for one in bodies for a, b in combinations(one, 2)]
+        off = min(abs(length.value - value) for value in true)
+        assert off < max(exact * length.value, 3 * length.deviation), length
+    return found
+
+
+def test_four_bar_with_names_is_found_as_it_is():
+    frames, scene = markers_of('four_bar', 5)
+    found = discover([frames])
+    assert found.names == ['crank', 'coupler', 'rocker']
+    assert found.markers == [list(scene.marker_names[body]) for body in found.names]
+    assert [place.name for place in found.places] == ['O', 'O2', 'A', 'B']
+    ground = [place.on[-1] for place in found.places if -1 in place.on]
+    assert np.abs(np.array(ground) - [0, 0.4]).max() < 1e-4
+    assert found.freedom == 1
+    assert (found.plane.name, found.scale) == ('xy', 1.0)
+    assert len(assert_lengths(found, scene)) == 4
+    # Deviations are those of the errors: about as many of them.
+    assert all(1e-6 < one.deviation < 1e-4 for one in found.lengths())
+    assert all(0.8 < joint.ratio < 1.2 for joint in found.joints)
+    assert all(abs(pose.noise / NOISE - 1) < 0.1 for pose in found.poses)
+
+
+def test_six_bar_in_mm_tilted_and_in_no_order():
+    frames, scene = markers_of('six_bar', 3, tilt=30, scale=1000)
+    found = discover(shuffled(frames))
+    assert sorted(map(len, found.columns)) == [3] * 5
+    assert [kind for kind, _ in joined(found)] == ['pin'] * 7
+    assert sum('ground' in pair for _, pair in joined(found)) == 3
+    assert found.scale == 0.001
+    assert found.plane.tilt == pytest.approx(30, abs=0.1)
+    assert np.abs(found.plane.normal - rotation(30)[:, 2]).max() < 1e-3
+    assert len(assert_lengths(found, scene)) == 10
+    text = parameter_file(found)
+    assert 'scale: 0.001' in text
+    assert 'marker_identity: shape' in text
+    assert 'plane: [0.1' in text
+    assert text.count('shape: [') == 5
+    told = draft(found)
+    assert told is not None
+    assert not told[1].problem
+    assert told[1].first < 3 * NOISE
+
+
+@pytest.mark.parametrize(
+    'name, kinds',
+    [
+        ('slider_crank', ['pin', 'pin', 'slot']),
+        ('cardan', ['trammel']),
+        ('rolling_wheel', ['rolling']),
+        ('planetary_gear', ['pin', 'pin', 'pin', 'pin', 'rolling', 'rolling']),
+        ('loader_cylinder', ['pin', 'pin', 'pin', 'pin', 'pin', 'slot']),
+        ('double_pendulum', ['pin', 'pin']),
+        ('bike_suspension', ['pin']),
+    ],
+)
+def test_joints_and_a_draft_that_closes(name, kinds):
+    frames, scene = markers_of(name, 8, rate=100)
+    found = discover([frames])
+    assert len(found.names) == len(scene.markers)
+    assert sorted(kind for kind, _ in joined(found)) == kinds
+    assert found.freedom == (2 if name == 'double_pendulum' else 1)
+    text, checked = draft(found)
+    assert not checked.problem
+    assert checked.first < 20 * NOISE
+    lines = '\n'.join(table(found, checked))
+    assert 'the draft scene closes' in lines
+
+
+def test_radii_of_wheels_and_gears():
+    (wheel,) = discover([markers_of('rolling_wheel', 4)[0]]).rolling
+    assert wheel.radius == pytest.approx(0.1, rel=1e-3)
+    gears = discover([markers_of('planetary_gear', 4)[0]]).rolling
+    assert sorted(gear.circle for gear in gears) == pytest.approx([-0.048, 0.024], rel=2e-3)
+    assert [gear.radius for gear in gears] == pytest.approx([0.012, 0.012], rel=2e-3)
+
+
+def test_names_exchanged_for_some_frames_do_no_harm():
+    frames, scene = markers_of('four_bar', 5)
+    bad = np.random.default_rng(0).random(len(frames.stamps)) < 0.02
+    points = frames.points.copy()
+    points[bad] = points[bad][:, [1, 0, 2, 3, 4, 5, 6, 7, 8, 9]]
+    found = discover([frames._replace(points=points)])
+    assert found.markers == [list(scene.marker_names[body]) for body in found.names]
+    assert len(assert_lengths(found, scene)) == 4
+
+
+def test_names_that_change_in_every_frame_are_not_believed():
+    frames, _ = markers_of('four_bar', 2, hidden=0.0)
+    order = np.argsort(np.random.default_rng(0).random(frames.points.shape[:2]), axis=1)
+    mixed = np.take_along_axis(frames.points, order[..., None], 1)
+    found = discover([frames._replace(points=mixed)])
+    assert not found.ordered
+    assert sorted(map(len, found.columns)) == [3, 3, 4]
+
+
+def test_a_marker_on_the_axis_of_a_pin_is_of_both_bodies():
+    # As on the measured double pendulum: a marker on the pivot, one on the joint, one at the end.
+    t = np.arange(2000) / 200
+    joint = np.exp(1j * 1.2 * np.sin(3 * t)) * 0.3
+    end = joint + 0.2 * np.exp(1j * 2.0 * np.sin(4.3 * t + 1))
+    flat = np.stack((0 * t, joint, end), axis=1) + 1.0
+    points = np.stack((flat.real, flat.imag, 0 * flat.real), axis=-1)
+    points += NOISE * np.random.default_rng(0).normal(size=points.shape)
+    stamps = START + np.rint(t * 1e9).astype(np.int64)
+    found = discover([MarkerFrames(stamps, 'world', ('red', 'green', 'blue'), points)])
+    assert found.markers == [['red', 'green'], ['green', 'blue']]
+    values = [one.value for one in found.lengths()]
+    assert values == pytest.approx([0.3, 0.2], abs=1e-4)
+    assert found.places[0].on[-1] == pytest.approx(1.0, abs=1e-4)
+
+
+def test_what_stands_still_is_told_apart():
+    frames, _ = markers_of('four_bar', 3)
+    base = np.array([(0.0, -0.1, 0.0), (0.3, -0.1, 0.0)])
+    still = base + NOISE * np.random.default_rng(1).normal(size=(len(frames.stamps), 2, 3))
+    names = (*frames.identities, 'base_1', 'base_2')
+    both = np.concatenate((frames.points, still), axis=1)
+    found = discover([frames._replace(points=both, identities=names)])
+    assert found.fixed == [10, 11]
+    assert found.names == ['crank', 'coupler', 'rocker']
+
+
+def test_what_cannot_be_told_is_said():
+    # A plate that is carried around without turning.
+    t = np.arange(1000) / 200
+    center = 0.1 * np.exp(2j * t)
+    flat = center[:, None] + np.array([0, 0.1, 0.05 + 0.1j])
+    points = np.stack((flat.real, flat.imag, 0 * flat.real), axis=-1)
+    points += NOISE * np.random.default_rng(0).normal(size=points.shape)
+    stamps = START + np.rint(t * 1e9).astype(np.int64)
+    found = discover([MarkerFrames(stamps, 'world', ('a', 'b', 'c'), points)])
+    assert found.joints == []
+    assert any('does not turn' in note for note in found.notes)
+    assert draft(found) is None
+
+
+@pytest.mark.parametrize(
+    'change, words',
+    [
+        (lambda p: p[:, :1], 'one marker'),
+        (lambda p: p[:, :0], 'no marker'),
+        (lambda p: p[:10], 'too few'),
+        (lambda p: p[:1] + 1e-4 * np.sin(np.arange(p.size) ** 2).reshape(p.shape), 'moves'),
+        (lambda p: p[:, [0, 4, 8]], 'keep their distance'),
+    ],
+)
+def test_too_little_is_refused_with_the_fix(change, words):
+    frames, _ = markers_of('four_bar', 1, hidden=0.0)
+    points = change(frames.points)
+    names = tuple(f'm{k}' for k in range(points.shape[1]))
+    frames = MarkerFrames(frames.stamps[: len(points)], 'world', names, points)
+    with pytest.raises(UndiscoveredError, match=f'{words}.*; fix: '):
+        discover([frames])
+
+
+def test_command_writes_what_replay_and_solve_take(tmp_path, capsys):
+    bag, rig, scene = ROOT / 'bags/four_bar.mcap', tmp_path / 'rig.yaml', tmp_path / 'draft.yaml'
+    picture = tmp_path / 'rig.png'
+    words = ['discover', str(bag), '--output', str(rig), '--scene', str(scene)]
+    drawing = pytest.importorskip('matplotlib') and ['--plot', str(picture)]
+    assert main([*words, *drawing]) == 0
+    printed = capsys.readouterr().out
+    assert 'pin A' in printed
+    assert 'the draft scene closes' in printed
+    assert picture.read_bytes()[:4] == b'\x89PNG'
+    assert 'plane: xy\n' in rig.read_text()
+    assert main(['replay', str(bag), '--config', str(rig)]) == 0
+    assert 'coupler: determined at icr 9' in capsys.readouterr().out
+    assert main(['solve', str(scene), '--centers']) == 0
+    assert 'driven: crank' in capsys.readouterr().out
+
+
+def test_command_refuses_in_one_line(tmp_path, capsys):
+    assert main(['discover', str(tmp_path / 'none.mcap')]) == 2
+    bag = tmp_path / 'still.mcap'
+    with BagWriter(bag) as writer:
+        for k in range(50):
+            points = np.array([(0.0, 0, 0), (1.0, 0, 0)])
+            message = to_message('pose_array', START + k * 10**7, 'world', ['a', 'b'], points)
+            writer.write('/points', message, START + k * 10**7)
+    assert main(['discover', str(bag)]) == 2
+    assert main(['discover', str(bag), '--seconds', '0']) == 2
+    lines = capsys.readouterr().err.splitlines()
+    assert len(lines) == 3
+    assert 'none of 2 markers moves; fix: ' in lines[1]
+    with pytest.raises(BagError, match='it holds /points'):
+        discover_rig(str(bag), topic='/other')
