@@ -14,7 +14,7 @@ from rclpy.serialization import deserialize_message
 
 from kinpole_ros.bags import BagError, Truncated, message_class, read_messages, topics
 from kinpole_ros.messages import stamp_to_ns
-from kinpole_ros.roster import AXES
+from kinpole_ros.plane import AXES
 
 POLES = ('icr', 'iap', 'ijp')
 
