@@ -18,6 +18,7 @@ _GROUP = 16
 # Blocks that are kept, of up to so many groups each: the last 4096 frames at most. With fewer
 # blocks than the fewest their pull does not tell a deviation.
 _BLOCKS, _LONGEST, _FEWEST = 32, 8, 6
+HISTORY = _GROUP * _BLOCKS * _LONGEST
 # A second difference of so many times the median of its marker's is that of an outlier.
 _OUTLIER = 10.0
 # The variance of a motion, over that of its noise; its extent over the size of the bodies; and
@@ -29,7 +30,7 @@ _SURE, _KNOWN, _WHILE = np.radians(0.02), np.radians(0.1), 1.0
 TILTED, _TILT_KNOWN = np.radians(2.5), np.radians(1 / 3)
 # A body leaves the plane by so many times its noise and by this share of its size: as it does when
 # it is not rigid. The distances of its markers change by less than this share of that.
-_LEAVES, _LEAVES_SHARE, _KEEPS = 5.0, 0.01, 0.5
+_LEAVES, _LEAVES_SHARE, KEEPS = 5.0, 0.01, 0.5
 
 
 class SpaceReport(NamedTuple):
@@ -59,6 +60,17 @@ class SpaceReport(NamedTuple):
         return bool(self.tilt >= TILTED)
 
 
+def updated(before: SpaceReport, now: SpaceReport) -> SpaceReport:
+    """The report of `now`, with what was known `before` where nothing is known now."""
+    size, off, stretch = (
+        np.where(np.isnan(new), old, new) for old, new in zip(before[-3:], now[-3:], strict=True)
+    )
+    motion = before if now.normal is None else now
+    return motion._replace(
+        plane=now.plane or before.plane, size=size, off_plane=off, stretch=stretch
+    )
+
+
 class _Sums(NamedTuple):
     """
     Sums over k stretches of frames, for B bodies of w markers and p pairs of these.
@@ -80,8 +92,6 @@ class Space:
 
     def __init__(self, setting: PlaneSetting, bodies: int, width: int) -> None:
         self.plane = plane_of(setting)
-        # ns. Frames before it are not in a plane that is known.
-        self.since = 0 if self.plane is not None else np.iinfo(np.int64).max
         self._begun: int | None = None
         self._last = 0
         self._shape = bodies, width
@@ -112,27 +122,15 @@ class Space:
         self.settle()
         return min(frames, _GROUP - self._number)
 
-    def take(self, stamps: np.ndarray, solid: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """
-        Frames at `stamps` (T,), ns, of markers (T, B, w, 3) as they lie in the plane.
-
-        Complex (T, B, w), and heights over the plane, m; NaN while it is not known.
-        """
+    def add(self, stamps: np.ndarray, solid: np.ndarray) -> None:
+        """Take frames at `stamps` (T,), ns, of markers (T, B, w, 3), m, NaN for none."""
         if self._begun is None:
             self._begun = int(stamps[0])
-        if self.plane is None:
-            nowhere = np.full(solid.shape[:-1], complex(np.nan, np.nan))
-            found = nowhere, nowhere.real
-        else:
-            if self.since > stamps[0]:
-                self.since = int(stamps[0])
-            found = self.plane.project(solid)
         self._last = int(stamps[-1])
         self._waiting.append(solid)
         self._number += len(solid)
         if len(solid) > _GROUP:
             self.settle()
-        return found
 
     def settle(self) -> None:
         """Measure the frames taken since the last update, and the plane if it is to be fitted."""
@@ -164,7 +162,8 @@ class Space:
                     normal = upward(normal)
             across = normal if normal is not None else self.plane and self.plane.normal
             size = self._size()
-            if across is not None:
+            # A tilt would look like it before the motion shows one.
+            if across is not None and len(self._blocks.count) >= _FEWEST:
                 off, stretch = self._off_plane(across, size)
         return SpaceReport(self.plane, normal, line, tilt, deviation, size, off, stretch)
 
@@ -288,7 +287,7 @@ class Space:
         return np.copysign(1.0, normal @ plane.normal) * normal, line, deviation
 
     def _size(self) -> np.ndarray:
-        """Diameters (B,) of the bodies in space: twice the rms distance of markers from their mean."""
+        """Diameters (B,) of bodies in space: twice the rms distance of markers from their mean."""
         assert self._blocks is not None
         count, off, _ = np.moveaxis(self._blocks.pairs.sum(0), -1, 0)
         with np.errstate(invalid='ignore', divide='ignore'):
@@ -310,8 +309,8 @@ class Space:
             # Of two markers, along the line between them.
             stretch = np.sqrt(np.maximum(spread, 0.0) / pairs.sum(-1) / 2)
             off = np.sqrt(off)
-            least = np.maximum(_LEAVES * np.sqrt(noise), _LEAVES_SHARE * np.maximum(size, np.sqrt(path)))
-            leaves = (off > least) & (stretch < _KEEPS * off)
+            least = _LEAVES_SHARE * np.maximum(size, np.sqrt(path))
+            leaves = (off > np.maximum(_LEAVES * np.sqrt(noise), least)) & (stretch < KEEPS * off)
         return np.where(leaves, off, 0.0), stretch
 
 

@@ -199,6 +199,7 @@ def _points(
 
 def _poses(quantity: Callable[[Estimate], Vectors], k: int, given: Plane) -> Build:
     """One point of body `k` with its covariance."""
+
     def build(estimate: Estimate) -> Built:
         found = quantity(estimate)
 
