@@ -24,13 +24,15 @@ _OUTLIER = 10.0
 # The variance of a motion, over that of its noise; its extent over the size of the bodies; and
 # across over along: below these it shows no direction, or is as good as a straight line.
 _MOVES, _EXTENT, _STRAIGHT = 9.0, 0.01, 0.03
+# The cosine to the normal from which on a line is as good as along it.
+_UPRIGHT = 0.95
 # rad. A plane is fitted when its normal is known so well at once, or so well after a while (s).
 _SURE, _KNOWN, _WHILE = np.radians(0.02), np.radians(0.1), 1.0
 # rad. What rounds to 3 deg is worth a warning, if it is known to 1 deg at three deviations.
 TILTED, _TILT_KNOWN = np.radians(2.5), np.radians(1 / 3)
 # A body leaves the plane by so many times its noise and by this share of its size: as it does when
 # it is not rigid. The distances of its markers change by less than this share of that.
-_LEAVES, _LEAVES_SHARE, KEEPS = 5.0, 0.01, 0.5
+_LEAVES, _LEAVES_SHARE, KEEPS = 5.0, 0.01, 0.25
 
 
 class SpaceReport(NamedTuple):
@@ -42,7 +44,7 @@ class SpaceReport(NamedTuple):
     holds it. `tilt`, rad, is between the two, `deviation` that of the normal about any axis; both
     NaN where they are not known. By body: `size`, m, is its diameter in space; `off_plane`, m rms
     of a marker, how far it leaves the plane, 0 for no more than noise; `stretch`, m per axis, by
-    how much the distances of its markers change. NaN for a body not seen.
+    how much the distances of its markers change beyond their noise. NaN where not known yet.
     """
 
     plane: Plane | None
@@ -76,7 +78,8 @@ class _Sums(NamedTuple):
     Sums over k stretches of frames, for B bodies of w markers and p pairs of these.
 
     Of markers, less where each was first seen: how many, and their first and second moments; of
-    their second differences, squared, and how many; of the distances of pairs, less the first ones.
+    their second differences, squared, and how many; of the distances of pairs, less the first ones:
+    how many, first and second moment, second differences, how many and squared.
     """
 
     count: np.ndarray  # (k, B, w)
@@ -84,7 +87,7 @@ class _Sums(NamedTuple):
     second: np.ndarray  # (k, B, 3, 3)
     rough: np.ndarray  # (k, B, 3, 3)
     rough_count: np.ndarray  # (k, B)
-    pairs: np.ndarray  # (k, B, p, 3)
+    pairs: np.ndarray  # (k, B, p, 5)
 
 
 class Space:
@@ -162,9 +165,10 @@ class Space:
                     normal = upward(normal)
             across = normal if normal is not None else self.plane and self.plane.normal
             size = self._size()
+            stretch = self._stretch()
             # A tilt would look like it before the motion shows one.
             if across is not None and len(self._blocks.count) >= _FEWEST:
-                off, stretch = self._off_plane(across, size)
+                off = self._off_plane(across, size, stretch)
         return SpaceReport(self.plane, normal, line, tilt, deviation, size, off, stretch)
 
     def _sums(self, points: np.ndarray) -> _Sums:
@@ -197,7 +201,12 @@ class Space:
         if new.any():
             self._apart[new] = _first_seen(distance, ~both)[new]
         change = np.where(both, distance - self._apart, 0.0)
-        pairs = np.stack((both.sum(1), change.sum(1), (change**2).sum(1)), axis=-1)
+        distance[~both] = np.nan
+        bent_apart = distance[:, :-2] - 2 * distance[:, 1:-1] + distance[:, 2:]
+        known = ~np.isnan(bent_apart)
+        rough_apart = np.where(known, bent_apart, 0.0) ** 2 / 6
+        sums = both, change, change**2, known, rough_apart
+        pairs = np.stack([each.sum(1) for each in sums], axis=-1)
         return _Sums(
             seen.sum(1, dtype=float),
             off.sum(1),
@@ -278,9 +287,12 @@ class Space:
         if not deviation < _TILT_KNOWN:
             # The way it goes is known at best.
             line, way = True, vectors[:, 2]
-            normal = plane.normal - (plane.normal @ way) * way
-            length = float(np.sqrt(normal @ normal))
-            normal = normal / length if length > 1e-6 else vectors[:, 1]
+            # Along the normal of the plane, any other that holds the line will do.
+            near = plane.normal
+            if abs(near @ way) > _UPRIGHT:
+                near = plane.basis[0]
+            normal = near - (near @ way) * way
+            normal /= np.sqrt(normal @ normal)
             deviation = float(np.sqrt(variance(normal, 2)))
         if not deviation < _TILT_KNOWN:
             return nothing
@@ -289,14 +301,24 @@ class Space:
     def _size(self) -> np.ndarray:
         """Diameters (B,) of bodies in space: twice the rms distance of markers from their mean."""
         assert self._blocks is not None
-        count, off, _ = np.moveaxis(self._blocks.pairs.sum(0), -1, 0)
+        count, off = np.moveaxis(self._blocks.pairs[..., :2].sum(0), -1, 0)
         with np.errstate(invalid='ignore', divide='ignore'):
             mean = self._apart + off / count
             square = np.where(count > 0, mean**2, 0.0).sum(-1)
             return np.asarray(np.sqrt(2 * square / np.count_nonzero(count, axis=-1)))
 
-    def _off_plane(self, normal: np.ndarray, size: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """By how much (B,) bodies leave the planes of this normal, and change their shape, m."""
+    def _stretch(self) -> np.ndarray:
+        """By how much (B,) the distances of markers change beyond their noise, m per axis."""
+        assert self._blocks is not None
+        count, change, square, rough_count, rough = np.moveaxis(self._blocks.pairs.sum(0), -1, 0)
+        spread = (square - change**2 / np.maximum(count, 1)).sum(-1)
+        with np.errstate(invalid='ignore', divide='ignore'):
+            variance = spread / count.sum(-1) - rough.sum(-1) / np.maximum(rough_count.sum(-1), 1)
+        # Along the line between two markers; infinite where no two are seen at once.
+        return np.where(count.any(-1), np.sqrt(np.maximum(variance, 0.0) / 2), np.inf)
+
+    def _off_plane(self, normal: np.ndarray, size: np.ndarray, stretch: np.ndarray) -> np.ndarray:
+        """By how much (B,) rigid bodies leave the planes of this normal, m rms; 0 for noise."""
         assert self._blocks is not None
         scatter = self._scatter().sum(axis=0)
         count, rough_count = self._blocks.count.sum((0, 2)), self._blocks.rough_count.sum(0)
@@ -304,14 +326,10 @@ class Space:
             off = np.maximum(normal @ scatter @ normal, 0.0) / count
             noise = (normal @ self._blocks.rough.sum(0) @ normal) / rough_count
             path = np.trace(scatter, axis1=-2, axis2=-1) / count
-            pairs, change, square = np.moveaxis(self._blocks.pairs.sum(0), -1, 0)
-            spread = np.where(pairs > 0, square - change**2 / np.maximum(pairs, 1), 0.0).sum(-1)
-            # Of two markers, along the line between them.
-            stretch = np.sqrt(np.maximum(spread, 0.0) / pairs.sum(-1) / 2)
             off = np.sqrt(off)
             least = _LEAVES_SHARE * np.maximum(size, np.sqrt(path))
             leaves = (off > np.maximum(_LEAVES * np.sqrt(noise), least)) & (stretch < KEEPS * off)
-        return np.where(leaves, off, 0.0), stretch
+        return np.where(leaves, off, 0.0)
 
 
 def _pairs(width: int) -> tuple[np.ndarray, np.ndarray]:

@@ -9,9 +9,9 @@ from kinpole_ros.space import KEEPS, SpaceReport
 _LARGEST, _SMALLEST = 20.0, 1e-3
 # m, of a body that is likely after all. Units in the order in which they are likely.
 _LIKELY = (0.02, 20.0)
-_UNITS = {'m': 1.0, 'mm': 1e-3, 'km': 1e3, 'um': 1e-6}
+_UNITS = {'m': 1.0, 'mm': 1e-3, 'km': 1e3, 'µm': 1e-6}
 # Of this many, in cm, a body is likely too.
-_CENTIMETERS = 200.0
+_CENTIMETERS = 100.0
 
 PLANE_UNKNOWN = (
     'the plane is not known yet: it is found when bodies have moved in two directions of it, by '
@@ -32,7 +32,7 @@ def tilt_fault(report: SpaceReport, setting: PlaneSetting) -> str:
     if report.plane is None or report.normal is None or not report.is_tilted:
         return ''
     degrees = round(np.degrees(report.tilt))
-    about = 'at least ' if report.line else ''
+    about = 'at least ' if report.line and degrees < 90 else ''
     if setting == FIT:
         return (
             f'the motion is tilted by {about}{degrees} degrees against the plane that was fitted: '
@@ -53,7 +53,10 @@ def shape_fault(b: int, off: float, report: SpaceReport) -> str:
 
     Also where it leaves the plane; empty for nothing.
     """
-    leaves = float(report.off_plane[b])
+    leaves = float(np.nan_to_num(report.off_plane[b]))
+    if np.isnan(report.stretch[b]):
+        # Too early to say whether it is the body or the plane.
+        return ''
     holds = report.stretch[b] < KEEPS * off
     if off and report.is_tilted and holds:
         degrees = round(np.degrees(report.tilt))
@@ -93,7 +96,7 @@ def unit_fault(size: float, scale: float) -> str:
     across = f'it is {size:.3g} m across'
     if not unit:
         return f'{across}: see what unit its markers are in; fix: set scale, m per unit'
-    fix = f'set scale: {_UNITS[unit]:g}'
+    fix = f'set scale: {_UNITS[unit]}'
     if unit == 'mm' and given < _CENTIMETERS:
         unit, fix = 'mm or cm', f'{fix}, or 0.01 for cm'
     return f'{across}: its markers are likely in {unit}; fix: {fix}'
