@@ -27,7 +27,7 @@ _MOVES, _EXTENT, _STRAIGHT = 9.0, 0.01, 0.03
 # The cosine to the normal from which on a line is as good as along it.
 _UPRIGHT = 0.95
 # rad. A plane is fitted when its normal is known so well at once, or so well after a while (s).
-_SURE, _KNOWN, _WHILE = np.radians(0.02), np.radians(0.1), 1.0
+_SURE, _KNOWN, _WHILE = np.radians(0.02), np.radians(0.1), 2.0
 # rad. What rounds to 3 deg is worth a warning, if it is known to 1 deg at three deviations.
 TILTED, _TILT_KNOWN = np.radians(2.5), np.radians(1 / 3)
 # A body leaves the plane by so many times its noise and by this share of its size: as it does when
