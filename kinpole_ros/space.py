@@ -13,8 +13,8 @@ import numpy as np
 
 from kinpole_ros.plane import Plane, PlaneSetting, plane_along, plane_of, upward
 
-# Frames between two updates.
-_GROUP = 16
+# Frames of a group, the least that is measured, and of several at once.
+_GROUP, _AT_ONCE = 16, 64
 # Blocks that are kept, of up to so many groups each: the last 4096 frames at most. With fewer
 # blocks than the fewest their pull does not tell a deviation.
 _BLOCKS, _LONGEST, _FEWEST = 32, 8, 6
@@ -95,8 +95,8 @@ class Space:
 
     def __init__(self, setting: PlaneSetting, bodies: int, width: int) -> None:
         self.plane = plane_of(setting)
-        self._begun: int | None = None
-        self._last = 0
+        # The stamps of the first and of the last frame, ns.
+        self._begun = self._last = 0
         self._shape = bodies, width
         self._waiting: list[np.ndarray] = []
         self._number = 0
@@ -113,7 +113,6 @@ class Space:
 
     def widen(self, width: int) -> None:
         """Let bodies have more markers: their motion is measured anew."""
-        self.settle()
         self._shape = self._shape[0], width
         self._waiting, self._number = [], 0
         self._forget()
@@ -127,27 +126,34 @@ class Space:
 
     def add(self, stamps: np.ndarray, solid: np.ndarray) -> None:
         """Take frames at `stamps` (T,), ns, of markers (T, B, w, 3), m, NaN for none."""
-        if self._begun is None:
+        self.settle()
+        if not self._begun:
             self._begun = int(stamps[0])
         self._last = int(stamps[-1])
         self._waiting.append(solid)
         self._number += len(solid)
         if len(solid) > _GROUP:
-            self.settle()
+            self._measure()
 
     def settle(self) -> None:
         """Measure the frames taken since the last update, and the plane if it is to be fitted."""
+        # Several groups cost little more than one, and only a plane to be fitted cannot wait.
+        if self._number >= (_GROUP if self.plane is None else _AT_ONCE):
+            self._measure()
+
+    def _measure(self) -> None:
         groups = self._number // _GROUP
         if not groups:
             return
         every = np.concatenate(self._waiting)
         done = groups * _GROUP
-        self._waiting = [every[done:]]
+        self._waiting = [every[done:].copy()]
         self._number -= done
         self._append(self._sums(every[:done].reshape(groups, _GROUP, *every.shape[1:])))
         if self.plane is None:
             normal, line, deviation = self._motion(None)
-            least = _KNOWN if self._last - self._begun >= _WHILE * 1e9 else _SURE  # type: ignore[operator]
+            seconds = 1e-9 * (self._last - self._begun)
+            least = _KNOWN if seconds >= _WHILE else _SURE
             if normal is not None and not line and deviation < least:
                 self.plane = plane_along(upward(normal))
 
@@ -156,6 +162,7 @@ class Space:
         size, off, stretch = (np.full(self._shape[0], np.nan) for _ in range(3))
         tilt = deviation = np.nan
         normal, line = None, False
+        self._measure()
         if self._blocks is not None:
             normal, line, deviation = self._motion(self.plane)
             if normal is not None and self.plane is not None:
