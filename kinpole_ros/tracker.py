@@ -19,7 +19,8 @@ from kinpole_ros.parameters import Settings
 from kinpole_ros.plane import Plane
 from kinpole_ros.prompt import Foreseen, Prompt
 from kinpole_ros.roster import Roster
-from kinpole_ros.space import HISTORY, Space, SpaceReport
+from kinpole_ros.scatter import HISTORY
+from kinpole_ros.space import Space, SpaceReport
 from kinpole_ros.timeline import Timeline
 from kinpole_ros.window import (
     STRIKES,

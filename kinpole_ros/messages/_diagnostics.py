@@ -96,10 +96,10 @@ class DiagnosticsMaker:
         faults = _faults(tracker, since, trouble, self._nothing)
         faults += stamp_faults(stamps, seconds, tracker.settings.window)
         space = tracker.space()
-        if tilt := tilt_fault(space, tracker.settings.plane):
-            faults.append((DiagnosticStatus.WARN, tilt))
-        if tracker.plane is None and since.get('frames'):
-            faults.append((DiagnosticStatus.WARN, PLANE_UNKNOWN))
+        if since.get('frames'):
+            unknown = PLANE_UNKNOWN if tracker.plane is None else ''
+            if plane := unknown or tilt_fault(space, tracker.settings.plane):
+                faults.append((DiagnosticStatus.WARN, plane))
         array.status = [self._input(tracker, since, seconds, faults, space_values(space))]
         noise, underrated = tracker.noise(), tracker.underrated()
         loose = [shape_fault(b, off, space) for b, off in enumerate(tracker.looseness().tolist())]
