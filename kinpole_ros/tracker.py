@@ -64,7 +64,7 @@ class Tracker:
         self._roster = Roster(self.settings)
         width = self._roster.width
         self._space = Space(self.settings.plane, count, width)
-        # Of the frames before the plane is known: stamps, markers in space, and which come late.
+        # Of the frames before the plane is known: rows, markers in space, and which come late.
         self._early: list[tuple[np.ndarray, np.ndarray, np.ndarray]] = []
         # The plane that poses are in.
         self._plane = self._space.plane
@@ -271,12 +271,13 @@ class Tracker:
             if self._plane is None:
                 nowhere = np.full(solid[part].shape[:-1], complex(np.nan, np.nan))
                 points, heights = nowhere, nowhere.real
-                self._early.append((stamps[part], solid[part], gaps))
-                if len(self._early) > HISTORY and (early := self._latest_early()):
-                    self._early = [early]
             else:
                 points, heights = self._plane.project(solid[part])
             self._rigid.take(rows, points, heights, gaps, landmarks)
+            if self._plane is None:
+                self._early.append((rows.copy(), solid[part], gaps))
+                if len(self._early) > HISTORY and (early := self._latest_early()):
+                    self._early = [early]
             self._space.add(stamps[part], solid[part])
             first = part.stop
         return found
@@ -287,13 +288,11 @@ class Tracker:
         early, self._early = self._latest_early(), []
         if self._plane is None or early is None:
             return
-        stamps, solid, gaps = early
+        rows, solid, gaps = early
         width = self._roster.width
         self._rigid = RigidBodies(self.settings, self._timeline.window, width, self.counts)
         self._filter = PoseFilter()
         held = self._timeline.view()
-        rows = np.zeros(len(stamps), held.dtype)
-        rows['stamp'] = stamps
         landmarks = None if self._points is None else np.empty(solid.shape[:-1], complex)
         self._rigid.take(rows, *self._plane.project(solid), gaps, landmarks)
         both = min(len(held), len(rows))
@@ -308,8 +307,8 @@ class Tracker:
         """The frames of before the plane is known, as many as it is found from; None for none."""
         if not self._early:
             return None
-        stamps, solid, gaps = map(np.concatenate, zip(*self._early, strict=True))
-        return stamps[-HISTORY:], solid[-HISTORY:], gaps[-HISTORY:]
+        rows, solid, gaps = map(np.concatenate, zip(*self._early, strict=True))
+        return rows[-HISTORY:], solid[-HISTORY:], gaps[-HISTORY:]
 
     def _widen(self) -> None:
         """A body of all markers has more of them."""
