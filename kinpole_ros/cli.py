@@ -120,6 +120,8 @@ def _on_terminal() -> bool:
 
 def _replay(options: argparse.Namespace) -> int:
     from kinpole_ros.bags import replay, warnings_of
+    from kinpole_ros.messages import plane_words
+    from kinpole_ros.plane import AXES
 
     outputs = (options.output, options.csv, options.parquet)
     _keep(options.config, *outputs)
@@ -154,6 +156,8 @@ def _replay(options: argparse.Namespace) -> int:
     for target in outputs:
         if target:
             print(f'written to {target}')
+    if result.space.plane is not None and settings.plane not in AXES:
+        print(f'plane: {plane_words(result.space.plane)}')
     for line in warnings_of(result, settings):
         print(f'kinpole replay: {line}', file=sys.stderr)
     if result.truncated is not None:

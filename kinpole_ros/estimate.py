@@ -12,6 +12,7 @@ from typing import NamedTuple, TypeVar
 import numpy as np
 
 from kinpole_ros import planar
+from kinpole_ros.plane import Plane
 
 # A denominator counts as known when it exceeds its standard deviation this many times.
 SIGNIFICANT = 4.0
@@ -86,7 +87,8 @@ class Estimate:
     `pin_variance` (T, B), m^2, of one coordinate; NaN for a body on no pin. `shape` (T, B, n) are
     the markers in the bodies' frames, complex, m. `due` (T,) is which frame, of those the tracker
     was given together, each instant fell due with. `together` are poses (K, A, T, B) whose angle
-    and position are found by the same weights, those that suit the pole of order 1 to A.
+    and position are found by the same weights, those that suit the pole of order 1 to A. `plane` is
+    where all this lies in `frame_id`, None for the one that the parameters name.
 
     What follows is of shape (T, B) too, (T, pairs) for pairs of bodies. An index gives one instant
     as an estimate of its own, in which all arrays lack the axis of T.
@@ -113,6 +115,7 @@ class Estimate:
         due: np.ndarray | None = None,
         together: Poses | None = None,
         reference: np.ndarray | None = None,
+        plane: Plane | None = None,
     ) -> None:
         self.stamp = stamp
         self.frame_id = frame_id
@@ -135,6 +138,7 @@ class Estimate:
         self.due = np.arange(np.size(stamp)).reshape(np.shape(stamp)) if due is None else due
         self.together = together
         self.reference = np.zeros(each, complex) if reference is None else reference
+        self.plane = plane
         self._poles: dict[int, Vectors] = {}
 
     def __len__(self) -> int:
@@ -164,6 +168,7 @@ class Estimate:
             self.due[instant],
             self.together and Poses(*(part[..., instant, :] for part in self.together)),
             self.reference[instant],
+            self.plane,
         )
         # What was computed of all instants is not computed again of the one.
         one._poles = {order: _at(instant, pole) for order, pole in self._poles.items()}

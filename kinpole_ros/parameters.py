@@ -14,6 +14,8 @@ from typing import Any
 
 import yaml
 
+from kinpole_ros.plane import AXES, FIT, PlaneSetting
+
 
 class ParameterError(ValueError):
     """A parameter that is not known, or whose value cannot be used; says which and the mend."""
@@ -26,7 +28,8 @@ class Settings:
     marker_topic: str = 'markers'
     marker_type: str = 'auto'
     marker_identity: str = 'auto'
-    plane: str = 'xy'
+    plane: PlaneSetting = 'xy'
+    scale: float = 1.0
     bodies: Mapping[str, tuple[str, ...]] = field(default_factory=lambda: {'body': ()})
     window: float = 0.3
     lag: float = 0.1
@@ -89,6 +92,16 @@ def _number(lowest: float, highest: float) -> Callable[[Any], float]:
         return float(value)
 
     return check
+
+
+def _plane(value: Any) -> PlaneSetting:
+    if isinstance(value, str):
+        return _one_of(*AXES, FIT)(value)
+    number = _number(-1e300, 1e300)
+    x, y, z = (number(component) for component in value)
+    if not (x or y or z):
+        raise ValueError
+    return x, y, z
 
 
 def _order(value: Any) -> int | None:
@@ -159,7 +172,20 @@ PARAMETERS: Mapping[str, Parameter] = {
         'ns',
         'ns_id',
     ),
-    'plane': _choices('xy', 'Plane of the motion, in the frame of the markers.', 'xy', 'yz', 'zx'),
+    'plane': Parameter(
+        'xy',
+        'Plane of the motion, in the frame of the markers: by name, as its normal [x, y, z] of any '
+        'length, or fit, to find it from the motion.',
+        _plane,
+        'one of xy, yz, zx, fit, or a normal [x, y, z] of three numbers, not all 0',
+    ),
+    'scale': _range(
+        1.0,
+        'Length of one unit of the markers: 0.001 for markers in mm.',
+        1e-9,
+        1e9,
+        'm',
+    ),
     'bodies': Parameter(
         ['body'],
         'Names of the bodies. Each has a parameter <body>.markers.',

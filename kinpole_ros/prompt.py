@@ -32,6 +32,7 @@ from kinpole_ros.estimate import (
     Estimate,
 )
 from kinpole_ros.frame import MarkerFrames
+from kinpole_ros.plane import XY, Plane
 from kinpole_ros.roster import FARTHEST_MARKER, Roster
 from kinpole_ros.window import NOT_FAR, PlainShape, Room, Unforeseen
 
@@ -60,11 +61,12 @@ class Body(NamedTuple):
 
 
 class Prompt(NamedTuple):
-    """What bodies do at the instant `stamp`, ns, in the frame `frame_id`."""
+    """What bodies do at the instant `stamp`, ns, in the frame `frame_id`; `plane` as `Estimate`."""
 
     stamp: int
     frame_id: str
     bodies: list['Moving']
+    plane: Plane | None = None
 
 
 class Foreseen:
@@ -92,7 +94,14 @@ class Foreseen:
         self._stamp = int(estimate.stamp[0])
         # Whether it is this frame that is told of.
         self._newest = self._stamp == stamp
-        self._axes = roster.axes
+        self._plane = plane = estimate.plane or XY
+        self._axes = plane.axes or (0, 1, 2)
+        # Where markers are turned or scaled first, the matrix that does it.
+        self._turn = None
+        if plane.axes is None:
+            self._turn = roster.scale * plane.basis.T
+        elif roster.scale != 1.0:
+            self._turn = roster.scale * np.eye(3)
         self._places = roster.places()
         if [len(shape.grip.arms) for shape in shapes] != [len(place) for place in self._places]:
             raise Unforeseen
@@ -112,10 +121,13 @@ class Foreseen:
         if len(stamps) != 1 or (stamps[0], *layout) != self._layout:
             raise Unforeseen
         bodies = [self._moving(b, points[0, place]) for b, place in enumerate(self._places)]
-        return Prompt(self._stamp, self._layout[1], bodies)
+        return Prompt(self._stamp, self._layout[1], bodies, self._plane)
 
     def _moving(self, b: int, markers: np.ndarray) -> 'Moving':
         grip, most = self._shapes[b]
+        if self._turn is not None:
+            with np.errstate(invalid='ignore', over='ignore'):
+                markers = markers @ self._turn
         rows = markers.tolist()
         for row in rows:
             for coordinate in row:

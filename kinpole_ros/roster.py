@@ -1,5 +1,5 @@
 """
-Which markers of a message belong to which body, and where they are in the plane.
+Which markers of a message belong to which body, and where they are, in m.
 
 Messages name their markers in their own order, and markers come and go; bodies want theirs always
 in the same places. Most layouts come again and again, so each is looked up once.
@@ -12,8 +12,6 @@ import numpy as np
 from kinpole_ros.frame import MarkerFrames
 from kinpole_ros.parameters import Settings
 
-# Columns of a marker that span the plane, and the one along its normal.
-AXES = {'xy': (0, 1, 2), 'yz': (1, 2, 0), 'zx': (2, 0, 1)}
 # A body of all markers takes new ones up to this many: a driver that numbers its markers anew in
 # every frame must not fill the memory.
 MOST_MARKERS = 1024
@@ -35,7 +33,7 @@ class Roster:
     def __init__(self, settings: Settings) -> None:
         self.markers = [list(markers) for markers in settings.bodies.values()]
         self._all_markers = not any(self.markers)
-        self.axes = AXES[settings.plane]
+        self.scale = settings.scale
         self._places: dict[tuple[str, ...], tuple[np.ndarray, bool, list[list[str]]]] = {}
         self.width = max(2, *(len(markers) for markers in self.markers))
         self.wanted = sum(map(len, self.markers))
@@ -43,9 +41,9 @@ class Roster:
         self.absent: list[list[str]] = []
         self.identities: tuple[str, ...] = ()
 
-    def sort(self, frames: MarkerFrames) -> tuple[np.ndarray, np.ndarray]:
+    def sort(self, frames: MarkerFrames) -> np.ndarray:
         """
-        The markers (T, B, width) of each body, complex, NaN for none, and their heights, m.
+        The markers (T, B, width, 3) of each body, m, NaN for none.
 
         A body of all markers takes those not met before; it may be wider afterwards.
         """
@@ -58,12 +56,13 @@ class Roster:
             padded[:, :-1] = rows
             rows = padded
         solid = rows.take(place, axis=1)
+        if self.scale != 1.0:
+            with np.errstate(over='ignore'):
+                solid *= self.scale
         near = np.abs(solid) < FARTHEST_MARKER
         if np.count_nonzero(near) < near.size:
             solid[~near.all(axis=-1)] = np.nan
-        flat = np.empty(solid.shape[:-1], complex)
-        flat.real, flat.imag = solid[..., self.axes[0]], solid[..., self.axes[1]]
-        return flat, solid[..., self.axes[2]]
+        return solid
 
     def places(self) -> list[list[int]]:
         """Where each body's markers are in the last message; none if some are not there."""

@@ -12,12 +12,15 @@ from collections.abc import Callable, Iterable
 
 import numpy as np
 
-from kinpole_ros.bodies import RigidBodies
+from kinpole_ros.bodies import RigidBodies, pose_columns
 from kinpole_ros.estimate import FARTHEST, Estimate, Poses
 from kinpole_ros.frame import MarkerFrames
 from kinpole_ros.parameters import Settings
+from kinpole_ros.plane import Plane
 from kinpole_ros.prompt import Foreseen, Prompt
 from kinpole_ros.roster import Roster
+from kinpole_ros.scatter import HISTORY
+from kinpole_ros.space import Space, SpaceReport
 from kinpole_ros.timeline import Timeline
 from kinpole_ros.window import (
     STRIKES,
@@ -60,6 +63,11 @@ class Tracker:
         count = len(self.bodies)
         self._roster = Roster(self.settings)
         width = self._roster.width
+        self._space = Space(self.settings.plane, count, width)
+        # Of the frames before the plane is known: rows, markers in space, and which come late.
+        self._early: list[tuple[np.ndarray, np.ndarray, np.ndarray]] = []
+        # The plane that poses are in.
+        self._plane = self._space.plane
         self._timeline = Timeline(self.settings, self.counts)
         self._rigid = RigidBodies(self.settings, self._timeline.window, width, self.counts)
         self._filter = PoseFilter()
@@ -93,6 +101,15 @@ class Tracker:
     def underrated(self) -> np.ndarray:
         """Which bodies (B,) have more noise than can be measured, since it lasts long."""
         return self._rigid.underrated()
+
+    @property
+    def plane(self) -> Plane | None:
+        """The plane that figures are in; None while it is to be fitted and not known yet."""
+        return self._plane
+
+    def space(self) -> SpaceReport:
+        """How the motion lies in space: its tilt against the plane, and what leaves the plane."""
+        return self._space.report()
 
     def lacking(self) -> dict[str, list[str]]:
         """Markers by body that the last message has not, where less than two of the body are."""
@@ -148,11 +165,11 @@ class Tracker:
                     taken, place = frames, first + new
                     if len(new) < len(stamps):
                         taken = frames._replace(stamps=stamps[place], points=frames.points[place])
-                    points, heights = self._roster.sort(taken)
+                    solid = self._roster.sort(taken)
                     if self._roster.width > self._rigid.width:
                         found += self._estimates(order)
                         self._widen()
-                    self._run(taken.stamps, steps[new], points, heights, before + place)
+                    found += self._run(taken.stamps, steps[new], solid, before + place, order)
                 first += end
                 if first < len(stamps):
                     found += self._estimates(order)
@@ -166,6 +183,7 @@ class Tracker:
         """Learn and judge what is due, while nobody waits for it; else the next `add` does."""
         self._filter.settle()
         self._rigid.settle()
+        self._space.settle()
 
     def foresee(self, order: int) -> None:
         """Find what can be found of the next frame, while nobody waits for it, for `prompt`."""
@@ -228,21 +246,75 @@ class Tracker:
         self,
         stamps: np.ndarray,
         steps: np.ndarray,
-        points: np.ndarray,
-        heights: np.ndarray,
+        solid: np.ndarray,
         numbers: np.ndarray,
-    ) -> None:
-        """Take frames that go on by `steps` from those before; `numbers` (T,) are theirs."""
+        order: int | None,
+    ) -> list[Estimate]:
+        """
+        Take frames that go on by `steps` from those before; `numbers` (T,) are theirs.
+
+        Returns what was due before the plane was known, if it becomes known.
+        """
+        found = []
         self.counts['markers_unknown'] = self._roster.unknown
-        seen = points.size - np.count_nonzero(np.isnan(points))
-        self.counts['markers_not_seen'] += self._roster.wanted * len(points) - seen
-        rows, gaps = self._timeline.enter(stamps, steps, numbers)
-        landmarks = None if self._points is None else self._points.room(len(rows))
-        self._rigid.take(rows, points, heights, gaps, landmarks)
+        seen = np.count_nonzero(~np.isnan(solid[..., 0]))
+        self.counts['markers_not_seen'] += self._roster.wanted * len(solid) - seen
+        first = 0
+        while first < len(stamps):
+            # Of a plane that is being fitted it is known at the next update at the earliest.
+            part = slice(first, first + self._space.capacity(len(stamps) - first))
+            if self._plane is not self._space.plane:
+                found += self._estimates(order)
+                self._catch_up()
+            rows, gaps = self._timeline.enter(stamps[part], steps[part], numbers[part])
+            landmarks = None if self._points is None else self._points.room(len(rows))
+            if self._plane is None:
+                nowhere = np.full(solid[part].shape[:-1], complex(np.nan, np.nan))
+                points, heights = nowhere, nowhere.real
+            else:
+                points, heights = self._plane.project(solid[part])
+            self._rigid.take(rows, points, heights, gaps, landmarks)
+            if self._plane is None:
+                self._early.append((rows.copy(), solid[part], gaps))
+                if len(self._early) > HISTORY and (early := self._latest_early()):
+                    self._early = [early]
+            self._space.add(stamps[part], solid[part])
+            first = part.stop
+        return found
+
+    def _catch_up(self) -> None:
+        """The plane has become known: learn from the frames before, and see them in it."""
+        self._plane = self._space.plane
+        early, self._early = self._latest_early(), []
+        if self._plane is None or early is None:
+            return
+        rows, solid, gaps = early
+        width = self._roster.width
+        self._rigid = RigidBodies(self.settings, self._timeline.window, width, self.counts)
+        self._filter = PoseFilter()
+        held = self._timeline.view()
+        landmarks = None if self._points is None else np.empty(solid.shape[:-1], complex)
+        self._rigid.take(rows, *self._plane.project(solid), gaps, landmarks)
+        both = min(len(held), len(rows))
+        for name, *_ in pose_columns(len(self.bodies)):
+            held[name][len(held) - both :] = rows[name][len(rows) - both :]
+        if self._points is not None and landmarks is not None:
+            points = self._points.view()
+            points[len(points) - both :] = landmarks[len(rows) - both :]
+        self._rigid.forget()
+
+    def _latest_early(self) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
+        """The frames of before the plane is known, as many as it is found from; None for none."""
+        if not self._early:
+            return None
+        rows, solid, gaps = map(np.concatenate, zip(*self._early, strict=True))
+        return rows[-HISTORY:], solid[-HISTORY:], gaps[-HISTORY:]
 
     def _widen(self) -> None:
         """A body of all markers has more of them."""
         self._rigid.widen(self._roster.width)
+        self._early = []
+        self._space.widen(self._roster.width)
         if self._points is not None:
             # The landmarks of the new ones are not known in the frames before.
             old = self._points.view()
@@ -308,6 +380,8 @@ class Tracker:
             missing[~firm] = 'markers too close together for their noise'
             missing[~measured] = 'noise not known yet'
             missing[~seen] = 'too few markers seen, or all at one place'
+            if self._plane is None:
+                missing[...] = 'plane not known yet'
         return Estimate(
             frames['stamp'],
             self._frame_id,
@@ -327,6 +401,7 @@ class Tracker:
             due,
             together,
             reference,
+            self._plane,
         )
 
     def _pinned(self, windows: Windows, known: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

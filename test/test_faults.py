@@ -653,7 +653,8 @@ def test_parameters_set_while_markers_come(rig: Rig) -> None:
         'lag': (SETTINGS.window, -0.1, float('inf'), 'late', [b'\xff']),
         'noise': (-1e-9, float('nan'), 'loud', False),
         'derivative_order': (0, 5, 'high', 2.5, [1]),
-        'plane': ('xz', '', 1, ['xy']),
+        'plane': ('xz', '', 1, ['xy'], [0.0, 0.0, 0.0], [1.0, 2.0]),
+        'scale': (0.0, -1.0, 'mm', float('nan')),
         'method': ('poses', 0, ''),
         'marker_identity': ('name', 7),
         'marker_type': ('marker', 0),
@@ -672,7 +673,8 @@ def test_parameters_set_while_markers_come(rig: Rig) -> None:
         'derivative_order': (1, '2', 'auto'),
         'method': ('landmarks', 'pose'),
         'marker_identity': ('auto', 'index'),
-        'plane': ('zx', 'xy'),
+        'plane': ('zx', [0.0, 0.6, 0.8], [0, 0, 2], 'fit', 'xy'),
+        'scale': (0.001, 1.0),
     }
     with rig.publisher(MARKER_TYPES['point_cloud2']) as publisher:
         rig.begin(publisher, 'point_cloud2')

@@ -1,5 +1,6 @@
 """Parameters: what is wrong is refused by name with what is allowed, from a file as set live."""
 
+from array import array
 from dataclasses import fields
 from pathlib import Path
 from typing import Any
@@ -75,7 +76,13 @@ WRONG = [
     ),
     ('marker_type', ['markers', 'MarkerArray', 1, None, ['marker']], 'auto, marker_array, marker'),
     ('marker_identity', ['name', 0, None], 'auto, index, id, ns, ns_id'),
-    ('plane', ['xz', 'yx', 'XY', '', 1], 'xy, yz, zx'),
+    (
+        'plane',
+        ['xz', 'XY', '', 1, None, [0, 0, 0], [0.0, 1.0], [1.0] * 4, ['x', 'y', 'z'], [True, 0, 0]],
+        'xy, yz, zx, fit, or a normal [x, y, z]',
+    ),
+    ('plane', [[float('nan'), 0, 1], [float('inf'), 0, 1], ['xy'], [0, [1], 0]], 'a normal'),
+    ('scale', [0, 0.0, -1, 1e10, 'mm', None, True, float('nan'), [1.0]], '1e-09 to 1e+09 m'),
     (
         'bodies',
         [[], [''], ['a', 'a'], 'body', ['a b'], ['1a'], ['a/b'], ['ä'], [1], 3],
@@ -128,6 +135,11 @@ def test_all_parameters_are_tried_with_bad_values() -> None:
         ('marker_topic', '/rig_1/Mocap/markers', '/rig_1/Mocap/markers'),
         ('marker_topic', '~/markers', '~/markers'),
         ('plane', 'zx', 'zx'),
+        ('plane', 'fit', 'fit'),
+        ('plane', [0, -1, 2.5], (0.0, -1.0, 2.5)),
+        ('plane', array('d', (0.0, 3.0, 0.0)), (0.0, 3.0, 0.0)),
+        ('scale', 1, 1.0),
+        ('scale', 0.001, 0.001),
     ],
 )
 def test_good_values_are_taken_as_the_pipeline_needs_them(

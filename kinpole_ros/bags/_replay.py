@@ -25,6 +25,7 @@ from kinpole_ros.messages import (
 )
 from kinpole_ros.parameters import Settings
 from kinpole_ros.roster import find_marker
+from kinpole_ros.space import SpaceReport, updated
 from kinpole_ros.theory import Beside, Comparison, load_theory
 from kinpole_ros.tracker import Tracker
 
@@ -49,7 +50,7 @@ class Replayed(NamedTuple):
     are in no message, and `identities` those of the last one. `unknown` are the bodies known at no
     instant, and why not at the last ('' where there is none). `joined` are the files that were read
     as one recording only because they lie in one folder. `beside` is how far the bodies were from
-    the scene, if any.
+    the scene, if any; `space` is how the motion lay in space, as last known.
     """
 
     frames: int
@@ -72,6 +73,7 @@ class Replayed(NamedTuple):
     unknown: dict[str, str]
     joined: list[str]
     beside: list[Beside]
+    space: SpaceReport
 
 
 def replay(
@@ -127,6 +129,7 @@ def replay(
     comparison = Comparison(theory) if theory is not None else None
     found = {body: dict.fromkeys(POLE_NAMES[:order], 0) for body in tracker.bodies}
     unknown = dict.fromkeys(tracker.bodies, '')
+    space = tracker.space()
     estimates = 0
     problem = ''
     first, last = None, 0
@@ -157,6 +160,7 @@ def replay(
                 absent = _still_absent(absent, identities)
             whole = (frames,) if writer is None else beat.parts(frames, tracker)
             known = tracker.add_parts(whole, order)
+            space = updated(space, tracker.space())
             for estimate in known:
                 estimates += len(estimate)
                 _count(found, estimate)
@@ -205,6 +209,7 @@ def replay(
         unknown,
         joined,
         comparison.found() if comparison is not None else [],
+        space,
     )
 
 

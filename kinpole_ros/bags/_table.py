@@ -24,7 +24,8 @@ def column_names(bodies: tuple[str, ...], order: int) -> list[str]:
 
     Of every body x, y, angle, the rates and curvature each with the column NAME_sigma behind it,
     and the poles and the ICR's velocity as NAME_x, NAME_y and their sigmas; of every pair the
-    relative rate and center. SI units, sigma is one standard deviation.
+    relative rate and center. SI units, sigma is one standard deviation. x and y are along the axes
+    of the plane: those of the frame in xy, yz and zx, else what `messages.plane_words` says.
     """
     numbers = [*RATE_NAMES[:order], *(['centrode_curvature'] if order >= 3 else [])]
     vectors = [*POLE_NAMES[:order], *(['icr_velocity'] if order >= 2 else [])]

@@ -3,7 +3,7 @@
 from collections.abc import Iterator
 
 from kinpole_ros.bags._replay import Replayed
-from kinpole_ros.messages import SMOOTHED, not_rigid, not_there
+from kinpole_ros.messages import SMOOTHED, not_there, shape_fault, tilt_fault, unit_fault
 from kinpole_ros.parameters import Settings
 from kinpole_ros.window import FEWEST_SAMPLES
 
@@ -14,6 +14,10 @@ _MENDS = {
     ),
     'markers too close together for their noise': (
         'put them farther apart, or set the parameter noise'
+    ),
+    'plane not known yet': (
+        'it is found when bodies have moved in two directions of it, by more than their noise; '
+        'record such a motion, or set plane: [x, y, z], its normal'
     ),
     'window not full': f'raise the parameter window: it must hold {FEWEST_SAMPLES} frames with it',
 }
@@ -37,7 +41,12 @@ def warnings_of(result: Replayed, settings: Settings) -> list[str]:
         if reason and body not in result.absent:
             mend = f'; {_MENDS[reason]}' if reason in _MENDS else ''
             lines.append(f'{body} is known at no instant: {reason}{mend}')
-    lines += [f'{body}: {not_rigid(off)}' for body, off in result.looseness.items() if off]
+    if tilt := tilt_fault(result.space, settings.plane):
+        lines.append(tilt)
+    for b, (body, off) in enumerate(result.looseness.items()):
+        unit = unit_fault(float(result.space.size[b]), settings.scale)
+        wrong = unit, shape_fault(b, off, result.space)
+        lines += [f'{body}: {text}' for text in wrong if text]
     lines += [f'{body}: {SMOOTHED}' for body in result.underrated if not result.looseness[body]]
     if settings.scene and result.estimates and not result.beside:
         lines.append(

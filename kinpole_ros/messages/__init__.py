@@ -2,7 +2,7 @@
 
 from kinpole_ros.messages._cdr import diagnostics_data
 from kinpole_ros.messages._cloud import MessageError
-from kinpole_ros.messages._diagnostics import SMOOTHED, DiagnosticsMaker, not_rigid, not_there
+from kinpole_ros.messages._diagnostics import SMOOTHED, DiagnosticsMaker, not_there
 from kinpole_ros.messages._loci import nothing_drawn
 from kinpole_ros.messages._markers import (
     MARKER_TYPES,
@@ -14,6 +14,13 @@ from kinpole_ros.messages._markers import (
 )
 from kinpole_ros.messages._reader import MarkerReader
 from kinpole_ros.messages._results import DRAWING, Output, result_outputs
+from kinpole_ros.messages._space import (
+    not_rigid,
+    plane_words,
+    shape_fault,
+    tilt_fault,
+    unit_fault,
+)
 
 __all__ = [
     'DRAWING',
@@ -29,8 +36,12 @@ __all__ = [
     'not_there',
     'nothing_drawn',
     'ns_to_stamp',
+    'plane_words',
     'read_markers',
     'result_outputs',
+    'shape_fault',
     'stamp_to_ns',
+    'tilt_fault',
     'to_message',
+    'unit_fault',
 ]

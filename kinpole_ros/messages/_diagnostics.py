@@ -8,6 +8,13 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 
 from kinpole_ros.estimate import Estimate
 from kinpole_ros.messages._markers import ns_to_stamp
+from kinpole_ros.messages._space import (
+    PLANE_UNKNOWN,
+    shape_fault,
+    space_values,
+    tilt_fault,
+    unit_fault,
+)
 from kinpole_ros.messages._stamps import stamp_faults
 from kinpole_ros.theory import Theory, joint_offsets, rate_differences
 from kinpole_ros.tracker import Tracker
@@ -88,8 +95,15 @@ class DiagnosticsMaker:
         array.header.stamp = ns_to_stamp(stamp)
         faults = _faults(tracker, since, trouble, self._nothing)
         faults += stamp_faults(stamps, seconds, tracker.settings.window)
-        array.status = [self._input(tracker, since, seconds, faults)]
-        noise, loose, underrated = tracker.noise(), tracker.looseness(), tracker.underrated()
+        space = tracker.space()
+        if since.get('frames'):
+            unknown = PLANE_UNKNOWN if tracker.plane is None else ''
+            if plane := unknown or tilt_fault(space, tracker.settings.plane):
+                faults.append((DiagnosticStatus.WARN, plane))
+        array.status = [self._input(tracker, since, seconds, faults, space_values(space))]
+        noise, underrated = tracker.noise(), tracker.underrated()
+        loose = [shape_fault(b, off, space) for b, off in enumerate(tracker.looseness().tolist())]
+        units = [unit_fault(size, tracker.settings.scale) for size in space.size.tolist()]
         receiving = bool(since.get('frames'))
         lacking = {
             body: not_there(body, names, tracker.identities)
@@ -102,7 +116,8 @@ class DiagnosticsMaker:
                     name = f'{self._name}: {body}'
                     array.status.append(_status(name, DiagnosticStatus.WARN, lacking[body], {}))
                     continue
-                known = float(noise[b]), float(loose[b]), bool(underrated[b])
+                wrong = '; '.join(filter(None, (units[b], loose[b])))
+                known = float(noise[b]), wrong, bool(underrated[b])
                 status = self._body(b, body, now, *known, receiving)
                 array.status.append(status)
             if now is not None and (len(tracker.bodies) > 1 or self._theory is not None):
@@ -137,17 +152,19 @@ class DiagnosticsMaker:
         since: Mapping[str, int],
         seconds: float,
         faults: list[tuple[bytes, str]],
+        more: Mapping[str, object],
     ) -> DiagnosticStatus:
         # The worst first, and each with its words.
         faults = sorted(faults, key=lambda fault: fault[0], reverse=True)
         level = faults[0][0] if faults else DiagnosticStatus.OK
         message = '; '.join(text for _, text in faults) or 'receiving markers'
-        values = {
+        values: dict[str, object] = {
             'rate (Hz)': since.get('frames', 0) / seconds if seconds > 0 else 0.0,
             'frames in the window': tracker.samples,
         }
         if np.isfinite(tracker.interval):
             values['mean interval (s)'] = tracker.interval
+        values.update(more)
         values.update({_WORDS[key]: tracker.counts[key] for key in _WORDS})
         return _status(f'{self._name}: markers', level, message, values)
 
@@ -157,7 +174,7 @@ class DiagnosticsMaker:
         body: str,
         now: Estimate | None,
         noise: float,
-        loose: float,
+        wrong: str,
         underrated: bool,
         receiving: bool,
     ) -> DiagnosticStatus:
@@ -176,7 +193,8 @@ class DiagnosticsMaker:
             values['degree used for the angular velocity'] = float(now.degree[b])
         reasons = now.reasons(b)
         if 'all' in reasons:
-            return _status(name, DiagnosticStatus.WARN, reasons['all'], values)
+            message = '; '.join(filter(None, (reasons['all'], wrong)))
+            return _status(name, DiagnosticStatus.WARN, message, values)
         motion = now.motion(b)
         values['motion'] = motion
         if motion == 'pinned':
@@ -184,8 +202,8 @@ class DiagnosticsMaker:
         for quantity, reason in reasons.items():
             values[f'{quantity} undetermined'] = reason
         level, message = DiagnosticStatus.OK, 'tracking'
-        if loose:
-            level, message = DiagnosticStatus.WARN, not_rigid(loose)
+        if wrong:
+            level, message = DiagnosticStatus.WARN, wrong
         elif underrated:
             level, message = DiagnosticStatus.WARN, SMOOTHED
         if reasons:
@@ -212,14 +230,6 @@ def not_there(body: str, names: Sequence[str], identities: Sequence[str]) -> str
 def _listed(names: Sequence[str]) -> str:
     told = [repr(name)[:_MOST_TOLD] for name in names[:_MOST_NAMES]]
     return ', '.join(told + ['...'] * (len(names) > _MOST_NAMES)) or 'none'
-
-
-def not_rigid(off: float) -> str:
-    """What is to be said of a body whose markers are so far (m) off one rigid body."""
-    return (
-        f'its markers are {off:.2g} m off one rigid body, far more than their noise: name those of '
-        'one link only'
-    )
 
 
 def _faults(

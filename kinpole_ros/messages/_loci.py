@@ -9,8 +9,8 @@ from visualization_msgs.msg import Marker
 
 from kinpole_ros.estimate import POLE_NAMES, Estimate
 from kinpole_ros.messages._cdr import Writer, path
+from kinpole_ros.plane import Plane
 
-Axes: TypeAlias = tuple[int, int, int]
 # Instants as indices, in order, and the messages of these.
 Built: TypeAlias = tuple[list[int], list[bytes]]
 Build: TypeAlias = Callable[[Estimate], Built]
@@ -19,13 +19,6 @@ _TRAIL_POINTS = 200
 _TRAIL_STEP = 10_000_000
 _DRAWN_EVERY = 100_000_000
 _COLORS = ((0.12, 0.47, 0.71), (1.0, 0.5, 0.05), (0.17, 0.63, 0.17), (0.84, 0.15, 0.16))
-
-
-def in_space(values: np.ndarray, heights: np.ndarray | float, axes: Axes) -> np.ndarray:
-    """x, y and z (..., 3) of points of the plane (...) at heights along its normal."""
-    xyz = np.empty((*values.shape, 3))
-    xyz[..., axes[0]], xyz[..., axes[1]], xyz[..., axes[2]] = values.real, values.imag, heights
-    return xyz
 
 
 class Trail:
@@ -107,7 +100,7 @@ class _Beat:
         return due
 
 
-def centrode(b: int, axes: Axes, trail: Trail, fixed: bool) -> Build:
+def centrode(b: int, given: Plane, trail: Trail, fixed: bool) -> Build:
     """Paths of the centrode of body `b`, on the ground or on the body."""
     beat = _Beat()
 
@@ -121,7 +114,7 @@ def centrode(b: int, axes: Axes, trail: Trail, fixed: bool) -> Build:
             return [], []
         frame_id = estimate.frame_id if fixed else estimate.bodies[b]
         values, heights = (trail.fixed, trail.heights) if fixed else (trail.moving, 0.0)
-        places = in_space(values, heights, axes)
+        places = (estimate.plane or given).in_space(values, heights)
         parts = zip(due, trail.until(estimate.stamp[due]), strict=True)
         return due, [
             path(int(estimate.stamp[t]), frame_id, trail.stamps[part], places[part])
@@ -131,7 +124,7 @@ def centrode(b: int, axes: Axes, trail: Trail, fixed: bool) -> Build:
     return build
 
 
-def scene(bodies: tuple[str, ...], axes: Axes, trails: list[Trail]) -> Build:
+def scene(bodies: tuple[str, ...], given: Plane, trails: list[Trail]) -> Build:
     """Poles, both centrodes and the ICR's velocity of every body, for RViz and Foxglove."""
     beat = _Beat()
 
@@ -147,7 +140,7 @@ def scene(bodies: tuple[str, ...], axes: Axes, trails: list[Trail]) -> Build:
             writer = Writer()
             writer.pack('I', len(_KINDS) * len(bodies))
             for b in range(len(bodies)):
-                _draw(writer, estimate, t, b, axes, trails[b], parts[b][k])
+                _draw(writer, estimate, t, b, given, trails[b], parts[b][k])
             found.append(bytes(writer.data))
         return due, found
 
@@ -173,7 +166,7 @@ _KINDS = {
 
 
 def _draw(
-    writer: Writer, estimate: Estimate, t: int, b: int, axes: Axes, trail: Trail, part: slice
+    writer: Writer, estimate: Estimate, t: int, b: int, given: Plane, trail: Trail, part: slice
 ) -> None:
     """The markers of body `b` at instant `t`."""
     stamp, body = int(estimate.stamp[t]), estimate.bodies[b]
@@ -188,7 +181,7 @@ def _draw(
             # What is not there is deleted by name: a Marker with a NaN would be dropped whole.
             _write_marker(writer, stamp, names, kind, Marker.DELETE)
             continue
-        places = in_space(points[name], estimate.height[t, b], axes)
+        places = (estimate.plane or given).in_space(points[name], estimate.height[t, b])
         scale = (width, 0.0, 0.0)
         if kind == Marker.SPHERE:
             scale = (width, width, width)

@@ -21,9 +21,9 @@ from visualization_msgs.msg import MarkerArray
 
 from kinpole_ros.estimate import POLE_NAMES, RATE_NAMES, Estimate, Numbers, Vectors
 from kinpole_ros.messages._cdr import stamped_doubles, stamped_vector
-from kinpole_ros.messages._loci import Axes, Build, Built, Trail, centrode, in_space, scene
+from kinpole_ros.messages._loci import Build, Built, Trail, centrode, scene
+from kinpole_ros.plane import XY, Plane, PlaneSetting, plane_of
 from kinpole_ros.prompt import Moving, Prompt
-from kinpole_ros.roster import AXES
 from kinpole_ros.theory import Theory, balance
 
 # The topic of what is drawn.
@@ -32,6 +32,9 @@ DRAWING = 'visualization'
 Chosen: TypeAlias = slice | np.ndarray
 # A variance for what a planar measurement says nothing about (m^2, rad^2, ...).
 _UNMEASURED = 1e6
+# The same in a plane that is oblique to the axes of the frame, where it adds to all cells of the
+# matrix and must not round away what is measured: deviations down to 1e-7 m are kept.
+_UNMEASURED_OBLIQUE = 1e2
 # The cells of a 3 x 3 matrix, those below the diagonal from above it: equal to the last bit.
 _SYMMETRIC = [0, 1, 2, 1, 4, 5, 2, 5, 8]
 
@@ -53,52 +56,55 @@ class Output(NamedTuple):
     prompt: Callable[[Prompt], bytes | None] | None = None
 
 
-def result_outputs(bodies: Sequence[str], plane: str, theory: Theory | None = None) -> list[Output]:
+def result_outputs(
+    bodies: Sequence[str], plane: PlaneSetting, theory: Theory | None = None
+) -> list[Output]:
     """
-    All topics for these bodies, as DESIGN's table has them; `plane` is xy, yz or zx.
+    All topics for these bodies, as DESIGN's table has them.
 
-    With the loads of a `theory` also what balances them: `balance`, and its standard deviation.
+    `plane`, as the parameter has it, is that of estimates that do not say where they lie. With the
+    loads of a `theory` also what balances them: `balance`, and its standard deviation.
     """
-    axes = AXES[plane]
+    given = plane_of(plane) or XY
     outputs: list[Output] = []
     trails = [Trail() for _ in bodies]
     for b, body in enumerate(bodies):
-        outputs.append(Output(f'{body}/odom', Odometry, 1, _odometry(b, axes)))
+        outputs.append(Output(f'{body}/odom', Odometry, 1, _odometry(b, given)))
         for order in range(1, 5):
-            rate = _numbers(_rate(order), b, axes)
-            name, prompt = f'{body}/{RATE_NAMES[order - 1]}', _prompt(_moving_rate(order), b, axes)
+            rate = _numbers(_rate(order), b, given)
+            name, prompt = f'{body}/{RATE_NAMES[order - 1]}', _prompt(_moving_rate(order), b, given)
             outputs.append(Output(name, Vector3Stamped, order, rate, prompt))
         for order in range(1, 5):
             name = f'{body}/{POLE_NAMES[order - 1]}'
-            point, pose = _points(_pole(order), b, axes, b), _poses(_pole(order), b, axes)
-            icr = _prompt(lambda moving: moving.icr, b, axes) if order == 1 else None
+            point, pose = _points(_pole(order), b, given, b), _poses(_pole(order), b, given)
+            icr = _prompt(lambda moving: moving.icr, b, given) if order == 1 else None
             outputs.append(Output(name, PointStamped, order, point, icr))
             outputs.append(
                 Output(f'{name}/with_covariance', PoseWithCovarianceStamped, order, pose)
             )
-        velocity = _points(lambda e: e.icr_velocity, b, axes)
+        velocity = _points(lambda e: e.icr_velocity, b, given)
         outputs.append(Output(f'{body}/icr_velocity', Vector3Stamped, 2, velocity))
-        curvature = _numbers(lambda e: e.centrode_curvature, b, axes)
-        prompt = _prompt(lambda moving: moving.centrode_curvature, b, axes)
+        curvature = _numbers(lambda e: e.centrode_curvature, b, given)
+        prompt = _prompt(lambda moving: moving.centrode_curvature, b, given)
         outputs.append(Output(f'{body}/centrode_curvature', Vector3Stamped, 3, curvature, prompt))
         for name, fixed in (('fixed', True), ('moving', False)):
-            locus = centrode(b, axes, trails[b], fixed)
+            locus = centrode(b, given, trails[b], fixed)
             outputs.append(Output(f'{body}/centrode/{name}', Path, 1, locus))
     for k, (i, j) in enumerate(combinations(range(len(bodies)), 2)):
         name = f'{bodies[j]}/wrt/{bodies[i]}'
-        center = _points(lambda e: e.relative_icr, k, axes, i)
-        rate = _numbers(lambda e: e.relative_rate, k, axes)
+        center = _points(lambda e: e.relative_icr, k, given, i)
+        rate = _numbers(lambda e: e.relative_rate, k, given)
         outputs.append(Output(f'{name}/icr', PointStamped, 1, center))
         outputs.append(Output(f'{name}/angular_velocity', Vector3Stamped, 1, rate))
-    drawing = scene(tuple(bodies), axes, trails)
+    drawing = scene(tuple(bodies), given, trails)
     outputs.append(Output(DRAWING, MarkerArray, 2, drawing))
     if theory is not None and theory.balances:
-        outputs.append(Output('balance', WrenchStamped, 1, _balance(theory, axes, False)))
-        outputs.append(Output('balance/deviation', WrenchStamped, 1, _balance(theory, axes, True)))
+        outputs.append(Output('balance', WrenchStamped, 1, _balance(theory, given, False)))
+        outputs.append(Output('balance/deviation', WrenchStamped, 1, _balance(theory, given, True)))
     return outputs
 
 
-def _balance(theory: Theory, axes: Axes, deviation: bool) -> Build:
+def _balance(theory: Theory, given: Plane, deviation: bool) -> Build:
     """The torque on the driven body that balances the loads, or its standard deviation."""
 
     def build(estimate: Estimate) -> Built:
@@ -107,7 +113,7 @@ def _balance(theory: Theory, axes: Axes, deviation: bool) -> Build:
         def figures(chosen: Chosen) -> np.ndarray:
             torque = np.zeros((len(found.value[chosen]), 6))
             values = np.sqrt(found.variance[chosen]) if deviation else found.value[chosen]
-            torque[:, 3 + axes[2]] = values
+            torque[:, 3:] = (estimate.plane or given).along_normal(values)
             return torque
 
         return _messages(estimate, found.determined, figures)
@@ -128,7 +134,7 @@ def _moving_rate(order: int) -> Callable[[Moving], float | None]:
 
 
 def _prompt(
-    quantity: Callable[[Moving], complex | None], b: int, axes: Axes
+    quantity: Callable[[Moving], complex | None], b: int, given: Plane
 ) -> Callable[[Prompt], bytes | None]:
     """One quantity of body `b` in plain numbers: a point at its height, or one along the normal."""
 
@@ -137,10 +143,9 @@ def _prompt(
         found = quantity(moving)
         if found is None:
             return None
-        along = 0.0, 0.0, found
-        if isinstance(found, complex):
-            along = found.real, found.imag, moving.height
-        vector = [value for _, value in sorted(zip(axes, along, strict=True))]
+        plane = prompt.plane or given
+        point = (found, moving.height) if isinstance(found, complex) else (0j, found)
+        vector = plane.point(*point)
         return stamped_vector(prompt.stamp, prompt.frame_id, vector)
 
     return message
@@ -161,17 +166,14 @@ def _messages(
     return when.tolist(), stamped_doubles(stamps, estimate.frame_id, figures(chosen), child)
 
 
-def _numbers(quantity: Callable[[Estimate], Numbers], k: int, axes: Axes) -> Build:
+def _numbers(quantity: Callable[[Estimate], Numbers], k: int, given: Plane) -> Build:
     """One quantity along the normal, of body or pair `k`, as a vector."""
 
     def build(estimate: Estimate) -> Built:
         found = quantity(estimate)
 
         def figures(chosen: Chosen) -> np.ndarray:
-            values = found.value[chosen, k]
-            vectors = np.zeros((len(values), 3))
-            vectors[:, axes[2]] = values
-            return vectors
+            return (estimate.plane or given).along_normal(found.value[chosen, k])
 
         return _messages(estimate, found.determined[:, k], figures)
 
@@ -179,7 +181,7 @@ def _numbers(quantity: Callable[[Estimate], Numbers], k: int, axes: Axes) -> Bui
 
 
 def _points(
-    quantity: Callable[[Estimate], Vectors], k: int, axes: Axes, body: int | None = None
+    quantity: Callable[[Estimate], Vectors], k: int, given: Plane, body: int | None = None
 ) -> Build:
     """One vector of body or pair `k`: a point at the height of `body`, or a free one without."""
 
@@ -188,17 +190,15 @@ def _points(
 
         def figures(chosen: Chosen) -> np.ndarray:
             heights = 0.0 if body is None else estimate.height[chosen, body]
-            return in_space(found.value[chosen, k], heights, axes)
+            return (estimate.plane or given).in_space(found.value[chosen, k], heights)
 
         return _messages(estimate, found.determined[:, k], figures)
 
     return build
 
 
-def _poses(quantity: Callable[[Estimate], Vectors], k: int, axes: Axes) -> Build:
+def _poses(quantity: Callable[[Estimate], Vectors], k: int, given: Plane) -> Build:
     """One point of body `k` with its covariance."""
-    # Where that is in the figures: after seven of the pose, in a 6 x 6 matrix.
-    places = [7 + 6 * axes[row] + axes[column] for row in range(2) for column in range(2)]
 
     def build(estimate: Estimate) -> Built:
         found = quantity(estimate)
@@ -206,9 +206,13 @@ def _poses(quantity: Callable[[Estimate], Vectors], k: int, axes: Axes) -> Build
         def figures(chosen: Chosen) -> np.ndarray:
             values = found.value[chosen, k]
             poses = np.zeros((len(values), 43))
-            poses[:, :3] = in_space(values, estimate.height[chosen, k], axes)
+            plane = estimate.plane or given
+            poses[:, :3] = plane.in_space(values, estimate.height[chosen, k])
             poses[:, 6] = 1.0
-            poses[:, places] = found.covariance[chosen, k].reshape(-1, 4)
+            across = plane.basis[:2]
+            # After seven of the pose, in a 6 x 6 matrix.
+            cells = poses[:, 7:].reshape(-1, 6, 6)
+            cells[:, :3, :3] = across.T @ found.covariance[chosen, k] @ across
             return poses
 
         return _messages(estimate, found.determined[:, k], figures)
@@ -216,13 +220,8 @@ def _poses(quantity: Callable[[Estimate], Vectors], k: int, axes: Axes) -> Build
     return build
 
 
-def _odometry(b: int, axes: Axes) -> Build:
+def _odometry(b: int, given: Plane) -> Build:
     """Pose of the body in the frame of the markers, twist in the body's own frame (REP-105)."""
-    normal = axes[2]
-    in_plane = np.array([axes[0], axes[1], 3 + normal])
-    # Where the covariance of these is in the 6 x 6 matrix that comes last, and the diagonal of it.
-    cells = (6 * in_plane[:, None] + in_plane).ravel() - 36
-    diagonal = slice(-36, None, 7)
 
     def build(estimate: Estimate) -> Built:
         def figures(chosen: Chosen) -> np.ndarray:
@@ -230,11 +229,12 @@ def _odometry(b: int, axes: Axes) -> Build:
             angle, rate = estimate.angle[:2, chosen, b]
             both = np.zeros((len(angle), 85))
             pose, twist = both[:, :43], both[:, 43:]
-            pose[:, :3] = in_space(position, estimate.height[chosen, b], axes)
+            plane = estimate.plane or given
+            pose[:, :3] = plane.in_space(position, estimate.height[chosen, b])
             turn = np.exp(0.5j * angle)
-            pose[:, 3 + normal], pose[:, 6] = turn.imag, turn.real
-            twist[:, :3] = in_space(velocity / turn**2, 0.0, axes)
-            twist[:, 3 + normal] = rate
+            pose[:, 3:6], pose[:, 6] = plane.along_normal(turn.imag), turn.real
+            twist[:, :3] = plane.in_space(velocity / turn**2, 0.0)
+            twist[:, 3:6] = plane.along_normal(rate)
             of_angle = estimate.angle_covariance[:2, :2, chosen, b].transpose(2, 0, 1).copy()
             of_angle[:, 1, 1] = estimate.rate(1).variance[chosen, b]
             # By how much they change with the angle and with the rate: the origin lies about the
@@ -250,13 +250,31 @@ def _odometry(b: int, axes: Axes) -> Build:
                 by_angle[part, :, 1, column] = -lever.real
             by_angle[0, :, 2, 0] = by_angle[1, :, 2, 1] = 1.0
             spread = np.einsum('ptij,tjk,ptlk->ptil', by_angle, of_angle, by_angle)
+            known, unknown = _in_space(plane)
             for order, part in enumerate((pose, twist)):
-                part[:, diagonal] = _UNMEASURED
-                part[:, cells] = spread[order].reshape(-1, 9)[:, _SYMMETRIC]
                 variance = estimate.position_covariance[order, order, chosen, b]
-                part[:, cells[[0, 4]]] += variance[:, None]
+                even = spread[order].reshape(-1, 9)[:, _SYMMETRIC].reshape(-1, 3, 3)
+                even[:, 0, 0] += variance
+                even[:, 1, 1] += variance
+                cells = known @ even @ known.T
+                cells = (cells + cells.swapaxes(1, 2)) / 2 + unknown
+                part[:, -36:] = cells.reshape(-1, 36)
             return both
 
         return _messages(estimate, estimate.missing[:, b] == '', figures, estimate.bodies[b])
 
     return build
+
+
+def _in_space(plane: Plane) -> tuple[np.ndarray, np.ndarray]:
+    """
+    How x, y and angle in the plane are parts (6, 3) of a pose in space, as ROS orders them.
+
+    Also the covariance (6, 6) of the parts that a planar measurement says nothing about.
+    """
+    across = plane.basis[:2]
+    known, unknown = np.zeros((6, 3)), np.zeros((6, 6))
+    known[:3, :2], known[3:, 2] = across.T, plane.normal
+    unknown[:3, :3] = np.outer(plane.normal, plane.normal)
+    unknown[3:, 3:] = across.T @ across
+    return known, unknown * (_UNMEASURED if plane.axes else _UNMEASURED_OBLIQUE)

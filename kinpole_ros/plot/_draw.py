@@ -110,8 +110,8 @@ def _draw(figure: Any, bag: str, results: Results) -> None:
         others = {other.name: other for other in results.bodies}
         related = [(others[i], s) for (j, i), s in results.relative.items() if j == body.name]
         _draw_plane(axis, body, locus, view, instant, related)
-        axis.set_xlabel(f'{results.plane[0]} (m)')
-        axis.set_ylabel(f'{results.plane[1]} (m)')
+        axis.set_xlabel(f'{results.along[0]} (m)')
+        axis.set_ylabel(f'{results.along[1]} (m)')
         columns[0].append(axis)
         for column, panels in ((1, _rates(body)), (2, _run(body))):
             inner = grid[row, column].subgridspec(len(panels), 1)

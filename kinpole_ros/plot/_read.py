@@ -14,7 +14,7 @@ from rclpy.serialization import deserialize_message
 
 from kinpole_ros.bags import BagError, Truncated, message_class, read_messages, topics
 from kinpole_ros.messages import stamp_to_ns
-from kinpole_ros.roster import AXES
+from kinpole_ros.plane import AXES, Plane, as_parameter, plane_along, plane_of, upward
 
 POLES = ('icr', 'iap', 'ijp')
 
@@ -51,12 +51,17 @@ class Body(NamedTuple):
 
 
 class Results(NamedTuple):
-    """A result bag: its plane, the bodies, and relative instant centers by names (j, i)."""
+    """
+    A result bag: its plane, the bodies, and relative instant centers by names (j, i).
+
+    `along` says what x and y of the plane are in the frame of the markers.
+    """
 
     plane: str
     bodies: list[Body]
     relative: dict[tuple[str, str], Series]
     cut: bool
+    along: tuple[str, str]
 
 
 class Centrodes(NamedTuple):
@@ -117,7 +122,6 @@ def read_results(bag: str | Path, progress: Callable[[float], None] | None = Non
     prefixes = bodies_there
     odometry = {prefix: rows[f'{prefix}/odom'] for prefix in prefixes}
     plane = _plane(np.concatenate([values for _, values in odometry.values()]))
-    axes = AXES[plane]
     nodes = {prefix.rpartition('/')[0] for prefix in prefixes}
     names = {
         prefix: prefix.rpartition('/')[2] if len(nodes) == 1 else prefix for prefix in prefixes
@@ -128,17 +132,20 @@ def read_results(bag: str | Path, progress: Callable[[float], None] | None = Non
         for pole in POLES:
             if f'{pole}/with_covariance' in parts:
                 parts[pole] = parts.pop(f'{pole}/with_covariance')
-        series = {part: _series(*found, axes, part in _NUMBERS) for part, found in parts.items()}
+        series = {part: _series(*found, plane, part in _NUMBERS) for part, found in parts.items()}
         if f'{prefix}/{_CURVATURE}' in kinds:
             # Known at no instant: the ICR was not seen to move, which is more than not recorded.
-            series.setdefault(_CURVATURE, _series(np.empty(0, int), np.empty((0, 3)), axes, True))
-        bodies.append(_body(names[prefix], stamp, values, axes, series))
+            series.setdefault(_CURVATURE, _series(np.empty(0, int), np.empty((0, 3)), plane, True))
+        bodies.append(_body(names[prefix], stamp, values, plane, series))
     between = {
-        (names[j], names[i]): _series(*rows[topic], axes, False)
+        (names[j], names[i]): _series(*rows[topic], plane, False)
         for topic, (j, i) in relative.items()
         if topic in rows and j in names and i in names
     }
-    return Results(plane, bodies, between, cut)
+    along = (plane.name[0], plane.name[1])
+    if plane.axes is None:
+        along = (f'along {as_parameter(plane.basis[0])}', f'along {as_parameter(plane.basis[1])}')
+    return Results(plane.name, bodies, between, cut, along)
 
 
 def centrodes(body: Body) -> Centrodes:
@@ -154,6 +161,8 @@ def centrodes(body: Body) -> Centrodes:
     return Centrodes(stamp, fixed, moving, body.rate[own], sigma)
 
 
+# A normal so near to an axis is along it; more than so much about other axes is of no one plane.
+_ROUNDING, _ELSEWHERE = 1e-9, 1e-3
 _CURVATURE = 'centrode_curvature'
 _NUMBERS = ('angular_acceleration', 'angular_jerk', _CURVATURE)
 _PARTS = (*_NUMBERS, *POLES, *(f'{pole}/with_covariance' for pole in POLES), 'icr_velocity')
@@ -164,7 +173,7 @@ def _xyz(part: Any) -> list[float]:
 
 
 def _odometry_row(message: Any) -> list[float]:
-    """Place, turn, twist, and the diagonals of their covariances; 3 + 4 + 3 + 6 + 6 numbers."""
+    """Place, turn and rate, and the covariances of the three: 3 + 4 + 3 + 3 * 9 numbers."""
     pose, twist = message.pose, message.twist
     turn = pose.pose.orientation
     return [
@@ -172,8 +181,9 @@ def _odometry_row(message: Any) -> list[float]:
         *_xyz(turn),
         turn.w,
         *_xyz(twist.twist.angular),
-        *pose.covariance[::7],
-        *twist.covariance[::7],
+        *(pose.covariance[6 * row + column] for row in range(3) for column in range(3)),
+        *(pose.covariance[6 * row + column] for row in range(3, 6) for column in range(3, 6)),
+        *(twist.covariance[6 * row + column] for row in range(3, 6) for column in range(3, 6)),
     ]
 
 
@@ -212,47 +222,57 @@ def _read(
     return arrays, cut
 
 
-def _plane(odometry: np.ndarray) -> str:
+def _plane(odometry: np.ndarray) -> Plane:
     """The plane whose normal the bodies turn about; where none turns, the one that was measured."""
-    turns = np.abs(odometry[:, 3:6]).sum(axis=0) + np.abs(odometry[:, 7:10]).sum(axis=0)
-    unmeasured = odometry[:, 13:16].sum(axis=0)
-    normals = {axes[2]: plane for plane, axes in AXES.items()}
+    turns = np.concatenate((odometry[:, 3:6], odometry[:, 7:10]))
+    squares = turns.T @ turns
+    if not turns.any():
+        # What is measured of turns is that about the normal.
+        squares = np.linalg.pinv(odometry[:, 19:28].reshape(-1, 3, 3).sum(axis=0), hermitian=True)
+    values, vectors = np.linalg.eigh(squares)
+    normal = upward(vectors[:, -1])
+    oblique = np.abs(normal).max() < 1 - _ROUNDING
+    if oblique and values[1] < _ELSEWHERE * values[2]:
+        return plane_along(normal)
     # From z on, so that a tie is the plane xy.
     z_first = [2, 0, 1]
-    measure = turns if turns.any() else -unmeasured
-    return normals[max(z_first, key=lambda axis: measure[axis])]
+    measure = np.abs(turns).sum(axis=0) if turns.any() else squares.diagonal()
+    column = max(z_first, key=lambda axis: measure[axis])
+    plane = plane_of(next(name for name, axes in AXES.items() if axes[2] == column))
+    assert plane is not None
+    return plane
 
 
-def _series(
-    stamp: np.ndarray, values: np.ndarray, axes: tuple[int, int, int], number: bool
-) -> Series:
+def _series(stamp: np.ndarray, values: np.ndarray, plane: Plane, number: bool) -> Series:
     covariance = np.full((len(stamp), 2, 2), np.nan)
+    across = plane.basis[:2]
     if values.shape[1] > 3:
-        matrix = values[:, 3:].reshape(-1, 6, 6)
-        covariance = matrix[:, axes[:2]][:, :, axes[:2]]
-    value = values[:, axes[2]] if number else values[:, axes[0]] + 1j * values[:, axes[1]]
-    return Series(stamp, value, covariance)
+        matrix = values[:, 3:].reshape(-1, 6, 6)[:, :3, :3]
+        covariance = across @ matrix @ across.T
+    flat, along = plane.project(values[:, :3])
+    return Series(stamp, along if number else flat, covariance)
 
 
 def _body(
     name: str,
     stamp: np.ndarray,
     values: np.ndarray,
-    axes: tuple[int, int, int],
+    plane: Plane,
     series: dict[str, Series],
 ) -> Body:
-    first, second, normal = axes
-    spread, turn_spread = values[:, 10 + first], values[:, 13 + normal]
+    first, normal = plane.basis[0], plane.normal
+    place, turn, rate = np.moveaxis(values[:, 10:].reshape(-1, 3, 3, 3), 1, 0)
+    spread, turn_spread = first @ place @ first, normal @ turn @ normal
     with np.errstate(divide='ignore', invalid='ignore'):
         # The noise of the markers moves their mean and turns them about it: that ratio is a length.
         size = 2 * np.sqrt(np.median(spread) / np.median(turn_spread))
     return Body(
         name,
         stamp,
-        values[:, first] + 1j * values[:, second],
-        2 * np.arctan2(values[:, 3 + normal], values[:, 6]),
-        values[:, 7 + normal],
-        np.sqrt(np.maximum(values[:, 19 + normal], 0)),
+        plane.project(values[:, :3])[0],
+        2 * np.arctan2(values[:, 3:6] @ normal, values[:, 6]),
+        values[:, 7:10] @ normal,
+        np.sqrt(np.maximum(normal @ rate @ normal, 0)),
         float(size) if np.isfinite(size) else float('nan'),
         series,
     )
