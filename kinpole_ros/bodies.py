@@ -245,7 +245,7 @@ class RigidBodies:
             rows['strayed'] = self._pins.strayed(fit.position, fit.angle, variance)
         self._news.append(
             _News(
-                rows['stamp'].copy(),
+                rows['time'].copy(),
                 fit.position,
                 fit.angle,
                 information,

@@ -57,10 +57,14 @@ class Tracker:
 
     def reset(self) -> None:
         """Forget all samples, and the shapes and noise learned from them."""
+        self._start(None)
+
+    def _start(self, before: Timeline | None) -> None:
+        """Start anew; `before` a jump of the stamps frames were as in that timeline."""
         count = len(self.bodies)
         self._roster = Roster(self.settings)
         width = self._roster.width
-        self._timeline = Timeline(self.settings, self.counts)
+        self._timeline = Timeline(self.settings, self.counts, before)
         self._rigid = RigidBodies(self.settings, self._timeline.window, width, self.counts)
         self._filter = PoseFilter()
         # From when on poses are of the bodies that the filter knows, ns.
@@ -142,7 +146,9 @@ class Tracker:
                 self._frame_id = frames.frame_id
             first = 0
             while first < len(stamps):
-                steps, end = self._timeline.sift(stamps[first:])
+                if self._timeline.look_due:
+                    found += self._look(order)
+                steps, end, anew = self._timeline.sift(stamps[first:], frames.points[first:])
                 new = (steps > 0).nonzero()[0]
                 if len(new):
                     taken, place = frames, first + new
@@ -154,11 +160,10 @@ class Tracker:
                         self._widen()
                     self._run(taken.stamps, steps[new], points, heights, before + place)
                 first += end
-                if first < len(stamps):
+                if anew:
                     found += self._estimates(order)
                     self.counts['resets'] += 1
-                    self.reset()
-            self._timeline.last = int(stamps[-1])
+                    self._start(self._timeline)
             before += len(stamps)
         return found + self._estimates(order, told)
 
@@ -166,6 +171,17 @@ class Tracker:
         """Learn and judge what is due, while nobody waits for it; else the next `add` does."""
         self._filter.settle()
         self._rigid.settle()
+        if self._timeline.look_due:
+            self._look(None)
+
+    def _look(self, order: int | None) -> list[Estimate]:
+        """Look at the clock of the stamps; what waits is estimated before it changes anything."""
+        change = self._timeline.look(self._rigid.noise())
+        if change is None:
+            return []
+        found = self._estimates(order)
+        change()
+        return found
 
     def foresee(self, order: int) -> None:
         """Find what can be found of the next frame, while nobody waits for it, for `prompt`."""
@@ -239,6 +255,7 @@ class Tracker:
         rows, gaps = self._timeline.enter(stamps, steps, numbers)
         landmarks = None if self._points is None else self._points.room(len(rows))
         self._rigid.take(rows, points, heights, gaps, landmarks)
+        self._timeline.pose(rows, self._rigid.known['noise'])
 
     def _widen(self) -> None:
         """A body of all markers has more of them."""
@@ -341,7 +358,7 @@ class Tracker:
             return pin, variance
         _, oldest, newest = windows
         frames = self._timeline.view()
-        held &= known['pin_since'] <= frames['stamp'][oldest, None]
+        held &= known['pin_since'] <= frames['time'][oldest, None]
         strayed = frames['strayed']
         if np.count_nonzero(strayed):
             times = strayed.cumsum(axis=0)
@@ -384,7 +401,7 @@ class Tracker:
             if np.count_nonzero(row['reference']):
                 poses = seen_at(row['reference'], row['middle'], *poses)
             some = tuple(frame[part] for frame in windows)
-            for run in runs(frames['stamp'], some, *poses, noise[part]):
+            for run in runs(frames['time'], some, *poses, noise[part]):
                 end = first + run[1].shape[1]
                 found.append(derivatives(numbers[first:end], *run, reach[first:end], order))
                 first = end
@@ -403,7 +420,7 @@ class Tracker:
         if np.count_nonzero(anew):
             self._filter.forget(anew)
             self._since = since.copy()
-        before = np.tile(self._timeline.view()['stamp'][:, None] < since, 2)
+        before = np.tile(self._timeline.view()['time'][:, None] < since, 2)
         return np.where(before[..., None], np.nan, poses), np.where(before, 0.0, information)
 
     def _from_landmarks(
@@ -413,7 +430,7 @@ class Tracker:
         assert self._points is not None
         frames = self._timeline.view()
         found = self._landmark_filter.derivatives(
-            frames['stamp'], windows, self._points.view(), known['noise'], order
+            frames['time'], windows, self._points.view(), known['noise'], order
         )
         found[1][0] = frames['poses'][windows[0], : len(self.bodies), 0]
         return found, None, None
