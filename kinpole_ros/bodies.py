@@ -205,6 +205,12 @@ class RigidBodies:
         if self._new >= self._shapes.beat:
             self._learn()
 
+    def retime(self) -> None:
+        """Look at reference points afresh: frames before were not when they seemed to be."""
+        self._learn()
+        self._references.forget(np.ones(self._count, bool))
+        self._learned = True
+
     def widen(self, width: int) -> None:
         """Let bodies have more markers; nothing may wait for what was known before."""
         self._learn()

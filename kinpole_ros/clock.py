@@ -50,7 +50,7 @@ class Clock(NamedTuple):
 
     `deviation` is that of the interval; `lateness` the mean by which stamps are later than their
     ticks, `jitter` its standard deviation, `largest` the most of it and `margin` how much earlier
-    than its tick a stamp may be, all in ns.
+    than its tick a stamp may be; stamps are multiples of `resolution`; all in ns.
     """
 
     origin: int
@@ -61,6 +61,7 @@ class Clock(NamedTuple):
     jitter: float
     largest: float
     margin: float
+    resolution: float
 
     def ticks(self, stamps: np.ndarray) -> Real:
         """At how many ticks (T,) the `stamps` (T,), ns, come: their whole part is the latest."""
@@ -79,21 +80,26 @@ def find_clock(stamps: np.ndarray, before: Clock | None) -> tuple[Clock, np.ndar
     origin = int(stamps[0])
     since = (stamps - origin).astype(float)
     resolution = float(max(np.gcd.reduce(np.diff(stamps)), 1))
-    if before is None or before.largest > _PLAIN * before.interval:
-        counts = _afresh(since, resolution)
-        if before is not None:
-            counts = _likelier(since, counts_by(stamps, before), counts, resolution)
-    else:
+    if before is not None and before.largest <= _PLAIN * before.interval:
         counts = counts_by(stamps, before)
+    else:
+        trials = [_afresh(since, resolution)]
+        if before is not None:
+            rates = np.array((before.interval, _edge_of(since, trials[0])))
+            trials += [counts_by(stamps, before), *_counts_of(since, rates)]
+        counts = _likeliest(since, trials, resolution)
     clock, used = _fit(origin, since, counts, resolution)
     # The rate found with some counts may show that others were meant.
     for _ in range(3):
+        since, counts = since[-used:], counts[-used:]
         again = counts_by(stamps[-used:], clock)
-        if (np.diff(again) == np.diff(counts[-used:])).all():
+        if (np.diff(again) == np.diff(counts)).all():
             break
-        since, counts = since[-used:], again
+        if _likeliest(since, [counts, again], resolution) is counts:
+            break
+        counts = again
         clock, used = _fit(origin, since, counts, resolution)
-    return clock, counts_by(stamps[-used:], clock)
+    return clock, counts[-used:]
 
 
 def _afresh(since: Real, resolution: float) -> np.ndarray:
@@ -111,11 +117,10 @@ def _afresh(since: Real, resolution: float) -> np.ndarray:
     return counts
 
 
-def _likelier(since: Real, one: np.ndarray, other: np.ndarray, resolution: float) -> np.ndarray:
-    """The likelier counts of two."""
-    intervals = np.array([_edge_of(since, counts) for counts in (one, other)])
-    costs = _costs(since, np.stack((one, other)), intervals, resolution)
-    return other if costs[1] < costs[0] else one
+def _likeliest(since: Real, trials: list[np.ndarray], resolution: float) -> np.ndarray:
+    """The likeliest counts (N,) of some."""
+    intervals = np.array([_edge_of(since, counts) for counts in trials])
+    return trials[int(_costs(since, np.stack(trials), intervals, resolution).argmin())]
 
 
 def _costs(since: Real, counts: np.ndarray, intervals: Real, resolution: float) -> Real:
@@ -196,7 +201,8 @@ def _fit(origin: int, since: Real, counts: np.ndarray, resolution: float) -> tup
     since, counts = since[sure], counts[sure]
     interval, deviation = _slope(since, counts, resolution)
     part = len(counts) // 2
-    while part > _FEW:
+    # Where counts are in doubt, so is what a part of the frames says.
+    while part > _FEW and (since - interval * counts).std() < _PLAIN * interval:
         newest = slice(len(counts) - part, None)
         now, _ = _slope(since[newest], counts[newest], resolution)
         left, own = (
@@ -227,6 +233,7 @@ def _fit(origin: int, since: Real, counts: np.ndarray, resolution: float) -> tup
         float(late.std()),
         float(late.max()),
         min(max(edge, free / 2), interval / 2),
+        resolution,
     )
     return clock, used
 

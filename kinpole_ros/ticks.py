@@ -6,6 +6,7 @@ can. Each pose is predicted from its neighbors on both sides, once by the stamps
 ticks, and what is the better prediction by a clear margin is what frames are taken to be at.
 """
 
+import math
 from collections.abc import Iterable
 from typing import NamedTuple
 
@@ -33,6 +34,10 @@ _OUTLIER = 9.0
 _DEGREE = 3
 # What neighbors predict is correlated: there is half as much evidence as predictions.
 _INDEPENDENT = 0.5
+
+
+# Stamps in such steps, ns, or longer ones are rounded if no tick is off by more than one of them.
+_COARSE, _ROUNDED = 10_000, 1.05
 
 
 class StampState(NamedTuple):
@@ -98,9 +103,7 @@ class Ticks:
         self._stamps = np.concatenate((self._stamps, news[0]))
         self._taken = np.concatenate((self._taken, news[1]))
         newest = int(self._stamps[-1])
-        old = max(
-            int((self._stamps > newest - _MEMORY).argmax()), len(self._stamps) - _MOST, 0
-        )
+        old = max(int((self._stamps > newest - _MEMORY).argmax()), len(self._stamps) - _MOST, 0)
         self._forget(old)
         before = max(before - old, 0)
         clock, counts = find_clock(self._stamps, self.clock)
@@ -114,7 +117,35 @@ class Ticks:
         self.room = min(max(1, self.seen // _GROWTH), seldom)
         ours = counts[self._taken]
         self._weigh(ours, noise)
+        late = self._stamps - clock.origin - counts * clock.interval
+        step = clock.resolution
+        if step / 2 < float(np.ptp(late)) <= _ROUNDED * step and self._may_be_rounded(step):
+            self.regular = True
         return ours
+
+    def _may_be_rounded(self, step: float) -> bool:
+        """Whether stamps that are off their ticks may be so since they are in such steps, ns."""
+        usual = self.mode == 'auto' and self.seen >= _FEWEST_EVIDENCE
+        return usual and self.nats > -_DECIDES and step >= _COARSE
+
+    def until_slip(self, stamps: np.ndarray) -> int:
+        """
+        How many frames come before one that slips by a step of rounded stamps (T,) that were even.
+
+        From there on frames are taken to be at ticks.
+        """
+        clock = self.clock
+        if self.regular or clock is None or clock.largest > 1.0 or clock.resolution < _COARSE:
+            return len(stamps)
+        off = (stamps - clock.origin - clock.phase) / clock.interval
+        off = np.abs(off - np.rint(off)) * clock.interval
+        slips = (off > _COARSE / 2).nonzero()[0]
+        if not len(slips):
+            return len(stamps)
+        first = int(slips[0])
+        step = math.gcd(round(clock.resolution), int(stamps[first]) - clock.origin)
+        rounded = off[first] <= _ROUNDED * step and self._may_be_rounded(step)
+        return first if rounded else len(stamps)
 
     def _forget(self, count: int) -> None:
         if count > 0:

@@ -11,7 +11,7 @@ from collections.abc import Callable
 import numpy as np
 
 from kinpole_ros.bodies import pose_columns
-from kinpole_ros.clock import FrameCounter, Loss, counts_by
+from kinpole_ros.clock import Counted, FrameCounter, Loss, counts_by
 from kinpole_ros.parameters import Settings
 from kinpole_ros.ticks import StampState, Ticks, likeliest_place
 from kinpole_ros.window import FEWEST_SAMPLES, Samples, Unforeseen, Windows
@@ -81,8 +81,9 @@ class Timeline:
         self._anchor = 0, 0
         self._step = 0
         # What the counter said of frames that come in next, and what it must take back first.
-        self._counted = None
+        self._counted: Counted | None = None
         self._early = 0
+        self._slips = False
 
     def __len__(self) -> int:
         return len(self._frames)
@@ -90,6 +91,11 @@ class Timeline:
     def view(self) -> np.ndarray:
         """All frames, oldest first; valid until more come."""
         return self._frames.view()
+
+    @property
+    def regular(self) -> bool:
+        """Whether frames are taken to be at ticks of the clock."""
+        return self._ticks.regular
 
     def stamp_state(self) -> StampState | None:
         """How the stamps are; None while too few have come."""
@@ -104,6 +110,11 @@ class Timeline:
         (T, ...) tell a frame that is repeated from one with the stamp of another.
         """
         stamps = stamps[: self._ticks.room]
+        until = self._ticks.until_slip(stamps)
+        if not until:
+            self._slips = True
+            return stamps[:0], 0, False
+        stamps = stamps[:until]
         sift = self._sift_arrivals if self._ticks.regular else self._sift_captures
         ahead, end, repeated = sift(stamps, points)
         if end:
@@ -257,7 +268,7 @@ class Timeline:
     @property
     def look_due(self) -> bool:
         """Whether `look` is to be called before more frames come."""
-        return self._ticks.room <= 0 or self._early > 0
+        return self._ticks.room <= 0 or self._early > 0 or self._slips
 
     def look(self, noise: np.ndarray) -> Callable[[], None] | None:
         """
@@ -267,6 +278,9 @@ class Timeline:
         """
         if self._early:
             return self._take_back
+        if self._slips:
+            self._slips, self._ticks.regular = False, True
+            return self._count_anew
         was = self._ticks.regular
         lost = self._ticks.lost
         self._ticks.look(noise)

@@ -18,6 +18,7 @@ from kinpole_ros.frame import MarkerFrames
 from kinpole_ros.parameters import Settings
 from kinpole_ros.prompt import Foreseen, Prompt
 from kinpole_ros.roster import Roster
+from kinpole_ros.ticks import StampState
 from kinpole_ros.timeline import Timeline
 from kinpole_ros.window import (
     STRIKES,
@@ -44,8 +45,8 @@ class Tracker:
     Follows the bodies of `settings` from frame to frame.
 
     `samples` is how many frames the window holds. `counts` says what became of the frames, for
-    diagnostics: frames, repeated, late, resets, frame_changes, markers_not_seen, markers_unknown,
-    and the markers_... that were mended, see `window.untangle`.
+    diagnostics: frames, repeated, late, lost, resets, frame_changes, markers_not_seen,
+    markers_unknown, and the markers_... that were mended, see `window.untangle`.
     """
 
     def __init__(self, settings: Settings) -> None:
@@ -93,6 +94,10 @@ class Tracker:
     def looseness(self) -> np.ndarray:
         """How far (B,) markers are off one rigid body: see `RigidBodies.looseness`."""
         return self._rigid.looseness()
+
+    def stamp_state(self) -> StampState | None:
+        """How the stamps are beside the clock found behind them; None while too few have come."""
+        return self._timeline.stamp_state()
 
     def underrated(self) -> np.ndarray:
         """Which bodies (B,) have more noise than can be measured, since it lasts long."""
@@ -176,11 +181,14 @@ class Tracker:
 
     def _look(self, order: int | None) -> list[Estimate]:
         """Look at the clock of the stamps; what waits is estimated before it changes anything."""
+        was = self._timeline.regular
         change = self._timeline.look(self._rigid.noise())
         if change is None:
             return []
         found = self._estimates(order)
         change()
+        if self._timeline.regular != was:
+            self._rigid.retime()
         return found
 
     def foresee(self, order: int) -> None:

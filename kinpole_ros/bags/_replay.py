@@ -26,6 +26,7 @@ from kinpole_ros.messages import (
 from kinpole_ros.parameters import Settings
 from kinpole_ros.roster import find_marker
 from kinpole_ros.theory import Beside, Comparison, load_theory
+from kinpole_ros.ticks import StampState
 from kinpole_ros.tracker import Tracker
 
 NODE_NAME = 'kinpole'
@@ -49,7 +50,8 @@ class Replayed(NamedTuple):
     are in no message, and `identities` those of the last one. `unknown` are the bodies known at no
     instant, and why not at the last ('' where there is none). `joined` are the files that were read
     as one recording only because they lie in one folder. `beside` is how far the bodies were from
-    the scene, if any.
+    the scene, if any. `lost` are frames that never came, by the clock of the stamps, and `stamps`
+    how these are beside it, None where there are too few.
     """
 
     frames: int
@@ -72,6 +74,8 @@ class Replayed(NamedTuple):
     unknown: dict[str, str]
     joined: list[str]
     beside: list[Beside]
+    lost: int
+    stamps: StampState | None
 
 
 def replay(
@@ -205,6 +209,8 @@ def replay(
         unknown,
         joined,
         comparison.found() if comparison is not None else [],
+        counts['lost'],
+        tracker.stamp_state(),
     )
 
 

@@ -3,7 +3,7 @@
 from collections.abc import Iterator
 
 from kinpole_ros.bags._replay import Replayed
-from kinpole_ros.messages import SMOOTHED, not_rigid, not_there
+from kinpole_ros.messages import SMOOTHED, jitter_costs, not_rigid, not_there
 from kinpole_ros.parameters import Settings
 from kinpole_ros.window import FEWEST_SAMPLES
 
@@ -30,6 +30,8 @@ def warnings_of(result: Replayed, settings: Settings) -> list[str]:
             'one recording, since the folder has no metadata.yaml to tell, but the stamps do not '
             'run on; if they are several, give each file by itself'
         )
+    if result.stamps is not None and result.stamps.costs:
+        lines.append(jitter_costs(result.stamps, settings.stamps))
     if result.frames:
         absent = result.absent.items()
         lines += [not_there(body, names, result.identities) for body, names in absent]

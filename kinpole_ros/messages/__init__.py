@@ -14,6 +14,7 @@ from kinpole_ros.messages._markers import (
 )
 from kinpole_ros.messages._reader import MarkerReader
 from kinpole_ros.messages._results import DRAWING, Output, result_outputs
+from kinpole_ros.messages._stamps import jitter_costs
 
 __all__ = [
     'DRAWING',
@@ -25,6 +26,7 @@ __all__ = [
     'MessageError',
     'Output',
     'diagnostics_data',
+    'jitter_costs',
     'not_rigid',
     'not_there',
     'nothing_drawn',

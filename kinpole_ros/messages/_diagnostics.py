@@ -8,7 +8,7 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 
 from kinpole_ros.estimate import Estimate
 from kinpole_ros.messages._markers import ns_to_stamp
-from kinpole_ros.messages._stamps import stamp_faults
+from kinpole_ros.messages._stamps import jitter_costs, stamp_faults, stamp_values
 from kinpole_ros.theory import Theory, joint_offsets, rate_differences
 from kinpole_ros.tracker import Tracker
 from kinpole_ros.window import FEWEST_SAMPLES
@@ -19,6 +19,7 @@ _WORDS = {
     'frames': 'frames received',
     'repeated': 'frames with the stamp of the one before, left out',
     'late': 'frames that came late, after newer ones, left out',
+    'lost': 'frames lost on the way, by the clock of the stamps',
     'resets': 'starts anew after a jump of the stamps',
     'frame_changes': 'starts anew with another frame_id',
     'restarts': 'starts anew with another publisher of the markers',
@@ -87,7 +88,12 @@ class DiagnosticsMaker:
         array = DiagnosticArray()
         array.header.stamp = ns_to_stamp(stamp)
         faults = _faults(tracker, since, trouble, self._nothing)
-        faults += stamp_faults(stamps, seconds, tracker.settings.window)
+        state = tracker.stamp_state()
+        if state is None or not state.regularized:
+            faults += stamp_faults(stamps, seconds, tracker.settings.window)
+        if state is not None and state.costs and since.get('frames'):
+            text = jitter_costs(state, tracker.settings.stamps)
+            faults.append((DiagnosticStatus.WARN, text))
         array.status = [self._input(tracker, since, seconds, faults)]
         noise, loose, underrated = tracker.noise(), tracker.looseness(), tracker.underrated()
         receiving = bool(since.get('frames'))
@@ -142,12 +148,15 @@ class DiagnosticsMaker:
         faults = sorted(faults, key=lambda fault: fault[0], reverse=True)
         level = faults[0][0] if faults else DiagnosticStatus.OK
         message = '; '.join(text for _, text in faults) or 'receiving markers'
-        values = {
+        values: dict[str, object] = {
             'rate (Hz)': since.get('frames', 0) / seconds if seconds > 0 else 0.0,
             'frames in the window': tracker.samples,
         }
         if np.isfinite(tracker.interval):
             values['mean interval (s)'] = tracker.interval
+        state = tracker.stamp_state()
+        if state is not None:
+            values.update(stamp_values(state))
         values.update({_WORDS[key]: tracker.counts[key] for key in _WORDS})
         return _status(f'{self._name}: markers', level, message, values)
 
