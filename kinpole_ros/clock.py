@@ -25,6 +25,8 @@ _CANDIDATES = 41
 _LOSS, _SURE = 3.9, 4.6
 # No frame tells more than this, nats: a driver hangs for once about as often as frames are lost.
 _MOST_TOLD = 4.3
+# A frame that comes more than this share of the interval before its tick has another.
+_EARLY = 0.2
 # So many frames at most wait for their count.
 _MOST_PENDING = 16
 # Deviation of the slope of a line along the edge of n points, by the inverse of their density there
@@ -375,10 +377,11 @@ class FrameCounter:
             pending = self._pending
             ahead = math.floor(tick) - self.count - len(pending) - 1
             if ahead < 0:
+                # Unless the edge was not known well.
+                ahead = math.floor(tick + _EARLY) - self.count - len(pending) - 1
                 early = min(-ahead, self._last_loss)
-                if early:
+                if early > 0:
                     return found._replace(early=early)
-                # Not known to be early: the edge was not known well.
                 ahead = 0
             pending.append(ahead)
             if ahead == 0:
@@ -423,13 +426,12 @@ class FrameCounter:
             self._settle(number, found)
             return
         rest = [ahead - lost for ahead in pending]
-        on_time = rest.index(0)
         sure = number - rest[::-1].index(0)
         place = len(found.sure)
         self.count += lost
         self._last_loss, self._since_loss = lost, 0
         self._pending = rest
         self._settle(sure, found)
-        found.losses.append(Loss(place, on_time, place + sure, lost, lost * self._told))
+        found.losses.append(Loss(place, sure - 1, place + sure, lost, lost * self._told))
         self._least = min(self._pending, default=0)
         self._alike = len(self._pending)
