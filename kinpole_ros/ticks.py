@@ -213,30 +213,37 @@ def evidence(times: Real, signals: Real, variance: Real) -> tuple[float, float]:
     By how many nats signals make the second of two sequences of times likelier than the first.
 
     `times` (2, N) are in intervals, `signals` (N, S) have the `variance` (N, S), NaN where not
-    known. Each is predicted by the polynomial through its neighbors on both sides. Also the largest
-    rms rate of a signal by interval, in its deviations.
+    known: `times` are stamps and ticks. Each signal is predicted by the polynomial through its
+    neighbors on both sides. Also the largest rms rate of a signal by interval, in its deviations.
     """
     count = len(signals)
     offsets = np.array([k for k in range(-_SIDE, _SIDE + 1) if k])
     here = np.arange(_SIDE, count - _SIDE)
     there = here[:, None] + offsets
-    steps = times[:, there] - times[:, here, None]  # (2, M, 2 side)
+    stamps, ticks = times
+    steps = ticks[there] - ticks[here, None]  # (M, 2 side)
     weights = np.ones_like(steps)
     for k, m in _pairs(len(offsets)):
-        apart = steps[..., m] - steps[..., k]
-        # Frames with one stamp, or in bunches, predict nothing.
-        apart = np.where(np.abs(apart) < 1e-3, 1e-3, apart)
-        weights[..., k] *= steps[..., m] / apart
-    neighbors = signals[there]  # (M, 2 side, S)
-    off = signals[here] - np.einsum('hmk,mks->hms', weights, neighbors)
-    spread = variance[here] + np.einsum('hmk,mks->hms', weights**2, variance[there])
+        weights[:, k] *= steps[:, m] / (steps[:, m] - steps[:, k])
+    # What a stamp that is right moves a signal by, off where it is at its tick. By slopes, which
+    # hardly have noise: what does not move says nothing.
+    nearby = here[:, None] + np.arange(-_SIDE, _SIDE + 1)
+    around = ticks[nearby] - ticks[nearby].mean(axis=1, keepdims=True)
+    slopes = np.einsum('mk,mks->ms', around, signals[nearby])
+    slopes /= (around**2).sum(axis=1, keepdims=True)
+    early = ticks - stamps
+    early = early - np.median(early)
+    moved = -slopes * (early[here] - (weights * early[there]).sum(axis=1))[:, None]
+    off = signals[here] - np.einsum('mk,mks->ms', weights, signals[there])
+    off = np.stack((off - moved, off))
+    spread = variance[here] + np.einsum('mk,mks->ms', weights**2, variance[there])
     squares = off**2 / spread
     known = np.isfinite(squares).all(axis=0)
     number = np.maximum(known.sum(axis=0), 1)
     squares = np.where(known, squares, 0.0)
     # By the better of the two, for no polynomial follows every motion.
     scale = np.maximum((squares.sum(axis=1) / number).min(axis=0), 1.0)
-    cost = np.minimum(squares / scale, _OUTLIER) + np.log(np.where(known, spread, 1.0))
+    cost = np.minimum(squares / scale, _OUTLIER)
     nats = float((cost[0] - cost[1]).sum() / 2) * _INDEPENDENT
     rate = np.diff(signals, axis=0) ** 2 / np.where(variance[1:] > 0, variance[1:], np.nan)
     rate = rate[np.isfinite(rate).all(axis=1)]
