@@ -205,6 +205,12 @@ class RigidBodies:
         if self._new >= self._shapes.beat:
             self._learn()
 
+    def retime(self) -> None:
+        """Look at reference points afresh: frames before were not when they seemed to be."""
+        self._learn()
+        self._references.forget(np.ones(self._count, bool))
+        self._learned = True
+
     def widen(self, width: int) -> None:
         """Let bodies have more markers; nothing may wait for what was known before."""
         self._learn()
@@ -245,7 +251,7 @@ class RigidBodies:
             rows['strayed'] = self._pins.strayed(fit.position, fit.angle, variance)
         self._news.append(
             _News(
-                rows['stamp'].copy(),
+                rows['time'].copy(),
                 fit.position,
                 fit.angle,
                 information,

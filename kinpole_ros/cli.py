@@ -140,11 +140,18 @@ def _replay(options: argparse.Namespace) -> int:
     for what, count in (
         ('stamps repeated', result.repeated),
         ('frames late', result.late),
+        ('frames lost on the way', result.lost),
         ('jumps', result.resets),
         ('changes of frame_id', result.frame_changes),
     ):
         if count:
             print(f'{what}: {count}')
+    if (state := result.stamps) is not None:
+        used = ', regularized' if state.regularized else ''
+        print(
+            f'stamps: every {state.interval * 1e3:.6g} ms, jitter {state.jitter * 1e3:.3g} ms rms, '
+            f'{state.largest * 1e3:.3g} ms at most{used}'
+        )
     for body, shares in result.determined.items():
         told = ', '.join(f'{pole} {share:.1%}' for pole, share in shares.items())
         print(f'{body}: determined at {told} of them')

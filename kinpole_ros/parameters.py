@@ -35,6 +35,7 @@ class Settings:
     lag: float = 0.1
     derivative_order: int | None = None
     noise: float = 0.0
+    stamps: str = 'auto'
     method: str = 'pose'
     scene: str = ''
 
@@ -210,6 +211,14 @@ PARAMETERS: Mapping[str, Parameter] = {
     ),
     'noise': _range(
         0.0, 'Noise of the markers per axis, one standard deviation; 0: measure it.', 0.0, 1e6, 'm'
+    ),
+    'stamps': _choices(
+        'auto',
+        'What header stamps are: the times of capture, or of arrival, late by a random time, where '
+        'the even clock of the camera is found behind them; auto: what stamps and motion say.',
+        'auto',
+        'capture',
+        'arrival',
     ),
     'method': _choices(
         'pose',

@@ -1,25 +1,42 @@
 """
 The frames that are held: which of those that come go on, what their windows hold, what falls due.
 
-Header stamps alone decide; nobody asks for the time.
+Header stamps alone decide; nobody asks for the time. Frames are at their stamps, or at the ticks of
+the clock behind these: see `ticks`.
 """
 
 from collections import Counter
+from collections.abc import Callable
 
 import numpy as np
 
 from kinpole_ros.bodies import pose_columns
+from kinpole_ros.clock import Counted, FrameCounter, Loss, counts_by
 from kinpole_ros.parameters import Settings
+from kinpole_ros.ticks import StampState, Ticks, likeliest_place
 from kinpole_ros.window import FEWEST_SAMPLES, Samples, Unforeseen, Windows
 
 # Frames later than this many intervals of late come after a gap.
 _LATE = 2.5
+# ns. Frames are no nearer to each other than this.
+_LEAST_STEP = 1000
+# Counts of the clock are all sure but for those of the newest frames, which are counted anew.
+_UNSURE = 8
+# Until so many frames have come the clock is not known well enough to keep what it said.
+_YOUNG = 64
+# Before the clock is known a frame may be late by this share of the window.
+_PLAUSIBLE = 1 / 4
 
 
 def _frame_type(bodies: int) -> np.dtype:
     """What is held of a frame, in one row."""
     columns: list[tuple] = [
         ('stamp', np.int64),
+        # When it was captured, ns: its stamp, or its tick of the clock.
+        ('time', np.int64),
+        # Its number on the clock, and how many of the newest frames had none yet when it came.
+        ('count', np.int64),
+        ('behind', np.int64),
         # While it waits: its number among the frames that were given together, the oldest frame in
         # the window, and the mean interval, ns.
         ('number', np.int64),
@@ -35,15 +52,16 @@ class Timeline:
     Frames from one that starts anew on, those that a window to come may hold.
 
     `samples` is how many the window of the newest holds, `interval` the mean time between them in
-    ns, 0 for fewer than two, and `dropped` how many frames were held and are no more. `last` is the
-    stamp of the frame that came last, taken or not.
+    ns, 0 for fewer than two, and `dropped` how many frames were held and are no more. It goes on as
+    the one `before` a jump of the stamps did: at stamps, or at ticks.
     """
 
-    def __init__(self, settings: Settings, counts: Counter[str]) -> None:
+    def __init__(
+        self, settings: Settings, counts: Counter[str], before: 'Timeline | None' = None
+    ) -> None:
         self.samples = 0
         self.interval = 0.0
         self.dropped = 0
-        self.last = 0
         self.window = round(settings.window * 1e9)
         self._lag = settings.lag * 1e9
         self._counts = counts
@@ -51,6 +69,21 @@ class Timeline:
         self._due = 0
         # How many of the newest frames are not estimated yet.
         self._waiting = 0
+        # Stamp and points of the frame that came last, taken or not, and the latest stamp taken.
+        self._last = 0
+        self._last_points: np.ndarray | None = None
+        self._newest = 0
+        self._ticks = Ticks(settings.stamps)
+        if before is not None:
+            self._ticks.regular = before._ticks.regular
+        self._counter: FrameCounter | None = None
+        # The time of a count, and from one to the next.
+        self._anchor = 0, 0
+        self._step = 0
+        # What the counter said of frames that come in next, and what it must take back first.
+        self._counted: Counted | None = None
+        self._early = 0
+        self._slips = False
 
     def __len__(self) -> int:
         return len(self._frames)
@@ -59,30 +92,100 @@ class Timeline:
         """All frames, oldest first; valid until more come."""
         return self._frames.view()
 
-    def sift(self, stamps: np.ndarray) -> tuple[np.ndarray, int]:
+    @property
+    def regular(self) -> bool:
+        """Whether frames are taken to be at ticks of the clock."""
+        return self._ticks.regular
+
+    def stamp_state(self) -> StampState | None:
+        """How the stamps are; None while too few have come."""
+        return self._ticks.state()
+
+    def sift(self, stamps: np.ndarray, points: np.ndarray) -> tuple[np.ndarray, int, bool]:
         """
-        Up to where frames of `stamps` (T,) go on, T if nothing starts anew, and how far each is
-        ahead of all before it, ns: it is one to take where that is positive.
+        Up to where frames of `stamps` (T,) go on, and whether the next starts anew.
+
+        Also how far each is ahead of all before it, ns: it is one to take where that is positive.
+        Where nothing starts anew and not all go on, there is something to `look` at first. `points`
+        (T, ...) tell a frame that is repeated from one with the stamp of another.
         """
-        last, newest = self.last, int(stamps[0]) - 1
+        stamps = stamps[: self._ticks.room]
+        until = self._ticks.until_slip(stamps)
+        if not until:
+            self._slips = True
+            return stamps[:0], 0, False
+        stamps = stamps[:until]
+        sift = self._sift_arrivals if self._ticks.regular else self._sift_captures
+        ahead, end, repeated = sift(stamps, points)
+        if end:
+            came = slice(None) if repeated is None else ~repeated
+            self._ticks.add(stamps[:end][came], (ahead > 0)[came])
+            self._last, self._last_points = int(stamps[end - 1]), points[end - 1].copy()
+        return ahead, end, end < len(stamps) and not self._early
+
+    def _sift_captures(
+        self, stamps: np.ndarray, points: np.ndarray
+    ) -> tuple[np.ndarray, int, np.ndarray | None]:
+        last, newest = self._last, int(stamps[0]) - 1
         if len(self._frames):
             newest = int(self._frames.view()['stamp'][-1])
         else:
             last = newest
         ahead = stamps - np.concatenate(((newest,), stamps[:-1]))
         if np.minimum.reduce(ahead) > 0 and np.maximum.reduce(ahead) <= self.window:
-            return ahead, len(stamps)
+            return ahead, len(stamps), None
         # As it is when each frame comes.
         reached = np.maximum.accumulate(np.concatenate(((newest,), stamps[:-1])))
         before = np.concatenate(((last,), stamps[:-1]))
         ahead = stamps - reached
-        back = (before < reached) & (before < stamps) & (ahead <= 0)
+        # A clock that steps back is no frame that arrives early after one that was late.
+        plausible = 0 if self._ticks.mode == 'capture' else self._plausible(0)
+        back = (before < reached) & (before < stamps) & (ahead <= -plausible)
         anew = back | (np.abs(ahead) > self.window)
         end = int(anew.argmax()) if anew.any() else len(stamps)
         ahead = ahead[:end]
         self._counts['late'] += int((ahead < 0).sum())
         self._counts['repeated'] += int((ahead == 0).sum())
-        return ahead, end
+        return ahead, end, self._repeated(stamps[:end], points)
+
+    def _sift_arrivals(
+        self, stamps: np.ndarray, points: np.ndarray
+    ) -> tuple[np.ndarray, int, np.ndarray | None]:
+        last, newest = self._last, self._newest
+        if not len(self._frames):
+            last = newest = int(stamps[0]) - 1
+        reached = np.maximum.accumulate(np.concatenate(((newest,), stamps[:-1])))
+        before = np.concatenate(((last,), stamps[:-1]))
+        ahead = stamps - reached
+        late = ahead <= -self._plausible(round(_PLAUSIBLE * self.window))
+        anew = (late & (before < reached) & (before < stamps)) | (np.abs(ahead) > self.window)
+        end = int(anew.argmax()) if anew.any() else len(stamps)
+        repeated = self._repeated(stamps[:end], points)
+        taken = ~(late[:end] | repeated)
+        if self._counter is not None:
+            rows = taken.nonzero()[0]
+            self._counted = counted = self._counter.take(self._counter.ticks(stamps[rows]))
+            if counted.early:
+                end = int(rows[len(counted.counts)])
+                taken, repeated, self._early = taken[:end], repeated[:end], counted.early
+        self._counts['late'] += int(late[:end].sum())
+        self._counts['repeated'] += int(repeated.sum())
+        if end:
+            self._newest = max(int(reached[end - 1]), int(stamps[end - 1]))
+        return taken.astype(np.int64), end, repeated
+
+    def _plausible(self, unknown: int) -> int:
+        """By how much a frame may be late, ns; `unknown` while the clock is."""
+        clock = self._ticks.clock
+        return unknown if clock is None else round(clock.largest + clock.interval)
+
+    def _repeated(self, stamps: np.ndarray, points: np.ndarray) -> np.ndarray:
+        """Which frames (T,) are the one before once more."""
+        repeated = np.zeros(len(stamps), bool)
+        for k in (np.diff(stamps, prepend=self._last) == 0).nonzero()[0].tolist():
+            before = points[k - 1] if k else self._last_points
+            repeated[k] = before is not None and np.array_equal(points[k], before, equal_nan=True)
+        return repeated
 
     def enter(
         self, stamps: np.ndarray, steps: np.ndarray, numbers: np.ndarray
@@ -93,14 +196,153 @@ class Timeline:
         Also which (T,) come much later than those before did. `numbers` (T,) are theirs.
         """
         rows = self._frames.room(len(stamps))
+        rows['stamp'], rows['number'] = stamps, numbers
+        self._waiting += len(stamps)
+        if self._ticks.regular:
+            return rows, self._enter_arrivals(rows, stamps)
+        rows['time'] = stamps
+        rows['count'] = rows['behind'] = 0
         held = self._place(rows, stamps)
-        rows['number'] = numbers
         interval = rows['interval']
         # As the window was before the frame came.
         before = np.concatenate(((self.interval,), interval[:-1]))
         self.samples, self.interval = int(held[-1]) + 1, float(interval[-1])
-        self._waiting += len(stamps)
         return rows, (steps > _LATE * before) & (before > 0)
+
+    def _enter_arrivals(self, rows: np.ndarray, stamps: np.ndarray) -> np.ndarray:
+        """Give frames the time of their ticks; which (T,) come after a gap."""
+        every = self._frames.view()
+        first = len(every) == len(rows)
+        if self._counted is None:
+            last = int(stamps[0]) - _LEAST_STEP if first else int(every['time'][-len(rows) - 1])
+            rows['time'] = _rising(np.concatenate(((last,), stamps)))[1:]
+            rows['count'] = rows['behind'] = 0
+            return np.zeros(len(rows), bool)
+        counts = np.array(self._counted.counts)
+        before = self._anchor[1] if first else int(every['count'][-len(rows) - 1])
+        rows['count'], rows['behind'] = counts, self._counted.behind
+        rows['time'] = self._times(counts)
+        return np.diff(counts, prepend=before) > _LATE
+
+    def _times(self, counts: np.ndarray) -> np.ndarray:
+        time, count = self._anchor
+        return np.asarray(time + (counts - count) * self._step)
+
+    def pose(self, rows: np.ndarray, noise: np.ndarray) -> None:
+        """
+        Frames `rows` have poses now: what that says of when they were.
+
+        `noise` (K, B) is that of a marker of each body, m, as it was known by the rows' `beat`.
+        """
+        self._ticks.add_poses(rows['poses'], rows['information'])
+        counted, self._counted = self._counted, None
+        if not self._ticks.regular:
+            return
+        every = self._frames.view()
+        if counted is not None and counted.sure:
+            assert self._counter is not None
+            pending = self._counter.pending
+            first = len(every) - pending - len(counted.sure)
+            known = slice(first, len(every) - pending)
+            every['count'][known] = counted.sure
+            for loss in counted.losses:
+                self._place_loss(every, first, loss, noise)
+            every['time'][known] = self._times(every['count'][known])
+        sure = len(every) - (0 if self._counter is None else self._counter.pending)
+        if sure:
+            times = every['time'][:sure]
+            oldest = int(times.searchsorted(times[-1] - self.window))
+            self.samples = sure - oldest
+            self.interval = float(times[-1] - times[oldest]) / max(self.samples - 1, 1)
+
+    def _place_loss(self, every: np.ndarray, first: int, loss: Loss, noise: np.ndarray) -> None:
+        """Put a loss where motion and stamps say that it was."""
+        if not loss.last:
+            return
+        frames = every[max(0, first + loss.place - _UNSURE) : first + loss.end]
+        begin = len(frames) - (loss.end - loss.place)
+        level = noise[frames['beat'][-1]]
+        place = likeliest_place(frames, begin, loss, level)
+        every['count'][first + loss.place : first + loss.place + place] -= loss.lost
+
+    @property
+    def look_due(self) -> bool:
+        """Whether `look` is to be called before more frames come."""
+        return self._ticks.room <= 0 or self._early > 0 or self._slips
+
+    def look(self, noise: np.ndarray) -> Callable[[], None] | None:
+        """
+        Look at the clock: what is to be done when all that waits is estimated, if anything.
+
+        `noise` (B,), m, is that of a marker of each body.
+        """
+        if self._early:
+            return self._take_back
+        if self._slips:
+            self._slips, self._ticks.regular = False, True
+            return self._count_anew
+        was = self._ticks.regular
+        lost = self._ticks.lost
+        self._ticks.look(noise)
+        self._counts['lost'] += self._ticks.lost - lost
+        if self._ticks.regular:
+            mature = was and self._counter is not None and self._ticks.seen > _YOUNG
+            return self._follow if mature else self._count_anew
+        return self._to_stamps if was else None
+
+    def _take_back(self) -> None:
+        """Frames that seemed lost were late."""
+        assert self._counter is not None
+        number = min(self._counter.withdraw(self._early), len(self._frames))
+        every = self._frames.view()[len(self._frames) - number :]
+        every['count'] -= self._early
+        every['time'] -= self._early * self._step
+        self._early = 0
+
+    def _follow(self) -> None:
+        """Go on by the clock as it is known now."""
+        assert self._counter is not None and self._ticks.clock is not None
+        self._counter.follow(self._ticks.clock)
+        every = self._frames.view()
+        newest = len(every) - self._counter.pending - 1
+        if newest >= 0:
+            self._anchor = int(every['time'][newest]), int(every['count'][newest])
+        self._step = round(self._ticks.clock.interval)
+        every['time'] = self._times(every['count'])
+
+    def _count_anew(self) -> None:
+        """Give all frames the counts that the clock has for them."""
+        clock, every = self._ticks.clock, self._frames.view()
+        assert clock is not None
+        self._step = max(round(clock.interval), 1)
+        if not len(every):
+            return
+        counts = counts_by(every['stamp'], clock)
+        sure = max(len(every) - _UNSURE, 1)
+        self._counter = FrameCounter(clock, int(counts[sure - 1]))
+        while sure < len(every):
+            rest = self._counter.ticks(every['stamp'][sure:])
+            counted = self._counter.take(rest)
+            counts[sure : sure + len(counted.counts)] = counted.counts
+            known = sure + len(counted.counts) - self._counter.pending
+            counts[known - len(counted.sure) : known] = counted.sure
+            sure += len(counted.counts)
+            if counted.early:
+                number = self._counter.withdraw(counted.early)
+                counts[max(sure - number, 0) : sure] -= counted.early
+        every['count'] = counts
+        newest = max(len(every) - self._counter.pending - 1, 0)
+        count = int(counts[newest])
+        time = clock.origin + round(clock.phase + count * clock.interval)
+        self._anchor = time, count
+        every['time'] = self._times(counts)
+        self._newest = int(every['stamp'].max())
+
+    def _to_stamps(self) -> None:
+        """Take frames to be at their stamps from now on."""
+        every = self._frames.view()
+        every['time'] = _rising(every['stamp'])
+        self._counter = None
 
     def guess(self) -> np.ndarray:
         """
@@ -108,7 +350,7 @@ class Timeline:
 
         Raises Unforeseen where frames do not come evenly, or are too few.
         """
-        if len(self._frames) < FEWEST_SAMPLES:
+        if len(self._frames) < FEWEST_SAMPLES or self._ticks.regular:
             raise Unforeseen
         stamps = self._frames.view()['stamp'][-4:]
         steps = stamps[1:] - stamps[:-1]
@@ -117,6 +359,8 @@ class Timeline:
         # The step of three frames ago: at 120 Hz and the like one in three is a ns longer.
         stamp = stamps[-1:] + steps[0]
         row = self._frames.room(1)
+        row['stamp'] = row['time'] = stamp
+        row['count'] = row['behind'] = 0
         self._place(row, stamp)
         return row
 
@@ -129,13 +373,12 @@ class Timeline:
         every = self._frames.view()
         return every[len(every) - self._waiting :]
 
-    def _place(self, rows: np.ndarray, stamps: np.ndarray) -> np.ndarray:
-        """Note when frames are and what their windows hold; how many (T,) frames before them."""
-        rows['stamp'] = stamps
-        every = self._frames.view()['stamp']
-        rows['oldest'] = oldest = every.searchsorted(stamps - self.window)
+    def _place(self, rows: np.ndarray, times: np.ndarray) -> np.ndarray:
+        """Note what the windows of frames hold; how many (T,) frames before them."""
+        every = self._frames.view()['time']
+        rows['oldest'] = oldest = every.searchsorted(times - self.window)
         held = np.arange(len(every) - len(rows), len(every)) - oldest
-        rows['interval'] = (stamps - every[oldest]) / np.maximum(held, 1)
+        rows['interval'] = (times - every[oldest]) / np.maximum(held, 1)
         return held
 
     def falling_due(self, new: np.ndarray) -> tuple[np.ndarray, Windows, np.ndarray]:
@@ -144,10 +387,20 @@ class Timeline:
         of; with which of these frames each is due.
         """
         frames = self._frames.view()
+        newest = np.arange(len(frames) - len(new), len(frames))
+        times = frames['time']
+        if self._ticks.regular:
+            # Frames without a sure count are as if they had not come.
+            newest = np.maximum(newest - new['behind'], 0)
+            times = times[: newest[-1] + 1]
+            here = times[newest]
+            new['oldest'] = oldest = times.searchsorted(here - self.window)
+            new['interval'] = (here - times[oldest]) / np.maximum(newest - oldest, 1)
+        else:
+            here, oldest = new['time'], new['oldest']
         ahead = np.rint(self._lag - 0.75 * new['interval'])
-        last = new['stamp'] - ahead.astype(np.int64)
-        oldest, newest = new['oldest'], np.arange(len(frames) - len(new), len(frames))
-        end = np.minimum(frames['stamp'].searchsorted(last, side='right'), newest + 1)
+        last = here - ahead.astype(np.int64)
+        end = np.minimum(times.searchsorted(last, side='right'), newest + 1)
         end = np.maximum.accumulate(np.maximum(end, self._due))
         due = np.arange(self._due, end[-1])
         frame = end.searchsorted(due, side='right')
@@ -162,3 +415,9 @@ class Timeline:
         self._frames.drop(count)
         self._due = max(0, due - count)
         self.dropped += count
+
+
+def _rising(stamps: np.ndarray) -> np.ndarray:
+    """Times (T,) that rise, from stamps that need not."""
+    least = _LEAST_STEP * np.arange(len(stamps))
+    return np.asarray(np.maximum.accumulate(stamps - least) + least)

@@ -21,6 +21,7 @@ from kinpole_ros.prompt import Foreseen, Prompt
 from kinpole_ros.roster import Roster
 from kinpole_ros.scatter import HISTORY
 from kinpole_ros.space import Space, SpaceReport
+from kinpole_ros.ticks import StampState
 from kinpole_ros.timeline import Timeline
 from kinpole_ros.window import (
     STRIKES,
@@ -47,8 +48,8 @@ class Tracker:
     Follows the bodies of `settings` from frame to frame.
 
     `samples` is how many frames the window holds. `counts` says what became of the frames, for
-    diagnostics: frames, repeated, late, resets, frame_changes, markers_not_seen, markers_unknown,
-    and the markers_... that were mended, see `window.untangle`.
+    diagnostics: frames, repeated, late, lost, resets, frame_changes, markers_not_seen,
+    markers_unknown, and the markers_... that were mended, see `window.untangle`.
     """
 
     def __init__(self, settings: Settings) -> None:
@@ -60,6 +61,10 @@ class Tracker:
 
     def reset(self) -> None:
         """Forget all samples, and the shapes and noise learned from them."""
+        self._start(None)
+
+    def _start(self, before: Timeline | None) -> None:
+        """Start anew; `before` a jump of the stamps frames were as in that timeline."""
         count = len(self.bodies)
         self._roster = Roster(self.settings)
         width = self._roster.width
@@ -68,7 +73,7 @@ class Tracker:
         self._early: list[tuple[np.ndarray, np.ndarray, np.ndarray]] = []
         # The plane that poses are in.
         self._plane = self._space.plane
-        self._timeline = Timeline(self.settings, self.counts)
+        self._timeline = Timeline(self.settings, self.counts, before)
         self._rigid = RigidBodies(self.settings, self._timeline.window, width, self.counts)
         self._filter = PoseFilter()
         # From when on poses are of the bodies that the filter knows, ns.
@@ -97,6 +102,10 @@ class Tracker:
     def looseness(self) -> np.ndarray:
         """How far (B,) markers are off one rigid body: see `RigidBodies.looseness`."""
         return self._rigid.looseness()
+
+    def stamp_state(self) -> StampState | None:
+        """How the stamps are beside the clock found behind them; None while too few have come."""
+        return self._timeline.stamp_state()
 
     def underrated(self) -> np.ndarray:
         """Which bodies (B,) have more noise than can be measured, since it lasts long."""
@@ -159,7 +168,12 @@ class Tracker:
                 self._frame_id = frames.frame_id
             first = 0
             while first < len(stamps):
-                steps, end = self._timeline.sift(stamps[first:])
+                if self._timeline.look_due:
+                    found += self._look(order)
+                # A plane that is being fitted is known at the next update at the earliest.
+                last = first + self._space.capacity(len(stamps) - first)
+                some = slice(first, last)
+                steps, end, anew = self._timeline.sift(stamps[some], frames.points[some])
                 new = (steps > 0).nonzero()[0]
                 if len(new):
                     taken, place = frames, first + new
@@ -171,11 +185,10 @@ class Tracker:
                         self._widen()
                     found += self._run(taken.stamps, steps[new], solid, before + place, order)
                 first += end
-                if first < len(stamps):
+                if anew:
                     found += self._estimates(order)
                     self.counts['resets'] += 1
-                    self.reset()
-            self._timeline.last = int(stamps[-1])
+                    self._start(self._timeline)
             before += len(stamps)
         return found + self._estimates(order, told)
 
@@ -184,6 +197,20 @@ class Tracker:
         self._filter.settle()
         self._rigid.settle()
         self._space.settle()
+        if self._timeline.look_due:
+            self._look(None)
+
+    def _look(self, order: int | None) -> list[Estimate]:
+        """Look at the clock of the stamps; what waits is estimated before it changes anything."""
+        was = self._timeline.regular
+        change = self._timeline.look(self._rigid.noise())
+        if change is None:
+            return []
+        found = self._estimates(order)
+        change()
+        if self._timeline.regular != was:
+            self._rigid.retime()
+        return found
 
     def foresee(self, order: int) -> None:
         """Find what can be found of the next frame, while nobody waits for it, for `prompt`."""
@@ -255,31 +282,27 @@ class Tracker:
 
         Returns what was due before the plane was known, if it becomes known.
         """
-        found = []
+        found: list[Estimate] = []
         self.counts['markers_unknown'] = self._roster.unknown
         seen = np.count_nonzero(~np.isnan(solid[..., 0]))
         self.counts['markers_not_seen'] += self._roster.wanted * len(solid) - seen
-        first = 0
-        while first < len(stamps):
-            # Of a plane that is being fitted it is known at the next update at the earliest.
-            part = slice(first, first + self._space.capacity(len(stamps) - first))
-            if self._plane is not self._space.plane:
-                found += self._estimates(order)
-                self._catch_up()
-            rows, gaps = self._timeline.enter(stamps[part], steps[part], numbers[part])
-            landmarks = None if self._points is None else self._points.room(len(rows))
-            if self._plane is None:
-                nowhere = np.full(solid[part].shape[:-1], complex(np.nan, np.nan))
-                points, heights = nowhere, nowhere.real
-            else:
-                points, heights = self._plane.project(solid[part])
-            self._rigid.take(rows, points, heights, gaps, landmarks)
-            if self._plane is None:
-                self._early.append((rows.copy(), solid[part], gaps))
-                if len(self._early) > HISTORY and (early := self._latest_early()):
-                    self._early = [early]
-            self._space.add(stamps[part], solid[part])
-            first = part.stop
+        if self._plane is not self._space.plane:
+            found = self._estimates(order)
+            self._catch_up()
+        rows, gaps = self._timeline.enter(stamps, steps, numbers)
+        landmarks = None if self._points is None else self._points.room(len(rows))
+        if self._plane is None:
+            nowhere = np.full(solid.shape[:-1], complex(np.nan, np.nan))
+            points, heights = nowhere, nowhere.real
+        else:
+            points, heights = self._plane.project(solid)
+        self._rigid.take(rows, points, heights, gaps, landmarks)
+        self._timeline.pose(rows, self._rigid.known['noise'])
+        if self._plane is None:
+            self._early.append((rows.copy(), solid, gaps))
+            if len(self._early) > HISTORY and (early := self._latest_early()):
+                self._early = [early]
+        self._space.add(stamps, solid)
         return found
 
     def _catch_up(self) -> None:
@@ -416,7 +439,7 @@ class Tracker:
             return pin, variance
         _, oldest, newest = windows
         frames = self._timeline.view()
-        held &= known['pin_since'] <= frames['stamp'][oldest, None]
+        held &= known['pin_since'] <= frames['time'][oldest, None]
         strayed = frames['strayed']
         if np.count_nonzero(strayed):
             times = strayed.cumsum(axis=0)
@@ -459,7 +482,7 @@ class Tracker:
             if np.count_nonzero(row['reference']):
                 poses = seen_at(row['reference'], row['middle'], *poses)
             some = tuple(frame[part] for frame in windows)
-            for run in runs(frames['stamp'], some, *poses, noise[part]):
+            for run in runs(frames['time'], some, *poses, noise[part]):
                 end = first + run[1].shape[1]
                 found.append(derivatives(numbers[first:end], *run, reach[first:end], order))
                 first = end
@@ -478,7 +501,7 @@ class Tracker:
         if np.count_nonzero(anew):
             self._filter.forget(anew)
             self._since = since.copy()
-        before = np.tile(self._timeline.view()['stamp'][:, None] < since, 2)
+        before = np.tile(self._timeline.view()['time'][:, None] < since, 2)
         return np.where(before[..., None], np.nan, poses), np.where(before, 0.0, information)
 
     def _from_landmarks(
@@ -488,7 +511,7 @@ class Tracker:
         assert self._points is not None
         frames = self._timeline.view()
         found = self._landmark_filter.derivatives(
-            frames['stamp'], windows, self._points.view(), known['noise'], order
+            frames['time'], windows, self._points.view(), known['noise'], order
         )
         found[1][0] = frames['poses'][windows[0], : len(self.bodies), 0]
         return found, None, None

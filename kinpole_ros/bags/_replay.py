@@ -27,6 +27,7 @@ from kinpole_ros.parameters import Settings
 from kinpole_ros.roster import find_marker
 from kinpole_ros.space import SpaceReport, updated
 from kinpole_ros.theory import Beside, Comparison, load_theory
+from kinpole_ros.ticks import StampState
 from kinpole_ros.tracker import Tracker
 
 NODE_NAME = 'kinpole'
@@ -50,7 +51,9 @@ class Replayed(NamedTuple):
     are in no message, and `identities` those of the last one. `unknown` are the bodies known at no
     instant, and why not at the last ('' where there is none). `joined` are the files that were read
     as one recording only because they lie in one folder. `beside` is how far the bodies were from
-    the scene, if any; `space` is how the motion lay in space, as last known.
+    the scene, if any; `space` is how the motion lay in space, as last known. `lost` are frames that
+    never came, by the clock of the stamps, and `stamps` how these are beside it, None where there
+    are too few.
     """
 
     frames: int
@@ -74,6 +77,8 @@ class Replayed(NamedTuple):
     joined: list[str]
     beside: list[Beside]
     space: SpaceReport
+    lost: int
+    stamps: StampState | None
 
 
 def replay(
@@ -210,6 +215,8 @@ def replay(
         joined,
         comparison.found() if comparison is not None else [],
         space,
+        counts['lost'],
+        tracker.stamp_state(),
     )
 
 

@@ -3,7 +3,14 @@
 from collections.abc import Iterator
 
 from kinpole_ros.bags._replay import Replayed
-from kinpole_ros.messages import SMOOTHED, not_there, shape_fault, tilt_fault, unit_fault
+from kinpole_ros.messages import (
+    SMOOTHED,
+    jitter_costs,
+    not_there,
+    shape_fault,
+    tilt_fault,
+    unit_fault,
+)
 from kinpole_ros.parameters import Settings
 from kinpole_ros.window import FEWEST_SAMPLES
 
@@ -34,6 +41,8 @@ def warnings_of(result: Replayed, settings: Settings) -> list[str]:
             'one recording, since the folder has no metadata.yaml to tell, but the stamps do not '
             'run on; if they are several, give each file by itself'
         )
+    if result.stamps is not None and result.stamps.costs:
+        lines.append(jitter_costs(result.stamps, settings.stamps))
     if result.frames:
         absent = result.absent.items()
         lines += [not_there(body, names, result.identities) for body, names in absent]

@@ -85,6 +85,7 @@ def _make(
         'seconds': (result.last - result.first) / 1e9,
         'repeated': result.repeated,
         'late': result.late,
+        'lost': result.lost,
         'resets': result.resets,
         'frame_changes': result.frame_changes,
         'unreadable': result.unreadable,

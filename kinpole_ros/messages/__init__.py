@@ -21,6 +21,7 @@ from kinpole_ros.messages._space import (
     tilt_fault,
     unit_fault,
 )
+from kinpole_ros.messages._stamps import jitter_costs
 
 __all__ = [
     'DRAWING',
@@ -32,6 +33,7 @@ __all__ = [
     'MessageError',
     'Output',
     'diagnostics_data',
+    'jitter_costs',
     'not_rigid',
     'not_there',
     'nothing_drawn',

@@ -15,7 +15,7 @@ from kinpole_ros.messages._space import (
     tilt_fault,
     unit_fault,
 )
-from kinpole_ros.messages._stamps import stamp_faults
+from kinpole_ros.messages._stamps import jitter_costs, stamp_faults, stamp_values
 from kinpole_ros.theory import Theory, joint_offsets, rate_differences
 from kinpole_ros.tracker import Tracker
 from kinpole_ros.window import FEWEST_SAMPLES
@@ -26,6 +26,7 @@ _WORDS = {
     'frames': 'frames received',
     'repeated': 'frames with the stamp of the one before, left out',
     'late': 'frames that came late, after newer ones, left out',
+    'lost': 'frames lost on the way, by the clock of the stamps',
     'resets': 'starts anew after a jump of the stamps',
     'frame_changes': 'starts anew with another frame_id',
     'restarts': 'starts anew with another publisher of the markers',
@@ -94,7 +95,12 @@ class DiagnosticsMaker:
         array = DiagnosticArray()
         array.header.stamp = ns_to_stamp(stamp)
         faults = _faults(tracker, since, trouble, self._nothing)
-        faults += stamp_faults(stamps, seconds, tracker.settings.window)
+        state = tracker.stamp_state()
+        if state is None or not state.regularized:
+            faults += stamp_faults(stamps, seconds, tracker.settings.window)
+        if state is not None and state.costs and since.get('frames'):
+            text = jitter_costs(state, tracker.settings.stamps)
+            faults.append((DiagnosticStatus.WARN, text))
         space = tracker.space()
         if since.get('frames'):
             unknown = PLANE_UNKNOWN if tracker.plane is None else ''
@@ -165,6 +171,9 @@ class DiagnosticsMaker:
         if np.isfinite(tracker.interval):
             values['mean interval (s)'] = tracker.interval
         values.update(more)
+        state = tracker.stamp_state()
+        if state is not None:
+            values.update(stamp_values(state))
         values.update({_WORDS[key]: tracker.counts[key] for key in _WORDS})
         return _status(f'{self._name}: markers', level, message, values)
 

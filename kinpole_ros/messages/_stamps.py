@@ -5,6 +5,8 @@ from collections.abc import Sequence
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticStatus
 
+from kinpole_ros.ticks import StampState
+
 # Steps of the stamps over those of the arrivals; a bag played at ten times its pace is in order.
 _ODD_PACE = 100.0
 # Of frames in bunches most follow the one before within this share of the mean step.
@@ -44,3 +46,26 @@ def stamp_faults(stamps: Sequence[int], seconds: float, window: float) -> list[t
         )
         return [(DiagnosticStatus.WARN, text)]
     return []
+
+
+def stamp_values(state: StampState) -> dict[str, float | str]:
+    """What is found of the stamps, in the words of diagnostics."""
+    return {
+        'interval of the clock of the stamps (s)': state.interval,
+        'jitter of the stamps, rms (s)': state.jitter,
+        'jitter of the stamps, largest (s)': state.largest,
+        'frames taken to be at': 'ticks of that clock' if state.regularized else 'their stamps',
+    }
+
+
+def jitter_costs(state: StampState, mode: str) -> str:
+    """What is to be said of jitter that moves the markers by more than their noise."""
+    if mode == 'capture':
+        fix = 'set stamps: arrival, or auto, if the camera has an even clock'
+    else:
+        fix = 'set stamps: arrival if the camera has an even clock'
+    return (
+        f'the stamps jitter by {state.jitter:.2g} s rms, up to {state.largest:.2g} s, which moves '
+        f'the markers by more than their noise; fix: {fix}, or let the driver stamp the time of '
+        'capture'
+    )

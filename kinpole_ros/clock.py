@@ -1,0 +1,437 @@
+"""
+The even clock of a camera behind the stamps of its frames.
+
+Cameras run on an even clock, but drivers stamp frames when they arrive, round the stamps or lose
+frames. A frame arrives after it was captured, never before: its stamp is that of its tick and a
+lateness of 0 or more. Ticks are found by the lower edge of the stamps, and frames that are lost by
+all later ones being at least a tick later than without the loss.
+"""
+
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from kinpole_ros.planar._plane import Real
+
+# As many frames as a window needs.
+FEWEST_FRAMES = 7
+# Below these the interval is searched for, which takes as long as n^2; above it is known well
+# enough to go on from what it was.
+_SEARCHED = 64
+_CANDIDATES = 41
+# Nats: of a lost frame (one in fifty), and for a wrong count in a hundred.
+_LOSS, _SURE = 3.9, 4.6
+# No frame tells more than this, nats: a driver hangs for once about as often as frames are lost.
+_MOST_TOLD = 4.3
+# A frame that comes more than this share of the interval before its tick has another.
+_EARLY = 0.2
+# So many frames at most wait for their count.
+_MOST_PENDING = 16
+# Deviation of the slope of a line along the edge of n points, by the inverse of their density there
+# over n^2 (simulated); so many points nearest to the edge tell the density.
+_EDGE, _NEAREST = 4.0, 6
+# Nats by which the newest frames must be likelier at a rate of their own for it to have changed.
+_CHANGED = 20.0
+# Stamps that are late by no more than this share of the interval leave no doubt of any count.
+_PLAIN = 1 / 4
+# One frame in so many may be as late as no other.
+_RARE = 500
+# Newest frames whose counts are not sure enough to find the clock by.
+_UNSETTLED = 8
+# So many frames after a loss may have been captured before it.
+_AFTER = 4
+# Fewer frames than these say nothing of a rate that has changed.
+_FEW = 64
+
+
+class Clock(NamedTuple):
+    """
+    A clock with ticks of number n at `origin` + `phase` + n `interval`, ns.
+
+    `deviation` is that of the interval; `lateness` the mean by which stamps are later than their
+    ticks, `jitter` its standard deviation, `largest` the most of it and `margin` how much earlier
+    than its tick a stamp may be; stamps are multiples of `resolution`; all in ns.
+    """
+
+    origin: int
+    phase: float
+    interval: float
+    deviation: float
+    lateness: float
+    jitter: float
+    largest: float
+    margin: float
+    resolution: float
+
+    def ticks(self, stamps: np.ndarray) -> Real:
+        """At how many ticks (T,) the `stamps` (T,), ns, come: their whole part is the latest."""
+        since = np.asarray(stamps) - self.origin
+        return np.asarray((since - self.phase + self.margin) / self.interval)
+
+
+def find_clock(stamps: np.ndarray, before: Clock | None) -> tuple[Clock, np.ndarray]:
+    """
+    The clock behind `stamps` (N,), ns, of frames in order of capture, and the counts of the latest.
+
+    `before` is the clock as it was known from most of these. The counts (n,) are of the newest
+    frames, from which the clock is found; those before had another rate. There are at least
+    `FEWEST_FRAMES`.
+    """
+    origin = int(stamps[0])
+    since = (stamps - origin).astype(float)
+    resolution = float(max(np.gcd.reduce(np.diff(stamps)), 1))
+    if before is not None and before.largest <= _PLAIN * before.interval:
+        counts = counts_by(stamps, before)
+    else:
+        trials = [_afresh(since, resolution)]
+        if before is not None:
+            rates = np.array((before.interval, _edge_of(since, trials[0])))
+            trials += [counts_by(stamps, before), *_counts_of(since, rates)]
+        counts = _likeliest(since, trials, resolution)
+    clock, used = _fit(origin, since, counts, resolution)
+    # The rate found with some counts may show that others were meant.
+    for _ in range(3):
+        since, counts = since[-used:], counts[-used:]
+        again = counts_by(stamps[-used:], clock)
+        if (np.diff(again) == np.diff(counts)).all():
+            break
+        if _likeliest(since, [counts, again], resolution) is counts:
+            break
+        counts = again
+        clock, used = _fit(origin, since, counts, resolution)
+    return clock, counts[-used:]
+
+
+def _afresh(since: Real, resolution: float) -> np.ndarray:
+    """
+    Counts (N,) of frames `since` the first, ns, from the newest few on.
+
+    A rate that is wrong by a frame now and then is confirmed by the counts that it gives.
+    """
+    count = min(_SEARCHED, len(since))
+    counts = _search(since[-count:], resolution)
+    while count < len(since):
+        interval = _edge_of(since[-count:], counts)
+        count = min(2 * count, len(since))
+        counts = _counts_of(since[-count:], np.array([interval]))[0]
+    return counts
+
+
+def _likeliest(since: Real, trials: list[np.ndarray], resolution: float) -> np.ndarray:
+    """The likeliest counts (N,) of some."""
+    intervals = np.array([_edge_of(since, counts) for counts in trials])
+    return trials[int(_costs(since, np.stack(trials), intervals, resolution).argmin())]
+
+
+def _costs(since: Real, counts: np.ndarray, intervals: Real, resolution: float) -> Real:
+    """Minus logs (I,) of how likely `counts` (I, N) and `intervals` (I,) are, up to a constant."""
+    settled = max(FEWEST_FRAMES, counts.shape[1] - _UNSETTLED)
+    late = (since - counts * intervals[:, None])[:, :settled]
+    late = (late - late.min(axis=1, keepdims=True)).mean(axis=1)
+    lost = counts[:, settled - 1] - counts[:, 0] - (settled - 1)
+    return np.asarray(settled * np.log(late + resolution / 4 + 1.0) + _LOSS * lost)
+
+
+def _search(since: Real, resolution: float) -> np.ndarray:
+    """Counts (N,) of a few frames `since` the first, by the likeliest interval of many."""
+    number = np.arange(len(since))
+    steps = np.diff(since)
+    middle = max(float(np.median(steps)), 1.0)
+    around = number - number.mean()
+    slope = max(float(around @ since / (around @ around)), 1.0)
+    deviation = 2 * float(np.median(np.abs(steps - middle))) + resolution
+    most = min(3 * deviation / math.sqrt(len(steps)), 0.5 * middle)
+    # Also the mean rate if none, one, ... were lost.
+    most_lost = max(FEWEST_FRAMES - 1, len(since) // 8)
+    trials = np.concatenate(
+        (
+            middle + most * np.linspace(-1, 1, _CANDIDATES),
+            slope / (1 + np.linspace(-1, most_lost, 2 * _CANDIDATES) / len(steps)),
+        )
+    )
+    counts = _counts_of(since, trials)
+    # Once more by the lines through them, which are exact where lateness is small.
+    mean = counts - counts.mean(axis=1, keepdims=True)
+    slopes = (mean @ since) / (mean * mean).sum(axis=1)
+    slopes = slopes[slopes > 0]
+    trials, counts = (
+        np.concatenate(pair) for pair in ((trials, slopes), (counts, _counts_of(since, slopes)))
+    )
+    for _ in range(2):
+        edge = _edge_of(since, counts[_costs(since, counts, trials, resolution).argmin()])
+        trials = np.append(trials, edge * (1 + np.arange(-2, 3) / len(since)))
+        counts = np.concatenate((counts, _counts_of(since, trials[-5:])))
+    return np.asarray(counts[_costs(since, counts, trials, resolution).argmin()])
+
+
+def _counts_of(since: Real, intervals: Real) -> np.ndarray:
+    """Counts (I, N) of frames by each of the `intervals` (I,), the first of them in time."""
+    number = np.arange(len(since))
+    left = since - intervals[:, None] * number
+    least = np.minimum.accumulate(left[:, ::-1], axis=1)[:, ::-1]
+    lost = np.rint((least - least[:, :1]) / intervals[:, None])
+    return np.asarray(number + np.maximum.accumulate(lost, axis=1).astype(np.int64))
+
+
+def counts_by(stamps: np.ndarray, clock: Clock) -> np.ndarray:
+    """
+    Counts (N,) of frames by a clock: the latest that neither a stamp nor a later frame forbids.
+
+    No frame comes before its tick, and none has the count of the one after it.
+    """
+    number = np.arange(len(stamps))
+    ahead = np.floor(clock.ticks(stamps)).astype(np.int64) - number
+    return np.asarray(number + np.minimum.accumulate(ahead[::-1])[::-1])
+
+
+def _fit(origin: int, since: Real, counts: np.ndarray, resolution: float) -> tuple[Clock, int]:
+    """
+    The clock of frames `since` `origin`, ns, with `counts` (N,).
+
+    Of all, or of as many of the newest as are returned too, if the rate has changed.
+    """
+    used = len(counts)
+    # A frame after a loss may have come before it, late, for all one knows, and spoil the edge.
+    sure = np.ones(used, bool)
+    after = (np.diff(counts) > 1).nonzero()[0][:, None] + np.arange(1, _AFTER + 1)
+    sure[np.minimum(after, used - 1)] = False
+    sure[-_UNSETTLED:] = False
+    if 2 * np.count_nonzero(sure) < max(used, 4 * _UNSETTLED):
+        sure[: max(FEWEST_FRAMES, used - _UNSETTLED)] = True
+    since, counts = since[sure], counts[sure]
+    interval, deviation = _slope(since, counts, resolution)
+    part = len(counts) // 2
+    # Where counts are in doubt, so is what a part of the frames says.
+    while part > _FEW and (since - interval * counts).std() < _PLAIN * interval:
+        newest = slice(len(counts) - part, None)
+        now, _ = _slope(since[newest], counts[newest], resolution)
+        left, own = (
+            float((since[newest] - one * counts[newest]).var()) + resolution**2 / 12
+            for one in (interval, now)
+        )
+        apart = abs(now - interval) * part > 2 * resolution
+        if apart and part / 2 * math.log(left / own) > _CHANGED:
+            since, counts = since[newest], counts[newest]
+            interval, deviation = _slope(since, counts, resolution)
+            used = len(sure) - int(sure.nonzero()[0][-part])
+        part //= 2
+    late = since - interval * counts
+    ranked = np.sort(late)
+    phase = float(ranked[0])
+    late -= phase
+    # A frame is too early by less than half of what no frame's lateness has left free before the
+    # next tick, and else by what the edge may be off.
+    edge = float(ranked[min(4, len(ranked) - 1)]) - phase + deviation * len(ranked) / 2 + resolution
+    parts = np.sort(late % interval)
+    free = interval - float(parts[-1 - len(parts) // _RARE])
+    clock = Clock(
+        origin,
+        phase,
+        interval,
+        deviation,
+        float(late.mean()),
+        float(late.std()),
+        float(late.max()),
+        min(max(edge, free / 2), interval / 2),
+        resolution,
+    )
+    return clock, used
+
+
+def _slope(since: Real, counts: np.ndarray, resolution: float) -> tuple[float, float]:
+    """
+    The interval, ns, and its deviation, by what is known best of frames with `counts` (N,).
+
+    A line by least squares is best for lateness that has no edges; lines along the edges are where
+    it has them: exponential, even, rounded.
+    """
+    count = len(counts)
+    around = counts - counts.mean()
+    total = float(around @ around)
+    line = float(around @ since) / total
+    off = since - line * around
+    rounding = resolution / math.sqrt(12)
+    spread = math.sqrt(float(off.var()) * count / max(count - 2, 1) + rounding**2)
+    found = [(line, spread / math.sqrt(total))]
+    for sign in (1.0, -1.0):
+        edge = _edge(sign * since, around, sign * line)
+        left = np.sort(sign * since - edge * around)
+        few = min(_NEAREST, count - 1)
+        inverse = (left[few] - left[0] + resolution) * count / few
+        reach = float(around[-1] - around[0])
+        found.append((sign * edge, _EDGE * inverse / (count * reach)))
+    values, deviations = np.array(found).T
+    if deviations[0] <= deviations[1:].min():
+        return line, float(deviations[0])
+    weights = deviations[1:] ** -2
+    mean = float((weights * values[1:]).sum() / weights.sum())
+    return mean, float(weights.sum() ** -0.5)
+
+
+def _edge_of(since: Real, counts: np.ndarray) -> float:
+    """The interval by the lower edge of frames with `counts` (N,)."""
+    around = counts - counts.mean()
+    return _edge(since, around, float(around @ since / (around @ around)))
+
+
+def _edge(values: Real, around: Real, slope: float) -> float:
+    """
+    Slope of the line below all `values` (N,), by `around` (N,), that is nearest to them on the sum.
+
+    That is the edge of their lower hull at the mean: the most likely line where values are late by
+    an exponential time (Smith 1985).
+    """
+    middle = int(np.searchsorted(around, 0.0))
+    middle = min(max(middle, 1), len(around) - 1)
+    pair = (-1, -1)
+    for _ in range(20):
+        left = values - slope * around
+        here = int(left[:middle].argmin()), middle + int(left[middle:].argmin())
+        if here == pair:
+            break
+        pair = here
+        slope = float((values[pair[1]] - values[pair[0]]) / (around[pair[1]] - around[pair[0]]))
+    return slope
+
+
+class Loss(NamedTuple):
+    """
+    `lost` frames were lost before one of those counted, the `place`-th of them or up to `last` on.
+
+    By the stamps the first is the likeliest, each after it by `each` nats less. It is known by
+    frames up to the `end`-th.
+    """
+
+    place: int
+    last: int
+    end: int
+    lost: int
+    each: float
+
+
+class Counted(NamedTuple):
+    """
+    What a `FrameCounter` says of frames that have come.
+
+    The likeliest count of each when it came, and how many were `behind` then without a sure one;
+    the counts that are `sure` now, from the frame that had none on, and the `losses` among them.
+    `early` is how many fewer must have been lost for the frame after these, which was not taken
+    then; 0 if all were.
+    """
+
+    counts: list[int]
+    behind: list[int]
+    sure: list[int]
+    losses: list[Loss]
+    early: int
+
+
+class FrameCounter:
+    """
+    Counts frames as they come, by a clock.
+
+    `count` is that of the newest frame whose count is sure, which had it by `clock`; those after it
+    are pending.
+    """
+
+    def __init__(self, clock: Clock, count: int) -> None:
+        self.count = count
+        # By how many ticks each of the pending is later than without a loss.
+        self._pending: list[int] = []
+        # The least of it, and how many frames have it or more since one had that.
+        self._least = 0
+        self._alike = 0
+        # Frames that were counted since the last loss, and how large that was.
+        self._since_loss = 0
+        self._last_loss = 0
+        # What our counts are ahead of the clock's.
+        self._shift = 0
+        self._set(clock)
+
+    def _set(self, clock: Clock) -> None:
+        self.clock = clock
+        self._told = min(_MOST_TOLD, clock.interval / max(clock.lateness, 1.0))
+
+    def follow(self, clock: Clock) -> None:
+        """Go by a clock that is known better."""
+        old = self.clock
+        at = old.origin - clock.origin + old.phase + (self.count - self._shift) * old.interval
+        self._shift = self.count - round((at - clock.phase) / clock.interval)
+        self._set(clock)
+
+    @property
+    def pending(self) -> int:
+        """How many of the newest frames wait for their count."""
+        return len(self._pending)
+
+    def ticks(self, stamps: np.ndarray) -> list[float]:
+        """What `take` wants of frames with `stamps` (T,), ns."""
+        return (self.clock.ticks(stamps) + self._shift).tolist()
+
+    def take(self, ticks: Sequence[float]) -> Counted:
+        """Count frames at `ticks` of the clock."""
+        found = Counted([], [], [], [], 0)
+        for tick in ticks:
+            pending = self._pending
+            ahead = math.floor(tick) - self.count - len(pending) - 1
+            if ahead < 0:
+                # Unless the edge was not known well.
+                ahead = math.floor(tick + _EARLY) - self.count - len(pending) - 1
+                early = min(-ahead, self._last_loss)
+                if early > 0:
+                    return found._replace(early=early)
+                ahead = 0
+            pending.append(ahead)
+            if ahead == 0:
+                self._settle(len(pending), found)
+            else:
+                if ahead < self._least or len(pending) == 1:
+                    self._least, self._alike = ahead, 0
+                self._alike += 1
+                gain = self._gain()
+                if gain > _LOSS + _SURE or len(pending) >= _MOST_PENDING:
+                    self._conclude(gain > _LOSS, found)
+            pending = self._pending
+            likely = self._least if pending and self._gain() > _LOSS else 0
+            found.counts.append(self.count + len(pending) + likely)
+            found.behind.append(len(pending))
+        return found
+
+    def _gain(self) -> float:
+        """By how many nats a loss is likelier than frames that are late."""
+        return self._alike * min(_MOST_TOLD, self._least * self._told)
+
+    def withdraw(self, early: int) -> int:
+        """So many fewer were lost; how many of the newest frames were counted since."""
+        self.count -= early
+        self._last_loss -= early
+        # Less late than it seemed.
+        self._pending = [ahead + early for ahead in self._pending]
+        self._least += early
+        return self._since_loss + len(self._pending)
+
+    def _settle(self, number: int, found: Counted) -> None:
+        found.sure.extend(range(self.count + 1, self.count + number + 1))
+        self.count += number
+        self._since_loss += number
+        del self._pending[:number]
+
+    def _conclude(self, is_loss: bool, found: Counted) -> None:
+        """Some were lost before a pending frame, or else all are as they seemed."""
+        pending, lost = self._pending, self._least
+        number = len(pending)
+        if not is_loss:
+            self._settle(number, found)
+            return
+        rest = [ahead - lost for ahead in pending]
+        sure = number - rest[::-1].index(0)
+        place = len(found.sure)
+        self.count += lost
+        self._last_loss, self._since_loss = lost, 0
+        self._pending = rest
+        self._settle(sure, found)
+        found.losses.append(Loss(place, sure - 1, place + sure, lost, lost * self._told))
+        self._least = min(self._pending, default=0)
+        self._alike = len(self._pending)

@@ -1,0 +1,282 @@
+"""
+Whether frames are at their stamps or at the ticks of a clock, and when they are taken to be.
+
+Stamps alone cannot tell a camera with an even clock from frames that really come unevenly: motion
+can. Each pose is predicted from its neighbors on both sides, once by the stamps and once by the
+ticks, and what is the better prediction by a clear margin is what frames are taken to be at.
+"""
+
+import math
+from collections.abc import Iterable
+from typing import NamedTuple
+
+import numpy as np
+
+from kinpole_ros.clock import FEWEST_FRAMES, Clock, Loss, find_clock
+from kinpole_ros.planar._plane import Real
+
+# ns and frames that the clock is found from, at most.
+_MEMORY, _MOST = 10 * 10**9, 4096
+# Looks at the clock come after a quarter more frames each time, and at least so often, ns.
+_GROWTH, _SELDOM = 4, 5 * 10**8
+# Evidence in nats decides from so many on; half of it is forgotten in this time, ns.
+_DECIDES, _HALF_LIFE = 6.0, 10**9
+# No more than so many nats are kept: a driver may be changed.
+_MOST_NATS = 50.0
+# Neighbors on each side that predict a pose, and frames for the first evidence.
+_SIDE = 3
+_FEWEST_EVIDENCE = 16
+# Newest frames whose ticks are not sure enough to say anything.
+_UNSURE = 8
+# One prediction does not count for more than so many mean squares.
+_OUTLIER = 9.0
+# Of the polynomial that places a lost frame.
+_DEGREE = 3
+# What neighbors predict is correlated: there is half as much evidence as predictions.
+_INDEPENDENT = 0.5
+
+
+# Stamps in such steps, ns, or longer ones are rounded if no tick is off by more than one of them.
+_COARSE, _ROUNDED = 10_000, 1.05
+
+
+class StampState(NamedTuple):
+    """
+    How stamps are beside the clock found behind them.
+
+    `interval`, `jitter` (rms) and `largest` are in s; `regularized` is whether frames are taken to
+    be at the ticks of the clock. `nats` is how much likelier motion makes that, negative where the
+    stamps are right; `costs` is whether jitter moves the markers by more than their noise.
+    """
+
+    interval: float
+    jitter: float
+    largest: float
+    regularized: bool
+    nats: float
+    costs: bool
+
+
+class Ticks:
+    """
+    The clock behind stamps, and whether motion says that frames are at its ticks.
+
+    `mode` is the parameter `stamps`; `regular` is whether frames are taken to be at ticks.
+    """
+
+    def __init__(self, mode: str) -> None:
+        self.mode = mode
+        self.regular = mode == 'arrival'
+        self.clock: Clock | None = None
+        self.lost = 0
+        # Frames until the next look.
+        self.room = FEWEST_FRAMES
+        self.seen = 0
+        self.nats = 0.0
+        self._stamps = np.zeros(0, np.int64)
+        self._counts = np.zeros(0, np.int64)
+        self._taken = np.zeros(0, bool)
+        self._new: list[tuple[np.ndarray, np.ndarray]] = []
+        # Poses of frames taken, with what they are known by, that are still to be looked at.
+        self._poses: list[tuple[np.ndarray, np.ndarray]] = []
+        self._speed = 0.0
+
+    def add(self, stamps: np.ndarray, taken: np.ndarray) -> None:
+        """Frames that have come with `stamps` (T,), ns, of which some are `taken`."""
+        self._new.append((stamps.copy(), taken.copy()))
+        self.room -= len(stamps)
+        self.seen += len(stamps)
+
+    def add_poses(self, poses: Real, information: Real) -> None:
+        """Poses (T, 2 B, 2) of the frames taken, as in `RigidBodies`."""
+        self._poses.append((poses.copy(), information.copy()))
+
+    def look(self, noise: Real) -> np.ndarray:
+        """
+        Find the clock, and decide; the counts (N,) of the frames of late that were taken.
+
+        `noise` (B,), m, is that of a marker of each body, NaN while not known.
+        """
+        news = [np.concatenate(parts) for parts in zip(*self._new, strict=True)]
+        self._new = []
+        before = len(self._stamps)
+        self._stamps = np.concatenate((self._stamps, news[0]))
+        self._taken = np.concatenate((self._taken, news[1]))
+        newest = int(self._stamps[-1])
+        old = max(int((self._stamps > newest - _MEMORY).argmax()), len(self._stamps) - _MOST, 0)
+        self._forget(old)
+        before = max(before - old, 0)
+        clock, counts = find_clock(self._stamps, self.clock)
+        dropped = len(self._stamps) - len(counts)
+        self._forget(dropped)
+        before = max(before - dropped, 0)
+        steps = np.diff(counts)[max(before - _UNSURE, 0) : len(counts) - _UNSURE]
+        self.lost += int((steps - 1).clip(0).sum()) if len(steps) else 0
+        self.clock = clock
+        seldom = max(FEWEST_FRAMES, int(_SELDOM / max(clock.interval, 1.0)))
+        self.room = min(max(1, self.seen // _GROWTH), seldom)
+        ours = counts[self._taken]
+        self._weigh(ours, noise)
+        late = self._stamps - clock.origin - counts * clock.interval
+        step = clock.resolution
+        if step / 2 < float(np.ptp(late)) <= _ROUNDED * step and self._may_be_rounded(step):
+            self.regular = True
+        return ours
+
+    def _may_be_rounded(self, step: float) -> bool:
+        """Whether stamps that are off their ticks may be so since they are in such steps, ns."""
+        usual = self.mode == 'auto' and self.seen >= _FEWEST_EVIDENCE
+        return usual and self.nats > -_DECIDES and step >= _COARSE
+
+    def until_slip(self, stamps: np.ndarray) -> int:
+        """
+        How many frames come before one that slips by a step of rounded stamps (T,) that were even.
+
+        From there on frames are taken to be at ticks.
+        """
+        clock = self.clock
+        if self.regular or clock is None or clock.largest > 1.0 or clock.resolution < _COARSE:
+            return len(stamps)
+        off = (stamps - clock.origin - clock.phase) / clock.interval
+        off = np.abs(off - np.rint(off)) * clock.interval
+        slips = (off > _COARSE / 2).nonzero()[0]
+        if not len(slips):
+            return len(stamps)
+        first = int(slips[0])
+        step = math.gcd(round(clock.resolution), int(stamps[first]) - clock.origin)
+        rounded = off[first] <= _ROUNDED * step and self._may_be_rounded(step)
+        return first if rounded else len(stamps)
+
+    def _forget(self, count: int) -> None:
+        if count > 0:
+            self._stamps, self._taken = self._stamps[count:], self._taken[count:]
+
+    def _weigh(self, counts: np.ndarray, noise: Real) -> None:
+        """Add up what the motion of late says, and decide by it."""
+        poses, information = (np.concatenate(parts) for parts in zip(*self._poses, strict=True))
+        held = min(len(poses), len(counts))
+        # What is not looked at now is looked at next time.
+        kept = min(held, 2 * _SIDE + _UNSURE)
+        self._poses = [(poses[len(poses) - kept :], information[len(poses) - kept :])]
+        usable = held - _UNSURE
+        if self.seen < _FEWEST_EVIDENCE or usable < 2 * _SIDE + 1:
+            self._poses = [(poses, information)]
+            return
+        assert self.clock is not None
+        interval = self.clock.interval
+        part = slice(len(poses) - held, len(poses) - _UNSURE)
+        at = slice(len(counts) - held, len(counts) - _UNSURE)
+        stamps = self._stamps[self._taken][at]
+        times = np.stack(((stamps - stamps[0]) / interval, (counts[at] - counts[at][0]) * 1.0))
+        signals, variance = _signals(poses[part], information[part], noise)
+        nats, speed = evidence(times, signals, variance)
+        fading = 0.5 ** ((usable - 2 * _SIDE) * interval / _HALF_LIFE)
+        self.nats = float(np.clip(fading * self.nats + nats, -_MOST_NATS, _MOST_NATS))
+        self._speed = max(speed, fading * self._speed)
+        if self.mode == 'auto' and abs(self.nats) > _DECIDES:
+            self.regular = self.nats > 0
+
+    def state(self) -> StampState | None:
+        """How the stamps are; None while too few have come."""
+        clock = self.clock
+        if clock is None:
+            return None
+        jitter = clock.jitter / clock.interval
+        costs = not self.regular and self.nats > -_DECIDES and jitter * self._speed > 1.0
+        scale = 1e-9
+        return StampState(
+            clock.interval * scale,
+            clock.jitter * scale,
+            clock.largest * scale,
+            self.regular,
+            self.nats,
+            costs,
+        )
+
+
+def _signals(poses: Real, information: Real, noise: Real) -> tuple[Real, Real]:
+    """Angles without turns, and coordinates (T, 3 B), with their variances."""
+    count = len(noise)
+    angle = poses[:, :count, 0] + 2 * np.pi * (poses[:, :count, 1] - poses[0, :count, 1])
+    signals = np.concatenate((angle, poses[:, count:, 0], poses[:, count:, 1]), axis=1)
+    level = np.where(np.isfinite(noise), noise, 0.0)
+    with np.errstate(divide='ignore'):
+        inverse = np.where(information > 0, 1 / information, np.nan)
+    # Where noise is not known yet it is what predictions leave.
+    square = np.maximum(level, 1e-9) ** 2
+    of_angle, even = inverse[:, :count] * square, inverse[:, count:] * square
+    return signals, np.concatenate((of_angle, even, even), axis=1)
+
+
+def evidence(times: Real, signals: Real, variance: Real) -> tuple[float, float]:
+    """
+    By how many nats signals make the second of two sequences of times likelier than the first.
+
+    `times` (2, N) are in intervals, `signals` (N, S) have the `variance` (N, S), NaN where not
+    known: `times` are stamps and ticks. Each signal is predicted by the polynomial through its
+    neighbors on both sides. Also the largest rms rate of a signal by interval, in its deviations.
+    """
+    count = len(signals)
+    offsets = np.array([k for k in range(-_SIDE, _SIDE + 1) if k])
+    here = np.arange(_SIDE, count - _SIDE)
+    there = here[:, None] + offsets
+    stamps, ticks = times
+    steps = ticks[there] - ticks[here, None]  # (M, 2 side)
+    weights = np.ones_like(steps)
+    for k, m in _pairs(len(offsets)):
+        weights[:, k] *= steps[:, m] / (steps[:, m] - steps[:, k])
+    # What a stamp that is right moves a signal by, off where it is at its tick. By slopes, which
+    # hardly have noise: what does not move says nothing.
+    nearby = here[:, None] + np.arange(-_SIDE, _SIDE + 1)
+    around = ticks[nearby] - ticks[nearby].mean(axis=1, keepdims=True)
+    slopes = np.einsum('mk,mks->ms', around, signals[nearby])
+    slopes /= (around**2).sum(axis=1, keepdims=True)
+    early = ticks - stamps
+    early = early - np.median(early)
+    moved = -slopes * (early[here] - (weights * early[there]).sum(axis=1))[:, None]
+    off = signals[here] - np.einsum('mk,mks->ms', weights, signals[there])
+    off = np.stack((off - moved, off))
+    spread = variance[here] + np.einsum('mk,mks->ms', weights**2, variance[there])
+    squares = off**2 / spread
+    known = np.isfinite(squares).all(axis=0)
+    number = np.maximum(known.sum(axis=0), 1)
+    squares = np.where(known, squares, 0.0)
+    # By the better of the two, for no polynomial follows every motion.
+    scale = np.maximum((squares.sum(axis=1) / number).min(axis=0), 1.0)
+    cost = np.minimum(squares / scale, _OUTLIER)
+    nats = float((cost[0] - cost[1]).sum() / 2) * _INDEPENDENT
+    rate = np.diff(signals, axis=0) ** 2 / np.where(variance[1:] > 0, variance[1:], np.nan)
+    rate = rate[np.isfinite(rate).all(axis=1)]
+    speed = float(np.sqrt(rate.mean(axis=0).max())) if rate.size else 0.0
+    return nats, speed
+
+
+def _pairs(count: int) -> Iterable[tuple[int, int]]:
+    return ((k, m) for k in range(count) for m in range(count) if k != m)
+
+
+def likeliest_place(frames: np.ndarray, begin: int, loss: Loss, noise: Real) -> int:
+    """
+    How many of the `frames` from the `begin`-th on came before a loss, by motion and stamps.
+
+    The frames are rows of a `Timeline`, counted as if none had; `noise` (B,), m, is that of a
+    marker of each body.
+    """
+    signals, variance = _signals(frames['poses'], frames['information'], noise)
+    counts = frames['count'].astype(float)
+    known = np.isfinite(signals).all(axis=0) & np.isfinite(variance).all(axis=0)
+    left = np.zeros((loss.last + 1, int(known.sum())))
+    degree = min(_DEGREE, len(frames) - 3)
+    if degree < 1:
+        return 0
+    values = signals[:, known] / np.sqrt(variance[:, known].mean(axis=0))
+    for place in range(loss.last + 1):
+        at = counts.copy()
+        at[begin : begin + place] -= loss.lost
+        basis, _ = np.linalg.qr(np.vander(at - at.mean(), degree + 1))
+        rest = values - basis @ (basis.T @ values)
+        left[place] = (rest**2).sum(axis=0)
+    freedom = max(len(frames) - degree - 1, 1)
+    scale = np.maximum(left.min(axis=0) / freedom, 1.0)
+    cost = (left / scale).sum(axis=1) / 2 + loss.each * np.arange(loss.last + 1)
+    return int(cost.argmin())

@@ -1,0 +1,177 @@
+"""The even clock behind the stamps of frames: found, counted by, and used where motion says so."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from kinpole_ros.clock import FrameCounter, find_clock
+from kinpole_ros.frame import MarkerFrames
+from kinpole_ros.mechanism import marker_positions
+from kinpole_ros.mechanism._motions import ORDERS, BodyMotion
+from kinpole_ros.messages import DiagnosticsMaker
+from kinpole_ros.parameters import settings_from
+from kinpole_ros.tracker import Tracker
+
+START = 10**18
+NAMES = ('a', 'b', 'c', 'd')
+KITE = np.array([(0.09, 0.02), (-0.03, 0.1), (-0.08, -0.05), (0.05, -0.06)])
+
+
+def record(times, rest=0.0, seed=0, noise=2e-4):
+    """Points (T, 4, 3) of a body that swings and moves on, after a `rest`; its rates (T,)."""
+    a, b = 5.0, 9.0
+    since = np.maximum(times - rest, 0.0)
+    angle = np.zeros((ORDERS, len(times)))
+    angle[0] = 1 - np.cos(a * since)
+    angle[1] = a * np.sin(a * since)
+    position = np.zeros((ORDERS, len(times)), complex)
+    position[0] = 0.1 * (1 - np.cos(b * since)) + 0.08j * np.sin(a * since) ** 2
+    points = np.zeros((len(times), 4, 3))
+    points[..., :2] = marker_positions(BodyMotion(position, angle), KITE)
+    return points + noise * np.random.default_rng(seed).normal(size=points.shape), angle[1]
+
+
+def late(times, kind, seed=1, drift=1e-4):
+    rng = np.random.default_rng(seed)
+    times = times * (1 + drift)
+    if kind == 'uniform':
+        times = times + rng.uniform(0.2e-3, 3e-3, len(times))
+    elif kind == 'rounded':
+        times = np.round(times, 3)
+    elif kind != 'none':
+        times = times + rng.exponential(float(kind), len(times))
+    return START + np.rint(times * 1e9).astype(np.int64)
+
+
+def track(stamps, points, mode='auto', block=None, order=1):
+    given = {'window': 0.3, 'lag': 0.1, 'stamps': mode, 'body.markers': list(NAMES)}
+    tracker = Tracker(settings_from(given))
+    found = []
+    for k in range(0, len(stamps), block or len(stamps)):
+        part = slice(k, k + (block or len(stamps)))
+        found += tracker.add(MarkerFrames(stamps[part], 'world', NAMES, points[part]), order)
+    stamp = np.concatenate([e.stamp for e in found])
+    rate = np.concatenate([e.rate(1)[0][:, 0] for e in found])
+    return tracker, stamp, rate
+
+
+def errors(stamps, points, rates, skip=1.5, **how):
+    tracker, stamp, rate = track(stamps, points, **how)
+    place = {s: k for k, s in enumerate(stamps.tolist())}
+    off = rate - rates[[place[s] for s in stamp.tolist()]]
+    off = off[(stamp - START > skip * 1e9) & np.isfinite(off)]
+    return tracker, float(np.sqrt((off**2).mean()))
+
+
+def frames_kept(count, share=0.02, seed=2):
+    kept = np.random.default_rng(seed).random(count) >= share
+    kept[:3] = True
+    return kept.nonzero()[0]
+
+
+@pytest.mark.parametrize('kind', ['uniform', '0.0005', '0.001', '0.003'])
+@pytest.mark.parametrize('rate', [100, 200])
+def test_interval_and_frames_lost_are_found(kind, rate):
+    numbers = frames_kept(6 * rate)
+    stamps = late(numbers / rate, kind)
+    clock = None
+    for end in (32, 64, 96, *range(128, len(stamps), rate // 2)):
+        clock, counts = find_clock(stamps[:end], clock)
+    assert clock.interval == pytest.approx(1e9 / rate * (1 + 1e-4), rel=2e-5)
+    right = np.diff(counts) == np.diff(numbers[: len(counts)])
+    # Whether a frame was late before another was lost, or came after it, nobody knows.
+    assert right[:-8].mean() > (0.97 if kind == '0.003' else 0.999)
+    assert counts[-9] - counts[0] == numbers[len(counts) - 9] - numbers[0]
+
+
+def test_counts_as_frames_come():
+    numbers = frames_kept(1200)
+    stamps = late(numbers / 200, '0.001')
+    clock, counts = find_clock(stamps[:60], None)
+    clock, counts = find_clock(stamps[:400], clock)
+    counter = FrameCounter(clock, int(counts[391]))
+    counted = counter.take(counter.ticks(stamps[392:]))
+    assert not counted.early
+    sure = np.array(counted.sure)
+    off = sure - numbers[392 : 392 + len(sure)]
+    assert (off == off[0]).mean() > 0.995
+    assert max(counted.behind) < 8
+
+
+@pytest.mark.parametrize('kind', ['uniform', '0.001', 'rounded'])
+def test_figures_are_as_with_even_stamps(kind):
+    kept = frames_kept(1000)
+    times = kept / 240
+    points, rates = record(times)
+    even = START + np.rint(times * 1e9).astype(np.int64)
+    _, ideal = errors(even, points, rates)
+    stamps = late(times, kind)
+    tracker, found = errors(stamps, points, rates / (1 + 1e-4))
+    assert found < 1.1 * ideal
+    state = tracker.stamp_state()
+    assert state.regularized and not state.costs
+    assert state.interval == pytest.approx((1 + 1e-4) / 240, rel=1e-4)
+    assert tracker.counts['lost'] == pytest.approx(1000 - len(kept), abs=2)
+    _, raw = errors(stamps, points, rates / (1 + 1e-4), mode='capture')
+    assert raw > 1.3 * ideal
+
+
+def test_frames_that_are_uneven_are_taken_by_their_stamps():
+    rng = np.random.default_rng(0)
+    times = np.arange(800) / 200 + rng.uniform(-0.3, 0.3, 800) / 200
+    points, _ = record(times - times[0])
+    stamps = START + np.rint(times * 1e9).astype(np.int64)
+    auto, *found = track(stamps, points)
+    _, *capture = track(stamps, points, mode='capture')
+    for one, other in zip(found, capture, strict=True):
+        np.testing.assert_array_equal(one, other)
+    assert auto.stamp_state().nats < -6 and not auto.stamp_state().costs
+
+
+def test_decided_soon_after_a_body_at_rest_moves():
+    times = np.arange(800) / 200
+    points, _ = record(times, rest=2.0)
+    stamps = late(times, 'uniform')
+    tracker, *_ = track(stamps[:380], points[:380])
+    assert not tracker.stamp_state().regularized
+    tracker, *_ = track(stamps[:500], points[:500])
+    assert tracker.stamp_state().regularized
+
+
+@settings(max_examples=4, deadline=None)
+@given(st.sampled_from(['uniform', '0.001', '0.003']), st.integers(5, 40), st.integers(0, 99))
+def test_blocks_do_not_matter(kind, block, seed):
+    times = frames_kept(200, seed=seed) / 200
+    points, _ = record(times)
+    stamps = late(times, kind, seed)
+    for mode in ('auto', 'arrival'):
+        _, stamp, rate = track(stamps, points, mode)
+        _, again, other = track(stamps, points, mode, block)
+        np.testing.assert_array_equal(again, stamp)
+        np.testing.assert_allclose(other, rate, rtol=1e-9, atol=1e-9)
+
+
+def test_arrival_takes_stamps_that_step_back_and_leaves_out_frames_sent_twice():
+    times = np.arange(400) / 200
+    points, _ = record(times)
+    stamps = late(times, '0.003')
+    assert (np.diff(stamps) < 0).any()
+    twice = np.sort(np.concatenate((np.arange(400), [150, 250])))
+    tracker, stamp, _ = track(stamps[twice], points[twice], mode='arrival')
+    assert tracker.counts['repeated'] == 2
+    assert not tracker.counts['resets'] and not tracker.counts['late']
+    assert len(np.unique(stamp)) == len(stamp) > 350
+
+
+def test_diagnostics_name_the_jitter_and_the_fix():
+    times = np.arange(600) / 200
+    points, _ = record(times)
+    stamps = late(times, 'uniform')
+    for mode, warns in (('capture', True), ('auto', False)):
+        tracker, *_ = track(stamps, points, mode)
+        array = DiagnosticsMaker('kinpole').make(int(stamps[-1]), tracker, None, 3.0, {})
+        status = array.status[0]
+        assert ('stamps: arrival' in status.message) == warns
+        values = {pair.key: pair.value for pair in status.values}
+        assert float(values['jitter of the stamps, rms (s)']) == pytest.approx(0.8e-3, rel=0.1)
