@@ -82,6 +82,7 @@ WRONG = [
         'xy, yz, zx, fit, or a normal [x, y, z]',
     ),
     ('plane', [[float('nan'), 0, 1], [float('inf'), 0, 1], ['xy'], [0, [1], 0]], 'a normal'),
+    ('stamps', ['camera', True, 0, None], 'auto, capture, arrival'),
     ('scale', [0, 0.0, -1, 1e10, 'mm', None, True, float('nan'), [1.0]], '1e-09 to 1e+09 m'),
     (
         'bodies',
