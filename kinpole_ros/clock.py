@@ -301,7 +301,7 @@ class Loss(NamedTuple):
     `lost` frames were lost before one of those counted, the `place`-th of them or up to `last` on.
 
     By the stamps the first is the likeliest, each after it by `each` nats less. It is known by
-    frames up to the `end`-th.
+    frames up to the `end`-th, since the `by`-th of those that came.
     """
 
     place: int
@@ -309,6 +309,7 @@ class Loss(NamedTuple):
     end: int
     lost: int
     each: float
+    by: int
 
 
 class Counted(NamedTuple):
@@ -432,6 +433,7 @@ class FrameCounter:
         self._last_loss, self._since_loss = lost, 0
         self._pending = rest
         self._settle(sure, found)
-        found.losses.append(Loss(place, sure - 1, place + sure, lost, lost * self._told))
+        each, by = lost * self._told, len(found.counts)
+        found.losses.append(Loss(place, sure - 1, place + sure, lost, each, by))
         self._least = min(self._pending, default=0)
         self._alike = len(self._pending)
