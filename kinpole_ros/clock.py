@@ -154,7 +154,7 @@ def _search(since: Real, resolution: float) -> np.ndarray:
     counts = _counts_of(since, trials)
     # Once more by the lines through them, which are exact where lateness is small.
     mean = counts - counts.mean(axis=1, keepdims=True)
-    slopes = (mean @ since) / (mean * mean).sum(axis=1)
+    slopes = (mean @ since) / np.maximum((mean * mean).sum(axis=1), 1.0)
     slopes = slopes[slopes > 0]
     trials, counts = (
         np.concatenate(pair) for pair in ((trials, slopes), (counts, _counts_of(since, slopes)))
@@ -202,11 +202,13 @@ def _fit(origin: int, since: Real, counts: np.ndarray, resolution: float) -> tup
         sure[: max(FEWEST_FRAMES, used - _UNSETTLED)] = True
     since, counts = since[sure], counts[sure]
     interval, deviation = _slope(since, counts, resolution)
+    # Stamps that run backward are of no clock.
+    interval = max(interval, 1.0)
     part = len(counts) // 2
     # Where counts are in doubt, so is what a part of the frames says.
     while part > _FEW and (since - interval * counts).std() < _PLAIN * interval:
         newest = slice(len(counts) - part, None)
-        now, _ = _slope(since[newest], counts[newest], resolution)
+        now, sure_now = _slope(since[newest], counts[newest], resolution)
         left, own = (
             float((since[newest] - one * counts[newest]).var()) + resolution**2 / 12
             for one in (interval, now)
@@ -214,7 +216,7 @@ def _fit(origin: int, since: Real, counts: np.ndarray, resolution: float) -> tup
         apart = abs(now - interval) * part > 2 * resolution
         if apart and part / 2 * math.log(left / own) > _CHANGED:
             since, counts = since[newest], counts[newest]
-            interval, deviation = _slope(since, counts, resolution)
+            interval, deviation = max(now, 1.0), sure_now
             used = len(sure) - int(sure.nonzero()[0][-part])
         part //= 2
     late = since - interval * counts
@@ -249,7 +251,7 @@ def _slope(since: Real, counts: np.ndarray, resolution: float) -> tuple[float, f
     """
     count = len(counts)
     around = counts - counts.mean()
-    total = float(around @ around)
+    total = max(float(around @ around), 1.0)
     line = float(around @ since) / total
     off = since - line * around
     rounding = resolution / math.sqrt(12)
@@ -260,7 +262,7 @@ def _slope(since: Real, counts: np.ndarray, resolution: float) -> tuple[float, f
         left = np.sort(sign * since - edge * around)
         few = min(_NEAREST, count - 1)
         inverse = (left[few] - left[0] + resolution) * count / few
-        reach = float(around[-1] - around[0])
+        reach = max(float(around[-1] - around[0]), 1.0)
         found.append((sign * edge, _EDGE * inverse / (count * reach)))
     values, deviations = np.array(found).T
     if deviations[0] <= deviations[1:].min():
@@ -273,7 +275,8 @@ def _slope(since: Real, counts: np.ndarray, resolution: float) -> tuple[float, f
 def _edge_of(since: Real, counts: np.ndarray) -> float:
     """The interval by the lower edge of frames with `counts` (N,)."""
     around = counts - counts.mean()
-    return _edge(since, around, float(around @ since / (around @ around)))
+    total = max(float(around @ around), 1.0)
+    return max(_edge(since, around, float(around @ since) / total), 1.0)
 
 
 def _edge(values: Real, around: Real, slope: float) -> float:
@@ -292,7 +295,8 @@ def _edge(values: Real, around: Real, slope: float) -> float:
         if here == pair:
             break
         pair = here
-        slope = float((values[pair[1]] - values[pair[0]]) / (around[pair[1]] - around[pair[0]]))
+        apart = max(float(around[pair[1]] - around[pair[0]]), 1.0)
+        slope = float(values[pair[1]] - values[pair[0]]) / apart
     return slope
 
 
@@ -301,7 +305,7 @@ class Loss(NamedTuple):
     `lost` frames were lost before one of those counted, the `place`-th of them or up to `last` on.
 
     By the stamps the first is the likeliest, each after it by `each` nats less. It is known by
-    frames up to the `end`-th.
+    frames up to the `end`-th, since the `by`-th of those that came.
     """
 
     place: int
@@ -309,6 +313,7 @@ class Loss(NamedTuple):
     end: int
     lost: int
     each: float
+    by: int
 
 
 class Counted(NamedTuple):
@@ -432,6 +437,7 @@ class FrameCounter:
         self._last_loss, self._since_loss = lost, 0
         self._pending = rest
         self._settle(sure, found)
-        found.losses.append(Loss(place, sure - 1, place + sure, lost, lost * self._told))
+        each, by = lost * self._told, len(found.counts)
+        found.losses.append(Loss(place, sure - 1, place + sure, lost, each, by))
         self._least = min(self._pending, default=0)
         self._alike = len(self._pending)

@@ -111,7 +111,9 @@ class Ticks:
         self._forget(dropped)
         before = max(before - dropped, 0)
         steps = np.diff(counts)[max(before - _UNSURE, 0) : len(counts) - _UNSURE]
-        self.lost += int((steps - 1).clip(0).sum()) if len(steps) else 0
+        # Stamps that are out of order, say, are of no clock that could miss any.
+        if len(steps) and (self.regular or clock.largest < clock.interval / 2):
+            self.lost += int((steps - 1).clip(0).sum())
         self.clock = clock
         seldom = max(FEWEST_FRAMES, int(_SELDOM / max(clock.interval, 1.0)))
         self.room = min(max(1, self.seen // _GROWTH), seldom)
@@ -126,7 +128,9 @@ class Ticks:
     def _may_be_rounded(self, step: float) -> bool:
         """Whether stamps that are off their ticks may be so since they are in such steps, ns."""
         usual = self.mode == 'auto' and self.seen >= _FEWEST_EVIDENCE
-        return usual and self.nats > -_DECIDES and step >= _COARSE
+        assert self.clock is not None
+        likely = _COARSE <= step <= self.clock.interval
+        return usual and likely and self.nats > -_DECIDES
 
     def until_slip(self, stamps: np.ndarray) -> int:
         """

@@ -246,7 +246,7 @@ class Timeline:
             known = slice(first, len(every) - pending)
             every['count'][known] = counted.sure
             for loss in counted.losses:
-                self._place_loss(every, first, loss, noise)
+                self._place_loss(every, first, loss, noise[rows['beat'][loss.by]])
             every['time'][known] = self._times(every['count'][known])
         sure = len(every) - (0 if self._counter is None else self._counter.pending)
         if sure:
@@ -261,8 +261,7 @@ class Timeline:
             return
         frames = every[max(0, first + loss.place - _UNSURE) : first + loss.end]
         begin = len(frames) - (loss.end - loss.place)
-        level = noise[frames['beat'][-1]]
-        place = likeliest_place(frames, begin, loss, level)
+        place = likeliest_place(frames, begin, loss, noise)
         every['count'][first + loss.place : first + loss.place + place] -= loss.lost
 
     @property

@@ -139,7 +139,7 @@ def test_decided_soon_after_a_body_at_rest_moves():
     assert tracker.stamp_state().regularized
 
 
-@settings(max_examples=4, deadline=None)
+@settings(max_examples=2, deadline=None)
 @given(st.sampled_from(['uniform', '0.001', '0.003']), st.integers(5, 40), st.integers(0, 99))
 def test_blocks_do_not_matter(kind, block, seed):
     times = frames_kept(200, seed=seed) / 200

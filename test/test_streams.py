@@ -45,8 +45,10 @@ def test_every_stamp_is_answered_once_and_in_time(lag: float, jitter: float) -> 
         for estimate in instants(tracker.add(frame, 1)):
             answered.append(estimate.stamp)
             late = (frame.stamps[0] - estimate.stamp) * 1e-9
-            # Trails by the lag; a quarter of an interval, and what stamps jitter, either way.
-            assert late <= lag + (0.25 + 2 * jitter) * STEP * 1e-9
+            # Trails by the lag; a quarter of an interval, and what stamps jitter, either way. A
+            # frame too late to be sure that none was lost waits for the next.
+            waits = 1 if jitter else 0
+            assert late <= lag + (0.25 + waits + 2 * jitter) * STEP * 1e-9
             assert late >= lag - (0.75 + 2 * jitter) * STEP * 1e-9 or k < 20 + lag / 0.005
     stamps = [frame.stamps[0] for frame in moved]
     first = stamps.index(answered[0])
@@ -178,7 +180,7 @@ def test_what_is_left_out_does_not_hang_on_how_many_frames_come_at_once(
     stamps = START + STEP * np.cumsum(steps)
     points = np.random.default_rng(1).normal(size=(len(stamps), 3, 3))
     frames = MarkerFrames(stamps, 'world', ('a', 'b', 'c'), points)
-    values = settings_from({'window': 0.1, 'lag': 0.02})
+    values = settings_from({'window': 0.1, 'lag': 0.02, 'stamps': 'capture'})
     kept, counts = sifted(stamps.tolist(), 100_000_000)
     found = []
     for edges in ([0], range(len(stamps)), sorted({0, *(c for c in cuts if c < len(stamps))})):
@@ -188,7 +190,9 @@ def test_what_is_left_out_does_not_hang_on_how_many_frames_come_at_once(
         for first, end in parts:
             found[-1] += instants(tracker.add(part_of(frames, slice(first, end)), 1))
         assert tracker.samples == len(kept)
-        assert {k: n for k, n in tracker.counts.items() if n and 'markers' not in k} == counts
+        left_out = {k: n for k, n in tracker.counts.items() if n and 'markers' not in k}
+        left_out.pop('lost', None)
+        assert left_out == counts
     for other in found[1:]:
         assert [e.stamp for e in other] == [e.stamp for e in found[0]]
 
