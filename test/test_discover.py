@@ -142,7 +142,7 @@ def test_joints_and_a_draft_that_closes(name, kinds):
     assert len(found.names) == len(scene.markers)
     assert sorted(kind for kind, _ in joined(found)) == kinds
     assert found.freedom == (2 if name == 'double_pendulum' else 1)
-    text, checked = draft(found)
+    _, checked = draft(found)
     assert not checked.problem
     assert checked.first < 20 * NOISE
     lines = '\n'.join(table(found, checked))
