@@ -5,6 +5,9 @@ import numpy as np
 from kinpole_ros.linkage._check import Checked
 from kinpole_ros.linkage._model import Linkage
 
+# Intervals that stamps are uneven by that cost more than noise does.
+_UNEVEN = 0.02
+
 
 def table(linkage: Linkage, checked: Checked | None) -> list[str]:
     """Lines for a terminal: input, bodies, joints, lengths, and what could not be told."""
@@ -27,7 +30,10 @@ def table(linkage: Linkage, checked: Checked | None) -> list[str]:
     if linkage.fixed:
         lines.append(f'markers that stand still: {_marked(linkage, linkage.fixed)}')
     if linkage.single:
-        lines.append(f'markers of no body: {_marked(linkage, linkage.single)}')
+        lines.append(
+            f'markers of no body: {_marked(linkage, linkage.single)} (alone on theirs, loose, or '
+            'exchanged with others: then set marker_identity: shape)'
+        )
     lines += ['', *_joints(linkage)]
     lengths = linkage.lengths()
     if lengths:
@@ -55,10 +61,12 @@ def _input(linkage: Linkage) -> list[str]:
     frames = f'{len(linkage.seconds)} frames, {linkage.seconds[-1]:.1f} s, '
     frames += f'{1 / stamps.interval:.4g} Hz; stamps uneven by {stamps.jitter * 1e3:.2g} ms rms'
     frames += f' ({uneven:.1%} of an interval)'
+    if uneven > _UNEVEN:
+        frames += '; the parameter stamps, auto by default, finds the clock behind them'
     if stamps.lost:
         frames += f'; {stamps.lost} frames lost'
     if stamps.dropped:
-        frames += f'; {stamps.dropped} left out, their stamps are repeated'
+        frames += f'; {stamps.dropped} left out, as repeated'
     if not plane.determined:
         where = 'cannot be told, since all moves along one line: xy is taken'
     elif plane.name:

@@ -18,6 +18,10 @@ _MOST_NAMES = 3
 _HELD = 0.9
 # Frames that are looked at for it.
 _SAMPLE = 1500
+# Intervals that stamps may be uneven by for lost frames to be counted.
+_UNEVEN = 0.2
+# ns. A stamp that steps back so far begins another recording, as where a bag is looped.
+_JUMP = 10**9
 
 
 class UndiscoveredError(ValueError):
@@ -38,13 +42,21 @@ class Record(NamedTuple):
 
     def steps(self) -> np.ndarray:
         """Number of each frame (T,), counted in intervals: one that was lost is counted too."""
-        gaps = np.maximum(1, np.rint(np.diff(self.stamps) / self.interval))
-        return np.concatenate(([0], np.cumsum(gaps))).astype(np.int64)
+        gaps = np.diff(self.stamps) / self.interval
+        whole = np.ones(len(gaps)) if self.uneven else np.maximum(1, np.rint(gaps))
+        return np.concatenate(([0], np.cumsum(whole))).astype(np.int64)
+
+    @property
+    def uneven(self) -> bool:
+        """Whether stamps are so uneven that nobody can tell which frames were lost."""
+        gaps = np.diff(self.stamps) / self.interval
+        return float(np.quantile(np.abs(gaps - np.rint(gaps)), 0.9)) > _UNEVEN
 
     @property
     def interval(self) -> float:
         """Usual time between frames, ns."""
-        return float(np.median(np.diff(self.stamps)))
+        steps = np.diff(self.stamps)
+        return float(np.median(steps)) or float(np.mean(steps))
 
     @property
     def seconds(self) -> np.ndarray:
@@ -63,7 +75,9 @@ class Stamps(NamedTuple):
 
 def gather(parts: Sequence[MarkerFrames]) -> tuple[Record, Stamps]:
     """
-    All frames as a record, in order of stamps, those with a stamp of another left out.
+    All frames as a record, in the order they came, as long as stamps do not jump back.
+
+    Frames that are repeated, stamp and all, are left out.
 
     Raises UndiscoveredError where there is too little to look at.
     """
@@ -88,12 +102,17 @@ def gather(parts: Sequence[MarkerFrames]) -> tuple[Record, Stamps]:
         points[rows, columns] = part.points
         first = rows.stop
     points[~np.isfinite(points).all(axis=-1)] = np.nan
-    order = np.argsort(stamps, kind='stable')
-    order = order[np.concatenate(([True], np.diff(stamps[order]) > 0))]
+    back = np.flatnonzero(np.diff(stamps) < -_JUMP)
+    end = int(back[0]) + 1 if len(back) else count
+    same = (np.diff(stamps[:end]) == 0) & np.all(
+        (points[1:end] == points[: end - 1]) | np.isnan(points[1:end]), axis=(1, 2)
+    )
+    order = np.concatenate(([True], ~same)).nonzero()[0]
     record = Record(stamps[order], points[order], names, parts[0].frame_id)
-    if len(order) < 20:
+    if len(order) < 20 or record.interval <= 0:
         raise UndiscoveredError(
-            f'{count} frames have {len(order)} different stamps; fix: have the driver stamp each'
+            f'{count} frames have {len(np.unique(stamps))} different stamps; fix: have the driver '
+            'stamp each'
         )
     _check_seen(record)
     if names and not _names_hold(record):
@@ -125,9 +144,13 @@ def _names_hold(record: Record) -> bool:
 
 
 def _stamps(record: Record, count: int) -> Stamps:
-    steps = record.steps()
-    seconds = record.seconds
+    steps, seconds = record.steps(), record.seconds
+    dropped = count - len(steps)
+    if record.uneven:
+        # Two stamps make a step; the median leaves out those over lost frames.
+        off = np.abs(np.diff(record.stamps) - record.interval)
+        jitter = 1.4826 * float(np.median(off)) / 2**0.5
+        return Stamps(record.interval * 1e-9, jitter * 1e-9, 0, dropped)
     line = np.polyfit(steps, seconds, 1)
     jitter = float(np.sqrt(np.mean((seconds - np.polyval(line, steps)) ** 2)))
-    lost = int(steps[-1] + 1 - len(steps))
-    return Stamps(float(line[0]), jitter, lost, count - len(steps))
+    return Stamps(float(line[0]), jitter, int(steps[-1] + 1 - len(steps)), dropped)

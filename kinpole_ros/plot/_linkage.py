@@ -10,9 +10,9 @@ from kinpole_ros.bags import BagError
 from kinpole_ros.linkage import Linkage
 from kinpole_ros.linkage._draft import first_frame
 
-_SIZE, _DPI = (10.0, 6.2), 110  # inches
+_SIZE, _DPI = (10.0, 6.2), 100  # inches
 _COLORS = ('#0060a8', '#b34700', '#00785a', '#7a3d9a', '#8a6d00', '#a3234f', '#3a6f8f', '#555555')
-_MOST_POINTS = 1500  # of a track
+_MOST_POINTS = 800  # of a track
 _HALO: dict[str, Any] = {'facecolor': 'white', 'edgecolor': 'none', 'alpha': 0.8, 'pad': 1.2}
 _GROUND = -1
 
@@ -86,11 +86,11 @@ def _draw(axis: Any, linkage: Linkage) -> None:
     axis.margins(0.06)
     _draw_lengths(axis, linkage, at)
     _draw_joints(axis, linkage, at, extent)
-    axis.set_xlabel('mm')
+    axis.set_xlabel('mm (± one deviation of a pin)')
     axis.set_ylabel('mm')
     axis.grid(True, color='#e8e8e8', linewidth=0.6, zorder=0)
     axis.set_axisbelow(True)
-    axis.legend(loc='upper left', bbox_to_anchor=(1.0, 1.0), frameon=False, title='bodies')
+    axis.legend(loc='upper left', bbox_to_anchor=(1.0, 1.0), frameon=False)
 
 
 def _most_seen(linkage: Linkage) -> int:
@@ -133,7 +133,7 @@ def _draw_lengths(axis: Any, linkage: Linkage, at: dict[str, complex]) -> None:
         axis.text(
             middle.real,
             middle.imag,
-            f'{length.value * 1e3:.2f} ± {length.deviation * 1e3:.2g}',
+            f'{length.value * 1e3:.2f}',
             color=color,
             fontsize=8,
             ha='center',
