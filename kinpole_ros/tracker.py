@@ -15,6 +15,7 @@ import numpy as np
 from kinpole_ros.bodies import RigidBodies
 from kinpole_ros.estimate import FARTHEST, Estimate, Poses
 from kinpole_ros.frame import MarkerFrames
+from kinpole_ros.matcher import Matcher
 from kinpole_ros.parameters import Settings
 from kinpole_ros.prompt import Foreseen, Prompt
 from kinpole_ros.roster import Roster
@@ -59,16 +60,15 @@ class Tracker:
         """Forget all samples, and the shapes and noise learned from them."""
         count = len(self.bodies)
         self._roster = Roster(self.settings)
-        width = self._roster.width
         self._timeline = Timeline(self.settings, self.counts)
-        self._rigid = RigidBodies(self.settings, self._timeline.window, width, self.counts)
+        self._rigid = RigidBodies(self.settings, self._timeline.window, self._roster, self.counts)
         self._filter = PoseFilter()
         # From when on poses are of the bodies that the filter knows, ns.
         self._since = np.zeros(count, np.int64)
         self._landmark_filter = LandmarkFilter()
         self._points: Samples | None = None
         if self.settings.method == 'landmarks':
-            self._points = Samples((count, width), complex)
+            self._points = Samples((count, self._roster.width), complex)
         self._run_number = next(_run_numbers)
         self._foreseen: Foreseen | None = None
 
@@ -96,8 +96,13 @@ class Tracker:
 
     def lacking(self) -> dict[str, list[str]]:
         """Markers by body that the last message has not, where less than two of the body are."""
-        lacks = zip(self.bodies, self._roster.markers, self._roster.absent, strict=False)
-        return {b: names for b, every, names in lacks if len(every) - len(names) < 2 and names}
+        lacks = zip(self.bodies, self._roster.lacking(), strict=False)
+        return {body: names for body, names in lacks if names}
+
+    @property
+    def matcher(self) -> Matcher:
+        """What holds names of markers against shapes, and knows what it corrected."""
+        return self._rigid.matcher
 
     @property
     def identities(self) -> tuple[str, ...]:
@@ -234,11 +239,11 @@ class Tracker:
     ) -> None:
         """Take frames that go on by `steps` from those before; `numbers` (T,) are theirs."""
         self.counts['markers_unknown'] = self._roster.unknown
-        seen = points.size - np.count_nonzero(np.isnan(points))
-        self.counts['markers_not_seen'] += self._roster.wanted * len(points) - seen
         rows, gaps = self._timeline.enter(stamps, steps, numbers)
         landmarks = None if self._points is None else self._points.room(len(rows))
         self._rigid.take(rows, points, heights, gaps, landmarks)
+        seen = points.size - np.count_nonzero(np.isnan(points))
+        self.counts['markers_not_seen'] += self._roster.wanted * len(points) - seen
 
     def _widen(self) -> None:
         """A body of all markers has more of them."""
