@@ -83,8 +83,8 @@ class RigidBodies:
     """
     B bodies of up to `width` markers each, as learned from their frames.
 
-    `window`, ns, is as long as the estimates'; `roster` sorts the frames. What is mended in frames is
-    added to `counts`; `matcher` holds the names of markers against the shapes.
+    `window`, ns, is as long as the estimates'; `roster` sorts the frames. What is mended in frames
+    is added to `counts`; `matcher` holds the names of markers against the shapes.
     """
 
     def __init__(

@@ -49,7 +49,9 @@ def group(points: Complex, loose: np.ndarray) -> Grouping:
     rigid = varied <= _RIGID * usually
     members = [np.flatnonzero(body == b).tolist() for b in range(bodies)]
     cores = [_core(some, rigid) if loose[b] else some for b, some in enumerate(members)]
-    strays = [sorted(set(some) - set(core or [])) for some, core in zip(members, cores, strict=True)]
+    strays = [
+        sorted(set(some) - set(core or [])) for some, core in zip(members, cores, strict=True)
+    ]
     confused = _confused(members, strays, loose, varied, usually)
     homes: dict[int, list[int]] = {b: [] for b in range(bodies)}
     for b in np.flatnonzero(loose).tolist():

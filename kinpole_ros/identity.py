@@ -127,7 +127,7 @@ def _where_expected(
 
 
 def fit_place(points: Complex, shape: Complex, place: np.ndarray) -> tuple[Complex, Complex, Real]:
-    """Poses (...) of shapes (..., n) at points, and how far off the worst marker is; NaN if none."""
+    """Poses (...) of shapes (..., n) at points, and how far off the worst marker is."""
     seen = place >= 0
     there = np.where(seen, points[np.where(seen, place, 0)], 0) if len(points) else 0 * shape
     there = np.where(np.isnan(there), 0, there)
@@ -220,7 +220,9 @@ def _search(points: Complex, free: np.ndarray, shape: Complex, limit: float) -> 
     return _Poses(place, position, turn, count).at(order)
 
 
-def _nearest(there: Complex, position: Complex, turn: Complex, own: Complex, most: float) -> np.ndarray:
+def _nearest(
+    there: Complex, position: Complex, turn: Complex, own: Complex, most: float
+) -> np.ndarray:
     """The points (H, n) nearest to the markers, each once, -1 where none is within `most`."""
     markers = position[:, None] + turn[:, None] * own
     place = np.empty(markers.shape, int)

@@ -377,7 +377,10 @@ def _merged(found: Match, named: np.ndarray) -> np.ndarray | None:
     None where there is no such body: what is amiss within one is not a matter of names.
     """
     foreign = np.array(
-        [((row >= 0) & ~np.isin(row, own)).any() for row, own in zip(found.place, named, strict=True)]
+        [
+            ((row >= 0) & ~np.isin(row, own)).any()
+            for row, own in zip(found.place, named, strict=True)
+        ]
     )
     foreign &= np.isfinite(found.turn)
     if not foreign.any():

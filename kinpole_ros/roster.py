@@ -27,8 +27,8 @@ class Layout(NamedTuple):
     """
     Where the markers are in messages with the same identities.
 
-    `place` (B, n) is the row of each, the number of rows for none, and `named` the same by the names
-    alone; `complete` says whether there are n of each body, and `absent` which are not named in it.
+    `place` (B, n) is the row of each, the number of rows for none, and `named` the same by the
+    names alone; `complete` says whether there are n of each body, and `absent` which are not named.
     `others` markers have the name of another body's, and `renamed` one that no body has; `extras`
     are the rows that are no marker, and `indexed` says whether the names are those of places.
     """
@@ -144,7 +144,7 @@ class Roster:
             self.layout = self._place(self.identities)
 
     def lacking(self) -> list[list[str]]:
-        """Markers of each body that the last message does not name, where less than two are there."""
+        """Markers of each body that the last message lacks, where less than two are there."""
         if self.layout is None or self._by_shape:
             return []
         there = (self.layout.place < len(self.identities)).sum(axis=1).tolist()
@@ -174,6 +174,8 @@ class Roster:
             if self._order is not None:
                 place = place.ravel()[self._order]
             self.unknown = len(set(range(nowhere)) - set(place.ravel().tolist()))
+            if self._by_shape:
+                self.unknown = 0
             if len(self._places) > _MOST_LAYOUTS:
                 self._places.clear()
             named, place = place, self._with_aliases(identities, place)

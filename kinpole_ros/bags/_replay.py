@@ -21,6 +21,7 @@ from kinpole_ros.messages import (
     MessageError,
     Output,
     diagnostics_data,
+    identity_lines,
     result_outputs,
 )
 from kinpole_ros.parameters import Settings
@@ -49,7 +50,7 @@ class Replayed(NamedTuple):
     are in no message, and `identities` those of the last one. `unknown` are the bodies known at no
     instant, and why not at the last ('' where there is none). `joined` are the files that were read
     as one recording only because they lie in one folder. `beside` is how far the bodies were from
-    the scene, if any.
+    the scene, if any. `misnamed` says in words which markers are not what their names say.
     """
 
     frames: int
@@ -72,6 +73,7 @@ class Replayed(NamedTuple):
     unknown: dict[str, str]
     joined: list[str]
     beside: list[Beside]
+    misnamed: list[str]
 
 
 def replay(
@@ -133,6 +135,8 @@ def replay(
     truncated: Truncated | None = None
     identities: tuple[str, ...] = ()
     absent = {body: list(markers) for body, markers in settings.bodies.items() if markers}
+    if settings.marker_identity == 'shape':
+        absent = {body: names for body, names in absent.items() if body not in settings.shapes}
     with ExitStack() as stack:
         writer = stack.enter_context(BagWriter(output)) if output is not None else None
         tables = [
@@ -205,6 +209,7 @@ def replay(
         unknown,
         joined,
         comparison.found() if comparison is not None else [],
+        list(identity_lines(tracker, tracker.counts)),
     )
 
 
