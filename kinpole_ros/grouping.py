@@ -13,8 +13,8 @@ import numpy as np
 from kinpole_ros.planar._plane import Complex
 
 # A distance is that of one body if it varies by no more than so many times what those of the most
-# constant ones do, and is not beyond doubt by more than so many.
-_RIGID, _SURE = 3.0, 10.0
+# constant ones do: among them are about as many as there are of one body.
+_RIGID = 3.0
 # Frames that are looked at.
 _FRAMES = 64
 
@@ -22,8 +22,7 @@ _FRAMES = 64
 class Grouping(NamedTuple):
     """
     `order` (B, n) says which slot, counted through all bodies, belongs in the place of which, None
-    where nothing is to be exchanged; `confused` are bodies whose markers belong to others, but not
-    clearly to which.
+    where nothing is to be exchanged; `confused` are bodies that several exchanges make rigid.
     """
 
     order: np.ndarray | None
@@ -35,78 +34,80 @@ def group(points: Complex, loose: np.ndarray) -> Grouping:
     points = points[np.unique(np.linspace(0, len(points) - 1, _FRAMES).round().astype(int))]
     bodies, width = points.shape[1:]
     flat = points.reshape(len(points), -1)
-    usual = (~np.isnan(flat)).mean(axis=0) > 0.7
-    slots = np.flatnonzero(usual)
+    slots = np.flatnonzero((~np.isnan(flat)).mean(axis=0) > 0.7)
     body = slots // width
     apart = np.abs(flat[:, slots, None] - flat[:, None, slots])
-    with np.errstate(invalid='ignore'):
-        varied = np.sqrt(np.nanmean(np.square(apart - np.nanmean(apart, axis=0)), axis=0))
+    varied = np.sqrt(np.nanmean(np.square(apart - np.nanmean(apart, axis=0)), axis=0))
     i, j = np.triu_indices(len(slots), 1)
     within = int((body[i] == body[j]).sum())
     if not within:
         return Grouping(None, [])
-    usually = np.median(np.sort(varied[i, j])[:within])
-    rigid = varied <= _RIGID * usually
+    rigid = varied <= _RIGID * np.median(np.sort(varied[i, j])[:within])
     members = [np.flatnonzero(body == b).tolist() for b in range(bodies)]
-    cores = [_core(some, rigid) if loose[b] else some for b, some in enumerate(members)]
-    strays = [
-        sorted(set(some) - set(core or [])) for some, core in zip(members, cores, strict=True)
-    ]
-    confused = _confused(members, strays, loose, varied, usually)
-    homes: dict[int, list[int]] = {b: [] for b in range(bodies)}
-    for b in np.flatnonzero(loose).tolist():
-        for x in strays[b]:
-            fits = [
-                c
-                for c in np.flatnonzero(loose).tolist()
-                if c != b and strays[c] and cores[c] and all(rigid[x, y] for y in cores[c] or [])
-            ]
-            if len(fits) != 1:
-                return Grouping(None, confused)
-            homes[fits[0]].append(x)
-    if not any(homes.values()) or any(len(homes[b]) != len(strays[b]) for b in homes):
-        return Grouping(None, confused)
+    bent = [b for b in np.flatnonzero(loose).tolist() if not _is_rigid(members[b], rigid)]
+    exchanges = _exchanges(members, bent, rigid)
+    times = [sum(b in pair for pair, _ in exchanges) for b in range(bodies)]
+    confused = [b for b in range(bodies) if times[b] > 1]
+    clear = [swap for (b, c), swap in exchanges if times[b] == times[c] == 1]
     order = np.arange(bodies * width)
-    for b, new in homes.items():
-        order[slots[strays[b]]] = slots[new]
-    return Grouping(order.reshape(bodies, width), [])
+    for x, y in clear:
+        order[slots[[x, y]]] = slots[[y, x]]
+    if not exchanges and (moved := _by_cores(members, bent, rigid)) is not None:
+        for old, new in moved:
+            order[slots[old]] = slots[new]
+        clear = moved
+    return Grouping(order.reshape(bodies, width) if clear else None, confused)
 
 
-def _core(members: list[int], rigid: np.ndarray) -> list[int] | None:
-    """Most of the members that are rigid with one another; None where that is not clear."""
-    for leave in range(len(members)):
-        left = len(members) - leave
-        if left < 2 or 2 * left <= len(members) or leave > 2:
-            return None
-        whole = [
-            some
-            for some in combinations(members, left)
-            if all(rigid[x, y] for x, y in combinations(some, 2))
-        ]
-        if whole:
-            return list(whole[0]) if len(whole) == 1 else None
-    return None
+def _is_rigid(members: list[int], rigid: np.ndarray) -> bool:
+    return bool(rigid[np.ix_(members, members)].all())
 
 
-def _confused(
-    members: list[list[int]],
-    strays: list[list[int]],
-    loose: np.ndarray,
-    varied: np.ndarray,
-    usually: float,
-) -> list[int]:
-    """Loose bodies with a marker that is rigid with one of another loose body, and not its own."""
+def _exchanges(
+    members: list[list[int]], bent: list[int], rigid: np.ndarray
+) -> list[tuple[tuple[int, int], tuple[int, int]]]:
+    """Pairs of bodies with the markers of each that, exchanged, leave both rigid."""
     found = []
-    for b in np.flatnonzero(loose).tolist():
-        for x in strays[b]:
-            own = [y for y in members[b] if y != x]
-            others = [y for c in np.flatnonzero(loose) if c != b for y in members[c]]
-            if (
-                own
-                and others
-                and varied[x, own].min() > _SURE * usually
-                and varied[x, others].min() <= _RIGID * usually
-            ):
-                found.append(b)
-                break
-    return found if len(found) > 1 else []
+    for b, c in combinations(bent, 2):
+        for x in members[b]:
+            ones = [m for m in members[b] if m != x]
+            for y in members[c]:
+                others = [m for m in members[c] if m != y]
+                fits = rigid[y, ones].all() and rigid[x, others].all()
+                if fits and _is_rigid(ones, rigid) and _is_rigid(others, rigid):
+                    found.append(((b, c), (x, y)))
+    return found
+
+
+def _by_cores(
+    members: list[list[int]], bent: list[int], rigid: np.ndarray
+) -> list[tuple[int, int]] | None:
+    """
+    Markers of bodies and those to take their places, where most of each body are rigid.
+
+    Those that are not must each be rigid with just one other body that lacks some, and as many as
+    it lacks; else None.
+    """
+    cores = {b: _core(members[b], rigid) for b in bent}
+    strays = {b: [m for m in members[b] if m not in core] for b, core in cores.items() if core}
+    homes: dict[int, list[int]] = {b: [] for b in strays}
+    for b, some in strays.items():
+        for x in some:
+            fits = [c for c in strays if c != b and rigid[x, cores[c]].all()]
+            if len(fits) != 1:
+                return None
+            homes[fits[0]].append(x)
+    if not homes or any(len(homes[b]) != len(strays[b]) for b in strays):
+        return None
+    return [pair for b in strays for pair in zip(strays[b], homes[b], strict=True)]
+
+
+def _core(members: list[int], rigid: np.ndarray) -> list[int]:
+    """Most of the members that are rigid with one another; none where that is not clear."""
+    for left in (len(members) - 1, len(members) - 2):
+        if left < 2 or 2 * left <= len(members):
+            return []
+        whole = [list(some) for some in combinations(members, left) if _is_rigid([*some], rigid)]
+        if whole:
+            return whole[0] if len(whole) == 1 else []
+    return []

@@ -27,6 +27,8 @@ _RECENT, _TRACKED = 5, 6
 # Frames that tell how many points a cloud without names has, and whether they keep their order; in
 # so many of these it may be another.
 _FIRST, _DISORDERED = 20, 2
+# A number of points that is just those named counts so many times.
+_ALL_NAMED = 4
 # Where bodies are not rigid their markers are looked at after so many frames, then after half as
 # many again, and at last every so many.
 _LOOK, _LOOK_OFTEN = 20, 50
@@ -99,7 +101,7 @@ class Matcher:
         """
         Match frames from `first` on by shape, where names mean nothing: of how many, up to `most`.
 
-        Also whether all bodies have to begin anew, since frames up to now were not whole.
+        Also whether all bodies have to begin anew, since frames up to now were not as they seemed.
         """
         self._matched_here = False
         if not self._nameless:
@@ -114,11 +116,13 @@ class Matcher:
             return most, anew
         if anew or (self._shapes.known < 2).any():
             most = 1
+        in_order = not self.disordered
         for k in range(first, first + most):
             self._match_by_shape(k, whole, anew)
         self._counts[BY_SHAPE] += most
         self._matched_here = True
-        return most, anew
+        # What was seen before it was known to be in any order was of no body.
+        return most, anew or (in_order and self.disordered)
 
     def fits_next(self, first: int, end: int) -> None:
         """Frames from `first` up to `end` are fitted next."""
@@ -171,11 +175,7 @@ class Matcher:
         hidden = (kept >= 0) & np.isnan(np.append(points, np.nan)[kept])
         named = np.where(hidden, -1, kept)
         named[self.withheld] = -1
-        _, turn, off = fit_place(points, np.nan_to_num(self._shapes.markers()), named)
-        known = ~np.isnan(self._shapes.markers())
-        held = (off <= self._shapes.limit) & ((named >= 0) & known).sum(axis=1).astype(bool)
-        held &= ((named >= 0) & known).sum(axis=1) >= 2
-        held &= np.isfinite(turn)
+        held = self._fits_by_name(points, named, self._shapes.markers())
         found = self._match(k, points, named, held, before)
         place = _merged(found, named)
         if place is None:
@@ -267,8 +267,12 @@ class Matcher:
         self._sizes[size] += 1
         named = [int(name) for some in self._roster.markers for name in some if name.isdecimal()]
         least = max(named, default=-1) + 1
-        # As many as are named are all there are, as a rule.
-        score = {n: times + (n == least) / 2 for n, times in self._sizes.items() if n >= least}
+        # As many as are named are all there are, if they ever are: what else there is, always is.
+        score = {
+            n: times * (_ALL_NAMED if n == least else 1)
+            for n, times in self._sizes.items()
+            if n >= least
+        }
         best = max(score, key=lambda n: score[n], default=0)
         before, self._whole = self._whole, best
         return before not in (0, best)
@@ -282,8 +286,13 @@ class Matcher:
         known = (~np.isnan(shapes)).sum(axis=1) >= 2
         nowhere = len(points)
         named = np.where(self._layout.place < nowhere, self._layout.place, -1)
-        nothing = np.full(named.shape, -1)
-        found = self._match(k, points, nothing, np.zeros(len(known), bool), (), shapes)
+        # Where the order is to be learned from, it goes first.
+        learning = whole and self._arranged < _FIRST and not self.disordered
+        names = np.where(self.has_shape[:, None] | (not learning), -1, named)
+        held = np.zeros(len(known), bool)
+        if learning:
+            held = self._fits_by_name(points, names, shapes)
+        found = self._match(k, points, names, held, (), shapes)
         place = np.where(known[:, None], found.place, named if whole else -1)
         if whole:
             same = ((place == named) | np.isnan(shapes)).all(axis=1)
@@ -297,6 +306,13 @@ class Matcher:
         self._counts[UNSURE] += int((found.unsure & ~self.withheld).sum())
         angle = np.angle(found.turn)
         self._track.append((self._stamps[k : k + 1], found.position[None], angle[None]))
+
+    def _fits_by_name(self, points: Complex, named: np.ndarray, shapes: Complex) -> np.ndarray:
+        """Which bodies (B,) fit their shapes with all markers where they are `named`."""
+        named = np.where(np.isnan(shapes), -1, named)
+        _, turn, off = fit_place(points, np.where(np.isnan(shapes), 0, shapes), named)
+        enough = (named >= 0).sum(axis=1) >= 2
+        return np.asarray(enough & np.isfinite(turn) & (off <= self._shapes.limit))
 
     def _see_order(self, same: np.ndarray) -> None:
         """Note a frame among the first in which bodies (B,) do not keep their order."""
