@@ -21,7 +21,9 @@ _NEARER = 2.0
 _BY_TWO = 3.0
 # Poses that are tried of one body in one frame: those by its longest pairs, which tell most.
 _MOST_POSES = 4096
-# Pairs of points are this many at most; in a cloud with more nothing is searched for.
+# Pairs of markers by which poses are tried, the longest.
+_MOST_PAIRS = 200
+# In a cloud with more points nothing is searched for.
 _MOST_POINTS = 512
 
 
@@ -179,7 +181,7 @@ def _search(points: Complex, free: np.ndarray, shape: Complex, limit: float) -> 
     there, own = points[free], shape[marker]
     i, j = np.triu_indices(len(marker), 1)
     long = np.abs(own[j] - own[i])
-    order = np.argsort(-long, kind='stable')
+    order = np.argsort(-long, kind='stable')[:_MOST_PAIRS]
     i, j, long = (part[order][long[order] > 2 * limit] for part in (i, j, long))
     nothing = _Poses(
         np.zeros((0, n), int), np.zeros(0, complex), np.zeros(0, complex), np.zeros(0, int)

@@ -32,6 +32,8 @@ _ALL_NAMED = 4
 # Where bodies are not rigid their markers are looked at after so many frames, then after half as
 # many again, and at last every so many.
 _LOOK, _LOOK_OFTEN = 20, 50
+# Frames of late that tell which markers are of one body.
+_LATE = 128
 # Corrections that are remembered by name.
 _MOST_NOTES = 12
 # A given shape is another if it is off by so many times what markers may be, and by this share of
@@ -60,7 +62,10 @@ class Matcher:
         self._names = tuple(settings.bodies)
         self._roster, self._shapes, self._counts = roster, shapes, counts
         self._by_shape = settings.marker_identity == 'shape'
-        self._may_be_nameless = settings.marker_identity in ('auto', 'index', 'shape')
+        # A body of all markers takes whatever comes for one more.
+        self._may_be_nameless = (
+            settings.marker_identity in ('auto', 'index', 'shape') and not roster.all_markers
+        )
         self.given = np.full((bodies, width), complex(np.nan, np.nan))
         for b, name in enumerate(self._names):
             shape = settings.shapes.get(name, ())
@@ -78,7 +83,7 @@ class Matcher:
         self._next_look, self._groupings = _LOOK, 0
         # The poses of late: stamps (T,), positions and angles (T, B); and the points they are of.
         self._track: deque[tuple[np.ndarray, Complex, Real]] = deque(maxlen=_TRACKED)
-        self._late: deque[Complex] = deque(maxlen=128)
+        self._late: deque[Complex] = deque(maxlen=_LATE)
         self._first = self._end = 0
         self._matched_here = False
 
@@ -104,15 +109,17 @@ class Matcher:
         Also whether all bodies have to begin anew, since frames up to now were not as they seemed.
         """
         self._matched_here = False
+        self._roster.in_order = True
         if not self._nameless:
             return most, False
         anew = False
         if self._arranged < _FIRST:
             most = 1
-            anew = self._is_whole_anew()
+            anew = self._is_whole_anew() and not self.has_shape.all()
             self._arranged += 1
         whole = len(self._roster.identities) == self._whole
-        if whole and not self._by_shape:
+        self._roster.in_order = whole and not self._by_shape
+        if self._roster.in_order:
             return most, anew
         if anew or (self._shapes.known < 2).any():
             most = 1
@@ -167,7 +174,8 @@ class Matcher:
 
     def correct(self, row: int, before: Sequence[Fit]) -> bool:
         """Correct the names in a frame, and in those that follow; whether anything was."""
-        if self._by_shape or self._matched_here:
+        alone = len(self._names) == 1 and not len(self._layout.extras)
+        if self._by_shape or self._matched_here or alone:
             return False
         k, layout = self._first + row, self._layout
         points, _ = self._roster.all_points(k)
@@ -183,7 +191,7 @@ class Matcher:
         self._count(k, -1)
         # What is hidden just now keeps its name.
         place = np.where(hidden & (place < 0), kept, place)
-        self._roster.correct(place)
+        self._roster.correct(place, not self._nameless)
         self._count(k, 1)
         self._note()
         self.sort_again(k)
@@ -204,7 +212,7 @@ class Matcher:
         loose = loose & ~self.has_shape & ~self.withheld
         if loose.sum() < 2 or self._groupings > 2 * len(loose) or self._by_shape or not self._late:
             return nothing
-        order, confused = group(np.concatenate(self._late), loose)
+        order, confused = group(np.concatenate(self._late)[-_LATE:], loose)
         self.withheld[confused] = True
         if order is None:
             return nothing

@@ -60,7 +60,7 @@ class Roster:
             for body, markers in settings.bodies.items()
         ]
         self._by_shape = settings.marker_identity == 'shape'
-        self._all_markers = not any(self.markers)
+        self.all_markers = not any(self.markers)
         self.axes = AXES[settings.plane]
         self._places: dict[tuple[str, ...], Layout] = {}
         self.width = max(2, *(len(markers) for markers in self.markers))
@@ -74,6 +74,8 @@ class Roster:
         self._order: np.ndarray | None = None
         self._frames = np.zeros((0, 0, 3))
         self.layout: Layout | None = None
+        # Whether names in the last message say anything.
+        self.in_order = True
 
     def sort(self, frames: MarkerFrames) -> tuple[np.ndarray, np.ndarray]:
         """
@@ -118,8 +120,12 @@ class Roster:
         flat.real, flat.imag = solid[..., self.axes[0]], solid[..., self.axes[1]]
         return flat, solid[..., self.axes[2]]
 
-    def correct(self, place: np.ndarray) -> None:
-        """The messages of the last layout have the markers at `place` (B, n), -1 for none."""
+    def correct(self, place: np.ndarray, for_all: bool) -> None:
+        """
+        The messages of the last layout have the markers at `place` (B, n), -1 for none.
+
+        With `for_all` the names in them stand for the same markers in other layouts too.
+        """
         layout = self.layout
         assert layout is not None
         nowhere = len(self.identities)
@@ -127,6 +133,8 @@ class Roster:
         self._places[self.identities] = self.layout = _layout(
             self.identities, place, layout.named, layout.absent
         )
+        if not for_all:
+            return
         for b, k in zip(*np.nonzero(place < nowhere), strict=True):
             name = self.identities[place[b, k]]
             self._aliases.pop(name, None)
@@ -151,7 +159,9 @@ class Roster:
         return [names if n < 2 else [] for n, names in zip(there, self.absent, strict=True)]
 
     def places(self) -> list[list[int]]:
-        """Where each body's markers are in the last message; none if some are not there."""
+        """Where each body's markers are in the last message; none if that is not known of all."""
+        if not self.in_order:
+            return []
         place = self._place(self.identities).place
         both = zip(place.tolist(), self.markers, strict=True)
         found = [row[: len(markers)] for row, markers in both]
@@ -161,7 +171,7 @@ class Roster:
         """Where each body's markers are in a message; what is not there has the last place + 1."""
         found = self._places.get(identities)
         if found is None:
-            if self._all_markers:
+            if self.all_markers:
                 self._take_new(identities)
             nowhere = len(identities)
             place = np.full((len(self.markers), self.width), nowhere)

@@ -77,9 +77,9 @@ class Shapes:
     by what residuals come to, or by the size while that is not known, m; `known` (B,) how many of
     them have been seen so far, and `spread` (B,) the sum of their squares about their mean, m^2;
     `beat` is in how many frames from the last time on `learn` is to be called; `farthest` (B,) is
-    how far, m, from the origin of the ground the markers seen last before that were. `mended` counts, see
-    `untangle`; `stand_in` (B, n) says which marker goes on where each one was at first, for some
-    are exchanged for good.
+    how far, m, from the origin of the ground the markers seen last before that were. `mended`
+    counts, see `untangle`; `stand_in` (B, n) says which marker goes on where each one was at first,
+    for some are exchanged for good.
     """
 
     def __init__(self, bodies: int, markers: int) -> None:
