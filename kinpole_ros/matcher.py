@@ -57,6 +57,7 @@ class Matcher:
         self.regrouped: list[tuple[str, str, str]] = []
         # Bodies (B,) of which nothing is published, since their markers are not theirs.
         self.withheld = np.zeros(bodies, bool)
+        self._withholds = False
         # Whether points come in any order before a shape is known.
         self.disordered = False
         self._names = tuple(settings.bodies)
@@ -99,7 +100,7 @@ class Matcher:
             self._may_be_nameless = False
         self._nameless = self._may_be_nameless and self._layout.indexed
         self._count(0, 1)
-        if self.withheld.any():
+        if self._withholds:
             points[:, self.withheld] = np.nan
 
     def arrange(self, first: int, most: int) -> tuple[int, bool]:
@@ -214,6 +215,7 @@ class Matcher:
             return nothing
         order, confused = group(np.concatenate(self._late)[-_LATE:], loose)
         self.withheld[confused] = True
+        self._withholds = bool(self.withheld.any())
         if order is None:
             return nothing
         self._groupings += 1
@@ -329,6 +331,7 @@ class Matcher:
             if self._out_of_order > _DISORDERED:
                 self.disordered = True
                 self.withheld |= ~self.has_shape
+                self._withholds = True
 
     def _match(
         self,

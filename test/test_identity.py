@@ -7,11 +7,18 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from rclpy.serialization import serialize_message
 
 from kinpole_ros.frame import MarkerFrames
 from kinpole_ros.identity import Expected, Match, match
 from kinpole_ros.mechanism import load_scene, marker_positions
-from kinpole_ros.messages import DiagnosticsMaker
+from kinpole_ros.messages import (
+    DiagnosticsMaker,
+    MarkerReader,
+    MessageError,
+    read_markers,
+    to_message,
+)
 from kinpole_ros.parameters import ParameterError, settings_from
 from kinpole_ros.tracker import Tracker
 
@@ -115,6 +122,19 @@ def test_markers_of_two_links_that_are_exchanged_leave_no_trace(
     assert tracker.counts['markers_of_others'] == 2 * ((last or COUNT) - first)
     assert all(np.allclose(found[s], CLEAN[s], rtol=1e-9, equal_nan=True) for s in CLEAN)
     assert "'coupler_1' is 'crank_1' of crank" in said(tracker)
+
+
+@pytest.mark.parametrize(('first', 'last'), [(0, None), (10, None), (60, 65)])
+def test_frame_by_frame_names_are_corrected_as_in_blocks(first: int, last: int | None) -> None:
+    points = exchanged(first, last)[:120]
+    block = MarkerFrames(stamps(0, 120), 'world', ALL, points)
+    singly = [MarkerFrames(stamps(k, k + 1), 'world', ALL, points[k : k + 1]) for k in range(120)]
+    tracker, together = track([block])
+    other, one_by_one = track(singly)
+    assert tracker.counts == other.counts
+    assert together.keys() == one_by_one.keys()
+    for s, row in together.items():
+        assert np.allclose(row, one_by_one[s], rtol=1e-6, equal_nan=True)
 
 
 @pytest.mark.parametrize('count', [3, 4])
@@ -264,6 +284,17 @@ def test_a_shape_that_no_points_have_is_named() -> None:
     values = BY_SHAPE | {'rocker.shape': (2 * MARKERS['rocker']).ravel().tolist()}
     tracker, _ = track(cloud(list(POINTS[:60])), **values)
     assert 'no points have the shape rocker.shape' in said(tracker)
+
+
+def test_by_shape_messages_are_read_by_place() -> None:
+    points = POINTS[0]
+    for kind in ('marker_array', 'point_cloud2', 'pose_array', 'marker'):
+        message = to_message(kind, 10**9, 'world', ALL, points)
+        by_shape, by_place = (read_markers(message, way) for way in ('shape', 'index'))
+        assert by_shape.identities == by_place.identities == tuple(map(str, range(len(ALL))))
+        (read,) = MarkerReader(kind, 'shape').read([serialize_message(message)])
+        assert not isinstance(read, MessageError)
+        assert read.identities == by_place.identities
 
 
 # --- matching by itself --------------------------------------------------------------------------
