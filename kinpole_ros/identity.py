@@ -103,6 +103,32 @@ def match(points: Complex, shapes: Complex, limit: Real, expected: Expected) -> 
     return Match(place, position, turn, unsure)
 
 
+def merge_names(found: Match, named: np.ndarray) -> np.ndarray | None:
+    """
+    Places (B, n) by name, but for bodies that have a point which is not named for them.
+
+    None where there is no such body: what is amiss within one is not a matter of names.
+    """
+    foreign = np.array(
+        [
+            ((row >= 0) & ~np.isin(row, own)).any()
+            for row, own in zip(found.place, named, strict=True)
+        ]
+    )
+    foreign &= np.isfinite(found.turn)
+    if not foreign.any():
+        return None
+    claimed = found.place[foreign]
+    claimed = claimed[claimed >= 0]
+    lost = np.isin(named, claimed)
+    place = np.where(lost, -1, named)
+    for b in np.flatnonzero(foreign | (lost.any(axis=1) & np.isfinite(found.turn))):
+        # Markers of which no place is known yet stay where their names say.
+        own = np.where(np.isin(place[b], found.place[b]), -1, place[b])
+        place[b] = np.where(found.place[b] >= 0, found.place[b], own)
+    return place
+
+
 def _where_expected(
     points: Complex, shape: Complex, wanted: np.ndarray, expected: Expected
 ) -> np.ndarray:

@@ -11,8 +11,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from kinpole_ros.ahead import TRACKED, ahead
 from kinpole_ros.grouping import group
-from kinpole_ros.identity import Expected, Match, fit_place, match
+from kinpole_ros.identity import Expected, Match, fit_place, match, merge_names
 from kinpole_ros.parameters import Settings
 from kinpole_ros.planar import Fit
 from kinpole_ros.planar._plane import Complex, Real
@@ -22,8 +23,6 @@ from kinpole_ros.window import Shapes
 # Counted in `Tracker.counts`.
 OTHERS, RENAMED, REGROUPED = 'markers_of_others', 'markers_renamed', 'markers_regrouped'
 BY_SHAPE, UNSURE = 'frames_by_shape', 'bodies_unsure'
-# Poses go on from those of so many intervals ago, by the last so many.
-_RECENT, _TRACKED = 5, 6
 # Frames that tell how many points a cloud without names has, and whether they keep their order; in
 # so many of these it may be another.
 _FIRST, _DISORDERED = 20, 2
@@ -83,7 +82,7 @@ class Matcher:
         self.found = np.zeros(bodies, int)
         self._next_look, self._groupings = _LOOK, 0
         # The poses of late: stamps (T,), positions and angles (T, B); and the points they are of.
-        self._track: deque[tuple[np.ndarray, Complex, Real]] = deque(maxlen=_TRACKED)
+        self._track: deque[tuple[np.ndarray, Complex, Real]] = deque(maxlen=TRACKED)
         self._late: deque[Complex] = deque(maxlen=_LATE)
         self._first = self._end = 0
         self._matched_here = False
@@ -186,7 +185,7 @@ class Matcher:
         named[self.withheld] = -1
         held = self._fits_by_name(points, named, self._shapes.markers())
         found = self._match(k, points, named, held, before)
-        place = _merged(found, named)
+        place = merge_names(found, named)
         if place is None:
             return False
         self._count(k, -1)
@@ -356,31 +355,7 @@ class Matcher:
             end = first + len(fit.angle)
             track.append((self._stamps[first:end], fit.position, fit.angle))
             first = end
-        nowhere = np.full(len(self._names), complex(np.nan, np.nan))
-        if not track:
-            return nowhere, nowhere
-        track = track[-_TRACKED:]
-        stamps, position, angle = (
-            np.concatenate(part)[-_TRACKED:] for part in zip(*track, strict=True)
-        )
-        now, row = int(self._stamps[k]), np.arange(1, len(stamps) + 1)[:, None]
-        there = np.where(np.isfinite(angle), row, 0)
-        last = there.max(axis=0)
-        prior = np.where(there < last, there, 0).max(axis=0)
-        body = np.arange(len(last))
-        seconds = (stamps - now) * 1e-9
-        recent = _RECENT * (seconds[-1] - seconds[0]) / max(len(stamps) - 1, 1)
-        recent = recent * 1.01 if recent else np.inf
-        ago, step = -seconds[last - 1], seconds[last - 1] - seconds[prior - 1]
-        here, was = position[last - 1, body], position[prior - 1, body]
-        turned = angle[last - 1, body] - angle[prior - 1, body]
-        turned = (turned + np.pi) % (2 * np.pi) - np.pi
-        moves = (prior > 0) & (step <= recent)
-        times = np.where(moves, ago / np.where(moves, step, 1.0), 0.0)
-        known = (last > 0) & (ago <= recent)
-        ahead = np.where(known, here + times * np.where(moves, here - was, 0), np.nan)
-        angle_ahead = angle[last - 1, body] + times * np.where(moves, turned, 0)
-        return ahead, np.where(known, np.exp(1j * angle_ahead), np.nan)
+        return ahead(track[-TRACKED:], int(self._stamps[k]), len(self._names))
 
     def _fits_mirrored(self, b: int) -> bool:
         """Whether the points of the last frame have a body's given shape mirrored."""
@@ -395,29 +370,3 @@ class Matcher:
 
 def _row(given: Complex) -> np.ndarray:
     return np.arange(len(given))
-
-
-def _merged(found: Match, named: np.ndarray) -> np.ndarray | None:
-    """
-    Places (B, n) by name, but for bodies that have a point which is not named for them.
-
-    None where there is no such body: what is amiss within one is not a matter of names.
-    """
-    foreign = np.array(
-        [
-            ((row >= 0) & ~np.isin(row, own)).any()
-            for row, own in zip(found.place, named, strict=True)
-        ]
-    )
-    foreign &= np.isfinite(found.turn)
-    if not foreign.any():
-        return None
-    claimed = found.place[foreign]
-    claimed = claimed[claimed >= 0]
-    lost = np.isin(named, claimed)
-    place = np.where(lost, -1, named)
-    for b in np.flatnonzero(foreign | (lost.any(axis=1) & np.isfinite(found.turn))):
-        # Markers of which no place is known yet stay where their names say.
-        own = np.where(np.isin(place[b], found.place[b]), -1, place[b])
-        place[b] = np.where(found.place[b] >= 0, found.place[b], own)
-    return place
