@@ -11,7 +11,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from kinpole_ros.matcher import Matcher
 from kinpole_ros.parameters import Settings
+from kinpole_ros.roster import Roster
 from kinpole_ros.window import (
     LastingNoise,
     Noise,
@@ -81,15 +83,20 @@ class RigidBodies:
     """
     B bodies of up to `width` markers each, as learned from their frames.
 
-    `window`, ns, is as long as the estimates'. What is mended in frames is added to `counts`.
+    `window`, ns, is as long as the estimates'; `roster` sorts the frames. What is mended in frames
+    is added to `counts`; `matcher` holds the names of markers against the shapes.
     """
 
-    def __init__(self, settings: Settings, window: int, width: int, counts: Counter[str]) -> None:
+    def __init__(
+        self, settings: Settings, window: int, roster: Roster, counts: Counter[str]
+    ) -> None:
+        width = roster.width
         self._count = len(settings.bodies)
         self._given = settings.noise
         self._by_pose = settings.method == 'pose'
         self._counts = counts
         self._shapes = Shapes(self._count, width)
+        self.matcher = Matcher(settings, roster, self._shapes, counts)
         self._noise = Noise(self._count)
         self._lasting = LastingNoise(self._count, window)
         self._pins = Pins(self._count)
@@ -97,6 +104,7 @@ class RigidBodies:
         self._since = np.zeros(self._count, np.int64)
         self._last_angle = np.zeros(self._count)
         self._last_turn = np.zeros(self._count)
+        self._newest = 0
         # Frames since the last beat.
         self._news: list[_News] = []
         self._new = 0
@@ -156,10 +164,16 @@ class RigidBodies:
         with the markers as they are told apart; `gaps` (T,) says which frames come much later than
         those before.
         """
-        first = 0
+        first, matcher = 0, self.matcher
+        matcher.begin(rows['stamp'], points, heights)
         while first < len(rows):
-            self.settle()
-            room = self._shapes.beat - self._new
+            if self.settle():
+                matcher.sort_again(first)
+            room = min(self._shapes.beat - self._new, len(rows) - first)
+            room, anew = matcher.arrange(first, room)
+            if anew:
+                self._learn()
+                self._begin_anew(np.ones(self._count, bool))
             unseen = self._shapes.unseen(points[first : first + room])
             if not unseen:
                 self._learn()
@@ -171,6 +185,7 @@ class RigidBodies:
             if len(later):
                 end = first + 1 + int(later[0])
             part = slice(first, end)
+            matcher.fits_next(first, end)
             seen = self._fit(rows[part], points[part], heights[part], gaps[part])
             if landmarks is not None:
                 # One line goes on, whatever the marker is called.
@@ -178,6 +193,12 @@ class RigidBodies:
                 landmarks[part] = np.take_along_axis(seen, stand_in, axis=-1)
             rows['beat'][part] = self._known_now()
             first = end
+
+    def take_unseen(self, rows: np.ndarray) -> None:
+        """Fill rows (T,) of frames that nothing can be made of: the plane is not known."""
+        rows['poses'] = rows['height'] = np.nan
+        rows['information'], rows['strayed'] = 0.0, False
+        rows['beat'] = self._known_now()
 
     def foresee(self, rows: np.ndarray) -> list[PlainShape]:
         """
@@ -200,10 +221,28 @@ class RigidBodies:
         self._known_now()
         return self._shapes.in_plain_numbers()
 
-    def settle(self) -> None:
-        """Learn if it is time for a beat."""
-        if self._new >= self._shapes.beat:
-            self._learn()
+    def settle(self) -> bool:
+        """Learn if it is time for a beat; whether names stand for other markers then."""
+        if self._new < self._shapes.beat:
+            return False
+        self._learn()
+        if not self.matcher.look_is_due():
+            return False
+        anew = self.matcher.regroup(self.looseness() > 0)
+        if not anew.any():
+            return bool(self.matcher.withheld.any())
+        self._begin_anew(anew)
+        return True
+
+    def _begin_anew(self, which: np.ndarray) -> None:
+        """Forget what was learned of the bodies `which` (B,), at a beat."""
+        self._shapes.restart(which)
+        if self.matcher.has_shape.any():
+            self._shapes.give(np.where(which[:, None], self.matcher.given, np.nan))
+        for learned in (self._pins, self._references, self._noise, self._lasting):
+            learned.forget(which)
+        self._since[which] = self._newest + 1
+        self._learned = True
 
     def retime(self) -> None:
         """Look at reference points afresh: frames before were not when they seemed to be."""
@@ -215,6 +254,7 @@ class RigidBodies:
         """Let bodies have more markers; nothing may wait for what was known before."""
         self._learn()
         self._shapes.widen(width)
+        self.matcher.forget_points()
         self._known = Samples((), _known_type(self._count, width))
         self._learned = True
 
@@ -224,7 +264,9 @@ class RigidBodies:
         """Fit frames between which nothing is learned and no gap is; returns points as mended."""
         if gaps[0]:
             self._shapes.forget_motion()
-        fit, points = self._shapes.fit(points)
+        fit, points = self._shapes.fit(points, self.matcher)
+        self.matcher.follow(fit)
+        self._newest = int(rows['stamp'][-1])
         if self._shapes.mended:
             self._counts.update(self._shapes.mended)
             self._shapes.mended.clear()

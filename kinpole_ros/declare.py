@@ -8,10 +8,10 @@ from rclpy.qos_overriding_options import QoSOverridingOptions
 
 from kinpole_ros.parameters import (
     AUTOSTART,
-    MARKERS,
     PARAMETERS,
     ParameterError,
     Settings,
+    body_parameters,
     settings_from,
 )
 
@@ -37,7 +37,7 @@ def declare(node: Node) -> Settings:
     if type(depth) is not int or depth < 1:
         raise ParameterError(f'parameter {name} is {depth!r}; it must be a whole number from 1 up')
     rows = {**PARAMETERS, 'autostart': AUTOSTART}
-    rows.update({f'{body}.markers': MARKERS for body in settings.bodies})
+    rows.update(body_parameters(settings.bodies))
     for name, row in rows.items():
         descriptor = ParameterDescriptor(
             description=row.description,
@@ -64,7 +64,7 @@ def given_to(node: Node) -> dict[str, Any]:
 
 def values_of(node: Node) -> dict[str, Any]:
     """The parameters of the table, as they are set now."""
-    names = {*PARAMETERS, *(f'{b}.markers' for b in node.get_parameter('bodies').value)}
+    names = {*PARAMETERS, *body_parameters(node.get_parameter('bodies').value)}
     return {name: node.get_parameter(name).value for name in names}
 
 

@@ -163,7 +163,7 @@ class KinpoleNode(LifecycleNode):
         self._stamps = []
 
     def _is_ours(self, name: str) -> bool:
-        return name in PARAMETERS or name.endswith('.markers')
+        return name in PARAMETERS or name.endswith(('.markers', '.shape'))
 
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Make the publishers."""

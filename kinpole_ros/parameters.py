@@ -38,6 +38,8 @@ class Settings:
     stamps: str = 'auto'
     method: str = 'pose'
     scene: str = ''
+    # Of the bodies that have one given: places of their markers, complex, m.
+    shapes: Mapping[str, tuple[complex, ...]] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -133,6 +135,16 @@ def _body_names(value: Any) -> tuple[str, ...]:
     return names
 
 
+def _shape(value: Any) -> tuple[complex, ...]:
+    if isinstance(value, str) or len(value) % 2:
+        raise ValueError
+    numbers = [_number(-1e6, 1e6)(number) for number in value]
+    shape = tuple(map(complex, numbers[::2], numbers[1::2]))
+    if shape and len(set(shape)) < max(2, len(shape)):
+        raise ValueError
+    return shape
+
+
 def _choices(default: str, description: str, *names: str, fixed: bool = False) -> Parameter:
     return Parameter(
         default, description, _one_of(*names), 'one of ' + ', '.join(names), fixed=fixed
@@ -166,12 +178,14 @@ PARAMETERS: Mapping[str, Parameter] = {
     'marker_identity': _choices(
         'auto',
         'What tells markers apart: their place in the message, their id, their namespace, or '
-        'both; auto takes namespace and id where there are any, else the place.',
+        'both; auto takes namespace and id where there are any, else the place. shape: nothing but '
+        'where they are on their bodies, as of points that come in any order.',
         'auto',
         'index',
         'id',
         'ns',
         'ns_id',
+        'shape',
     ),
     'plane': Parameter(
         'xy',
@@ -243,6 +257,15 @@ MARKERS = Parameter(
     "a list of different marker identities, as text, such as ['0', '1', '2']",
     fixed=True,
 )
+SHAPE = Parameter(
+    [],
+    'Where the markers are on this body: x and y of each, in the order of <body>.markers where '
+    'that is given, in a frame of its own. Empty: learned.',
+    _shape,
+    'a flat list of x, y of two or more markers at different places, m, such as '
+    '[0.0, 0.0, 0.1, 0.0, 0.05, 0.08]',
+    fixed=True,
+)
 AUTOSTART = Parameter(
     True,
     'Whether the node configures and activates itself.',
@@ -273,12 +296,13 @@ def settings_from(values: Mapping[str, Any]) -> Settings:
     Raises ParameterError for a name that is not known and for a value out of its range.
     """
     names = _checked('bodies', PARAMETERS['bodies'], values)
-    known = {**PARAMETERS, **{f'{name}.markers': MARKERS for name in names}}
+    known = {**PARAMETERS, **body_parameters(names)}
     for name in values:
         if name not in known and name not in _NODE_ONLY and not name.startswith('qos_overrides.'):
             hint = ''
-            if name.endswith('.markers'):
-                hint = f'; {_cut(name[:-8])} is not among the bodies {", ".join(names)}'
+            body, _, last = name.rpartition('.')
+            if last in ('markers', 'shape'):
+                hint = f'; {_cut(body)} is not among the bodies {", ".join(names)}'
             raise ParameterError(
                 f'unknown parameter {_cut(name)}{hint}; known are {", ".join(sorted(known))}'
             )
@@ -286,12 +310,33 @@ def settings_from(values: Mapping[str, Any]) -> Settings:
     checked = {name: _checked(name, row, values) for name, row in known.items()}
     bodies = {name: checked.pop(f'{name}.markers') for name in names}
     checked['bodies'] = bodies
-    if len(bodies) > 1:
+    shapes = {name: checked.pop(f'{name}.shape') for name in names}
+    checked['shapes'] = shapes = {name: shape for name, shape in shapes.items() if shape}
+    by_shape = checked['marker_identity'] == 'shape'
+    for name, shape in shapes.items():
+        if bodies[name] and len(bodies[name]) != len(shape):
+            raise ParameterError(
+                f'parameter {name}.shape has x and y of {len(shape)} markers, and {name}.markers '
+                f'names {len(bodies[name])}; give both of each marker, in the same order'
+            )
+    if by_shape:
+        if checked['plane'] == FIT:
+            raise ParameterError(
+                'parameter plane is fit; with marker_identity shape give its normal, as kinpole '
+                'discover finds it'
+            )
+        for name, markers in bodies.items():
+            if not markers and name not in shapes:
+                raise ParameterError(
+                    f'parameter {name}.shape is missing: with marker_identity shape give the shape '
+                    'of each body, as kinpole discover finds it'
+                )
+    elif len(bodies) > 1 or shapes:
         for name, markers in bodies.items():
             if not markers:
                 raise ParameterError(
-                    f'parameter {name}.markers is missing: with several bodies, list the markers '
-                    'of each'
+                    f'parameter {name}.markers is missing: with several bodies, or shapes, list '
+                    'the markers of each, or set marker_identity to shape and give all shapes'
                 )
     for name, markers in bodies.items():
         if len(markers) == 1:
@@ -305,6 +350,12 @@ def settings_from(values: Mapping[str, Any]) -> Settings:
             f'{settings.window:g} s'
         )
     return settings
+
+
+def body_parameters(bodies: Iterable[str]) -> dict[str, Parameter]:
+    """The rows of the parameters that each body has."""
+    rows = {'markers': MARKERS, 'shape': SHAPE}
+    return {f'{body}.{name}': row for body in bodies for name, row in rows.items()}
 
 
 def _checked(name: str, row: Parameter, values: Mapping[str, Any]) -> Any:

@@ -14,7 +14,8 @@ import numpy as np
 
 from kinpole_ros.bodies import RigidBodies, pose_columns
 from kinpole_ros.estimate import FARTHEST, Estimate, Poses
-from kinpole_ros.frame import MarkerFrames
+from kinpole_ros.frame import MarkerFrames, part_of
+from kinpole_ros.matcher import Matcher
 from kinpole_ros.parameters import Settings
 from kinpole_ros.plane import Plane
 from kinpole_ros.prompt import Foreseen, Prompt
@@ -69,19 +70,18 @@ class Tracker:
         self._roster = Roster(self.settings)
         width = self._roster.width
         self._space = Space(self.settings.plane, count, width)
-        # Of the frames before the plane is known: rows, markers in space, and which come late.
-        self._early: list[tuple[np.ndarray, np.ndarray, np.ndarray]] = []
-        # The plane that poses are in.
-        self._plane = self._space.plane
+        self._roster.plane = self._space.plane
+        # The frames before the plane is known: rows, markers, and which come after a gap.
+        self._early: list[tuple[np.ndarray, MarkerFrames, np.ndarray]] = []
         self._timeline = Timeline(self.settings, self.counts, before)
-        self._rigid = RigidBodies(self.settings, self._timeline.window, width, self.counts)
+        self._rigid = RigidBodies(self.settings, self._timeline.window, self._roster, self.counts)
         self._filter = PoseFilter()
         # From when on poses are of the bodies that the filter knows, ns.
         self._since = np.zeros(count, np.int64)
         self._landmark_filter = LandmarkFilter()
         self._points: Samples | None = None
         if self.settings.method == 'landmarks':
-            self._points = Samples((count, width), complex)
+            self._points = Samples((count, self._roster.width), complex)
         self._run_number = next(_run_numbers)
         self._foreseen: Foreseen | None = None
 
@@ -114,7 +114,7 @@ class Tracker:
     @property
     def plane(self) -> Plane | None:
         """The plane that figures are in; None while it is to be fitted and not known yet."""
-        return self._plane
+        return self._roster.plane
 
     def space(self) -> SpaceReport:
         """How the motion lies in space: its tilt against the plane, and what leaves the plane."""
@@ -122,8 +122,13 @@ class Tracker:
 
     def lacking(self) -> dict[str, list[str]]:
         """Markers by body that the last message has not, where less than two of the body are."""
-        lacks = zip(self.bodies, self._roster.markers, self._roster.absent, strict=False)
-        return {b: names for b, every, names in lacks if len(every) - len(names) < 2 and names}
+        lacks = zip(self.bodies, self._roster.lacking(), strict=False)
+        return {body: names for body, names in lacks if names}
+
+    @property
+    def matcher(self) -> Matcher:
+        """What holds names of markers against shapes, and knows what it corrected."""
+        return self._rigid.matcher
 
     @property
     def identities(self) -> tuple[str, ...]:
@@ -179,11 +184,14 @@ class Tracker:
                     taken, place = frames, first + new
                     if len(new) < len(stamps):
                         taken = frames._replace(stamps=stamps[place], points=frames.points[place])
+                    if self._roster.plane is not self._space.plane:
+                        found += self._estimates(order)
+                        self._catch_up()
                     solid = self._roster.sort(taken)
                     if self._roster.width > self._rigid.width:
                         found += self._estimates(order)
                         self._widen()
-                    found += self._run(taken.stamps, steps[new], solid, before + place, order)
+                    self._run(taken, steps[new], solid, before + place)
                 first += end
                 if anew:
                     found += self._estimates(order)
@@ -270,68 +278,75 @@ class Tracker:
         )
 
     def _run(
-        self,
-        stamps: np.ndarray,
-        steps: np.ndarray,
-        solid: np.ndarray,
-        numbers: np.ndarray,
-        order: int | None,
-    ) -> list[Estimate]:
+        self, frames: MarkerFrames, steps: np.ndarray, solid: np.ndarray, numbers: np.ndarray
+    ) -> None:
         """
         Take frames that go on by `steps` from those before; `numbers` (T,) are theirs.
 
-        Returns what was due before the plane was known, if it becomes known.
+        `solid` (T, B, n, 3), m, are their markers as sorted.
         """
-        found: list[Estimate] = []
         self.counts['markers_unknown'] = self._roster.unknown
-        seen = np.count_nonzero(~np.isnan(solid[..., 0]))
-        self.counts['markers_not_seen'] += self._roster.wanted * len(solid) - seen
-        if self._plane is not self._space.plane:
-            found = self._estimates(order)
-            self._catch_up()
-        rows, gaps = self._timeline.enter(stamps, steps, numbers)
+        rows, gaps = self._timeline.enter(frames.stamps, steps, numbers)
         landmarks = None if self._points is None else self._points.room(len(rows))
-        if self._plane is None:
-            nowhere = np.full(solid.shape[:-1], complex(np.nan, np.nan))
-            points, heights = nowhere, nowhere.real
+        points, heights = self._roster.flat(solid)
+        plane = self._roster.plane
+        if plane is None:
+            self._rigid.take_unseen(rows)
+            if landmarks is not None:
+                landmarks[...] = complex(np.nan, np.nan)
+            self._early.append((rows.copy(), frames, gaps))
+            if len(self._early) > 2 * HISTORY:
+                self._early = self._latest_early()
+            seen = solid[..., 0]
         else:
-            points, heights = self._plane.project(solid)
-        self._rigid.take(rows, points, heights, gaps, landmarks)
+            self._rigid.take(rows, points, heights, gaps, landmarks)
+            # As they were corrected.
+            seen, solid = points, plane.in_space(points, heights)
         self._timeline.pose(rows, self._rigid.known['noise'])
-        if self._plane is None:
-            self._early.append((rows.copy(), solid, gaps))
-            if len(self._early) > HISTORY and (early := self._latest_early()):
-                self._early = [early]
-        self._space.add(stamps, solid)
-        return found
+        self._space.add(frames.stamps, solid)
+        missing = np.count_nonzero(np.isnan(seen)) - seen.size
+        self.counts['markers_not_seen'] += self._roster.wanted * len(rows) + missing
 
     def _catch_up(self) -> None:
         """The plane has become known: learn from the frames before, and see them in it."""
-        self._plane = self._space.plane
+        self._roster.plane = self._space.plane
         early, self._early = self._latest_early(), []
-        if self._plane is None or early is None:
-            return
-        rows, solid, gaps = early
-        width = self._roster.width
-        self._rigid = RigidBodies(self.settings, self._timeline.window, width, self.counts)
+        self._rigid = RigidBodies(self.settings, self._timeline.window, self._roster, self.counts)
         self._filter = PoseFilter()
-        held = self._timeline.view()
-        landmarks = None if self._points is None else np.empty(solid.shape[:-1], complex)
-        self._rigid.take(rows, *self._plane.project(solid), gaps, landmarks)
-        both = min(len(held), len(rows))
-        for name, *_ in pose_columns(len(self.bodies)):
-            held[name][len(held) - both :] = rows[name][len(rows) - both :]
-        if self._points is not None and landmarks is not None:
-            points = self._points.view()
-            points[len(points) - both :] = landmarks[len(rows) - both :]
+        end = len(self._timeline) - sum(len(rows) for rows, *_ in early)
+        for rows, frames, gaps in early:
+            solid = self._roster.sort(frames)
+            if self._roster.width > self._rigid.width:
+                self._widen()
+            landmarks = None if self._points is None else np.empty(solid.shape[:-1], complex)
+            self._rigid.take(rows, *self._roster.flat(solid), gaps, landmarks)
+            first, end = end, end + len(rows)
+            if end <= 0:
+                continue
+            held = self._timeline.view()[max(first, 0) : end]
+            for name, *_ in pose_columns(len(self.bodies)):
+                held[name] = rows[name][len(rows) - len(held) :]
+            if self._points is not None and landmarks is not None:
+                self._points.view()[max(first, 0) : end] = landmarks[len(rows) - len(held) :]
         self._rigid.forget()
 
-    def _latest_early(self) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
-        """The frames of before the plane is known, as many as it is found from; None for none."""
-        if not self._early:
-            return None
-        rows, solid, gaps = map(np.concatenate, zip(*self._early, strict=True))
-        return rows[-HISTORY:], solid[-HISTORY:], gaps[-HISTORY:]
+    def _latest_early(self) -> list[tuple[np.ndarray, MarkerFrames, np.ndarray]]:
+        """The frames of before the plane is known, as many as it is found from, in few parts."""
+        parts = []
+        for _, group in itertools.groupby(self._early, key=lambda part: part[1].identities):
+            rows, frames, gaps = zip(*group, strict=True)
+            stamps, points = (
+                np.concatenate([getattr(f, name) for f in frames]) for name in ('stamps', 'points')
+            )
+            whole = frames[0]._replace(stamps=stamps, points=points)
+            parts.append((np.concatenate(rows), whole, np.concatenate(gaps)))
+        left = sum(len(rows) for rows, *_ in parts) - HISTORY
+        while left > 0:
+            rows, frames, gaps = parts.pop(0)
+            if len(rows) > left:
+                parts.insert(0, (rows[left:], part_of(frames, slice(left, None)), gaps[left:]))
+            left -= len(rows)
+        return parts
 
     def _widen(self) -> None:
         """A body of all markers has more of them."""
@@ -403,7 +418,7 @@ class Tracker:
             missing[~firm] = 'markers too close together for their noise'
             missing[~measured] = 'noise not known yet'
             missing[~seen] = 'too few markers seen, or all at one place'
-            if self._plane is None:
+            if self.plane is None:
                 missing[...] = 'plane not known yet'
         return Estimate(
             frames['stamp'],
@@ -424,7 +439,7 @@ class Tracker:
             due,
             together,
             reference,
-            self._plane,
+            self.plane,
         )
 
     def _pinned(self, windows: Windows, known: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -13,6 +13,7 @@ from kinpole_ros.parameters import (
     AUTOSTART,
     MARKERS,
     PARAMETERS,
+    SHAPE,
     ParameterError,
     Settings,
     load_settings,
@@ -61,8 +62,8 @@ def test_nothing_given_is_one_body_of_all_markers_and_the_defaults() -> None:
 
 
 def test_every_setting_is_a_parameter_and_every_parameter_says_what_it_means() -> None:
-    assert {field.name for field in fields(Settings)} == set(PARAMETERS)
-    for row in (*PARAMETERS.values(), MARKERS, AUTOSTART):
+    assert {field.name for field in fields(Settings)} - {'shapes'} == set(PARAMETERS)
+    for row in (*PARAMETERS.values(), MARKERS, SHAPE, AUTOSTART):
         assert row.description.endswith('.')
         assert row.allowed
         row.check(row.default)
@@ -96,6 +97,11 @@ WRONG = [
     ('method', ['poses', 0, None], 'pose, landmarks'),
     ('scene', [0, None, ['four_bar'], True], 'the name of a scene'),
     ('autostart', ['no', 0, 1, None], 'true or false'),
+    (
+        'body.shape',
+        [[0, 0, 1], [0, 0, 0, 0], [0, 0], 'a', 7, ['a', 0, 1, 1], [0, 0, True, 1], [0, 0, 1e9, 1]],
+        'a flat list of x, y of two or more markers',
+    ),
     ('body.markers', [[1, 2], 'a', ['a', 'a'], [''], 7], "identities, as text, such as ['0', "),
 ]
 
@@ -121,7 +127,7 @@ def test_a_value_or_name_of_any_length_is_refused_in_one_line() -> None:
 
 
 def test_all_parameters_are_tried_with_bad_values() -> None:
-    assert {name for name, *_ in WRONG} == {*PARAMETERS, 'autostart', 'body.markers'}
+    assert {name for name, *_ in WRONG} == {*PARAMETERS, 'autostart', 'body.markers', 'body.shape'}
 
 
 @pytest.mark.parametrize(

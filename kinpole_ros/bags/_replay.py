@@ -21,6 +21,7 @@ from kinpole_ros.messages import (
     MessageError,
     Output,
     diagnostics_data,
+    identity_lines,
     result_outputs,
 )
 from kinpole_ros.parameters import Settings
@@ -53,7 +54,7 @@ class Replayed(NamedTuple):
     as one recording only because they lie in one folder. `beside` is how far the bodies were from
     the scene, if any; `space` is how the motion lay in space, as last known. `lost` are frames that
     never came, by the clock of the stamps, and `stamps` how these are beside it, None where there
-    are too few.
+    are too few. `misnamed` says in words which markers are not what their names say.
     """
 
     frames: int
@@ -79,6 +80,7 @@ class Replayed(NamedTuple):
     space: SpaceReport
     lost: int
     stamps: StampState | None
+    misnamed: list[str]
 
 
 def replay(
@@ -141,6 +143,8 @@ def replay(
     truncated: Truncated | None = None
     identities: tuple[str, ...] = ()
     absent = {body: list(markers) for body, markers in settings.bodies.items() if markers}
+    if settings.marker_identity == 'shape':
+        absent = {body: names for body, names in absent.items() if body not in settings.shapes}
     with ExitStack() as stack:
         writer = stack.enter_context(BagWriter(output)) if output is not None else None
         tables = [
@@ -217,6 +221,7 @@ def replay(
         space,
         counts['lost'],
         tracker.stamp_state(),
+        list(identity_lines(tracker, tracker.counts)),
     )
 
 

@@ -50,6 +50,7 @@ def warnings_of(result: Replayed, settings: Settings) -> list[str]:
         if reason and body not in result.absent:
             mend = f'; {_MENDS[reason]}' if reason in _MENDS else ''
             lines.append(f'{body} is known at no instant: {reason}{mend}')
+    lines += result.misnamed
     if tilt := tilt_fault(result.space, settings.plane):
         lines.append(tilt)
     for b, (body, off) in enumerate(result.looseness.items()):

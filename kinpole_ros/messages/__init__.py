@@ -3,6 +3,7 @@
 from kinpole_ros.messages._cdr import diagnostics_data
 from kinpole_ros.messages._cloud import MessageError
 from kinpole_ros.messages._diagnostics import SMOOTHED, DiagnosticsMaker, not_there
+from kinpole_ros.messages._identities import identity_lines
 from kinpole_ros.messages._loci import nothing_drawn
 from kinpole_ros.messages._markers import (
     MARKER_TYPES,
@@ -33,6 +34,7 @@ __all__ = [
     'MessageError',
     'Output',
     'diagnostics_data',
+    'identity_lines',
     'jitter_costs',
     'not_rigid',
     'not_there',

@@ -7,6 +7,7 @@ import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 
 from kinpole_ros.estimate import Estimate
+from kinpole_ros.messages._identities import identity_lines
 from kinpole_ros.messages._markers import ns_to_stamp
 from kinpole_ros.messages._space import (
     PLANE_UNKNOWN,
@@ -36,6 +37,11 @@ _WORDS = {
     'markers_left_out': 'markers left out, since they did not fit their body',
     'markers_mirrored': 'markers left out, since their body was seen mirrored',
     'markers_of_misfits': 'markers left out, since their body did not fit its shape',
+    'markers_of_others': 'markers named for another body, put back',
+    'markers_renamed': 'markers under names that no body has, found by shape',
+    'markers_regrouped': 'markers listed for another body than the one they move with',
+    'frames_by_shape': 'frames without names that were matched by shape',
+    'bodies_unsure': 'bodies left out of a frame, since points fit them in several ways',
     'unreadable': 'messages that could not be read',
     'dropped': 'messages dropped, since the node or the network could not keep up',
     'untold': 'results left out, since the node could not keep up',
@@ -270,6 +276,7 @@ def _faults(
     if untold := since.get('untold'):
         text = f'{untold} results left out: the node cannot keep up; read fewer results'
         faults.append((DiagnosticStatus.WARN, text))
+    faults += [(DiagnosticStatus.WARN, text) for text in identity_lines(tracker, since)]
     if since.get('restarts'):
         text = 'another publisher sends the markers: the window starts anew'
         faults.append((DiagnosticStatus.WARN, text))

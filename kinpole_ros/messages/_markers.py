@@ -38,7 +38,7 @@ _MOST_TOLD = 80
 _LISTS = (Marker.CUBE_LIST, Marker.SPHERE_LIST, Marker.POINTS)
 # Types that stand for one thing at their pose.
 _SINGLE = (Marker.CUBE, Marker.SPHERE, Marker.CYLINDER)
-_IDENTITIES = ('auto', 'index', 'id', 'ns', 'ns_id')
+_IDENTITIES = ('auto', 'index', 'id', 'ns', 'ns_id', 'shape')
 _xyz = attrgetter('x', 'y', 'z')
 
 
@@ -47,7 +47,8 @@ def read_markers(message: Any, identity: str = 'auto') -> MarkerFrames:
 
     One frame is returned (T = 1). A row with a coordinate that is not finite becomes NaN as a whole
     and keeps its place.
-    `identity` is auto, index, id, ns or ns_id. A MarkerArray offers all of them, auto meaning
+    `identity` is auto, index, id, ns, ns_id or shape, which reads as index does: by what shape they
+    are of is for the tracker to find. A MarkerArray offers all of them, auto meaning
     ns_id ('ns/id', or 'id' where ns is empty), and its index counts every entry of the array, so
     that one deleted marker does not rename the rest. The other types have only the index, except
     that id reads an integer field `id` of a PointCloud2.
@@ -62,6 +63,7 @@ def read_markers(message: Any, identity: str = 'auto') -> MarkerFrames:
     """
     if identity not in _IDENTITIES:
         raise ValueError(f"identity '{identity}' is unknown: use one of {', '.join(_IDENTITIES)}")
+    identity = 'index' if identity == 'shape' else identity
     if isinstance(message, MarkerArray):
         header, identities, points = _read_marker_array(message, identity)
     else:

@@ -54,7 +54,7 @@ class MarkerReader:
 
     def __init__(self, kind: str, identity: str = 'auto') -> None:
         self._kind = kind
-        self._identity = identity
+        self._identity = 'index' if identity == 'shape' else identity
         # The ones used last come first.
         self._layouts: list[_Layout] = []
 

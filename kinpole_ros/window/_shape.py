@@ -11,7 +11,7 @@ be fitted at once, and a frame comes out the same whether it is in a stretch or 
 """
 
 from collections import Counter
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 import numpy as np
 
@@ -33,6 +33,8 @@ _SUSPECT = 6.0
 _MATURE, _RULE_MEMORY, _RULE_CLIP = 20, 200, 9.0
 # What all but the worst three tenths of chi-squares stay below, over their mean, within a tenth.
 _RULE_SHARE = 1.15
+# Until that is known: beyond this share of the body's size. Only names are doubted by it.
+_YOUNG_SUSPECT = 0.03
 # What is less than this share of the body's size is rounding.
 _TINY = 1e-6
 # A marker that does not fit in so many frames running sits elsewhere from the next beat on, and
@@ -57,16 +59,27 @@ class PlainShape(NamedTuple):
     most: float
 
 
+class Names(Protocol):
+    """Corrects which point of a frame is which marker, where that is not as the names have it."""
+
+    def doubtful(self, fit: Fit, unseen: np.ndarray) -> np.ndarray | None:
+        """Which frames (T,) may have markers that are `unseen` (T, B, n) under other names."""
+
+    def correct(self, row: int, before: list[Fit]) -> bool:
+        """Whether points of the frame were exchanged in place; `before` are the fits up to it."""
+
+
 class Shapes:
     """
     Shapes of B bodies of up to n markers, in each body's own frame.
 
-    `points` (B, n) are where the markers are, complex, m; `known` (B,) how many of them have been
-    seen so far, and `spread` (B,) the sum of their squares about their mean, m^2; `beat` is in how
-    many frames from the last time on `learn` is to be called; `farthest` (B,) is how far, m, from
-    the origin of the ground the markers seen last before that were. `mended` counts, see
-    `untangle`; `stand_in` (B, n) says which marker goes on where each one was at first, for some
-    are exchanged for good.
+    `points` (B, n) are where the markers are, complex, m; `limit` (B,) how far off a marker may be
+    by what residuals come to, or by the size while that is not known, m; `known` (B,) how many of
+    them have been seen so far, and `spread` (B,) the sum of their squares about their mean, m^2;
+    `beat` is in how many frames from the last time on `learn` is to be called; `farthest` (B,) is
+    how far, m, from the origin of the ground the markers seen last before that were. `mended`
+    counts, see `untangle`; `stand_in` (B, n) says which marker goes on where each one was at first,
+    for some are exchanged for good.
     """
 
     def __init__(self, bodies: int, markers: int) -> None:
@@ -116,24 +129,60 @@ class Shapes:
         self._frames[seen] = self._first[seen] = 1.0
         self._measure()
 
-    def fit(self, points: Complex) -> tuple[Fit, Complex]:
+    def give(self, points: Complex) -> None:
+        """
+        Begin with shapes (B, n) that are known, NaN for none; poses are of their frames.
+
+        They are learned on like any other, since what is drawn is rarely what was built.
+        """
+        given = ~np.isnan(points)
+        self.points = np.where(given, points, self.points)
+        self._frames[given] = 1.0
+        for b in np.flatnonzero(given.any(axis=1)):
+            # Its frame is not that of any first frames.
+            self._early[b] = None
+        self._measure()
+
+    def restart(self, which: np.ndarray) -> None:
+        """Forget the bodies `which` (B,), at a beat: they begin anew as they are seen next."""
+        for part in (self.points, self._frames, self._first, self._drift):
+            part[which] = 0.0
+        for counter in (self._astray, self._exchanged, self._fits):
+            counter[which] = 0
+        self._order[which] = np.arange(self._order.shape[1])
+        self._left[which] = np.nan
+        self._rule[which] = 0.0
+        for b in np.flatnonzero(which):
+            self._early[b] = []
+        self._turns.forget()
+        self._measure()
+
+    def fit(self, points: Complex, names: Names | None = None) -> tuple[Fit, Complex]:
         """
         Fit the poses of some frames, `points` (T, B, n), NaN for a marker that was not seen.
+
+        With `names`, those of a frame that does not fit are corrected first.
 
         Bodies of which fewer than two known markers are seen, or of which all coincide, get NaN.
         Markers that do not fit their body, or that turn it by half a turn in one frame, are left
         out or put back, see `untangle` and `half_turn`, and counted in `mended`. Returns the fits
         and the markers they are of.
         """
-        parts = []
+        parts: list[tuple[Fit, Complex]] = []
+        most = self._most if names is None else self._doubt
+        frames, corrected = len(points), False
         while len(points):
             unseen = np.isnan(points)
             grip = self._grip
-            if np.count_nonzero(unseen):
+            hidden = np.count_nonzero(unseen)
+            if hidden:
                 grip = grip_of(self.points, np.where(unseen, 0.0, self._weights))
             fit = fit_by_grip(points, grip)
-            far = fit.residual.real**2 + fit.residual.imag**2 > self._most
+            far = fit.residual.real**2 + fit.residual.imag**2 > most
             odd = np.logical_or.reduce(far, axis=(1, 2)) | self._turns.may_jump(fit.angle)
+            if names is not None and hidden:
+                doubtful = names.doubtful(fit, unseen)
+                odd = odd if doubtful is None else odd | doubtful
             quiet = int(odd.argmax()) if np.count_nonzero(odd) else len(points)
             if quiet == len(points):
                 part = fit, points
@@ -145,6 +194,15 @@ class Shapes:
                     self._in_place(~np.isnan(part[0].residual).all(axis=0))
                     self._disturbed = bool(self._astray.any() or self._exchanged.any())
                 parts.append(part)
+                corrected = False
+            if quiet < len(points) and names is not None and not corrected:
+                points = points[quiet:]
+                if names.correct(frames - len(points), [part[0] for part in parts]):
+                    # Its names are as good as they get.
+                    corrected = True
+                    continue
+                fit, quiet = Fit(*(field[quiet:] for field in fit)), 0
+            corrected = False
             if quiet < len(points):
                 here = Fit(*(field[quiet] for field in fit))
                 parts.append(self._mend(points[quiet], here))
@@ -157,7 +215,7 @@ class Shapes:
 
     def in_plain_numbers(self) -> list[PlainShape]:
         """What the fits of the next frame are made of, body by body."""
-        most = self._most[:, 0].tolist()
+        most = self._doubt[:, 0].tolist()
         return [PlainShape(plain_grip(self._grip, b), limit) for b, limit in enumerate(most)]
 
     def forget_motion(self) -> None:
@@ -359,6 +417,10 @@ class Shapes:
         self._mature = self._fits >= _MATURE
         # What all frames share in which every marker is seen, as a rule all there are.
         self._most = np.where(self._mature, self._limit**2, np.inf)[:, None]
+        size = 2 * np.sqrt(self.spread / np.maximum(self.known, 1))
+        young = np.maximum(_YOUNG_SUSPECT * size, 2 * self._limit)
+        self.limit = np.where(self._mature, self._limit, young)
+        self._doubt = (self.limit**2)[:, None]
         self._grip = grip_of(self.points, self._weights)
         least = self._frames.min(where=known, initial=_MEMORY) if known.any() else 0
         self.beat = max(1, int(least * _BEAT))
