@@ -13,6 +13,7 @@ import numpy as np
 
 from kinpole_ros.parameters import Settings
 from kinpole_ros.window import (
+    Deformation,
     LastingNoise,
     Noise,
     Pins,
@@ -63,6 +64,9 @@ def _known_type(bodies: int, width: int) -> np.dtype:
     columns: list[tuple] = [
         ('noise', float, (bodies,)),
         ('measured', bool, (bodies,)),
+        # As of `Deformation`.
+        ('deformed', float, (bodies,)),
+        ('held', float, (bodies,)),
         ('firm', bool, (bodies,)),
         ('size', float, (bodies,)),
         ('pin', complex, (bodies,)),
@@ -92,6 +96,7 @@ class RigidBodies:
         self._shapes = Shapes(self._count, width)
         self._noise = Noise(self._count)
         self._lasting = LastingNoise(self._count, window)
+        self.deformation = Deformation(self._count, width, window)
         self._pins = Pins(self._count)
         self._references = References(self._count, window)
         self._since = np.zeros(self._count, np.int64)
@@ -209,6 +214,7 @@ class RigidBodies:
         """Let bodies have more markers; nothing may wait for what was known before."""
         self._learn()
         self._shapes.widen(width)
+        self.deformation.widen(width)
         self._known = Samples((), _known_type(self._count, width))
         self._learned = True
 
@@ -243,6 +249,7 @@ class RigidBodies:
         if np.count_nonzero(np.isfinite(self._pins.center)):
             variance = self._variance(information)
             rows['strayed'] = self._pins.strayed(fit.position, fit.angle, variance)
+        self.deformation.add(fit.residual)
         self._news.append(
             _News(
                 rows['stamp'].copy(),
@@ -286,6 +293,8 @@ class RigidBodies:
             known, pins, noise = self._known.room(1), self._pins, self.noise()
             known['noise'] = np.where(noise > 0, noise, 1.0)
             known['measured'] = np.isfinite(noise)
+            known['deformed'] = self.deformation.freedom
+            known['held'] = self.deformation.held
             known['firm'] = noise**2 < _UNSTEADY**2 * self._shapes.spread
             known['size'] = self._size()
             known['pin'], known['pin_variance'] = pins.center, pins.variance
@@ -316,9 +325,13 @@ class RigidBodies:
             self._lasting.add(news.stamps, news.residual, news.freedom, news.gaps)
         anew = self._shapes.learn()
         if anew.any():
-            for learned in (self._pins, self._references, self._noise, self._lasting):
+            learners = self._pins, self._references, self._noise, self._lasting, self.deformation
+            for learned in learners:
                 learned.forget(anew)
             self._since[anew] = news.stamps[-1] + 1
+        noise = np.fmax(self.noise(), self._noise.level())
+        fits = news.stamps, news.residual, news.freedom
+        self.deformation.learn(*fits, noise, self._noise.degrees())
 
     def _variance(self, information: np.ndarray) -> np.ndarray:
         """Variances (T, 2, B) of one coordinate of the positions, and of the angles."""

@@ -270,6 +270,8 @@ class Tracker:
             found.append(self._estimate(windows, order, new['number'][frame], then))
         outlived = int(new['oldest'][-1])
         self._timeline.pass_by(int(end[-1]), outlived)
+        # Its stencils may begin a little before the window.
+        self._rigid.deformation.drop(self._timeline.dropped - self._timeline.samples)
         if self._points is not None:
             self._points.drop(outlived)
         return found
@@ -296,6 +298,8 @@ class Tracker:
             found, together, reference = self._from_poses(windows, known, order, by)
         else:
             found, together, reference = self._from_landmarks(windows, known, order)
+        if np.count_nonzero(known['deformed']):
+            self._add_deformation(windows, known, found, together)
         position, angle, position_covariance, angle_covariance, span, degree = found
         if np.count_nonzero(usable) < usable.size:
             for array in (*found, *(together or ())):
@@ -328,6 +332,40 @@ class Tracker:
             together,
             reference,
         )
+
+    def _add_deformation(
+        self,
+        windows: Windows,
+        known: np.ndarray,
+        found: tuple[np.ndarray, ...],
+        together: Poses | None,
+    ) -> None:
+        """Add to the covariances `found`, and to those `together`, what deformed bodies err by."""
+        frames, count = self._timeline.view(), len(self.bodies)
+        # Of the points that are differentiated, as `seen_at` has it.
+        information = np.stack(
+            [
+                seen_at(reference, middle, row['poses'][None], row['information'][None])[1][0]
+                for reference, middle, row in zip(
+                    known['reference'], known['middle'], frames[windows[0]], strict=True
+                )
+            ]
+        )
+        *_, span, degree = found
+        numbers = tuple(rows + self._timeline.dropped for rows in windows)
+        interval = frames['interval'][windows[2]] * 1e-9
+        order = len(found[0]) - 1
+        noise = known['noise'] * np.sqrt(known['held'])
+        slow = self._rigid.deformation.covariance(
+            numbers, interval, span, degree, noise, known['deformed'], order
+        )
+        with np.errstate(divide='ignore', invalid='ignore'):
+            of_angle, of_position = slow / information[:, :count], slow / information[:, count:]
+        found[2][...] += of_position
+        found[3][...] += of_angle
+        if together is not None:
+            together.position_covariance[...] += of_position[:, :, None]
+            together.angle_covariance[...] += of_angle[:, :, None]
 
     def _pinned(self, windows: Windows, known: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """

@@ -23,6 +23,7 @@ from kinpole_ros.window._reference import References, alike, seen_at
 from kinpole_ros.window._runs import Windows, joined, runs
 from kinpole_ros.window._samples import Samples
 from kinpole_ros.window._shape import PlainShape, Shapes
+from kinpole_ros.window._soft import Deformation
 from kinpole_ros.window._spectrum import Spectrum
 from kinpole_ros.window._turn import NOT_FAR
 
@@ -30,6 +31,7 @@ __all__ = [
     'FEWEST_SAMPLES',
     'NOT_FAR',
     'STRIKES',
+    'Deformation',
     'Derivatives',
     'LandmarkFilter',
     'LastingNoise',
