@@ -13,7 +13,11 @@ import numpy as np
 
 from kinpole_ros.parameters import Settings
 from kinpole_ros.window import (
+    LENS,
+    SLANT,
+    TISSUE,
     Deformation,
+    Fields,
     LastingNoise,
     Noise,
     Pins,
@@ -31,6 +35,8 @@ _UNSTEADY = 0.15
 # Markers are not of one rigid body that are off it by so many times their noise and by this share
 # of its size.
 _LOOSE, _LOOSE_SHARE = 5.0, 0.01
+# Those that are off by this share of its size are of other links: no tissue moves so far.
+_OTHERS = 0.1
 
 
 class _News(NamedTuple):
@@ -97,6 +103,7 @@ class RigidBodies:
         self._noise = Noise(self._count)
         self._lasting = LastingNoise(self._count, window)
         self.deformation = Deformation(self._count, width, window)
+        self._fields = Fields()
         self._pins = Pins(self._count)
         self._references = References(self._count, window)
         self._since = np.zeros(self._count, np.int64)
@@ -140,7 +147,19 @@ class RigidBodies:
         """
         off, noise = np.sqrt(self._shapes.misfit()), self._noise.level()
         loose = (off > _LOOSE * noise) & (off > _LOOSE_SHARE * self._size())
+        # A lens moves poles by more than it bends bodies.
+        loose |= [cause in (LENS, SLANT) for cause in self.causes()]
         return np.where(loose, off, 0.0)
+
+    def causes(self) -> list[str]:
+        """What moves the markers of each body against each other, '' unless it is known."""
+        deformed, noise = self.deformation.freedom > 0, np.fmax(self._noise.level(), 0.0)
+        causes = self._fields.cause(deformed, noise, self.deformation.freedom)
+        far = np.sqrt(self._shapes.misfit()) > _OTHERS * self._size()
+        return [
+            cause or (TISSUE if one and not off else '')
+            for cause, one, off in zip(causes, deformed, far, strict=True)
+        ]
 
     def underrated(self) -> np.ndarray:
         """Which bodies (B,) have more noise than can be measured: see `LastingNoise.longer`."""
@@ -332,6 +351,10 @@ class RigidBodies:
         noise = np.fmax(self.noise(), self._noise.level())
         fits = news.stamps, news.residual, news.freedom
         self.deformation.learn(*fits, noise, self._noise.degrees())
+        if anew.any():
+            self._fields.forget()
+        elif np.count_nonzero(self.deformation.freedom):
+            self._fields.add(news.position, news.angle, news.residual, self._shapes.markers())
 
     def _variance(self, information: np.ndarray) -> np.ndarray:
         """Variances (T, 2, B) of one coordinate of the positions, and of the angles."""

@@ -90,6 +90,10 @@ class Tracker:
         """How far (B,) markers are off one rigid body: see `RigidBodies.looseness`."""
         return self._rigid.looseness()
 
+    def causes(self) -> list[str]:
+        """What moves the markers of each body against each other: see `RigidBodies.causes`."""
+        return self._rigid.causes()
+
     def underrated(self) -> np.ndarray:
         """Which bodies (B,) have more noise than can be measured, since it lasts long."""
         return self._rigid.underrated()
@@ -342,15 +346,13 @@ class Tracker:
     ) -> None:
         """Add to the covariances `found`, and to those `together`, what deformed bodies err by."""
         frames, count = self._timeline.view(), len(self.bodies)
-        # Of the points that are differentiated, as `seen_at` has it.
-        information = np.stack(
-            [
-                seen_at(reference, middle, row['poses'][None], row['information'][None])[1][0]
-                for reference, middle, row in zip(
-                    known['reference'], known['middle'], frames[windows[0]], strict=True
-                )
-            ]
-        )
+        information = frames['information'][windows[0]]
+        if self._points is None:
+            # Of the points that are differentiated.
+            for part in alike(known['reference'], known['middle']):
+                at, rows = known[part.start], frames[windows[0][part]]
+                points = at['reference'], at['middle'], rows['poses'], rows['information']
+                information[part] = seen_at(*points)[1]
         *_, span, degree = found
         numbers = tuple(rows + self._timeline.dropped for rows in windows)
         interval = frames['interval'][windows[2]] * 1e-9

@@ -37,7 +37,11 @@ def warnings_of(result: Replayed, settings: Settings) -> list[str]:
         if reason and body not in result.absent:
             mend = f'; {_MENDS[reason]}' if reason in _MENDS else ''
             lines.append(f'{body} is known at no instant: {reason}{mend}')
-    lines += [f'{body}: {not_rigid(off)}' for body, off in result.looseness.items() if off]
+    lines += [
+        f'{body}: {not_rigid(off, result.causes[body])}'
+        for body, off in result.looseness.items()
+        if off
+    ]
     lines += [f'{body}: {SMOOTHED}' for body in result.underrated if not result.looseness[body]]
     if settings.scene and result.estimates and not result.beside:
         lines.append(

@@ -11,7 +11,7 @@ from kinpole_ros.messages._markers import ns_to_stamp
 from kinpole_ros.messages._stamps import stamp_faults
 from kinpole_ros.theory import Theory, joint_offsets, rate_differences
 from kinpole_ros.tracker import Tracker
-from kinpole_ros.window import FEWEST_SAMPLES
+from kinpole_ros.window import FEWEST_SAMPLES, LENS, SLANT, TISSUE
 
 # Of the names of markers in a message, which may be anything.
 _MOST_NAMES, _MOST_TOLD = 12, 80
@@ -90,6 +90,7 @@ class DiagnosticsMaker:
         faults += stamp_faults(stamps, seconds, tracker.settings.window)
         array.status = [self._input(tracker, since, seconds, faults)]
         noise, loose, underrated = tracker.noise(), tracker.looseness(), tracker.underrated()
+        causes = tracker.causes()
         receiving = bool(since.get('frames'))
         lacking = {
             body: not_there(body, names, tracker.identities)
@@ -102,7 +103,7 @@ class DiagnosticsMaker:
                     name = f'{self._name}: {body}'
                     array.status.append(_status(name, DiagnosticStatus.WARN, lacking[body], {}))
                     continue
-                known = float(noise[b]), float(loose[b]), bool(underrated[b])
+                known = float(noise[b]), float(loose[b]), causes[b], bool(underrated[b])
                 status = self._body(b, body, now, *known, receiving)
                 array.status.append(status)
             if now is not None and (len(tracker.bodies) > 1 or self._theory is not None):
@@ -158,6 +159,7 @@ class DiagnosticsMaker:
         now: Estimate | None,
         noise: float,
         loose: float,
+        cause: str,
         underrated: bool,
         receiving: bool,
     ) -> DiagnosticStatus:
@@ -185,7 +187,7 @@ class DiagnosticsMaker:
             values[f'{quantity} undetermined'] = reason
         level, message = DiagnosticStatus.OK, 'tracking'
         if loose:
-            level, message = DiagnosticStatus.WARN, not_rigid(loose)
+            level, message = DiagnosticStatus.WARN, not_rigid(loose, cause)
         elif underrated:
             level, message = DiagnosticStatus.WARN, SMOOTHED
         if reasons:
@@ -201,6 +203,24 @@ SMOOTHED = (
 )
 
 
+# What moves markers against each other, and what can be done about it.
+_CAUSES = {
+    '': 'far more than their noise: name those of one link only',
+    TISSUE: (
+        'slowly and far more than their noise, as on soft tissue, or where one is loose or off the '
+        'plane, and deviations include it; fix: fasten them to one rigid link, or use more of them'
+    ),
+    LENS: (
+        'by where they are in the field, as a lens moves them, which displaces poles by more than '
+        'deviations include; fix: calibrate the camera, and send markers without its distortion'
+    ),
+    SLANT: (
+        'by how they are turned, as where the plane is seen at a slant or the axes have two '
+        'scales; fix: set the parameter plane, or calibrate the camera'
+    ),
+}
+
+
 def not_there(body: str, names: Sequence[str], identities: Sequence[str]) -> str:
     """What is to be said of markers of a body that messages with these identities lack."""
     return (
@@ -214,12 +234,9 @@ def _listed(names: Sequence[str]) -> str:
     return ', '.join(told + ['...'] * (len(names) > _MOST_NAMES)) or 'none'
 
 
-def not_rigid(off: float) -> str:
-    """What is to be said of a body whose markers are so far (m) off one rigid body."""
-    return (
-        f'its markers are {off:.2g} m off one rigid body, far more than their noise: name those of '
-        'one link only'
-    )
+def not_rigid(off: float, cause: str) -> str:
+    """What is to be said of a body whose markers are so far (m) off one rigid body, by a cause."""
+    return f'its markers are {off:.2g} m off one rigid body, {_CAUSES[cause]}'
 
 
 def _faults(

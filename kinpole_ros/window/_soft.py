@@ -165,7 +165,7 @@ class Deformation:
         and `degree` (T, B) are those of the stencils; `noise` (T, B) is that of a coordinate;
         `freedom` (T, B) as above, 0 for what is not asked for and comes out 0.
         """
-        now, oldest, newest = windows
+        _, oldest, newest = windows
         held = newest - oldest
         found = np.zeros((order + 1, order + 1, *span.shape))
         asked = (freedom > 0) & np.isfinite(span) & (held[:, None] > _DEGREES[0] + 1)
@@ -173,7 +173,7 @@ class Deformation:
             return found
         keys = _keys(windows, interval, span, degree, asked)
         for key in np.unique(keys[asked], axis=0).tolist():
-            count, ahead, _ = key
+            count = key[0]
             rows = _stencils(*key, order)
             gained = rows @ rows.T
             instants, bodies = (asked & (keys == key).all(axis=-1)).nonzero()
