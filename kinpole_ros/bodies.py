@@ -36,7 +36,7 @@ _UNSTEADY = 0.15
 # of its size.
 _LOOSE, _LOOSE_SHARE = 5.0, 0.01
 # Those that are off by this share of its size are of other links: no tissue moves so far.
-_OTHERS = 0.1
+_OTHERS = 0.05
 
 
 class _News(NamedTuple):

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from kinpole_ros import planar
@@ -106,7 +106,6 @@ def test_wobbling_markers_are_within_their_deviations() -> None:
         assert near.mean() > 0.4
         off = squares((pole.value[:, 0] - truth[k])[near], pole.covariance[near, 0])
         poles.append((off < TWO).mean())
-    print(rates, poles)
     assert np.mean(rates) > 0.9
     assert np.mean(poles) > 0.9
     assert min(rates + poles) > 0.75
@@ -116,7 +115,7 @@ def test_wobbling_markers_are_within_their_deviations() -> None:
 @pytest.mark.parametrize('count', [2, 4])
 def test_white_noise_is_never_taken_for_a_deformation(count: int, hidden: float) -> None:
     rng = np.random.default_rng(count)
-    t = np.arange(6 * RATE) / RATE
+    t = np.arange(3 * RATE) / RATE
     points = markers(t, count, rng)
     points[rng.random(points.shape) < hidden] = complex(np.nan, np.nan)
     tracker = Tracker(settings_from({'window': 0.3, 'lag': 0.1}))
@@ -130,7 +129,7 @@ def test_white_noise_is_never_taken_for_a_deformation(count: int, hidden: float)
 
 def test_wobbling_markers_come_out_the_same_frame_by_frame_and_foretold() -> None:
     rng = np.random.default_rng(4)
-    t = np.arange(RATE) / RATE
+    t = np.arange(0.6 * RATE) / RATE
     points = markers(t, 4, rng) + 3e-3 * wobble(t, (4,), 0.1, rng)
     whole = frames_of(points)
     # Foretold are frames without gaps only.
@@ -149,8 +148,9 @@ def test_wobbling_markers_come_out_the_same_frame_by_frame_and_foretold() -> Non
                 icr, pole = prompt.bodies[0].icr, each[-1].pole(1)
                 assert (icr is not None) == pole.determined[0, 0]
                 assert icr is None or abs(icr - pole.value[0, 0]) < 1e-9
-            tracker.foresee(3)
-        assert hidden or hits > 50
+            if not hidden:
+                tracker.foresee(3)
+        assert hidden or hits > 20
         assert found.angle_covariance.shape[2] == len(each)
         for name in ('angle_covariance', 'position_covariance'):
             parts = np.concatenate([getattr(one, name) for one in each], axis=2)
@@ -160,6 +160,7 @@ def test_wobbling_markers_come_out_the_same_frame_by_frame_and_foretold() -> Non
             np.testing.assert_allclose(covariance, found.pole(order).covariance, rtol=1e-6)
 
 
+@settings(max_examples=40, deadline=None)
 @given(
     st.floats(0.5, 2.0), st.floats(1e-4, 1e-2), st.integers(2, 5), st.floats(0.0, 0.05), st.data()
 )
@@ -200,7 +201,7 @@ def spoiled(points: np.ndarray, cause: str, rng: np.random.Generator) -> np.ndar
 
 
 @pytest.mark.parametrize('cause', [LENS, SLANT, TISSUE])
-def test_what_moves_markers_against_each_other_is_named(cause: str, tmp_path: Path) -> None:
+def test_what_moves_markers_against_each_other_is_named(cause: str) -> None:
     rng = np.random.default_rng(2)
     t = np.arange(4 * RATE) / RATE
     frames = frames_of(spoiled(markers(t, 4, rng), cause, rng))

@@ -207,11 +207,12 @@ SMOOTHED = (
 _CAUSES = {
     '': 'far more than their noise: name those of one link only',
     TISSUE: (
-        'slowly and far more than their noise, as on soft tissue, or where one is loose or off the '
-        'plane, and deviations include it; fix: fasten them to one rigid link, or use more of them'
+        'slowly and far more than their noise, as on soft tissue, or where one is loose, off the '
+        'plane or of another link; deviations include it; fix: fasten them, and name those of one '
+        'link only'
     ),
     LENS: (
-        'by where they are in the field, as a lens moves them, which displaces poles by more than '
+        'by where they are in the field, as a lens moves them; poles are displaced by more than '
         'deviations include; fix: calibrate the camera, and send markers without its distortion'
     ),
     SLANT: (
