@@ -101,6 +101,7 @@ class Fields:
         along = along - np.einsum('fbn,bn->fb', field.conj(), left).real / count
         total = total - (left.real**2 + left.imag**2).sum(axis=-1) / count
         beyond = total - np.where(frames > 0, freedom * frames * noise**2, 0.0)
+        beyond = np.maximum(beyond, np.finfo(float).tiny)
         if (freedom * frames)[bodies].sum() < _FREEDOM * len(field):
             return found
         for parameters, name in ((2, SLANT), (5, LENS)):
@@ -108,7 +109,9 @@ class Fields:
             matrix, right = squares[some, some][..., bodies].sum(-1), along[some][:, bodies].sum(-1)
             by = np.linalg.lstsq(matrix, right, rcond=1e-9)[0]
             explained = 2 * by @ along[some] - np.einsum('f,g,fgb->b', by, by, squares[some, some])
-            for b in np.flatnonzero(bodies & (explained > _EXPLAINED * np.maximum(beyond, 0))):
+            # Of all bodies where it is so of them in all: one camera sees them.
+            every = explained[bodies].sum() > _EXPLAINED * beyond[bodies].sum()
+            for b in np.flatnonzero(bodies & (every | (explained > _EXPLAINED * beyond))):
                 found[b] = found[b] or name
         return found
 
