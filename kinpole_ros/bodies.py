@@ -15,6 +15,11 @@ from kinpole_ros.matcher import Matcher
 from kinpole_ros.parameters import Settings
 from kinpole_ros.roster import Roster
 from kinpole_ros.window import (
+    LENS,
+    SLANT,
+    TISSUE,
+    Deformation,
+    Fields,
     LastingNoise,
     Noise,
     Pins,
@@ -32,6 +37,8 @@ _UNSTEADY = 0.15
 # Markers are not of one rigid body that are off it by so many times their noise and by this share
 # of its size.
 _LOOSE, _LOOSE_SHARE = 5.0, 0.01
+# Those that are off by this share of its size are of other links: no tissue moves so far.
+_OTHERS = 0.05
 
 
 class _News(NamedTuple):
@@ -65,6 +72,9 @@ def _known_type(bodies: int, width: int) -> np.dtype:
     columns: list[tuple] = [
         ('noise', float, (bodies,)),
         ('measured', bool, (bodies,)),
+        # As of `Deformation`.
+        ('deformed', float, (bodies,)),
+        ('held', float, (bodies,)),
         ('firm', bool, (bodies,)),
         ('size', float, (bodies,)),
         ('pin', complex, (bodies,)),
@@ -99,6 +109,8 @@ class RigidBodies:
         self.matcher = Matcher(settings, roster, self._shapes, counts)
         self._noise = Noise(self._count)
         self._lasting = LastingNoise(self._count, window)
+        self.deformation = Deformation(self._count, width, window)
+        self._fields = Fields()
         self._pins = Pins(self._count)
         self._references = References(self._count, window)
         self._since = np.zeros(self._count, np.int64)
@@ -143,7 +155,19 @@ class RigidBodies:
         """
         off, noise = np.sqrt(self._shapes.misfit()), self._noise.level()
         loose = (off > _LOOSE * noise) & (off > _LOOSE_SHARE * self._size())
+        # A lens moves poles by more than it bends bodies.
+        loose |= [cause in (LENS, SLANT) for cause in self.causes()]
         return np.where(loose, off, 0.0)
+
+    def causes(self) -> list[str]:
+        """What moves the markers of each body against each other, '' unless it is known."""
+        deformed, noise = self.deformation.freedom > 0, np.fmax(self._noise.level(), 0.0)
+        causes = self._fields.cause(deformed, noise, self.deformation.freedom)
+        far = np.sqrt(self._shapes.misfit()) > _OTHERS * self._size()
+        return [
+            cause or (TISSUE if one and not off else '')
+            for cause, one, off in zip(causes, deformed, far, strict=True)
+        ]
 
     def underrated(self) -> np.ndarray:
         """Which bodies (B,) have more noise than can be measured: see `LastingNoise.longer`."""
@@ -255,6 +279,7 @@ class RigidBodies:
         self._learn()
         self._shapes.widen(width)
         self.matcher.forget_points()
+        self.deformation.widen(width)
         self._known = Samples((), _known_type(self._count, width))
         self._learned = True
 
@@ -291,6 +316,7 @@ class RigidBodies:
         if np.count_nonzero(np.isfinite(self._pins.center)):
             variance = self._variance(information)
             rows['strayed'] = self._pins.strayed(fit.position, fit.angle, variance)
+        self.deformation.add(fit.residual)
         self._news.append(
             _News(
                 rows['time'].copy(),
@@ -334,6 +360,8 @@ class RigidBodies:
             known, pins, noise = self._known.room(1), self._pins, self.noise()
             known['noise'] = np.where(noise > 0, noise, 1.0)
             known['measured'] = np.isfinite(noise)
+            known['deformed'] = self.deformation.freedom
+            known['held'] = self.deformation.held
             known['firm'] = noise**2 < _UNSTEADY**2 * self._shapes.spread
             known['size'] = self._size()
             known['pin'], known['pin_variance'] = pins.center, pins.variance
@@ -364,9 +392,17 @@ class RigidBodies:
             self._lasting.add(news.stamps, news.residual, news.freedom, news.gaps)
         anew = self._shapes.learn()
         if anew.any():
-            for learned in (self._pins, self._references, self._noise, self._lasting):
+            learners = self._pins, self._references, self._noise, self._lasting, self.deformation
+            for learned in learners:
                 learned.forget(anew)
             self._since[anew] = news.stamps[-1] + 1
+        noise = np.fmax(self.noise(), self._noise.level())
+        fits = news.stamps, news.residual, news.freedom
+        self.deformation.learn(*fits, noise, self._noise.degrees())
+        if anew.any():
+            self._fields.forget()
+        elif np.count_nonzero(self.deformation.freedom):
+            self._fields.add(news.position, news.angle, news.residual, self._shapes.markers())
 
     def _variance(self, information: np.ndarray) -> np.ndarray:
         """Variances (T, 2, B) of one coordinate of the positions, and of the angles."""

@@ -107,6 +107,10 @@ class Tracker:
         """How the stamps are beside the clock found behind them; None while too few have come."""
         return self._timeline.stamp_state()
 
+    def causes(self) -> list[str]:
+        """What moves the markers of each body against each other: see `RigidBodies.causes`."""
+        return self._rigid.causes()
+
     def underrated(self) -> np.ndarray:
         """Which bodies (B,) have more noise than can be measured, since it lasts long."""
         return self._rigid.underrated()
@@ -380,6 +384,8 @@ class Tracker:
             found.append(self._estimate(windows, order, new['number'][frame], then))
         outlived = int(new['oldest'][-1])
         self._timeline.pass_by(int(end[-1]), outlived)
+        # Its stencils may begin a little before the window.
+        self._rigid.deformation.drop(self._timeline.dropped - self._timeline.samples)
         if self._points is not None:
             self._points.drop(outlived)
         return found
@@ -406,6 +412,8 @@ class Tracker:
             found, together, reference = self._from_poses(windows, known, order, by)
         else:
             found, together, reference = self._from_landmarks(windows, known, order)
+        if np.count_nonzero(known['deformed']):
+            self._add_deformation(windows, known, found, together)
         position, angle, position_covariance, angle_covariance, span, degree = found
         if np.count_nonzero(usable) < usable.size:
             for array in (*found, *(together or ())):
@@ -441,6 +449,38 @@ class Tracker:
             reference,
             self.plane,
         )
+
+    def _add_deformation(
+        self,
+        windows: Windows,
+        known: np.ndarray,
+        found: tuple[np.ndarray, ...],
+        together: Poses | None,
+    ) -> None:
+        """Add to the covariances `found`, and to those `together`, what deformed bodies err by."""
+        frames, count = self._timeline.view(), len(self.bodies)
+        information = frames['information'][windows[0]]
+        if self._points is None:
+            # Of the points that are differentiated.
+            for part in alike(known['reference'], known['middle']):
+                at, rows = known[part.start], frames[windows[0][part]]
+                points = at['reference'], at['middle'], rows['poses'], rows['information']
+                information[part] = seen_at(*points)[1]
+        *_, span, degree = found
+        numbers = tuple(rows + self._timeline.dropped for rows in windows)
+        interval = frames['interval'][windows[2]] * 1e-9
+        order = len(found[0]) - 1
+        noise = known['noise'] * np.sqrt(known['held'])
+        slow = self._rigid.deformation.covariance(
+            numbers, interval, span, degree, noise, known['deformed'], order
+        )
+        with np.errstate(divide='ignore', invalid='ignore'):
+            of_angle, of_position = slow / information[:, :count], slow / information[:, count:]
+        found[2][...] += of_position
+        found[3][...] += of_angle
+        if together is not None:
+            together.position_covariance[...] += of_position[:, :, None]
+            together.angle_covariance[...] += of_angle[:, :, None]
 
     def _pinned(self, windows: Windows, known: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """

@@ -46,7 +46,8 @@ class Replayed(NamedTuple):
     `truncated` says where a damaged bag ended, None for a sound one. `repeated` and `late` count
     frames left out, `resets` and `frame_changes` starts anew, as the tracker does. `noise` is that
     of a marker of each body at the end, per axis, m, NaN where it is not known, and `looseness` how
-    far markers are off one rigid body, m, 0 where they may be of one; `underrated` are the bodies
+    far markers are off one rigid body, m, 0 where they may be of one, by what `causes`, '' where
+    that is not known; `underrated` are the bodies
     whose noise is more than was measured; `first` and `last` are the earliest and the latest stamp,
     ns, 0 without frames. `absent` are the markers of each body that
     are in no message, and `identities` those of the last one. `unknown` are the bodies known at no
@@ -69,6 +70,7 @@ class Replayed(NamedTuple):
     truncated: Truncated | None
     noise: dict[str, float]
     looseness: dict[str, float]
+    causes: dict[str, str]
     underrated: list[str]
     first: int
     last: int
@@ -210,6 +212,7 @@ def replay(
         truncated,
         dict(zip(tracker.bodies, tracker.noise().tolist(), strict=True)),
         dict(zip(tracker.bodies, tracker.looseness().tolist(), strict=True)),
+        dict(zip(tracker.bodies, tracker.causes(), strict=True)),
         [body for body, more in zip(tracker.bodies, tracker.underrated(), strict=True) if more],
         first or 0,
         last,

@@ -55,7 +55,7 @@ def warnings_of(result: Replayed, settings: Settings) -> list[str]:
         lines.append(tilt)
     for b, (body, off) in enumerate(result.looseness.items()):
         unit = unit_fault(float(result.space.size[b]), settings.scale)
-        wrong = unit, shape_fault(b, off, result.space)
+        wrong = unit, shape_fault(b, off, result.causes[body], result.space)
         lines += [f'{body}: {text}' for text in wrong if text]
     lines += [f'{body}: {SMOOTHED}' for body in result.underrated if not result.looseness[body]]
     if settings.scene and result.estimates and not result.beside:

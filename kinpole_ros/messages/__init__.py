@@ -16,7 +16,6 @@ from kinpole_ros.messages._markers import (
 from kinpole_ros.messages._reader import MarkerReader
 from kinpole_ros.messages._results import DRAWING, Output, result_outputs
 from kinpole_ros.messages._space import (
-    not_rigid,
     plane_words,
     shape_fault,
     tilt_fault,
@@ -36,7 +35,6 @@ __all__ = [
     'diagnostics_data',
     'identity_lines',
     'jitter_costs',
-    'not_rigid',
     'not_there',
     'nothing_drawn',
     'ns_to_stamp',

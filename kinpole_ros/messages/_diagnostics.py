@@ -114,7 +114,12 @@ class DiagnosticsMaker:
                 faults.append((DiagnosticStatus.WARN, plane))
         array.status = [self._input(tracker, since, seconds, faults, space_values(space))]
         noise, underrated = tracker.noise(), tracker.underrated()
-        loose = [shape_fault(b, off, space) for b, off in enumerate(tracker.looseness().tolist())]
+        loose = [
+            shape_fault(b, off, cause, space)
+            for b, (off, cause) in enumerate(
+                zip(tracker.looseness().tolist(), tracker.causes(), strict=True)
+            )
+        ]
         units = [unit_fault(size, tracker.settings.scale) for size in space.size.tolist()]
         receiving = bool(since.get('frames'))
         lacking = {

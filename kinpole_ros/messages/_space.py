@@ -4,6 +4,7 @@ import numpy as np
 
 from kinpole_ros.plane import FIT, Plane, PlaneSetting, as_parameter
 from kinpole_ros.space import KEEPS, SpaceReport
+from kinpole_ros.window import LENS, SLANT, TISSUE
 
 # m. Bodies that are larger or smaller are likely given in another unit.
 _LARGEST, _SMALLEST = 20.0, 1e-3
@@ -47,7 +48,7 @@ def tilt_fault(report: SpaceReport, setting: PlaneSetting) -> str:
     )
 
 
-def shape_fault(b: int, off: float, report: SpaceReport) -> str:
+def shape_fault(b: int, off: float, cause: str, report: SpaceReport) -> str:
     """
     Why the markers of a body, `off` one rigid body in the plane by so much (m, 0 for none), are so.
 
@@ -75,15 +76,31 @@ def shape_fault(b: int, off: float, report: SpaceReport) -> str:
             f'its markers are {off:.2g} m off one rigid body as the plane shows them, while they '
             'keep their distances in space: set plane'
         )
-    return not_rigid(off) if off else ''
+    return not_rigid(off, cause) if off else ''
 
 
-def not_rigid(off: float) -> str:
-    """What is to be said of a body whose markers are so far (m) off one rigid body."""
-    return (
-        f'its markers are {off:.2g} m off one rigid body, far more than their noise: name those of '
-        'one link only'
-    )
+# What moves markers against each other, and what can be done about it.
+_CAUSES = {
+    '': 'far more than their noise: name those of one link only',
+    TISSUE: (
+        'slowly and far more than their noise, as on soft tissue, or where one is loose, off the '
+        'plane or of another link; deviations include it; fix: fasten them, and name those of one '
+        'link only'
+    ),
+    LENS: (
+        'by where they are in the field, as a lens moves them; poles are displaced by more than '
+        'deviations include; fix: calibrate the camera, and send markers without its distortion'
+    ),
+    SLANT: (
+        'by how they are turned, as where the plane is seen at a slant or the axes have two '
+        'scales; fix: set the parameter plane, or calibrate the camera'
+    ),
+}
+
+
+def not_rigid(off: float, cause: str) -> str:
+    """What is to be said of a body whose markers are so far (m) off one rigid body, by a cause."""
+    return f'its markers are {off:.2g} m off one rigid body, {_CAUSES[cause]}'
 
 
 def unit_fault(size: float, scale: float) -> str:

@@ -14,6 +14,7 @@ from kinpole_ros.window._judgment import PoseDerivatives
 from kinpole_ros.window._ladder import FEWEST_SAMPLES
 from kinpole_ros.window._landmarks import LandmarkFilter
 from kinpole_ros.window._lasting import LastingNoise
+from kinpole_ros.window._lens import LENS, SLANT, TISSUE, Fields
 from kinpole_ros.window._noise import Noise
 from kinpole_ros.window._pin import STRIKES, Pins
 from kinpole_ros.window._polynomial import derivative_weights, stencil
@@ -23,14 +24,20 @@ from kinpole_ros.window._reference import References, alike, seen_at
 from kinpole_ros.window._runs import Windows, joined, runs
 from kinpole_ros.window._samples import Samples
 from kinpole_ros.window._shape import PlainShape, Shapes
+from kinpole_ros.window._soft import Deformation
 from kinpole_ros.window._spectrum import Spectrum
 from kinpole_ros.window._turn import NOT_FAR
 
 __all__ = [
     'FEWEST_SAMPLES',
+    'LENS',
     'NOT_FAR',
+    'SLANT',
     'STRIKES',
+    'TISSUE',
+    'Deformation',
     'Derivatives',
+    'Fields',
     'LandmarkFilter',
     'LastingNoise',
     'Noise',
