@@ -21,6 +21,7 @@ from kinpole_ros.window import (
     Samples,
     Shapes,
     Unforeseen,
+    Verdict,
 )
 
 # Coordinates are known no better than a few units of their last place.
@@ -55,6 +56,9 @@ def pose_columns(bodies: int) -> list[tuple]:
         ('information', float, (2 * bodies,)),
         ('height', float, (bodies,)),
         ('strayed', bool, (bodies,)),
+        # How many of the newest frames, with this one, may be wrong of a body: not to be relied on
+        # until the next.
+        ('suspect', np.int64, (bodies,)),
     ]
 
 
@@ -95,8 +99,8 @@ class RigidBodies:
         self._pins = Pins(self._count)
         self._references = References(self._count, window)
         self._since = np.zeros(self._count, np.int64)
-        self._last_angle = np.zeros(self._count)
-        self._last_turn = np.zeros(self._count)
+        # In how many frames each body as a whole was wrong.
+        self.wrong = np.zeros(self._count, int)
         # Frames since the last beat.
         self._news: list[_News] = []
         self._new = 0
@@ -152,10 +156,13 @@ class RigidBodies:
         """
         Find the poses of frames, by the markers `points` (T, B, width) and their `heights`.
 
-        Fills the `rows` (T,), which have their stamps, and `landmarks` (T, B, width), if wanted,
-        with the markers as they are told apart; `gaps` (T,) says which frames come much later than
-        those before.
+        Fills the last T of the `rows`, which have their stamps, and `landmarks` (T, B, width), if
+        wanted, with the markers as they are told apart; `gaps` (T,) says which frames come much
+        later than those before. Rows before these are of earlier frames, some of which may turn out
+        to be wrong.
         """
+        every, rows = rows, rows[len(rows) - len(points) :]
+        earlier = len(every) - len(rows)
         first = 0
         while first < len(rows):
             self.settle()
@@ -171,11 +178,13 @@ class RigidBodies:
             if len(later):
                 end = first + 1 + int(later[0])
             part = slice(first, end)
-            seen = self._fit(rows[part], points[part], heights[part], gaps[part])
+            seen, course = self._fit(rows[part], points[part], heights[part], gaps[part])
+            self._leave_out(every, earlier + first, course)
             if landmarks is not None:
                 # One line goes on, whatever the marker is called.
                 stand_in = np.broadcast_to(self._shapes.stand_in, seen.shape)
                 landmarks[part] = np.take_along_axis(seen, stand_in, axis=-1)
+                landmarks[part][course.suspect > 0] = complex(np.nan, np.nan)
             rows['beat'][part] = self._known_now()
             first = end
 
@@ -187,7 +196,12 @@ class RigidBodies:
         """
         count, held = self._count, self._shapes.held
         seen = rows['information'][:-1] > 0
-        if np.count_nonzero(seen) < seen.size or np.count_nonzero(self._lost(held[None, :count])):
+        least = self._misfit() / _UNSTEADY**2
+        lost = (held[:count] < least) & (self._shapes.spread > least)
+        if np.count_nonzero(seen) < seen.size or np.count_nonzero(lost):
+            raise Unforeseen
+        ahead = self._shapes.expected(int(rows['stamp'][-1]))
+        if ahead is None:
             raise Unforeseen
         before, last, here = rows['poses']
         here[:] = 2 * last - before
@@ -197,8 +211,9 @@ class RigidBodies:
         rows['information'][-1] = held
         # It may stray from a pin; whether that matters is for the caller to see.
         rows['strayed'][-1] = np.isfinite(self._pins.center)
+        rows['suspect'][-1] = 0
         self._known_now()
-        return self._shapes.in_plain_numbers()
+        return self._shapes.in_plain_numbers(*ahead)
 
     def settle(self) -> None:
         """Learn if it is time for a beat."""
@@ -214,27 +229,29 @@ class RigidBodies:
 
     def _fit(
         self, rows: np.ndarray, points: np.ndarray, heights: np.ndarray, gaps: np.ndarray
-    ) -> np.ndarray:
-        """Fit frames between which nothing is learned and no gap is; returns points as mended."""
+    ) -> tuple[np.ndarray, Verdict]:
+        """
+        Fit frames between which nothing is learned and no gap is.
+
+        Returns the points as corrected, and how the poses go on.
+        """
         if gaps[0]:
             self._shapes.forget_motion()
-        fit, points = self._shapes.fit(points)
+        # Of markers that are closer together their noise leaves no angle.
+        least = self._misfit() / _UNSTEADY**2
+        fit, points, course = self._shapes.fit(points, rows['stamp'], least)
         if self._shapes.mended:
             self._counts.update(self._shapes.mended)
             self._shapes.mended.clear()
             self._learned = True
-        lost = self._lost(fit.spread)
-        if np.count_nonzero(lost):
-            nowhere = np.where(lost, np.nan, 0.0)
-            fit = fit._replace(angle=fit.angle + nowhere, position=fit.position + nowhere)
         known = np.isfinite(fit.angle)
         information = np.concatenate((fit.spread, fit.weight), axis=-1)
         if np.count_nonzero(known) < known.size:
             information[np.concatenate((~known, ~known), axis=-1)] = 0.0
         count, poses = self._count, rows['poses']
-        poses[:, :count, 0], poses[:, :count, 1] = fit.angle, self._turned(fit.angle, known)
+        poses[:, :count, 0], poses[:, :count, 1] = fit.angle, course.turns
         poses[:, count:, 0], poses[:, count:, 1] = fit.position.real, fit.position.imag
-        rows['information'] = information
+        rows['information'], rows['suspect'] = information, course.suspect
         seen = ~np.isnan(points)
         with np.errstate(invalid='ignore'):
             total = np.add.reduce(heights, -1, where=seen)
@@ -243,6 +260,12 @@ class RigidBodies:
         if np.count_nonzero(np.isfinite(self._pins.center)):
             variance = self._variance(information)
             rows['strayed'] = self._pins.strayed(fit.position, fit.angle, variance)
+        if np.count_nonzero(course.suspect):
+            # Nothing is learned from them, whatever they turn out to be.
+            suspect = course.suspect > 0
+            nowhere = np.where(suspect, np.nan, 0.0)
+            fit = fit._replace(angle=fit.angle + nowhere, position=fit.position + nowhere)
+            information = np.where(np.tile(suspect, 2), 0.0, information)
         self._news.append(
             _News(
                 rows['stamp'].copy(),
@@ -255,29 +278,18 @@ class RigidBodies:
             )
         )
         self._new += len(rows)
-        return points
+        return points, course
 
-    def _lost(self, spread: np.ndarray) -> np.ndarray:
-        """
-        Where (T, B) the markers seen, by the `spread` of a `Fit`, tell nothing of an angle.
-
-        They are too close together for their noise, as all there are would not be.
-        """
-        least = self._misfit() / _UNSTEADY**2
-        with np.errstate(invalid='ignore'):
-            return np.asarray((spread < least) & (self._shapes.spread > least))
-
-    def _turned(self, angle: np.ndarray, known: np.ndarray) -> np.ndarray:
-        """How often (T, B) the bodies have turned round when they are at `angle`, where `known`."""
-        if np.count_nonzero(known) < known.size:
-            # Where nothing is known it is as it was.
-            rows = np.where(known, np.arange(1, len(angle) + 1)[:, None], 0)
-            before = np.concatenate((self._last_angle[None], np.where(known, angle, 0.0)))
-            angle = np.take_along_axis(before, np.maximum.accumulate(rows, axis=0), axis=0)
-        steps = angle - np.concatenate((self._last_angle[None], angle[:-1]))
-        turns = self._last_turn - np.add.accumulate(np.rint(steps / (2 * np.pi)))
-        self._last_angle, self._last_turn = angle[-1], turns[-1]
-        return np.asarray(turns)
+    def _leave_out(self, rows: np.ndarray, first: int, course: Verdict) -> None:
+        """Leave the bodies out of the frames, before those from `first` on, that were wrong."""
+        if not np.count_nonzero(course.wrong):
+            return
+        for row, b in zip(*course.wrong.nonzero(), strict=True):
+            count = int(course.wrong[row, b])
+            wrong = slice(max(first + int(row) - count, 0), first + int(row))
+            rows['information'][wrong, [b, self._count + b]] = 0.0
+            rows['strayed'][wrong, b] = False
+            self.wrong[b] += count
 
     def _known_now(self) -> int:
         """The row of what is known now."""

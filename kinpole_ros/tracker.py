@@ -20,6 +20,7 @@ from kinpole_ros.prompt import Foreseen, Prompt
 from kinpole_ros.roster import Roster
 from kinpole_ros.timeline import Timeline
 from kinpole_ros.window import (
+    MOST_SUSPECT,
     STRIKES,
     LandmarkFilter,
     PoseDerivatives,
@@ -238,7 +239,8 @@ class Tracker:
         self.counts['markers_not_seen'] += self._roster.wanted * len(points) - seen
         rows, gaps = self._timeline.enter(stamps, steps, numbers)
         landmarks = None if self._points is None else self._points.room(len(rows))
-        self._rigid.take(rows, points, heights, gaps, landmarks)
+        every = self._timeline.view()[-len(rows) - MOST_SUSPECT :]
+        self._rigid.take(every, points, heights, gaps, landmarks)
 
     def _widen(self) -> None:
         """A body of all markers has more of them."""
@@ -289,6 +291,9 @@ class Tracker:
         """
         frames = self._timeline.view()[windows[0]]
         seen = frames['information'][:, : len(self.bodies)] > 0
+        suspect = self._suspect(windows)
+        if suspect is not None:
+            seen &= windows[0][:, None] <= windows[2][:, None] - suspect
         measured, firm = known['measured'], known['firm']
         usable = seen & measured & firm
         if self._points is None:
@@ -345,11 +350,21 @@ class Tracker:
         strayed = frames['strayed']
         if np.count_nonzero(strayed):
             times = strayed.cumsum(axis=0)
-            held &= times[newest] - times[oldest] + strayed[oldest] < STRIKES
+            until = times[newest]
+            suspect = self._suspect(windows)
+            if suspect is not None:
+                last = np.maximum(newest[:, None] - suspect, oldest[:, None])
+                until = np.take_along_axis(times, last, axis=0)
+            held &= until - times[oldest] + strayed[oldest] < STRIKES
         return (
             np.where(held, pin, complex(np.nan, np.nan)),
             np.where(held, variance, np.nan),
         )
+
+    def _suspect(self, windows: Windows) -> np.ndarray | None:
+        """How many of the newest frames of each window (T, B) were suspect, None for none."""
+        suspect = self._timeline.view()['suspect'][windows[2]]
+        return suspect if np.count_nonzero(suspect) else None
 
     def _from_poses(
         self,
@@ -376,9 +391,17 @@ class Tracker:
         numbers = now + self._timeline.dropped
         noise = np.concatenate((known['noise'], known['noise']), axis=1)
         first = 0
-        for part in alike(known['reference'], known['since']):
+        suspect = self._suspect(windows)
+        changes = [known['reference'], known['since']]
+        if suspect is not None:
+            # Each such instant by itself: the next has one of these frames more, or none.
+            each = np.arange(1, len(now) + 1)[:, None] * (suspect > 0).any(axis=1, keepdims=True)
+            changes.append(each)
+        for part in alike(*changes):
             row = known[part.start]
             poses = signals, frames['information']
+            if suspect is not None and np.count_nonzero(suspect[part.start]):
+                poses = _without_newest(*poses, int(windows[2][part.start]), suspect[part.start])
             if np.count_nonzero(row['since']):
                 poses = self._of_late(row['since'], *poses)
             if np.count_nonzero(row['reference']):
@@ -417,3 +440,12 @@ class Tracker:
         )
         found[1][0] = frames['poses'][windows[0], : len(self.bodies), 0]
         return found, None, None
+
+
+def _without_newest(
+    poses: np.ndarray, information: np.ndarray, newest: int, suspect: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Poses and their information without the `suspect` (B,) frames up to the `newest`."""
+    frame = np.arange(len(information))[:, None]
+    left = np.tile((frame <= newest) & (frame > newest - suspect), 2)
+    return poses, np.where(left, 0.0, information)

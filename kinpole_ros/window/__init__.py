@@ -10,6 +10,7 @@ from kinpole_ros.window._choice import (
     differentiate,
     weigh_together,
 )
+from kinpole_ros.window._continuity import MOST_SUSPECT, Verdict
 from kinpole_ros.window._judgment import PoseDerivatives
 from kinpole_ros.window._ladder import FEWEST_SAMPLES
 from kinpole_ros.window._landmarks import LandmarkFilter
@@ -28,6 +29,7 @@ from kinpole_ros.window._turn import NOT_FAR
 
 __all__ = [
     'FEWEST_SAMPLES',
+    'MOST_SUSPECT',
     'NOT_FAR',
     'STRIKES',
     'Derivatives',
@@ -44,6 +46,7 @@ __all__ = [
     'Shapes',
     'Spectrum',
     'Unforeseen',
+    'Verdict',
     'Windows',
     'alike',
     'derivative_weights',

@@ -17,6 +17,7 @@ import numpy as np
 
 from kinpole_ros.planar import Fit, PlainGrip, fit_by_grip, fit_pose, grip_of, plain_grip
 from kinpole_ros.planar._plane import ROUNDING, Complex, Real
+from kinpole_ros.window._continuity import Continuity, Verdict
 from kinpole_ros.window._noise import mean_square, tame_part
 from kinpole_ros.window._turn import Turns
 from kinpole_ros.window._untangle import EXCHANGED, agreed, half_turn, untangle
@@ -51,10 +52,19 @@ class _News(NamedTuple):
 
 
 class PlainShape(NamedTuple):
-    """One body: how its pose is found, and the square that no residual is to exceed."""
+    """
+    One body: how its pose is found, and the square that no residual is to exceed.
+
+    Its pose is to be near the `angle`, rad, and the `position`, m: no farther off than squares of
+    `turn` and `shift`.
+    """
 
     grip: PlainGrip
     most: float
+    angle: float
+    position: complex
+    turn: float
+    shift: float
 
 
 class Shapes:
@@ -86,6 +96,7 @@ class Shapes:
         self._early: list[list[Complex] | None] = [[] for _ in range(bodies)]
         self._before = np.full((bodies, markers), complex(np.nan, np.nan))
         self._turns = Turns(bodies)
+        self._continuity = Continuity(bodies)
         # Frames running in which markers of a body were exchanged, and which took whose place.
         self._exchanged = np.zeros(bodies, int)
         self._order = np.tile(np.arange(markers), (bodies, 1))
@@ -116,53 +127,78 @@ class Shapes:
         self._frames[seen] = self._first[seen] = 1.0
         self._measure()
 
-    def fit(self, points: Complex) -> tuple[Fit, Complex]:
+    def fit(
+        self, points: Complex, stamps: np.ndarray, least: Real
+    ) -> tuple[Fit, Complex, Verdict]:
         """
         Fit the poses of some frames, `points` (T, B, n), NaN for a marker that was not seen.
 
-        Bodies of which fewer than two known markers are seen, or of which all coincide, get NaN.
-        Markers that do not fit their body, or that turn it by half a turn in one frame, are left
-        out or put back, see `untangle` and `half_turn`, and counted in `mended`. Returns the fits
-        and the markers they are of.
+        Bodies of which fewer than two known markers are seen, or of which all coincide, get NaN,
+        and so do those of which all there are have no less than the spread `least` (B,), m^2, but
+        those seen do. Markers that do not fit their body, or that turn it by half a turn in one
+        frame, are left out or put back, see `untangle` and `half_turn`, and counted in `mended`.
+        Returns the fits, the markers they are of, and how the poses go on, by `stamps` (T,), ns.
         """
         parts = []
+        few = self.spread > least
         while len(points):
             unseen = np.isnan(points)
             grip = self._grip
             if np.count_nonzero(unseen):
                 grip = grip_of(self.points, np.where(unseen, 0.0, self._weights))
             fit = fit_by_grip(points, grip)
+            shown = _without(fit, few & (fit.spread < least))
             far = fit.residual.real**2 + fit.residual.imag**2 > self._most
             odd = np.logical_or.reduce(far, axis=(1, 2)) | self._turns.may_jump(fit.angle)
+            odd |= self._continuity.odd(stamps, shown.angle, shown.position)
             quiet = int(odd.argmax()) if np.count_nonzero(odd) else len(points)
-            if quiet == len(points):
-                part = fit, points
-            else:
-                part = Fit(*(field[:quiet] for field in fit)), points[:quiet]
             if quiet:
-                self._take(*part, part[0].residual, part[0].freedom)
+                before = points
+                if quiet < len(points):
+                    fitted, shown = (Fit(*(f[:quiet] for f in each)) for each in (fit, shown))
+                    before = points[:quiet]
+                else:
+                    fitted = fit
+                turns = self._continuity.follow(quiet)
+                self._take(fitted, before, fitted.residual, fitted.freedom)
                 if self._disturbed:
-                    self._in_place(~np.isnan(part[0].residual).all(axis=0))
+                    self._in_place(~np.isnan(fitted.residual).all(axis=0))
                     self._disturbed = bool(self._astray.any() or self._exchanged.any())
-                parts.append(part)
+                none = np.zeros(turns.shape, int)
+                parts.append((shown, before, Verdict(turns, none, none)))
             if quiet < len(points):
                 here = Fit(*(field[quiet] for field in fit))
-                parts.append(self._mend(points[quiet], here))
-            points = points[quiet + 1 :]
+                fitted, markers, *left = self._mend(points[quiet], here)
+                shown = _without(fitted, few & (fitted.spread < least))
+                pose = shown.angle, shown.position
+                verdict = self._continuity.step(int(stamps[quiet]), *pose)
+                held = np.where(verdict.suspect > 0, np.nan, fitted.angle)
+                self._take(fitted._replace(angle=held), markers, *left)
+                parts.append((shown, markers, verdict))
+            points, stamps = points[quiet + 1 :], stamps[quiet + 1 :]
         if len(parts) == 1:
             return parts[0]
-        fits, markers = zip(*parts, strict=True)
+        fits, seen, verdicts = zip(*parts, strict=True)
         together = Fit(*(np.concatenate(field) for field in zip(*fits, strict=True)))
-        return together, np.concatenate(markers)
+        course = Verdict(*(np.concatenate(field) for field in zip(*verdicts, strict=True)))
+        return together, np.concatenate(seen), course
 
-    def in_plain_numbers(self) -> list[PlainShape]:
-        """What the fits of the next frame are made of, body by body."""
-        most = self._most[:, 0].tolist()
-        return [PlainShape(plain_grip(self._grip, b), limit) for b, limit in enumerate(most)]
+    def expected(self, stamp: int) -> tuple[Complex, Real] | None:
+        """Poses predicted for a frame at `stamp`: see `Continuity.expected`."""
+        return self._continuity.expected(stamp)
+
+    def in_plain_numbers(self, ahead: Complex, limits: Real) -> list[PlainShape]:
+        """What the fits of the next frame are made of, body by body, by what is `expected`."""
+        count = len(self.points)
+        angle, position = ahead[:count].real.tolist(), ahead[count:].tolist()
+        turn, shift = limits[:count].tolist(), limits[count:].tolist()
+        rest = zip(self._most[:, 0].tolist(), angle, position, turn, shift, strict=True)
+        return [PlainShape(plain_grip(self._grip, b), *row) for b, row in enumerate(rest)]
 
     def forget_motion(self) -> None:
         """Do not expect the next poses to go on from those before a gap."""
         self._turns.forget()
+        self._continuity.forget()
 
     def learn(self) -> np.ndarray:
         """
@@ -172,6 +208,7 @@ class Shapes:
         poses up to now are not theirs.
         """
         anew = np.zeros(len(self.points), bool)
+        self._continuity.learn(2 * np.sqrt(self.spread / np.maximum(self.known, 1)))
         if not self._news:
             return anew
         news = _News(*map(np.concatenate, zip(*self._news, strict=True)))
@@ -218,6 +255,7 @@ class Shapes:
                 self._early[b] = None
         if anew.any():
             self._turns.forget()
+            self._continuity.begin(anew)
         self._measure()
         return anew
 
@@ -258,8 +296,12 @@ class Shapes:
     def _least_rule(self) -> Real:
         return np.maximum(self._rule, _TINY**2 * self.spread)
 
-    def _mend(self, points: Complex, fit: Fit) -> tuple[Fit, Complex]:
-        """Put right what can be of one frame (B, n); as `fit` gives it, with an axis of one."""
+    def _mend(self, points: Complex, fit: Fit) -> tuple[Fit, Complex, Complex, Real]:
+        """
+        Put right what can be of one frame (B, n); as `fit` gives it, with an axis of one.
+
+        Also the residuals and freedoms as they were.
+        """
         points, weights = points.copy(), np.where(np.isnan(points), 0.0, self._weights)
         order = np.tile(np.arange(points.shape[1]), (len(points), 1))
         fit = self._turn_back(points, weights, order, fit)
@@ -285,9 +327,8 @@ class Shapes:
         self._in_place(good)
         self._exchanged[changed], self._order[changed] = running[changed], order[changed]
         fit = Fit(*(field[None] for field in fit_pose(points, self.points, weights)))
-        self._take(fit, points[None], residual, freedom)
         self._disturbed = True
-        return fit, points[None]
+        return fit, points[None], residual, freedom
 
     def _turn_back(self, points: Complex, weights: Real, order: np.ndarray, fit: Fit) -> Fit:
         """
@@ -384,6 +425,14 @@ class Shapes:
         As rigid fits leave it: noise, and whatever makes a body look not quite rigid.
         """
         return np.where(self._mature, self._rule, np.nan)
+
+
+def _without(fit: Fit, lost: np.ndarray) -> Fit:
+    """Fits without the poses that are `lost` (T, B)."""
+    if not np.count_nonzero(lost):
+        return fit
+    nowhere = np.where(lost, np.nan, 0.0)
+    return fit._replace(angle=fit.angle + nowhere, position=fit.position + nowhere)
 
 
 def _makes_a_body(points: Complex) -> np.ndarray:
