@@ -323,14 +323,23 @@ class RigidBodies:
             poses = news.stamps, news.position, news.angle, variance, size
             self._pins.add(*poses)
             self._references.add(*poses, self._shapes.middle)
-        self._noise.add(news.residual, news.freedom, ~news.gaps)
+        alike = self._shapes.of_the_same(news.residual)
+        self._noise.add(alike, news.freedom, ~news.gaps)
         if not self._given:
-            self._lasting.add(news.stamps, news.residual, news.freedom, news.gaps)
+            self._lasting.add(news.stamps, alike, news.freedom, news.gaps)
         anew = self._shapes.learn()
         if anew.any():
             for learned in (self._pins, self._references, self._noise, self._lasting):
                 learned.forget(anew)
             self._since[anew] = news.stamps[-1] + 1
+        changed = self._shapes.weigh(news.residual, news.freedom, ~news.gaps)
+        if changed.any():
+            # Poses from before are by other weights.
+            for weighed in (self._pins, self._references, self._lasting):
+                weighed.forget(changed)
+            self._since[changed] = news.stamps[-1] + 1
+            for b in np.flatnonzero(changed).tolist():
+                self._noise.replace(b, *self._shapes.refitted(b))
 
     def _variance(self, information: np.ndarray) -> np.ndarray:
         """Variances (T, 2, B) of one coordinate of the positions, and of the angles."""

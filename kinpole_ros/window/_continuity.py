@@ -116,7 +116,7 @@ class Continuity:
                 off -= self._weights[k] * every[k : k + count]
             if not np.count_nonzero(off.real**2 + off.imag**2 > self._limit):
                 return np.zeros(count, bool)
-        return np.logical_or.reduce(self._off(stamps, signals)[1], axis=-1)
+        return np.logical_or.reduce(self._off(stamps, signals)[2], axis=-1)
 
     def follow(self, count: int) -> Real:
         """Take the first frames that were not found odd; the turns (T, B) of the bodies."""
@@ -149,7 +149,7 @@ class Continuity:
         stamps = np.array([stamp])
         chain, turns = self._unwrapped(angle)
         signals = np.concatenate((chain, position), axis=-1)
-        off, far = (part[0] for part in self._off(stamps, signals))
+        ahead, off, far = (part[0] for part in self._off(stamps, signals))
         far = far.reshape(2, -1).any(axis=0)
         wrong = np.zeros(self._bodies, int)
         held = signals.copy()
@@ -157,9 +157,10 @@ class Continuity:
             both = [b, self._bodies + b]
             run = self._runs.setdefault(b, [])
             if not far[b] and self._back(off[both], run, b):
-                ahead = self._ahead(b, float(stamp))[0].real
-                turns[0, b] = np.rint((ahead + off[b].real - angle[0, b]) / _TURN)
-                held[0, b] = angle[0, b] + _TURN * turns[0, b]
+                # The suspect poses may have been taken for so many turns more.
+                more = np.rint((signals[0, b] - off[b] - ahead[b]).real / _TURN)
+                turns[0, b] -= more
+                held[0, b] -= _TURN * more
                 wrong[b] = len(run)
                 del self._runs[b]
                 continue
@@ -217,64 +218,65 @@ class Continuity:
         least = np.concatenate((np.full(self._bodies, _LEAST_TURN), _LEAST_SHIFT * size))
         self._limit = np.maximum(_FAR**2 * usual.min(axis=0), least**2)
 
-    def _off(self, stamps: np.ndarray, signals: Complex) -> tuple[Complex, np.ndarray]:
+    def _off(self, stamps: np.ndarray, signals: Complex) -> tuple[Complex, Complex, np.ndarray]:
         """
-        What frames (T, 2 B) are off their prediction at true times, NaN where nothing tells.
+        Signals of frames (T, 2 B) as predicted at true times, and what they are off that.
 
-        Also where that is too far, by polynomials of higher degree as well.
+        NaN where nothing tells. Also where that is too far.
         """
-        off, far = np.full(signals.shape, _NOTHING), np.zeros(signals.shape, bool)
+        ahead, off = np.full((2, *signals.shape), _NOTHING)
+        far = np.zeros(signals.shape, bool)
         if not np.isfinite(self._limit).any():
-            return off, far
+            return ahead, off, far
         numbers = self._number + np.arange(len(stamps))
         found: dict[bytes, Real] = {}
         for b in range(self._bodies):
-            both = [b, self._bodies + b]
             kept = np.isfinite(signals[:, b]).nonzero()[0]
             times = np.concatenate((self._stamps[:, b], stamps[kept]))
             every = np.concatenate((self._numbers[:, b], numbers[kept]))
-            values = np.concatenate((self._signals[:, both], signals[kept][:, both]))
             # As a rule all bodies are seen in the same frames.
             key = every.tobytes()
             if key not in found:
                 found[key] = _lagrange(times, every)
-            weights = found[key]
-            past = np.arange(len(kept))[:, None] + np.arange(_POINTS)
-            for part, signal in enumerate(both):
-                ahead = (weights * values[past, part][:, None]).sum(axis=-1)
-                each = values[_POINTS:, part, None] - ahead
-                if not part:
-                    # A suspect pose may have been taken for so many turns more.
-                    each.real = _wrapped(each.real)
-                degree = self._degree[signal]
-                # So much more than one step ahead of even samples.
-                growth = (np.abs(weights).sum(axis=-1) / _REACHES) ** 2 * _GAINS / _GAINS[degree]
-                limit = self._limit[signal] * np.fmax(growth, _GAINS / _GAINS[degree])
-                square = each.real**2 + each.imag**2
-                off[kept, signal] = each[:, degree]
-                far[kept, signal] = (square > limit)[:, degree:].all(axis=1)
-        return off, far
+            for signal in (b, self._bodies + b):
+                values = np.concatenate((self._signals[:, signal], signals[kept, signal]))
+                parts = self._predicted(signal, values, found[key])
+                ahead[kept, signal], off[kept, signal], far[kept, signal] = parts
+        return ahead, off, far
 
-    def _ahead(self, b: int, stamp: float) -> Complex:
-        """The signals (2,) of one body as predicted for a frame at a stamp."""
-        both = [b, self._bodies + b]
-        times = np.append(self._stamps[:, b], stamp)
-        weights = _lagrange(times, np.arange(len(times)))[0, self._degree[both]]
-        return np.asarray((weights.T * self._signals[:, both]).sum(axis=0))
+    def _predicted(
+        self, signal: int, values: Complex, weights: Real
+    ) -> tuple[Complex, Complex, np.ndarray]:
+        """
+        The same of one signal, `values` (4 + T,), by the best of predictions of `weights`.
+
+        Of degrees from that on which is best as a rule.
+        """
+        rows = np.arange(len(weights))
+        past = values[rows[:, None] + np.arange(_POINTS)]
+        ahead = (weights * past[:, None]).sum(axis=-1)
+        off = values[_POINTS:, None] - ahead
+        if signal < self._bodies:
+            off = _wrapped(off.real) + 0j
+        degree = int(self._degree[signal])
+        # So much more than one step ahead of even samples, and than by the degree that is best.
+        growth = np.fmax(np.abs(weights).sum(axis=-1) / _REACHES, 1.0) ** 2
+        growth *= _GAINS / _GAINS[degree]
+        share = (off.real**2 + off.imag**2) / (self._limit[signal] * growth)
+        best = degree + np.where(np.isnan(share), np.inf, share)[:, degree:].argmin(axis=1)
+        return ahead[rows, best], off[rows, best], share[rows, best] > 1
 
     def _back(self, off: Complex, run: list[tuple[float, Complex]], b: int) -> bool:
         """Whether a sample that is `off` (2,) its prediction is back from where the run was."""
-        if not np.isfinite(off).all():
-            return False
-        most = self._limit[[b, self._bodies + b]]
         for stamp, here in run:
-            away = here - self._ahead(b, stamp)
-            away[0] = _wrapped(away[0].real)
-            square = away.real**2 + away.imag**2
-            over = square > most
-            if (np.abs(off) ** 2 > _BACK**2 * square)[over].any():
-                return False
-        return True
+            times = np.append(self._stamps[:, b], stamp)
+            weights = _lagrange(times, np.arange(len(times)))
+            for part, signal in enumerate((b, self._bodies + b)):
+                values = np.append(self._signals[:, signal], here[part])
+                _, away, far = self._predicted(signal, values, weights)
+                if far[0] and not abs(off[part]) <= _BACK * abs(away[0]):
+                    return False
+        return bool(np.isfinite(off).all())
 
     def _goes_evenly(self, stamps: np.ndarray, signals: Complex) -> bool:
         """Whether frames of all bodies go on by the even step."""

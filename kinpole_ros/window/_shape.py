@@ -18,6 +18,7 @@ import numpy as np
 from kinpole_ros.planar import Fit, PlainGrip, fit_by_grip, fit_pose, grip_of, plain_grip
 from kinpole_ros.planar._plane import ROUNDING, Complex, Real
 from kinpole_ros.window._continuity import Continuity, Verdict
+from kinpole_ros.window._marker_noise import MarkerNoise
 from kinpole_ros.window._noise import mean_square, tame_part
 from kinpole_ros.window._turn import Turns
 from kinpole_ros.window._untangle import EXCHANGED, agreed, half_turn, untangle
@@ -97,6 +98,7 @@ class Shapes:
         self._before = np.full((bodies, markers), complex(np.nan, np.nan))
         self._turns = Turns(bodies)
         self._continuity = Continuity(bodies)
+        self._marker_noise = MarkerNoise(bodies, markers)
         # Frames running in which markers of a body were exchanged, and which took whose place.
         self._exchanged = np.zeros(bodies, int)
         self._order = np.tile(np.arange(markers), (bodies, 1))
@@ -127,9 +129,7 @@ class Shapes:
         self._frames[seen] = self._first[seen] = 1.0
         self._measure()
 
-    def fit(
-        self, points: Complex, stamps: np.ndarray, least: Real
-    ) -> tuple[Fit, Complex, Verdict]:
+    def fit(self, points: Complex, stamps: np.ndarray, least: Real) -> tuple[Fit, Complex, Verdict]:
         """
         Fit the poses of some frames, `points` (T, B, n), NaN for a marker that was not seen.
 
@@ -192,13 +192,51 @@ class Shapes:
         count = len(self.points)
         angle, position = ahead[:count].real.tolist(), ahead[count:].tolist()
         turn, shift = limits[:count].tolist(), limits[count:].tolist()
-        rest = zip(self._most[:, 0].tolist(), angle, position, turn, shift, strict=True)
-        return [PlainShape(plain_grip(self._grip, b), *row) for b, row in enumerate(rest)]
+        rest = zip(self._most.min(axis=1).tolist(), angle, position, turn, shift, strict=True)
+        erring = np.sqrt(self._marker_noise.relative)
+        grips = [plain_grip(self._grip, b, erring[b]) for b in range(count)]
+        return [PlainShape(grip, *row) for grip, row in zip(grips, rest, strict=True)]
 
     def forget_motion(self) -> None:
         """Do not expect the next poses to go on from those before a gap."""
         self._turns.forget()
         self._continuity.forget()
+
+    @property
+    def deviation(self) -> Real:
+        """Deviations (B, n), m, of markers that err more than others and count for less, else 0."""
+        return self._marker_noise.deviation
+
+    def of_the_same(self, residual: Complex) -> Complex:
+        """Residuals (T, B, n) of the markers that err alike: without those that count for less."""
+        less = self._marker_noise.relative > 1
+        return np.where(less, complex(np.nan, np.nan), residual) if less.any() else residual
+
+    def weigh(self, residual: Complex, freedom: Real, goes_on: np.ndarray) -> np.ndarray:
+        """
+        Give markers the weights that they are worth, at a beat after `learn`.
+
+        By fits as `MarkerNoise.learn` takes them. Returns of which bodies (B,) other markers count
+        for less from now on: their poses change.
+        """
+        changed = self._marker_noise.learn(residual, freedom, goes_on, self.points)
+        for b in np.flatnonzero(changed).tolist():
+            # As it would have been with these weights.
+            left = mean_square(*self.refitted(b)[:2])[0]
+            left = left[~np.isnan(left)][-_RULE_MEMORY:]
+            if len(left) >= _MATURE:
+                self._fits[b] = len(left)
+                self._left[b] = np.nan
+                self._left[b, : len(left)] = left
+                self._rule[b] = tame_part(left[None])[0] / _RULE_SHARE
+        if (self._marker_noise.relative != 1).any() or changed.any():
+            self._measure()
+        self._continuity.begin(changed)
+        return changed
+
+    def refitted(self, b: int) -> tuple[Complex, Real, np.ndarray]:
+        """Late frames of one body as fitted by the weights of now: see `MarkerNoise.refitted`."""
+        return self._marker_noise.refitted(b, self.points[b])
 
     def learn(self) -> np.ndarray:
         """
@@ -234,6 +272,7 @@ class Shapes:
         self.points += np.where(held, 0.0, step)
         self._learn_rule(news)
         moved = self._astray >= _MOVED
+        self._marker_noise.forget(moved)
         if moved.any():
             # Learned anew where it is from the next frame on; a body none of which fits, too.
             self._frames[moved] = self._drift[moved] = 0.0
@@ -249,6 +288,7 @@ class Shapes:
             self._exchanged[b] = 0
             # What was left with the names of before is no rule.
             self._left[b] = np.nan
+            self._marker_noise.forget(np.arange(len(self.points))[:, None] == [[b]])
         for b, early in enumerate(self._early):
             if early is not None and self._fits[b] >= _MATURE:
                 anew[b] = self._look_back(b, np.array(early))
@@ -307,14 +347,16 @@ class Shapes:
         fit = self._turn_back(points, weights, order, fit)
         residual, freedom = fit.residual[None], fit.freedom[None]
         with np.errstate(invalid='ignore'):
-            far = (np.abs(fit.residual) > self._limit[:, None]).any(axis=-1) & self._mature
+            most = self._limit[:, None] * np.sqrt(self._marker_noise.relative)
+            far = (np.abs(fit.residual) > most).any(axis=-1) & self._mature
         good = ~(far[:, None] | np.isnan(fit.residual))
         ahead = self._turns.ahead()
         for b in np.flatnonzero(far):
             given = weights[b] > 0
             limit = float(self._limit[b])
             markers = points[b], self.points[b], weights[b], limit
-            points[b], what, which = untangle(*markers, float(ahead[b]))
+            erring = np.sqrt(self._marker_noise.relative[b])
+            points[b], what, which = untangle(*markers, float(ahead[b]), erring)
             self.mended[what] += len(which)
             if what == EXCHANGED:
                 order[b, which] = order[b, which[::-1]]
@@ -348,7 +390,7 @@ class Shapes:
 
     def _learn_rule(self, news: '_News') -> None:
         """Take the mean squares that the fits of frames leave."""
-        left = mean_square(news.residual, news.freedom)[0]
+        left = mean_square(self.of_the_same(news.residual), news.freedom)[0]
         most = np.where(self._fits < _MATURE, np.inf, _RULE_CLIP * self._least_rule())
         # A body at rest in a tracker that rounds seems to fit to the last digit, until it moves.
         before = np.concatenate((self._before[None], news.points[:-1]))
@@ -377,6 +419,7 @@ class Shapes:
         self._astray = np.pad(self._astray, more)
         self._before = np.pad(self._before, more, constant_values=complex(np.nan, np.nan))
         self._drift = np.pad(self._drift, more)
+        self._marker_noise.widen(markers)
         self._early = [
             early and [np.pad(row, more[1], constant_values=np.nan) for row in early]
             for early in self._early
@@ -395,11 +438,13 @@ class Shapes:
         offsets = np.where(known, self.points - mean[:, None], 0)
         self.spread = (offsets.real**2 + offsets.imag**2).sum(axis=-1)
         # A marker known from N frames has 1 + 1/N times the variance of a well-known one.
-        self._weights = self._frames / (self._frames + 1.0)
+        self._weights = self._frames / (self._frames + 1.0) / self._marker_noise.relative
         self._limit = _SUSPECT * np.sqrt(self._least_rule())
         self._mature = self._fits >= _MATURE
         # What all frames share in which every marker is seen, as a rule all there are.
-        self._most = np.where(self._mature, self._limit**2, np.inf)[:, None]
+        most = np.where(self._mature, self._limit**2, np.inf)[:, None]
+        # A marker that is known to err more may do so.
+        self._most = most * self._marker_noise.relative
         self._grip = grip_of(self.points, self._weights)
         least = self._frames.min(where=known, initial=_MEMORY) if known.any() else 0
         self.beat = max(1, int(least * _BEAT))
