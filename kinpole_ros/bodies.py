@@ -45,6 +45,23 @@ class _News(NamedTuple):
     gaps: np.ndarray
 
 
+class Outage(NamedTuple):
+    """How often nothing came for a window or more; the latest and the longest, from when, ns."""
+
+    times: int
+    latest: tuple[int, int]
+    longest: tuple[int, int]
+
+
+def one_more(outage: Outage | None, since: int, lasted: int) -> Outage:
+    """These, if any, and one that `lasted` so long since then, ns."""
+    new = since, lasted
+    if outage is None:
+        return Outage(1, new, new)
+    longest = max(outage.longest, new, key=lambda each: each[1])
+    return Outage(outage.times + 1, new, longest)
+
+
 def pose_columns(bodies: int) -> list[tuple]:
     """What `RigidBodies.take` fills of a frame; angles come before positions."""
     return [
@@ -99,8 +116,12 @@ class RigidBodies:
         self._pins = Pins(self._count)
         self._references = References(self._count, window)
         self._since = np.zeros(self._count, np.int64)
-        # In how many frames each body as a whole was wrong.
+        # In how many frames each body as a whole was wrong, and when it was not seen.
         self.wrong = np.zeros(self._count, int)
+        self.outages: dict[int, Outage] = {}
+        self._window = window
+        # ns, 0 before a body is seen.
+        self._seen_last = np.zeros(self._count, np.int64)
         # Frames since the last beat.
         self._news: list[_News] = []
         self._new = 0
@@ -140,6 +161,10 @@ class RigidBodies:
         off, noise = np.sqrt(self._shapes.misfit()), self._noise.level()
         loose = (off > _LOOSE * noise) & (off > _LOOSE_SHARE * self._size())
         return np.where(loose, off, 0.0)
+
+    def erring(self) -> np.ndarray:
+        """Deviations (B, width), m, of markers that count for less than others, 0 for these."""
+        return self._shapes.deviation
 
     def underrated(self) -> np.ndarray:
         """Which bodies (B,) have more noise than can be measured: see `LastingNoise.longer`."""
@@ -278,7 +303,25 @@ class RigidBodies:
             )
         )
         self._new += len(rows)
+        self._note_outages(rows['stamp'], known)
         return points, course
+
+    def _note_outages(self, stamps: np.ndarray, known: np.ndarray) -> None:
+        """Note which bodies were not seen for a window or more, by where (T, B) they are known."""
+        if np.count_nonzero(known) == known.size:
+            if np.count_nonzero(stamps[0] - self._seen_last >= self._window):
+                self._note_outage(stamps[0], np.ones(self._count, bool))
+            self._seen_last[:] = stamps[-1]
+            return
+        for stamp, row in zip(stamps, known, strict=True):
+            self._note_outage(stamp, row)
+            self._seen_last[row] = stamp
+
+    def _note_outage(self, stamp: np.int64, seen: np.ndarray) -> None:
+        lasted = np.where(self._seen_last > 0, stamp - self._seen_last, 0)
+        for b in np.flatnonzero(seen & (lasted >= self._window)).tolist():
+            last = int(self._seen_last[b])
+            self.outages[b] = one_more(self.outages.get(b), last, int(lasted[b]))
 
     def _leave_out(self, rows: np.ndarray, first: int, course: Verdict) -> None:
         """Leave the bodies out of the frames, before those from `first` on, that were wrong."""

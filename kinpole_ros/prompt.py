@@ -115,7 +115,7 @@ class Foreseen:
         return Prompt(self._stamp, self._layout[1], bodies)
 
     def _moving(self, b: int, markers: np.ndarray) -> 'Moving':
-        grip, most, *ahead, turn, shift = self._shapes[b]
+        grip, most, angle_ahead, ahead, turn, shift = self._shapes[b]
         rows = markers.tolist()
         for row in rows:
             for coordinate in row:
@@ -127,8 +127,8 @@ class Foreseen:
         if not (left <= most and math.cos(step) >= NOT_FAR):
             raise Unforeseen
         # One that is far off what was to be expected may be wrong.
-        turned = math.remainder(angle - ahead[0], 2 * math.pi)
-        if not (turned**2 <= turn and abs(position - ahead[1]) ** 2 <= shift):
+        turned = math.remainder(angle - angle_ahead, 2 * math.pi)
+        if not (turned**2 <= turn and abs(position - ahead) ** 2 <= shift):
             raise Unforeseen
         arm = self._reference[b]
         if arm:

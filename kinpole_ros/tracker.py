@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterable
 
 import numpy as np
 
-from kinpole_ros.bodies import RigidBodies
+from kinpole_ros.bodies import Outage, RigidBodies, one_more
 from kinpole_ros.estimate import FARTHEST, Estimate, Poses
 from kinpole_ros.frame import MarkerFrames
 from kinpole_ros.parameters import Settings
@@ -53,12 +53,17 @@ class Tracker:
         self.settings = settings
         self.bodies = tuple(settings.bodies)
         self.counts: Counter[str] = Counter()
+        # By body, '' for all frames.
+        self._outages: dict[str, Outage] = {}
+        self._wrong = np.zeros(len(self.bodies), int)
         self._frame_id = ''
         self.reset()
 
     def reset(self) -> None:
         """Forget all samples, and the shapes and noise learned from them."""
         count = len(self.bodies)
+        if hasattr(self, '_rigid'):
+            self._outages, self._wrong = self.outages(), self.wrong()
         self._roster = Roster(self.settings)
         width = self._roster.width
         self._timeline = Timeline(self.settings, self.counts)
@@ -94,6 +99,32 @@ class Tracker:
     def underrated(self) -> np.ndarray:
         """Which bodies (B,) have more noise than can be measured, since it lasts long."""
         return self._rigid.underrated()
+
+    def erring(self) -> dict[str, dict[str, float]]:
+        """
+        Deviations, m, per axis, of markers, by name, that count for less than the others of their
+        body, since they err more.
+        """
+        found = {}
+        for b, row in enumerate(self._rigid.erring()):
+            names = self._roster.markers[b]
+            found[self.bodies[b]] = {names[k]: float(row[k]) for k in np.flatnonzero(row)}
+        return found
+
+    def wrong(self) -> np.ndarray:
+        """In how many frames each body (B,) as a whole was wrong, and left out."""
+        return self._wrong + self._rigid.wrong
+
+    def outages(self) -> dict[str, Outage]:
+        """For how long bodies, by name, were not seen, a window or more; all frames by ''."""
+        found = dict(self._outages)
+        for b, new in self._rigid.outages.items():
+            old = found.get(self.bodies[b])
+            if old is not None:
+                longest = max(old.longest, new.longest, key=lambda each: each[1])
+                new = Outage(old.times + new.times, new.latest, longest)
+            found[self.bodies[b]] = new
+        return found
 
     def lacking(self) -> dict[str, list[str]]:
         """Markers by body that the last message has not, where less than two of the body are."""
@@ -158,6 +189,10 @@ class Tracker:
                 if first < len(stamps):
                     found += self._estimates(order)
                     self.counts['resets'] += 1
+                    newest, next_one = self._timeline.newest, int(stamps[first])
+                    if next_one > newest:
+                        before_it = self._outages.get('')
+                        self._outages[''] = one_more(before_it, newest, next_one - newest)
                     self.reset()
             self._timeline.last = int(stamps[-1])
             before += len(stamps)

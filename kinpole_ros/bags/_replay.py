@@ -12,6 +12,7 @@ from diagnostic_msgs.msg import DiagnosticArray
 from kinpole_ros.bags._reader import BagError, Truncated, bag_files, read_blocks, topics
 from kinpole_ros.bags._table import CsvTable, ParquetTable
 from kinpole_ros.bags._writer import BagWriter
+from kinpole_ros.bodies import Outage
 from kinpole_ros.estimate import POLE_NAMES, Estimate
 from kinpole_ros.frame import MarkerFrames, part_of
 from kinpole_ros.messages import (
@@ -49,7 +50,9 @@ class Replayed(NamedTuple):
     are in no message, and `identities` those of the last one. `unknown` are the bodies known at no
     instant, and why not at the last ('' where there is none). `joined` are the files that were read
     as one recording only because they lie in one folder. `beside` is how far the bodies were from
-    the scene, if any.
+    the scene, if any. `erring` are the deviations of markers that count for less than others, m, by
+    body and name; `wrong` is in how many frames a body as a whole was wrong and left out, and
+    `outages` when a body, or '' for all, was not seen for a window or more.
     """
 
     frames: int
@@ -72,6 +75,9 @@ class Replayed(NamedTuple):
     unknown: dict[str, str]
     joined: list[str]
     beside: list[Beside]
+    erring: dict[str, dict[str, float]]
+    wrong: dict[str, int]
+    outages: dict[str, Outage]
 
 
 def replay(
@@ -123,7 +129,7 @@ def replay(
         for row in result_outputs(tuple(settings.bodies), settings.plane, theory)
         if row.order <= order
     ]
-    beat = _Beat(DiagnosticsMaker(NODE_NAME, theory))
+    beat = _Beat(DiagnosticsMaker(NODE_NAME, theory, name))
     comparison = Comparison(theory) if theory is not None else None
     found = {body: dict.fromkeys(POLE_NAMES[:order], 0) for body in tracker.bodies}
     unknown = dict.fromkeys(tracker.bodies, '')
@@ -205,6 +211,9 @@ def replay(
         unknown,
         joined,
         comparison.found() if comparison is not None else [],
+        tracker.erring(),
+        dict(zip(tracker.bodies, tracker.wrong().tolist(), strict=True)),
+        tracker.outages(),
     )
 
 

@@ -2,7 +2,15 @@
 
 from kinpole_ros.messages._cdr import diagnostics_data
 from kinpole_ros.messages._cloud import MessageError
-from kinpole_ros.messages._diagnostics import SMOOTHED, DiagnosticsMaker, not_rigid, not_there
+from kinpole_ros.messages._diagnostics import (
+    SMOOTHED,
+    DiagnosticsMaker,
+    left_out,
+    marker_faults,
+    not_rigid,
+    not_there,
+    unseen,
+)
 from kinpole_ros.messages._loci import nothing_drawn
 from kinpole_ros.messages._markers import (
     MARKER_TYPES,
@@ -25,6 +33,8 @@ __all__ = [
     'MessageError',
     'Output',
     'diagnostics_data',
+    'left_out',
+    'marker_faults',
     'not_rigid',
     'not_there',
     'nothing_drawn',
@@ -33,4 +43,5 @@ __all__ = [
     'result_outputs',
     'stamp_to_ns',
     'to_message',
+    'unseen',
 ]

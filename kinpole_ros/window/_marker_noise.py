@@ -157,6 +157,8 @@ def _worst(kinds: tuple[Complex, ...], shape: Complex) -> list[int]:
     """The markers that err more than those left, by some kind of residuals (T, n)."""
     seen = np.logical_and.reduce([(~np.isnan(kind)).any(axis=0) for kind in kinds])
     found: list[int] = []
+    if seen.sum() < 3:
+        return found
     for kind, more in zip(kinds, (_MORE, _LASTS), strict=True):
         rest, out = seen.copy(), []
         best: list[int] = []
