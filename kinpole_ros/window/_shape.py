@@ -231,7 +231,8 @@ class Shapes:
                 self._rule[b] = tame_part(left[None])[0] / _RULE_SHARE
         if (self._marker_noise.relative != 1).any() or changed.any():
             self._measure()
-        self._continuity.begin(changed)
+        if changed.any():
+            self._continuity.begin(changed)
         return changed
 
     def refitted(self, b: int) -> tuple[Complex, Real, np.ndarray]:
