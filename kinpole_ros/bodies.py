@@ -28,6 +28,8 @@ from kinpole_ros.window import (
 _ROUNDING = 4 * np.finfo(float).eps
 # rad. An angle noisier than this wanders round, and its errors are no longer small.
 _UNSTEADY = 0.15
+# A noise of fewer degrees of freedom may well be a third of what it is, or three times that.
+_LEAST_FREEDOM = 6.0
 # Markers are not of one rigid body that are off it by so many times their noise and by this share
 # of its size.
 _LOOSE, _LOOSE_SHARE = 5.0, 0.01
@@ -150,6 +152,9 @@ class RigidBodies:
             level = np.full(self._count, self._given)
         else:
             level = self._lasting.level(self._noise.level())
+            # While hardly any frames come running, by all that keeps markers off their places.
+            few = self._noise.degrees() < _LEAST_FREEDOM
+            level = np.where(few, np.sqrt(self._shapes.misfit()), level)
         return np.maximum(level, _ROUNDING * self._shapes.farthest)
 
     def looseness(self) -> np.ndarray:

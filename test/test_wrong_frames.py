@@ -138,3 +138,18 @@ def test_an_outage_of_all_frames_is_warned_of_when_they_are_back() -> None:
     # Nobody asked for figures, and nothing is wrong with the body.
     assert status[1].level == DiagnosticStatus.OK
     assert 'nobody subscribes' in status[1].message
+
+
+@pytest.mark.parametrize('seed', range(2))
+def test_deviations_hold_where_nine_tenths_of_the_markers_are_hidden(seed: int) -> None:
+    position, angle, _ = motion(np.arange(700) / RATE)
+    rng = np.random.default_rng(seed)
+    shape = 0.1 * (rng.normal(size=8) + 1j * rng.normal(size=8))
+    flat = position[:, None] + np.exp(1j * angle)[:, None] * shape
+    points = np.stack((flat.real, flat.imag, 0 * flat.real), axis=-1)
+    points += 2e-4 * rng.normal(size=points.shape)
+    points[rng.random(flat.shape) < 0.9] = np.nan
+    stamps = START + STEP * np.arange(len(points))
+    tracker = Tracker(settings_from({'bodies': ['all']}))
+    found = off_by(tracker, MarkerFrames(stamps, 'world', tuple('abcdefgh'), points))
+    assert np.abs(found[1]).max(initial=0.0) < 10
