@@ -28,12 +28,15 @@ from kinpole_ros.window import (
     Samples,
     Shapes,
     Unforeseen,
+    Verdict,
 )
 
 # Coordinates are known no better than a few units of their last place.
 _ROUNDING = 4 * np.finfo(float).eps
 # rad. An angle noisier than this wanders round, and its errors are no longer small.
 _UNSTEADY = 0.15
+# A noise of fewer degrees of freedom may well be a third of what it is, or three times that.
+_LEAST_FREEDOM = 6.0
 # Markers are not of one rigid body that are off it by so many times their noise and by this share
 # of its size.
 _LOOSE, _LOOSE_SHARE = 5.0, 0.01
@@ -53,6 +56,23 @@ class _News(NamedTuple):
     gaps: np.ndarray
 
 
+class Outage(NamedTuple):
+    """How often nothing came for a window or more; the latest and the longest, from when, ns."""
+
+    times: int
+    latest: tuple[int, int]
+    longest: tuple[int, int]
+
+
+def one_more(outage: Outage | None, since: int, lasted: int) -> Outage:
+    """These, if any, and one that `lasted` so long since then, ns."""
+    new = since, lasted
+    if outage is None:
+        return Outage(1, new, new)
+    longest = max(outage.longest, new, key=lambda each: each[1])
+    return Outage(outage.times + 1, new, longest)
+
+
 def pose_columns(bodies: int) -> list[tuple]:
     """What `RigidBodies.take` fills of a frame; angles come before positions."""
     return [
@@ -64,6 +84,9 @@ def pose_columns(bodies: int) -> list[tuple]:
         ('information', float, (2 * bodies,)),
         ('height', float, (bodies,)),
         ('strayed', bool, (bodies,)),
+        # How many of the newest frames, with this one, may be wrong of a body: not to be relied on
+        # until the next.
+        ('suspect', np.int64, (bodies,)),
     ]
 
 
@@ -117,6 +140,12 @@ class RigidBodies:
         self._last_angle = np.zeros(self._count)
         self._last_turn = np.zeros(self._count)
         self._newest = 0
+        # In how many frames each body as a whole was wrong, and when it was not seen.
+        self.wrong = np.zeros(self._count, int)
+        self.outages: dict[int, Outage] = {}
+        self._window = window
+        # ns, 0 before a body is seen.
+        self._seen_last = np.zeros(self._count, np.int64)
         # Frames since the last beat.
         self._news: list[_News] = []
         self._new = 0
@@ -145,6 +174,9 @@ class RigidBodies:
             level = np.full(self._count, self._given)
         else:
             level = self._lasting.level(self._noise.level())
+            # While hardly any frames come running, by all that keeps markers off their places.
+            few = self._noise.degrees() < _LEAST_FREEDOM
+            level = np.where(few, np.sqrt(self._shapes.misfit()), level)
         return np.maximum(level, _ROUNDING * self._shapes.farthest)
 
     def looseness(self) -> np.ndarray:
@@ -169,6 +201,10 @@ class RigidBodies:
             for cause, one, off in zip(causes, deformed, far, strict=True)
         ]
 
+    def erring(self) -> np.ndarray:
+        """Deviations (B, width), m, of markers that count for less than others, 0 for these."""
+        return self._shapes.deviation
+
     def underrated(self) -> np.ndarray:
         """Which bodies (B,) have more noise than can be measured: see `LastingNoise.longer`."""
         return self._lasting.longer(self._noise.level())
@@ -184,10 +220,13 @@ class RigidBodies:
         """
         Find the poses of frames, by the markers `points` (T, B, width) and their `heights`.
 
-        Fills the `rows` (T,), which have their stamps, and `landmarks` (T, B, width), if wanted,
-        with the markers as they are told apart; `gaps` (T,) says which frames come much later than
-        those before.
+        Fills the last T of the `rows`, which have their stamps, and `landmarks` (T, B, width), if
+        wanted, with the markers as they are told apart; `gaps` (T,) says which frames come much
+        later than those before. Rows before these are of earlier frames, some of which may turn out
+        to be wrong.
         """
+        every, rows = rows, rows[len(rows) - len(points) :]
+        earlier = len(every) - len(rows)
         first, matcher = 0, self.matcher
         matcher.begin(rows['stamp'], points, heights)
         while first < len(rows):
@@ -210,18 +249,20 @@ class RigidBodies:
                 end = first + 1 + int(later[0])
             part = slice(first, end)
             matcher.fits_next(first, end)
-            seen = self._fit(rows[part], points[part], heights[part], gaps[part])
+            seen, course = self._fit(rows[part], points[part], heights[part], gaps[part])
+            self._leave_out(every, earlier + first, course)
             if landmarks is not None:
                 # One line goes on, whatever the marker is called.
                 stand_in = np.broadcast_to(self._shapes.stand_in, seen.shape)
                 landmarks[part] = np.take_along_axis(seen, stand_in, axis=-1)
+                landmarks[part][course.suspect > 0] = complex(np.nan, np.nan)
             rows['beat'][part] = self._known_now()
             first = end
 
     def take_unseen(self, rows: np.ndarray) -> None:
         """Fill rows (T,) of frames that nothing can be made of: the plane is not known."""
         rows['poses'] = rows['height'] = np.nan
-        rows['information'], rows['strayed'] = 0.0, False
+        rows['information'], rows['strayed'], rows['suspect'] = 0.0, False, 0
         rows['beat'] = self._known_now()
 
     def foresee(self, rows: np.ndarray) -> list[PlainShape]:
@@ -232,7 +273,12 @@ class RigidBodies:
         """
         count, held = self._count, self._shapes.held
         seen = rows['information'][:-1] > 0
-        if np.count_nonzero(seen) < seen.size or np.count_nonzero(self._lost(held[None, :count])):
+        least = self._misfit() / _UNSTEADY**2
+        lost = (held[:count] < least) & (self._shapes.spread > least)
+        if np.count_nonzero(seen) < seen.size or np.count_nonzero(lost):
+            raise Unforeseen
+        ahead = self._shapes.expected(int(rows['stamp'][-1]))
+        if ahead is None:
             raise Unforeseen
         before, last, here = rows['poses']
         here[:] = 2 * last - before
@@ -242,8 +288,9 @@ class RigidBodies:
         rows['information'][-1] = held
         # It may stray from a pin; whether that matters is for the caller to see.
         rows['strayed'][-1] = np.isfinite(self._pins.center)
+        rows['suspect'][-1] = 0
         self._known_now()
-        return self._shapes.in_plain_numbers()
+        return self._shapes.in_plain_numbers(*ahead)
 
     def settle(self) -> bool:
         """Learn if it is time for a beat; whether names stand for other markers then."""
@@ -263,7 +310,8 @@ class RigidBodies:
         self._shapes.restart(which)
         if self.matcher.has_shape.any():
             self._shapes.give(np.where(which[:, None], self.matcher.given, np.nan))
-        for learned in (self._pins, self._references, self._noise, self._lasting):
+        learners = self._pins, self._references, self._noise, self._lasting, self.deformation
+        for learned in learners:
             learned.forget(which)
         self._since[which] = self._newest + 1
         self._learned = True
@@ -285,29 +333,31 @@ class RigidBodies:
 
     def _fit(
         self, rows: np.ndarray, points: np.ndarray, heights: np.ndarray, gaps: np.ndarray
-    ) -> np.ndarray:
-        """Fit frames between which nothing is learned and no gap is; returns points as mended."""
+    ) -> tuple[np.ndarray, Verdict]:
+        """
+        Fit frames between which nothing is learned and no gap is.
+
+        Returns the points as corrected, and how the poses go on.
+        """
         if gaps[0]:
             self._shapes.forget_motion()
-        fit, points = self._shapes.fit(points, self.matcher)
+        # Of markers that are closer together their noise leaves no angle.
+        least = self._misfit() / _UNSTEADY**2
+        fit, points, course = self._shapes.fit(points, rows['time'], least, self.matcher)
         self.matcher.follow(fit)
-        self._newest = int(rows['stamp'][-1])
+        self._newest = int(rows['time'][-1])
         if self._shapes.mended:
             self._counts.update(self._shapes.mended)
             self._shapes.mended.clear()
             self._learned = True
-        lost = self._lost(fit.spread)
-        if np.count_nonzero(lost):
-            nowhere = np.where(lost, np.nan, 0.0)
-            fit = fit._replace(angle=fit.angle + nowhere, position=fit.position + nowhere)
         known = np.isfinite(fit.angle)
         information = np.concatenate((fit.spread, fit.weight), axis=-1)
         if np.count_nonzero(known) < known.size:
             information[np.concatenate((~known, ~known), axis=-1)] = 0.0
         count, poses = self._count, rows['poses']
-        poses[:, :count, 0], poses[:, :count, 1] = fit.angle, self._turned(fit.angle, known)
+        poses[:, :count, 0], poses[:, :count, 1] = fit.angle, course.turns
         poses[:, count:, 0], poses[:, count:, 1] = fit.position.real, fit.position.imag
-        rows['information'] = information
+        rows['information'], rows['suspect'] = information, course.suspect
         seen = ~np.isnan(points)
         with np.errstate(invalid='ignore'):
             total = np.add.reduce(heights, -1, where=seen)
@@ -316,7 +366,13 @@ class RigidBodies:
         if np.count_nonzero(np.isfinite(self._pins.center)):
             variance = self._variance(information)
             rows['strayed'] = self._pins.strayed(fit.position, fit.angle, variance)
-        self.deformation.add(fit.residual)
+        if np.count_nonzero(course.suspect):
+            # Nothing is learned from them, whatever they turn out to be.
+            suspect = course.suspect > 0
+            nowhere = np.where(suspect, np.nan, 0.0)
+            fit = fit._replace(angle=fit.angle + nowhere, position=fit.position + nowhere)
+            information = np.where(np.tile(suspect, 2), 0.0, information)
+        self.deformation.add(self._shapes.of_the_same(fit.residual))
         self._news.append(
             _News(
                 rows['time'].copy(),
@@ -329,29 +385,36 @@ class RigidBodies:
             )
         )
         self._new += len(rows)
-        return points
+        self._note_outages(rows['stamp'], known)
+        return points, course
 
-    def _lost(self, spread: np.ndarray) -> np.ndarray:
-        """
-        Where (T, B) the markers seen, by the `spread` of a `Fit`, tell nothing of an angle.
+    def _note_outages(self, stamps: np.ndarray, known: np.ndarray) -> None:
+        """Note which bodies were not seen for a window or more, by where (T, B) they are known."""
+        if np.count_nonzero(known) == known.size:
+            if np.count_nonzero(stamps[0] - self._seen_last >= self._window):
+                self._note_outage(stamps[0], np.ones(self._count, bool))
+            self._seen_last[:] = stamps[-1]
+            return
+        for stamp, row in zip(stamps, known, strict=True):
+            self._note_outage(stamp, row)
+            self._seen_last[row] = stamp
 
-        They are too close together for their noise, as all there are would not be.
-        """
-        least = self._misfit() / _UNSTEADY**2
-        with np.errstate(invalid='ignore'):
-            return np.asarray((spread < least) & (self._shapes.spread > least))
+    def _note_outage(self, stamp: np.int64, seen: np.ndarray) -> None:
+        lasted = np.where(self._seen_last > 0, stamp - self._seen_last, 0)
+        for b in np.flatnonzero(seen & (lasted >= self._window)).tolist():
+            last = int(self._seen_last[b])
+            self.outages[b] = one_more(self.outages.get(b), last, int(lasted[b]))
 
-    def _turned(self, angle: np.ndarray, known: np.ndarray) -> np.ndarray:
-        """How often (T, B) the bodies have turned round when they are at `angle`, where `known`."""
-        if np.count_nonzero(known) < known.size:
-            # Where nothing is known it is as it was.
-            rows = np.where(known, np.arange(1, len(angle) + 1)[:, None], 0)
-            before = np.concatenate((self._last_angle[None], np.where(known, angle, 0.0)))
-            angle = np.take_along_axis(before, np.maximum.accumulate(rows, axis=0), axis=0)
-        steps = angle - np.concatenate((self._last_angle[None], angle[:-1]))
-        turns = self._last_turn - np.add.accumulate(np.rint(steps / (2 * np.pi)))
-        self._last_angle, self._last_turn = angle[-1], turns[-1]
-        return np.asarray(turns)
+    def _leave_out(self, rows: np.ndarray, first: int, course: Verdict) -> None:
+        """Leave the bodies out of the frames, before those from `first` on, that were wrong."""
+        if not np.count_nonzero(course.wrong):
+            return
+        for row, b in zip(*course.wrong.nonzero(), strict=True):
+            count = int(course.wrong[row, b])
+            wrong = slice(max(first + int(row) - count, 0), first + int(row))
+            rows['information'][wrong, [b, self._count + b]] = 0.0
+            rows['strayed'][wrong, b] = False
+            self.wrong[b] += count
 
     def _known_now(self) -> int:
         """The row of what is known now."""
@@ -387,9 +450,10 @@ class RigidBodies:
             poses = news.stamps, news.position, news.angle, variance, size
             self._pins.add(*poses)
             self._references.add(*poses, self._shapes.middle)
-        self._noise.add(news.residual, news.freedom, ~news.gaps)
+        alike = self._shapes.of_the_same(news.residual)
+        self._noise.add(alike, news.freedom, ~news.gaps)
         if not self._given:
-            self._lasting.add(news.stamps, news.residual, news.freedom, news.gaps)
+            self._lasting.add(news.stamps, alike, news.freedom, news.gaps)
         anew = self._shapes.learn()
         if anew.any():
             learners = self._pins, self._references, self._noise, self._lasting, self.deformation
@@ -397,12 +461,20 @@ class RigidBodies:
                 learned.forget(anew)
             self._since[anew] = news.stamps[-1] + 1
         noise = np.fmax(self.noise(), self._noise.level())
-        fits = news.stamps, news.residual, news.freedom
+        fits = news.stamps, alike, news.freedom
         self.deformation.learn(*fits, noise, self._noise.degrees())
         if anew.any():
             self._fields.forget()
         elif np.count_nonzero(self.deformation.freedom):
             self._fields.add(news.position, news.angle, news.residual, self._shapes.markers())
+        changed = self._shapes.weigh(news.residual, news.freedom, ~news.gaps)
+        if changed.any():
+            # Poses from before are by other weights.
+            for weighed in (self._pins, self._references, self._lasting, self.deformation):
+                weighed.forget(changed)
+            self._since[changed] = news.stamps[-1] + 1
+            for b in np.flatnonzero(changed).tolist():
+                self._noise.replace(b, *self._shapes.refitted(b))
 
     def _variance(self, information: np.ndarray) -> np.ndarray:
         """Variances (T, 2, B) of one coordinate of the positions, and of the angles."""

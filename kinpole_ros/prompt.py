@@ -124,7 +124,7 @@ class Foreseen:
         return Prompt(self._stamp, self._layout[1], bodies, self._plane)
 
     def _moving(self, b: int, markers: np.ndarray) -> 'Moving':
-        grip, most = self._shapes[b]
+        grip, most, angle_ahead, ahead, turn, shift = self._shapes[b]
         if self._turn is not None:
             with np.errstate(invalid='ignore', over='ignore'):
                 markers = markers @ self._turn
@@ -137,6 +137,10 @@ class Foreseen:
         position, angle, left = grip.fit([complex(row[x], row[y]) for row in rows])
         step = angle - self._before[b]
         if not (left <= most and math.cos(step) >= NOT_FAR):
+            raise Unforeseen
+        # One that is far off what was to be expected may be wrong.
+        turned = math.remainder(angle - angle_ahead, 2 * math.pi)
+        if not (turned**2 <= turn and abs(position - ahead) ** 2 <= shift):
             raise Unforeseen
         arm = self._reference[b]
         if arm:

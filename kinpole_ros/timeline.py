@@ -88,6 +88,11 @@ class Timeline:
     def __len__(self) -> int:
         return len(self._frames)
 
+    @property
+    def newest(self) -> int:
+        """The stamp of the newest frame that is held, ns."""
+        return int(self._frames.view()['stamp'][-1])
+
     def view(self) -> np.ndarray:
         """All frames, oldest first; valid until more come."""
         return self._frames.view()

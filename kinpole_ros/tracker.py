@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterable
 
 import numpy as np
 
-from kinpole_ros.bodies import RigidBodies, pose_columns
+from kinpole_ros.bodies import Outage, RigidBodies, one_more, pose_columns
 from kinpole_ros.estimate import FARTHEST, Estimate, Poses
 from kinpole_ros.frame import MarkerFrames, part_of
 from kinpole_ros.matcher import Matcher
@@ -25,6 +25,7 @@ from kinpole_ros.space import Space, SpaceReport
 from kinpole_ros.ticks import StampState
 from kinpole_ros.timeline import Timeline
 from kinpole_ros.window import (
+    MOST_SUSPECT,
     STRIKES,
     LandmarkFilter,
     PoseDerivatives,
@@ -57,6 +58,9 @@ class Tracker:
         self.settings = settings
         self.bodies = tuple(settings.bodies)
         self.counts: Counter[str] = Counter()
+        # By body, '' for all frames.
+        self._outages: dict[str, Outage] = {}
+        self._wrong = np.zeros(len(self.bodies), int)
         self._frame_id = ''
         self.reset()
 
@@ -67,6 +71,8 @@ class Tracker:
     def _start(self, before: Timeline | None) -> None:
         """Start anew; `before` a jump of the stamps frames were as in that timeline."""
         count = len(self.bodies)
+        if hasattr(self, '_rigid'):
+            self._outages, self._wrong = self.outages(), self.wrong()
         self._roster = Roster(self.settings)
         width = self._roster.width
         self._space = Space(self.settings.plane, count, width)
@@ -123,6 +129,32 @@ class Tracker:
     def space(self) -> SpaceReport:
         """How the motion lies in space: its tilt against the plane, and what leaves the plane."""
         return self._space.report()
+
+    def erring(self) -> dict[str, dict[str, float]]:
+        """
+        Deviations, m, per axis, of markers, by name, that count for less than the others of their
+        body, since they err more.
+        """
+        found = {}
+        for b, row in enumerate(self._rigid.erring()):
+            names = self._roster.markers[b]
+            found[self.bodies[b]] = {names[k]: float(row[k]) for k in np.flatnonzero(row)}
+        return found
+
+    def wrong(self) -> np.ndarray:
+        """In how many frames each body (B,) as a whole was wrong, and left out."""
+        return self._wrong + self._rigid.wrong
+
+    def outages(self) -> dict[str, Outage]:
+        """For how long bodies, by name, were not seen, a window or more; all frames by ''."""
+        found = dict(self._outages)
+        for b, new in self._rigid.outages.items():
+            old = found.get(self.bodies[b])
+            if old is not None:
+                longest = max(old.longest, new.longest, key=lambda each: each[1])
+                new = Outage(old.times + new.times, new.latest, longest)
+            found[self.bodies[b]] = new
+        return found
 
     def lacking(self) -> dict[str, list[str]]:
         """Markers by body that the last message has not, where less than two of the body are."""
@@ -200,6 +232,10 @@ class Tracker:
                 if anew:
                     found += self._estimates(order)
                     self.counts['resets'] += 1
+                    newest, next_one = self._timeline.newest, int(stamps[first])
+                    if next_one > newest:
+                        before_it = self._outages.get('')
+                        self._outages[''] = one_more(before_it, newest, next_one - newest)
                     self._start(self._timeline)
             before += len(stamps)
         return found + self._estimates(order, told)
@@ -303,7 +339,8 @@ class Tracker:
                 self._early = self._latest_early()
             seen = solid[..., 0]
         else:
-            self._rigid.take(rows, points, heights, gaps, landmarks)
+            every = self._timeline.view()[-len(rows) - MOST_SUSPECT :]
+            self._rigid.take(every, points, heights, gaps, landmarks)
             # As they were corrected.
             seen, solid = points, plane.in_space(points, heights)
         self._timeline.pose(rows, self._rigid.known['noise'])
@@ -405,6 +442,9 @@ class Tracker:
         """
         frames = self._timeline.view()[windows[0]]
         seen = frames['information'][:, : len(self.bodies)] > 0
+        suspect = self._suspect(windows)
+        if suspect is not None:
+            seen &= windows[0][:, None] <= windows[2][:, None] - suspect
         measured, firm = known['measured'], known['firm']
         usable = seen & measured & firm
         if self._points is None:
@@ -498,11 +538,21 @@ class Tracker:
         strayed = frames['strayed']
         if np.count_nonzero(strayed):
             times = strayed.cumsum(axis=0)
-            held &= times[newest] - times[oldest] + strayed[oldest] < STRIKES
+            until = times[newest]
+            suspect = self._suspect(windows)
+            if suspect is not None:
+                last = np.maximum(newest[:, None] - suspect, oldest[:, None])
+                until = np.take_along_axis(times, last, axis=0)
+            held &= until - times[oldest] + strayed[oldest] < STRIKES
         return (
             np.where(held, pin, complex(np.nan, np.nan)),
             np.where(held, variance, np.nan),
         )
+
+    def _suspect(self, windows: Windows) -> np.ndarray | None:
+        """How many of the newest frames of each window (T, B) were suspect, None for none."""
+        suspect = self._timeline.view()['suspect'][windows[2]]
+        return suspect if np.count_nonzero(suspect) else None
 
     def _from_poses(
         self,
@@ -529,9 +579,17 @@ class Tracker:
         numbers = now + self._timeline.dropped
         noise = np.concatenate((known['noise'], known['noise']), axis=1)
         first = 0
-        for part in alike(known['reference'], known['since']):
+        suspect = self._suspect(windows)
+        changes = [known['reference'], known['since']]
+        if suspect is not None:
+            # Each such instant by itself: the next has one of these frames more, or none.
+            each = np.arange(1, len(now) + 1)[:, None] * (suspect > 0).any(axis=1, keepdims=True)
+            changes.append(each)
+        for part in alike(*changes):
             row = known[part.start]
             poses = signals, frames['information']
+            if suspect is not None and np.count_nonzero(suspect[part.start]):
+                poses = _without_newest(*poses, int(windows[2][part.start]), suspect[part.start])
             if np.count_nonzero(row['since']):
                 poses = self._of_late(row['since'], *poses)
             if np.count_nonzero(row['reference']):
@@ -570,3 +628,12 @@ class Tracker:
         )
         found[1][0] = frames['poses'][windows[0], : len(self.bodies), 0]
         return found, None, None
+
+
+def _without_newest(
+    poses: np.ndarray, information: np.ndarray, newest: int, suspect: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Poses and their information without the `suspect` (B,) frames up to the `newest`."""
+    frame = np.arange(len(information))[:, None]
+    left = np.tile((frame <= newest) & (frame > newest - suspect), 2)
+    return poses, np.where(left, 0.0, information)

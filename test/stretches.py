@@ -15,10 +15,11 @@ def fit_frames(
 ) -> Iterator[tuple[Fit, np.ndarray]]:
     """Fits (B,) of frames (T, B, n) and the markers they are of, as each frame is taken."""
     news: list[tuple[np.ndarray, ...]] = []
-    for row in points[:, None]:
+    least = np.zeros(points.shape[1])
+    for k, row in enumerate(points[:, None]):
         if not shapes.unseen(row):
             shapes.begin(row[0])
-        fit, mended = shapes.fit(row)
+        fit, mended, _ = shapes.fit(row, np.array([5_000_000 * k]), least)
         news.append((fit.residual, fit.freedom, np.ones(1, bool)))
         if len(news) >= shapes.beat:
             if noise is not None:

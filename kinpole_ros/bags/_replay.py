@@ -12,6 +12,7 @@ from diagnostic_msgs.msg import DiagnosticArray
 from kinpole_ros.bags._reader import BagError, Truncated, bag_files, read_blocks, topics
 from kinpole_ros.bags._table import CsvTable, ParquetTable
 from kinpole_ros.bags._writer import BagWriter
+from kinpole_ros.bodies import Outage
 from kinpole_ros.estimate import POLE_NAMES, Estimate
 from kinpole_ros.frame import MarkerFrames, part_of
 from kinpole_ros.messages import (
@@ -55,7 +56,10 @@ class Replayed(NamedTuple):
     as one recording only because they lie in one folder. `beside` is how far the bodies were from
     the scene, if any; `space` is how the motion lay in space, as last known. `lost` are frames that
     never came, by the clock of the stamps, and `stamps` how these are beside it, None where there
-    are too few. `misnamed` says in words which markers are not what their names say.
+    are too few. `misnamed` says in words which markers are not what their names say. `erring` are
+    the deviations of markers that count for less than others, m, by body and name; `wrong` is in
+    how many frames a body as a whole was wrong and left out, and `outages` when a body, or '' for
+    all, was not seen for a window or more.
     """
 
     frames: int
@@ -83,6 +87,9 @@ class Replayed(NamedTuple):
     lost: int
     stamps: StampState | None
     misnamed: list[str]
+    erring: dict[str, dict[str, float]]
+    wrong: dict[str, int]
+    outages: dict[str, Outage]
 
 
 def replay(
@@ -134,7 +141,7 @@ def replay(
         for row in result_outputs(tuple(settings.bodies), settings.plane, theory)
         if row.order <= order
     ]
-    beat = _Beat(DiagnosticsMaker(NODE_NAME, theory))
+    beat = _Beat(DiagnosticsMaker(NODE_NAME, theory, name))
     comparison = Comparison(theory) if theory is not None else None
     found = {body: dict.fromkeys(POLE_NAMES[:order], 0) for body in tracker.bodies}
     unknown = dict.fromkeys(tracker.bodies, '')
@@ -225,6 +232,9 @@ def replay(
         counts['lost'],
         tracker.stamp_state(),
         list(identity_lines(tracker, tracker.counts)),
+        tracker.erring(),
+        dict(zip(tracker.bodies, tracker.wrong().tolist(), strict=True)),
+        tracker.outages(),
     )
 
 

@@ -6,10 +6,13 @@ from kinpole_ros.bags._replay import Replayed
 from kinpole_ros.messages import (
     SMOOTHED,
     jitter_costs,
+    left_out,
+    marker_faults,
     not_there,
     shape_fault,
     tilt_fault,
     unit_fault,
+    unseen,
 )
 from kinpole_ros.parameters import Settings
 from kinpole_ros.window import FEWEST_SAMPLES
@@ -58,6 +61,13 @@ def warnings_of(result: Replayed, settings: Settings) -> list[str]:
         wrong = unit, shape_fault(b, off, result.causes[body], result.space)
         lines += [f'{body}: {text}' for text in wrong if text]
     lines += [f'{body}: {SMOOTHED}' for body in result.underrated if not result.looseness[body]]
+    for body, erring in result.erring.items():
+        lines += [f'{body}: {fault}' for fault in marker_faults(erring, result.noise[body])]
+    lines += [f'{body}: {left_out(count)}' for body, count in result.wrong.items() if count]
+    for body, outage in result.outages.items():
+        name = f'{body}: ' if body else ''
+        more = f'; {outage.times} such times, this the longest' if outage.times > 1 else ''
+        lines.append(f'{name}{unseen(body, outage.longest)}{more}')
     if settings.scene and result.estimates and not result.beside:
         lines.append(
             f'the scene {settings.scene} could be put where the bodies are seen at none of the '

@@ -2,7 +2,14 @@
 
 from kinpole_ros.messages._cdr import diagnostics_data
 from kinpole_ros.messages._cloud import MessageError
-from kinpole_ros.messages._diagnostics import SMOOTHED, DiagnosticsMaker, not_there
+from kinpole_ros.messages._diagnostics import (
+    SMOOTHED,
+    DiagnosticsMaker,
+    left_out,
+    marker_faults,
+    not_there,
+    unseen,
+)
 from kinpole_ros.messages._identities import identity_lines
 from kinpole_ros.messages._loci import nothing_drawn
 from kinpole_ros.messages._markers import (
@@ -35,6 +42,8 @@ __all__ = [
     'diagnostics_data',
     'identity_lines',
     'jitter_costs',
+    'left_out',
+    'marker_faults',
     'not_there',
     'nothing_drawn',
     'ns_to_stamp',
@@ -46,4 +55,5 @@ __all__ = [
     'tilt_fault',
     'to_message',
     'unit_fault',
+    'unseen',
 ]

@@ -6,6 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 
+from kinpole_ros.bodies import Outage
 from kinpole_ros.estimate import Estimate
 from kinpole_ros.messages._identities import identity_lines
 from kinpole_ros.messages._markers import ns_to_stamp
@@ -50,6 +51,8 @@ _WORDS = {
 }
 
 
+# Markers are warned of that err so many times as much as the others of their body.
+_ERRS = 3.0
 # Troubles beside which figures still come.
 _MILD = ('other types', 'sources', 'rivals')
 
@@ -65,8 +68,11 @@ class DiagnosticsMaker:
     def __init__(self, name: str, theory: Theory | None = None, topic: str = '') -> None:
         self._name = name
         self._nothing = f'no markers received on {topic}' if topic else 'no markers received'
+        self._topic = topic
         self._theory = theory
         self._before: Counter[str] = Counter()
+        self._outages: dict[str, int] = {}
+        self._wrong: np.ndarray | None = None
 
     def make(
         self,
@@ -121,7 +127,15 @@ class DiagnosticsMaker:
             )
         ]
         units = [unit_fault(size, tracker.settings.scale) for size in space.size.tolist()]
+        outages = self._new_outages(tracker)
+        if '' in outages:
+            faults.append((DiagnosticStatus.WARN, unseen('', outages[''].latest)))
+        erring, wrong = tracker.erring(), tracker.wrong()
+        before = np.zeros_like(wrong) if self._wrong is None else self._wrong
+        self._wrong = wrong
         receiving = bool(since.get('frames'))
+        # With so many frames there are figures, if anybody wants them.
+        idle = tracker.samples >= FEWEST_SAMPLES
         lacking = {
             body: not_there(body, names, tracker.identities)
             for body, names in tracker.lacking().items()
@@ -133,15 +147,38 @@ class DiagnosticsMaker:
                     name = f'{self._name}: {body}'
                     array.status.append(_status(name, DiagnosticStatus.WARN, lacking[body], {}))
                     continue
-                wrong = '; '.join(filter(None, (units[b], loose[b])))
-                known = float(noise[b]), wrong, bool(underrated[b])
-                status = self._body(b, body, now, *known, receiving)
+                warnings = marker_faults(erring[body], float(noise[b]))
+                if wrong[b] > before[b]:
+                    warnings.append(left_out(int(wrong[b] - before[b])))
+                if body in outages:
+                    warnings.append(unseen(body, outages[body].latest))
+                fault = '; '.join(filter(None, (units[b], loose[b])))
+                known = float(noise[b]), fault, bool(underrated[b])
+                status = self._body(b, body, now, *known, receiving, idle)
+                for marker, deviation in erring[body].items():
+                    key = f'noise of marker {marker[:_MOST_TOLD]!r}, which counts for less (m)'
+                    status.values.append(_pair(key, deviation))
+                if wrong[b]:
+                    key = 'frames in which its pose was wrong, left out'
+                    status.values.append(_pair(key, int(wrong[b])))
+                if warnings and status.level != DiagnosticStatus.STALE:
+                    status.level = DiagnosticStatus.WARN
+                    status.message = '; '.join((status.message, *warnings))
                 array.status.append(status)
             if now is not None and (len(tracker.bodies) > 1 or self._theory is not None):
                 array.status.append(self._linkage(now))
+            for status in array.status:
+                status.hardware_id = self._topic
             return array
 
         return finish
+
+    def _new_outages(self, tracker: Tracker) -> dict[str, Outage]:
+        """Those that ended since the last diagnostics."""
+        every = tracker.outages()
+        new = {name: o for name, o in every.items() if o.times > self._outages.get(name, 0)}
+        self._outages = {name: outage.times for name, outage in every.items()}
+        return new
 
     def _linkage(self, now: Estimate) -> DiagnosticStatus:
         """What the bodies say of each other: Kennedy's theorem, and the scene if one is given."""
@@ -197,6 +234,7 @@ class DiagnosticsMaker:
         wrong: str,
         underrated: bool,
         receiving: bool,
+        idle: bool,
     ) -> DiagnosticStatus:
         name = f'{self._name}: {body}'
         values: dict[str, object] = {}
@@ -204,8 +242,11 @@ class DiagnosticsMaker:
             values['noise of a marker per axis (m)'] = noise
         if not receiving:
             return _status(name, DiagnosticStatus.STALE, 'no markers received', values)
+        if now is None and idle:
+            reason = 'ready: nobody subscribes to a result, so none is computed'
+            return _status(name, DiagnosticStatus.OK, reason, values)
         if now is None:
-            reason = 'nothing known: too few frames yet, or nobody subscribes to a result'
+            reason = 'nothing known: too few frames yet'
             return _status(name, DiagnosticStatus.STALE, reason, values)
         values['size (m)'] = float(now.size[b])
         if np.isfinite(now.span[b]):
@@ -237,6 +278,35 @@ SMOOTHED = (
     'measured, and figures are stated too sure: send them unsmoothed, or set noise or a longer '
     'window'
 )
+
+
+def marker_faults(erring: Mapping[str, float], noise: float) -> list[str]:
+    """What is to be said of markers that err, by name, so much (m) where others have this noise."""
+    return [
+        f'marker {marker[:_MOST_TOLD]!r} errs by {deviation:.2g} m, {deviation / noise:.2g} times '
+        'as much as the others, and counts for less: see to its fixing and to what reflects near '
+        'it, or leave it out'
+        for marker, deviation in erring.items()
+        if deviation > _ERRS * noise
+    ]
+
+
+def left_out(frames: int) -> str:
+    """What is to be said of a body that was wrong as a whole in so many frames."""
+    return (
+        f'left out of {frames} frames in which its pose was far off and then back: see that the '
+        'tracker takes no other markers for it'
+    )
+
+
+def unseen(body: str, outage: tuple[int, int]) -> str:
+    """What is to be said where a body, or '' for all markers, was not seen since then, so long."""
+    since, lasted = outage
+    what = 'it was not seen' if body else 'no frames came'
+    return (
+        f'{what} for {lasted / 1e9:.3g} s from {since / 1e9:.3f} s on, a window or more: see '
+        + ('to the view of its markers' if body else 'to the tracker and the network')
+    )
 
 
 def not_there(body: str, names: Sequence[str], identities: Sequence[str]) -> str:
@@ -311,11 +381,12 @@ def _faults(
     return faults
 
 
+def _pair(key: str, value: object) -> KeyValue:
+    return KeyValue(key=key, value=f'{value:.6g}' if isinstance(value, float) else str(value))
+
+
 def _status(
     name: str, level: bytes, message: str, values: Mapping[str, object]
 ) -> DiagnosticStatus:
-    pairs = [
-        KeyValue(key=key, value=f'{value:.6g}' if isinstance(value, float) else str(value))
-        for key, value in values.items()
-    ]
+    pairs = [_pair(key, value) for key, value in values.items()]
     return DiagnosticStatus(name=name, level=level, message=message, hardware_id='', values=pairs)

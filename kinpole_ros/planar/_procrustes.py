@@ -107,16 +107,23 @@ def fit_by_grip(points: Complex, grip: Grip) -> Fit:
 
 
 class PlainGrip(NamedTuple):
-    """A `Grip` of one body in plain numbers, of the n markers that have weight."""
+    """
+    A `Grip` of one body in plain numbers, of the n markers that have weight.
+
+    `erring` is how many times as far as others each may be off.
+    """
 
     arms: list[complex]
     share: list[float]
     pull: list[complex]
     mean: complex
+    erring: list[float]
 
     def fit(self, points: Sequence[complex]) -> tuple[complex, float, float]:
         """
         Position, angle and largest square of a residual as of `fit_by_grip`, of points (n,).
+
+        That of one that may err more is as much smaller.
 
         Raises ArithmeticError where those do not tell a pose.
         """
@@ -128,15 +135,16 @@ class PlainGrip(NamedTuple):
             raise ArithmeticError
         turn = cross / length
         back = turn.conjugate()
-        left = max(abs(arm * back - own) for arm, own in zip(arms, self.arms, strict=True))
+        parts = zip(arms, self.arms, self.erring, strict=True)
+        left = max(abs(arm * back - own) / times for arm, own, times in parts)
         return mean - turn * self.mean, math.atan2(turn.imag, turn.real), left**2
 
 
-def plain_grip(grip: Grip, body: int) -> PlainGrip:
-    """That of one body of several (B, n)."""
+def plain_grip(grip: Grip, body: int, erring: Real) -> PlainGrip:
+    """That of one body of several (B, n), with `erring` (n,) of a `PlainGrip`."""
     seen = grip.seen[body]
     arms, share, pull = (part[body, seen].tolist() for part in (grip.arms, grip.share, grip.pull))
-    return PlainGrip(arms, share, pull, complex(grip.mean[body]))
+    return PlainGrip(arms, share, pull, complex(grip.mean[body]), erring[seen].tolist())
 
 
 def _apart(arms: Complex, mean: Complex, seen: np.ndarray) -> np.ndarray:

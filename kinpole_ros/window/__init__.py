@@ -10,6 +10,7 @@ from kinpole_ros.window._choice import (
     differentiate,
     weigh_together,
 )
+from kinpole_ros.window._continuity import MOST_SUSPECT, Verdict
 from kinpole_ros.window._judgment import PoseDerivatives
 from kinpole_ros.window._ladder import FEWEST_SAMPLES
 from kinpole_ros.window._landmarks import LandmarkFilter
@@ -31,6 +32,7 @@ from kinpole_ros.window._turn import NOT_FAR
 __all__ = [
     'FEWEST_SAMPLES',
     'LENS',
+    'MOST_SUSPECT',
     'NOT_FAR',
     'SLANT',
     'STRIKES',
@@ -51,6 +53,7 @@ __all__ = [
     'Shapes',
     'Spectrum',
     'Unforeseen',
+    'Verdict',
     'Windows',
     'alike',
     'derivative_weights',

@@ -78,6 +78,20 @@ class Noise:
             self._before[0][:, which] = complex(np.nan, np.nan)
             self._before[2][:, which] = np.nan
 
+    def replace(self, b: int, residual: Complex, freedom: Real, goes_on: np.ndarray) -> None:
+        """Take these fits (T, 1, n), as of `add`, for those of one body so far."""
+        self.forget(np.arange(len(self._squares)) == b)
+        fresh = Noise(1, self._kept)
+        fresh.add(residual, freedom, goes_on)
+        for kept, new in (
+            (self._squares, fresh._squares),
+            (self._own, fresh._own),
+            (self._most, fresh._most),
+            (self._freedom, fresh._freedom),
+        ):
+            kept[b] = new[0]
+        self._measure()
+
     def level(self) -> Real:
         """Standard deviation (B,) of one coordinate of one marker; NaN while not known."""
         return self._level

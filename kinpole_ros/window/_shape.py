@@ -17,6 +17,8 @@ import numpy as np
 
 from kinpole_ros.planar import Fit, PlainGrip, fit_by_grip, fit_pose, grip_of, plain_grip
 from kinpole_ros.planar._plane import ROUNDING, Complex, Real
+from kinpole_ros.window._continuity import Continuity, Verdict
+from kinpole_ros.window._marker_noise import MarkerNoise
 from kinpole_ros.window._noise import mean_square, tame_part
 from kinpole_ros.window._turn import Turns
 from kinpole_ros.window._untangle import EXCHANGED, agreed, half_turn, untangle
@@ -53,10 +55,19 @@ class _News(NamedTuple):
 
 
 class PlainShape(NamedTuple):
-    """One body: how its pose is found, and the square that no residual is to exceed."""
+    """
+    One body: how its pose is found, and the square that no residual is to exceed.
+
+    Its pose is to be near the `angle`, rad, and the `position`, m: no farther off than squares of
+    `turn` and `shift`.
+    """
 
     grip: PlainGrip
     most: float
+    angle: float
+    position: complex
+    turn: float
+    shift: float
 
 
 class Names(Protocol):
@@ -99,6 +110,8 @@ class Shapes:
         self._early: list[list[Complex] | None] = [[] for _ in range(bodies)]
         self._before = np.full((bodies, markers), complex(np.nan, np.nan))
         self._turns = Turns(bodies)
+        self._continuity = Continuity(bodies)
+        self._marker_noise = MarkerNoise(bodies, markers)
         # Frames running in which markers of a body were exchanged, and which took whose place.
         self._exchanged = np.zeros(bodies, int)
         self._order = np.tile(np.arange(markers), (bodies, 1))
@@ -155,20 +168,26 @@ class Shapes:
         for b in np.flatnonzero(which):
             self._early[b] = []
         self._turns.forget()
+        self._continuity.begin(which)
+        self._marker_noise.forget(np.broadcast_to(which[:, None], self.points.shape))
         self._measure()
 
-    def fit(self, points: Complex, names: Names | None = None) -> tuple[Fit, Complex]:
+    def fit(
+        self, points: Complex, stamps: np.ndarray, least: Real, names: Names | None = None
+    ) -> tuple[Fit, Complex, Verdict]:
         """
         Fit the poses of some frames, `points` (T, B, n), NaN for a marker that was not seen.
 
         With `names`, those of a frame that does not fit are corrected first.
 
-        Bodies of which fewer than two known markers are seen, or of which all coincide, get NaN.
-        Markers that do not fit their body, or that turn it by half a turn in one frame, are left
-        out or put back, see `untangle` and `half_turn`, and counted in `mended`. Returns the fits
-        and the markers they are of.
+        Bodies of which fewer than two known markers are seen, or of which all coincide, get NaN,
+        and so do those of which all there are have no less than the spread `least` (B,), m^2, but
+        those seen do. Markers that do not fit their body, or that turn it by half a turn in one
+        frame, are left out or put back, see `untangle` and `half_turn`, and counted in `mended`.
+        Returns the fits, the markers they are of, and how the poses go on, by `stamps` (T,), ns.
         """
-        parts: list[tuple[Fit, Complex]] = []
+        parts: list[tuple[Fit, Complex, Verdict]] = []
+        few = self.spread > least
         most = self._most if names is None else self._doubt
         frames, corrected = len(points), False
         while len(points):
@@ -178,25 +197,31 @@ class Shapes:
             if hidden:
                 grip = grip_of(self.points, np.where(unseen, 0.0, self._weights))
             fit = fit_by_grip(points, grip)
+            shown = _without(fit, few & (fit.spread < least))
             far = fit.residual.real**2 + fit.residual.imag**2 > most
             odd = np.logical_or.reduce(far, axis=(1, 2)) | self._turns.may_jump(fit.angle)
+            odd |= self._continuity.odd(stamps, shown.angle, shown.position)
             if names is not None and hidden:
                 doubtful = names.doubtful(fit, unseen)
                 odd = odd if doubtful is None else odd | doubtful
             quiet = int(odd.argmax()) if np.count_nonzero(odd) else len(points)
-            if quiet == len(points):
-                part = fit, points
-            else:
-                part = Fit(*(field[:quiet] for field in fit)), points[:quiet]
             if quiet:
-                self._take(*part, part[0].residual, part[0].freedom)
+                before = points
+                if quiet < len(points):
+                    fitted, shown = (Fit(*(f[:quiet] for f in each)) for each in (fit, shown))
+                    before = points[:quiet]
+                else:
+                    fitted = fit
+                turns = self._continuity.follow(quiet)
+                self._take(fitted, before, fitted.residual, fitted.freedom)
                 if self._disturbed:
-                    self._in_place(~np.isnan(part[0].residual).all(axis=0))
+                    self._in_place(~np.isnan(fitted.residual).all(axis=0))
                     self._disturbed = bool(self._astray.any() or self._exchanged.any())
-                parts.append(part)
+                none = np.zeros(turns.shape, int)
+                parts.append((shown, before, Verdict(turns, none, none)))
                 corrected = False
             if quiet < len(points) and names is not None and not corrected:
-                points = points[quiet:]
+                points, stamps = points[quiet:], stamps[quiet:]
                 if names.correct(frames - len(points), [part[0] for part in parts]):
                     # Its names are as good as they get.
                     corrected = True
@@ -205,22 +230,76 @@ class Shapes:
             corrected = False
             if quiet < len(points):
                 here = Fit(*(field[quiet] for field in fit))
-                parts.append(self._mend(points[quiet], here))
-            points = points[quiet + 1 :]
+                fitted, markers, *left = self._mend(points[quiet], here)
+                shown = _without(fitted, few & (fitted.spread < least))
+                pose = shown.angle, shown.position
+                verdict = self._continuity.step(int(stamps[quiet]), *pose)
+                held = np.where(verdict.suspect > 0, np.nan, fitted.angle)
+                self._take(fitted._replace(angle=held), markers, *left)
+                parts.append((shown, markers, verdict))
+            points, stamps = points[quiet + 1 :], stamps[quiet + 1 :]
         if len(parts) == 1:
             return parts[0]
-        fits, markers = zip(*parts, strict=True)
+        fits, seen, verdicts = zip(*parts, strict=True)
         together = Fit(*(np.concatenate(field) for field in zip(*fits, strict=True)))
-        return together, np.concatenate(markers)
+        course = Verdict(*(np.concatenate(field) for field in zip(*verdicts, strict=True)))
+        return together, np.concatenate(seen), course
 
-    def in_plain_numbers(self) -> list[PlainShape]:
-        """What the fits of the next frame are made of, body by body."""
-        most = self._doubt[:, 0].tolist()
-        return [PlainShape(plain_grip(self._grip, b), limit) for b, limit in enumerate(most)]
+    def expected(self, stamp: int) -> tuple[Complex, Real] | None:
+        """Poses predicted for a frame at `stamp`: see `Continuity.expected`."""
+        return self._continuity.expected(stamp)
+
+    def in_plain_numbers(self, ahead: Complex, limits: Real) -> list[PlainShape]:
+        """What the fits of the next frame are made of, body by body, by what is `expected`."""
+        count = len(self.points)
+        angle, position = ahead[:count].real.tolist(), ahead[count:].tolist()
+        turn, shift = limits[:count].tolist(), limits[count:].tolist()
+        rest = zip(self._doubt.min(axis=1).tolist(), angle, position, turn, shift, strict=True)
+        erring = np.sqrt(self._marker_noise.relative)
+        grips = [plain_grip(self._grip, b, erring[b]) for b in range(count)]
+        return [PlainShape(grip, *row) for grip, row in zip(grips, rest, strict=True)]
 
     def forget_motion(self) -> None:
         """Do not expect the next poses to go on from those before a gap."""
         self._turns.forget()
+        self._continuity.forget()
+
+    @property
+    def deviation(self) -> Real:
+        """Deviations (B, n), m, of markers that err more than others and count for less, else 0."""
+        return self._marker_noise.deviation
+
+    def of_the_same(self, residual: Complex) -> Complex:
+        """Residuals (T, B, n) of the markers that err alike: without those that count for less."""
+        less = self._marker_noise.relative > 1
+        return np.where(less, complex(np.nan, np.nan), residual) if less.any() else residual
+
+    def weigh(self, residual: Complex, freedom: Real, goes_on: np.ndarray) -> np.ndarray:
+        """
+        Give markers the weights that they are worth, at a beat after `learn`.
+
+        By fits as `MarkerNoise.learn` takes them. Returns of which bodies (B,) other markers count
+        for less from now on: their poses change.
+        """
+        changed = self._marker_noise.learn(residual, freedom, goes_on, self.points)
+        for b in np.flatnonzero(changed).tolist():
+            # As it would have been with these weights.
+            left = mean_square(*self.refitted(b)[:2])[0]
+            left = left[~np.isnan(left)][-_RULE_MEMORY:]
+            if len(left) >= _MATURE:
+                self._fits[b] = len(left)
+                self._left[b] = np.nan
+                self._left[b, : len(left)] = left
+                self._rule[b] = tame_part(left[None])[0] / _RULE_SHARE
+        if (self._marker_noise.relative != 1).any() or changed.any():
+            self._measure()
+        if changed.any():
+            self._continuity.begin(changed)
+        return changed
+
+    def refitted(self, b: int) -> tuple[Complex, Real, np.ndarray]:
+        """Late frames of one body as fitted by the weights of now: see `MarkerNoise.refitted`."""
+        return self._marker_noise.refitted(b, self.points[b])
 
     def learn(self) -> np.ndarray:
         """
@@ -230,6 +309,7 @@ class Shapes:
         poses up to now are not theirs.
         """
         anew = np.zeros(len(self.points), bool)
+        self._continuity.learn(2 * np.sqrt(self.spread / np.maximum(self.known, 1)))
         if not self._news:
             return anew
         news = _News(*map(np.concatenate, zip(*self._news, strict=True)))
@@ -255,6 +335,7 @@ class Shapes:
         self.points += np.where(held, 0.0, step)
         self._learn_rule(news)
         moved = self._astray >= _MOVED
+        self._marker_noise.forget(moved)
         if moved.any():
             # Learned anew where it is from the next frame on; a body none of which fits, too.
             self._frames[moved] = self._drift[moved] = 0.0
@@ -270,12 +351,14 @@ class Shapes:
             self._exchanged[b] = 0
             # What was left with the names of before is no rule.
             self._left[b] = np.nan
+            self._marker_noise.forget(np.arange(len(self.points))[:, None] == [[b]])
         for b, early in enumerate(self._early):
             if early is not None and self._fits[b] >= _MATURE:
                 anew[b] = self._look_back(b, np.array(early))
                 self._early[b] = None
         if anew.any():
             self._turns.forget()
+            self._continuity.begin(anew)
         self._measure()
         return anew
 
@@ -316,21 +399,27 @@ class Shapes:
     def _least_rule(self) -> Real:
         return np.maximum(self._rule, _TINY**2 * self.spread)
 
-    def _mend(self, points: Complex, fit: Fit) -> tuple[Fit, Complex]:
-        """Put right what can be of one frame (B, n); as `fit` gives it, with an axis of one."""
+    def _mend(self, points: Complex, fit: Fit) -> tuple[Fit, Complex, Complex, Real]:
+        """
+        Put right what can be of one frame (B, n); as `fit` gives it, with an axis of one.
+
+        Also the residuals and freedoms as they were.
+        """
         points, weights = points.copy(), np.where(np.isnan(points), 0.0, self._weights)
         order = np.tile(np.arange(points.shape[1]), (len(points), 1))
         fit = self._turn_back(points, weights, order, fit)
         residual, freedom = fit.residual[None], fit.freedom[None]
         with np.errstate(invalid='ignore'):
-            far = (np.abs(fit.residual) > self._limit[:, None]).any(axis=-1) & self._mature
+            most = self._limit[:, None] * np.sqrt(self._marker_noise.relative)
+            far = (np.abs(fit.residual) > most).any(axis=-1) & self._mature
         good = ~(far[:, None] | np.isnan(fit.residual))
         ahead = self._turns.ahead()
         for b in np.flatnonzero(far):
             given = weights[b] > 0
             limit = float(self._limit[b])
             markers = points[b], self.points[b], weights[b], limit
-            points[b], what, which = untangle(*markers, float(ahead[b]))
+            erring = np.sqrt(self._marker_noise.relative[b])
+            points[b], what, which = untangle(*markers, float(ahead[b]), erring)
             self.mended[what] += len(which)
             if what == EXCHANGED:
                 order[b, which] = order[b, which[::-1]]
@@ -343,9 +432,8 @@ class Shapes:
         self._in_place(good)
         self._exchanged[changed], self._order[changed] = running[changed], order[changed]
         fit = Fit(*(field[None] for field in fit_pose(points, self.points, weights)))
-        self._take(fit, points[None], residual, freedom)
         self._disturbed = True
-        return fit, points[None]
+        return fit, points[None], residual, freedom
 
     def _turn_back(self, points: Complex, weights: Real, order: np.ndarray, fit: Fit) -> Fit:
         """
@@ -365,7 +453,7 @@ class Shapes:
 
     def _learn_rule(self, news: '_News') -> None:
         """Take the mean squares that the fits of frames leave."""
-        left = mean_square(news.residual, news.freedom)[0]
+        left = mean_square(self.of_the_same(news.residual), news.freedom)[0]
         most = np.where(self._fits < _MATURE, np.inf, _RULE_CLIP * self._least_rule())
         # A body at rest in a tracker that rounds seems to fit to the last digit, until it moves.
         before = np.concatenate((self._before[None], news.points[:-1]))
@@ -394,6 +482,7 @@ class Shapes:
         self._astray = np.pad(self._astray, more)
         self._before = np.pad(self._before, more, constant_values=complex(np.nan, np.nan))
         self._drift = np.pad(self._drift, more)
+        self._marker_noise.widen(markers)
         self._early = [
             early and [np.pad(row, more[1], constant_values=np.nan) for row in early]
             for early in self._early
@@ -412,15 +501,17 @@ class Shapes:
         offsets = np.where(known, self.points - mean[:, None], 0)
         self.spread = (offsets.real**2 + offsets.imag**2).sum(axis=-1)
         # A marker known from N frames has 1 + 1/N times the variance of a well-known one.
-        self._weights = self._frames / (self._frames + 1.0)
+        self._weights = self._frames / (self._frames + 1.0) / self._marker_noise.relative
         self._limit = _SUSPECT * np.sqrt(self._least_rule())
         self._mature = self._fits >= _MATURE
         # What all frames share in which every marker is seen, as a rule all there are.
-        self._most = np.where(self._mature, self._limit**2, np.inf)[:, None]
+        most = np.where(self._mature, self._limit**2, np.inf)[:, None]
+        # A marker that is known to err more may do so.
+        self._most = most * self._marker_noise.relative
         size = 2 * np.sqrt(self.spread / np.maximum(self.known, 1))
         young = np.maximum(_YOUNG_SUSPECT * size, 2 * self._limit)
         self.limit = np.where(self._mature, self._limit, young)
-        self._doubt = (self.limit**2)[:, None]
+        self._doubt = (self.limit**2)[:, None] * self._marker_noise.relative
         self._grip = grip_of(self.points, self._weights)
         least = self._frames.min(where=known, initial=_MEMORY) if known.any() else 0
         self.beat = max(1, int(least * _BEAT))
@@ -446,6 +537,14 @@ class Shapes:
         As rigid fits leave it: noise, and whatever makes a body look not quite rigid.
         """
         return np.where(self._mature, self._rule, np.nan)
+
+
+def _without(fit: Fit, lost: np.ndarray) -> Fit:
+    """Fits without the poses that are `lost` (T, B)."""
+    if not np.count_nonzero(lost):
+        return fit
+    nowhere = np.where(lost, np.nan, 0.0)
+    return fit._replace(angle=fit.angle + nowhere, position=fit.position + nowhere)
 
 
 def _makes_a_body(points: Complex) -> np.ndarray:

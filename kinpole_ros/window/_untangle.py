@@ -30,12 +30,18 @@ _SPOILS = 3.0
 
 
 def untangle(
-    points: Complex, shape: Complex, weights: Real, limit: float, angle: float = np.nan
+    points: Complex,
+    shape: Complex,
+    weights: Real,
+    limit: float,
+    angle: float = np.nan,
+    erring: Real | float = 1.0,
 ) -> tuple[Complex, str, np.ndarray]:
     """
     Mend one body's markers (n,) that do not fit its `shape` (n,) with `weights` (n,).
 
-    It is to be at `angle`, rad, NaN if nobody knows. Tries, in this order, every exchange of two
+    It is to be at `angle`, rad, NaN if nobody knows; `erring` (n,) is how many times as far as the
+    others a marker may be off. Tries, in this order, every exchange of two
     markers, leaving out one marker, and leaving out two; the first kind that leaves no marker
     farther than `limit` (m) from its place is taken, at its best. Returns the markers, NaN where
     left out, what was done, and to which of them. A body that none of it mends, or that fits
@@ -48,11 +54,13 @@ def untangle(
         exchanges[row, [i, j]] = points[[j, i]]
     nothing = np.full_like(points, complex(np.nan, np.nan))
     if len(seen) > 2:
-        best, worst = _best(exchanges, shape, np.tile(weights, (len(pairs), 1)), limit, angle)
+        best, worst = _best(
+            exchanges, shape, np.tile(weights, (len(pairs), 1)), limit, angle, erring
+        )
         if worst <= limit:
             return exchanges[best], EXCHANGED, np.array(pairs[best])
         mirrored = points[None].conj()
-        if _best(mirrored, shape, weights[None])[1] <= limit:
+        if _best(mirrored, shape, weights[None], erring=erring)[1] <= limit:
             return nothing, MIRRORED, seen
     for leave in (1, 2):
         # At least two markers have to remain that agree on the distance between them.
@@ -62,7 +70,7 @@ def untangle(
         lighter = np.tile(weights, (len(sets), 1))
         for row, left in enumerate(sets):
             lighter[row, list(left)] = 0.0
-        best, worst = _best(np.tile(points, (len(sets), 1)), shape, lighter)
+        best, worst = _best(np.tile(points, (len(sets), 1)), shape, lighter, erring=erring)
         if worst <= limit:
             return np.where(lighter[best] > 0, points, nothing), LEFT_OUT, np.array(sets[best])
     return nothing, DROPPED, seen
@@ -124,16 +132,23 @@ def agreed(
 
 
 def _best(
-    points: Complex, shape: Complex, weights: Real, limit: float = 0.0, angle: float = np.nan
+    points: Complex,
+    shape: Complex,
+    weights: Real,
+    limit: float = 0.0,
+    angle: float = np.nan,
+    erring: Real | float = 1.0,
 ) -> tuple[int, float]:
     """
     Which row (m, n) fits the shape best, by its worst marker, and how far off that is.
+
+    Over how many times as far as others a marker may be off, if `erring` says so.
 
     One near the expected `angle` goes before the others, if its markers are off by no more than
     the `limit`, m.
     """
     fit = fit_pose(points, np.broadcast_to(shape, points.shape), weights)
-    residual = np.abs(fit.residual)
+    residual = np.abs(fit.residual) / erring
     worst = np.where(np.isnan(residual), 0.0, residual).max(axis=-1)
     worst = np.where(np.isnan(residual).all(axis=-1), np.inf, worst)
     with np.errstate(invalid='ignore'):
