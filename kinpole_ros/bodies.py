@@ -372,7 +372,7 @@ class RigidBodies:
             nowhere = np.where(suspect, np.nan, 0.0)
             fit = fit._replace(angle=fit.angle + nowhere, position=fit.position + nowhere)
             information = np.where(np.tile(suspect, 2), 0.0, information)
-        self.deformation.add(self._shapes.of_the_same(fit.residual))
+        self.deformation.add(fit.residual)
         self._news.append(
             _News(
                 rows['time'].copy(),
@@ -461,7 +461,7 @@ class RigidBodies:
                 learned.forget(anew)
             self._since[anew] = news.stamps[-1] + 1
         noise = np.fmax(self.noise(), self._noise.level())
-        fits = news.stamps, alike, news.freedom
+        fits = news.stamps, news.residual, news.freedom
         self.deformation.learn(*fits, noise, self._noise.degrees())
         if anew.any():
             self._fields.forget()

@@ -346,7 +346,7 @@ class Tracker:
         self._timeline.pose(rows, self._rigid.known['noise'])
         self._space.add(frames.stamps, solid)
         missing = np.count_nonzero(np.isnan(seen)) - seen.size
-        self.counts['markers_not_seen'] += self._roster.wanted * len(rows) + missing
+        self.counts['markers_not_seen'] += int(self._roster.wanted * len(rows) + missing)
 
     def _catch_up(self) -> None:
         """The plane has become known: learn from the frames before, and see them in it."""

@@ -118,6 +118,9 @@ class DiagnosticsMaker:
             unknown = PLANE_UNKNOWN if tracker.plane is None else ''
             if plane := unknown or tilt_fault(space, tracker.settings.plane):
                 faults.append((DiagnosticStatus.WARN, plane))
+        outages = self._new_outages(tracker)
+        if '' in outages:
+            faults.append((DiagnosticStatus.WARN, unseen('', outages[''].latest)))
         array.status = [self._input(tracker, since, seconds, faults, space_values(space))]
         noise, underrated = tracker.noise(), tracker.underrated()
         loose = [
@@ -127,9 +130,6 @@ class DiagnosticsMaker:
             )
         ]
         units = [unit_fault(size, tracker.settings.scale) for size in space.size.tolist()]
-        outages = self._new_outages(tracker)
-        if '' in outages:
-            faults.append((DiagnosticStatus.WARN, unseen('', outages[''].latest)))
         erring, wrong = tracker.erring(), tracker.wrong()
         before = np.zeros_like(wrong) if self._wrong is None else self._wrong
         self._wrong = wrong
