@@ -73,7 +73,7 @@ class Timeline:
         self._last = 0
         self._last_points: np.ndarray | None = None
         self._newest = 0
-        self._ticks = Ticks(settings.stamps)
+        self._ticks = Ticks(settings.stamps, self.window)
         if before is not None:
             self._ticks.regular = before._ticks.regular
         self._counter: FrameCounter | None = None
