@@ -15,12 +15,12 @@ import numpy as np
 from kinpole_ros.clock import FEWEST_FRAMES, Clock, Loss, find_clock
 from kinpole_ros.planar._plane import Real
 
-# ns and frames that the clock is found from, at most.
-_MEMORY, _MOST = 10 * 10**9, 4096
-# Looks at the clock come after a quarter more frames each time, and at least so often, ns.
-_GROWTH, _SELDOM = 4, 5 * 10**8
-# Evidence in nats decides from so many on; half of it is forgotten in this time, ns.
-_DECIDES, _HALF_LIFE = 6.0, 10**9
+# Windows that the clock is found from, and frames at least and at most: 10 s of 0.3 s each.
+_MEMORY, _LEAST, _MOST = 33, 128, 4096
+# Looks at the clock come after a quarter more frames each time, and at least so often, windows.
+_GROWTH, _SELDOM = 4, 1.7
+# Evidence in nats decides from so many on; half of it is forgotten in so many windows.
+_DECIDES, _HALF_LIFE = 6.0, 3.3
 # No more than so many nats are kept: a driver may be changed.
 _MOST_NATS = 50.0
 # Neighbors on each side that predict a pose, and frames for the first evidence.
@@ -61,11 +61,13 @@ class Ticks:
     """
     The clock behind stamps, and whether motion says that frames are at its ticks.
 
-    `mode` is the parameter `stamps`; `regular` is whether frames are taken to be at ticks.
+    `window`, ns, is as long as the estimates'; `mode` is the parameter `stamps`; `regular` is
+    whether frames are taken to be at ticks.
     """
 
-    def __init__(self, mode: str) -> None:
+    def __init__(self, mode: str, window: int) -> None:
         self.mode = mode
+        self._window = window
         self.regular = mode == 'arrival'
         self.clock: Clock | None = None
         self.lost = 0
@@ -103,7 +105,9 @@ class Ticks:
         self._stamps = np.concatenate((self._stamps, news[0]))
         self._taken = np.concatenate((self._taken, news[1]))
         newest = int(self._stamps[-1])
-        old = max(int((self._stamps > newest - _MEMORY).argmax()), len(self._stamps) - _MOST, 0)
+        old = int((self._stamps > newest - _MEMORY * self._window).argmax())
+        # Of a slow camera as many as are looked at alike.
+        old = max(min(old, len(self._stamps) - _LEAST), len(self._stamps) - _MOST, 0)
         self._forget(old)
         before = max(before - old, 0)
         clock, counts = find_clock(self._stamps, self.clock)
@@ -115,7 +119,7 @@ class Ticks:
         if len(steps) and (self.regular or clock.largest < clock.interval / 2):
             self.lost += int((steps - 1).clip(0).sum())
         self.clock = clock
-        seldom = max(FEWEST_FRAMES, int(_SELDOM / max(clock.interval, 1.0)))
+        seldom = max(FEWEST_FRAMES, int(_SELDOM * self._window / max(clock.interval, 1.0)))
         self.room = min(max(1, self.seen // _GROWTH), seldom)
         ours = counts[self._taken]
         self._weigh(ours, noise)
@@ -174,7 +178,7 @@ class Ticks:
         times = np.stack(((stamps - stamps[0]) / interval, (counts[at] - counts[at][0]) * 1.0))
         signals, variance = _signals(poses[part], information[part], noise)
         nats, speed = evidence(times, signals, variance)
-        fading = 0.5 ** ((usable - 2 * _SIDE) * interval / _HALF_LIFE)
+        fading = 0.5 ** ((usable - 2 * _SIDE) * interval / (_HALF_LIFE * self._window))
         self.nats = float(np.clip(fading * self.nats + nats, -_MOST_NATS, _MOST_NATS))
         self._speed = max(speed, fading * self._speed)
         if self.mode == 'auto' and abs(self.nats) > _DECIDES:

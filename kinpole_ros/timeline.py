@@ -73,9 +73,12 @@ class Timeline:
         self._last = 0
         self._last_points: np.ndarray | None = None
         self._newest = 0
-        self._ticks = Ticks(settings.stamps)
+        self._ticks = Ticks(settings.stamps, self.window)
         if before is not None:
             self._ticks.regular = before._ticks.regular
+        # As the frames that are held are taken: what is decided counts when all that wait are
+        # estimated.
+        self._regular = self._ticks.regular
         self._counter: FrameCounter | None = None
         # The time of a count, and from one to the next.
         self._anchor = 0, 0
@@ -100,7 +103,7 @@ class Timeline:
     @property
     def regular(self) -> bool:
         """Whether frames are taken to be at ticks of the clock."""
-        return self._ticks.regular
+        return self._regular
 
     def stamp_state(self) -> StampState | None:
         """How the stamps are; None while too few have come."""
@@ -120,7 +123,7 @@ class Timeline:
             self._slips = True
             return stamps[:0], 0, False
         stamps = stamps[:until]
-        sift = self._sift_arrivals if self._ticks.regular else self._sift_captures
+        sift = self._sift_arrivals if self._regular else self._sift_captures
         ahead, end, repeated = sift(stamps, points)
         if end:
             came = slice(None) if repeated is None else ~repeated
@@ -203,7 +206,7 @@ class Timeline:
         rows = self._frames.room(len(stamps))
         rows['stamp'], rows['number'] = stamps, numbers
         self._waiting += len(stamps)
-        if self._ticks.regular:
+        if self._regular:
             return rows, self._enter_arrivals(rows, stamps)
         rows['time'] = stamps
         rows['count'] = rows['behind'] = 0
@@ -241,7 +244,7 @@ class Timeline:
         """
         self._ticks.add_poses(rows['poses'], rows['information'])
         counted, self._counted = self._counted, None
-        if not self._ticks.regular:
+        if not self._regular:
             return
         every = self._frames.view()
         if counted is not None and counted.sure:
@@ -285,7 +288,7 @@ class Timeline:
         if self._slips:
             self._slips, self._ticks.regular = False, True
             return self._count_anew
-        was = self._ticks.regular
+        was = self._regular
         lost = self._ticks.lost
         self._ticks.look(noise)
         self._counts['lost'] += self._ticks.lost - lost
@@ -318,6 +321,7 @@ class Timeline:
         """Give all frames the counts that the clock has for them."""
         clock, every = self._ticks.clock, self._frames.view()
         assert clock is not None
+        self._regular = True
         self._step = max(round(clock.interval), 1)
         if not len(every):
             return
@@ -344,6 +348,7 @@ class Timeline:
 
     def _to_stamps(self) -> None:
         """Take frames to be at their stamps from now on."""
+        self._regular = False
         every = self._frames.view()
         every['time'] = _rising(every['stamp'])
         self._counter = None
@@ -354,7 +359,7 @@ class Timeline:
 
         Raises Unforeseen where frames do not come evenly, or are too few.
         """
-        if len(self._frames) < FEWEST_SAMPLES or self._ticks.regular:
+        if len(self._frames) < FEWEST_SAMPLES or self._regular:
             raise Unforeseen
         stamps = self._frames.view()['stamp'][-4:]
         steps = stamps[1:] - stamps[:-1]
@@ -393,7 +398,7 @@ class Timeline:
         frames = self._frames.view()
         newest = np.arange(len(frames) - len(new), len(frames))
         times = frames['time']
-        if self._ticks.regular:
+        if self._regular:
             # Frames without a sure count are as if they had not come.
             newest = np.maximum(newest - new['behind'], 0)
             times = times[: newest[-1] + 1]

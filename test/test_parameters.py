@@ -28,6 +28,7 @@ DESIGNED = {
     'plane': 'xy',
     'derivative_order': None,
     'noise': 0.0,
+    'stamps': 'auto',
 }
 
 
@@ -94,6 +95,7 @@ WRONG = [
     ('lag', [-0.1, 1e9, 'auto', False, float('nan'), float('inf')], '0 to 3600 s'),
     ('derivative_order', [0, 5, 2.0, 'all', True, None, -1, '²'], 'auto, 1, 2, 3 or 4'),
     ('noise', [-1e-9, 'low', float('nan'), float('-inf')], '0 to 1e+06 m'),
+    ('stamps', ['arrivals', 0, None, True], 'auto, capture, arrival'),
     ('method', ['poses', 0, None], 'pose, landmarks'),
     ('scene', [0, None, ['four_bar'], True], 'the name of a scene'),
     ('autostart', ['no', 0, 1, None], 'true or false'),
