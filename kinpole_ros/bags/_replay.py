@@ -145,7 +145,7 @@ def replay(
     comparison = Comparison(theory) if theory is not None else None
     found = {body: dict.fromkeys(POLE_NAMES[:order], 0) for body in tracker.bodies}
     unknown = dict.fromkeys(tracker.bodies, '')
-    space = tracker.space()
+    space, looked = tracker.space(), 0
     estimates = 0
     problem = ''
     first, last = None, 0
@@ -178,7 +178,8 @@ def replay(
                 absent = _still_absent(absent, identities)
             whole = (frames,) if writer is None else beat.parts(frames, tracker)
             known = tracker.add_parts(whole, order)
-            space = updated(space, tracker.space())
+            if last - looked >= _SECOND:
+                looked, space = last, updated(space, tracker.space())
             for estimate in known:
                 estimates += len(estimate)
                 _count(found, estimate)
@@ -199,6 +200,7 @@ def replay(
             for row in outputs:
                 writer.add_topic(f'/{NODE_NAME}/{row.topic}', row.message_type)
             writer.add_topic('/diagnostics', DiagnosticArray)
+    space = updated(space, tracker.space())
     counts = tracker.counts
     if counts['unreadable'] and not counts['frames']:
         raise BagError(f'{bag}: no message on {name} can be read: {problem}')

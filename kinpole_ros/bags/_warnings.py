@@ -64,7 +64,8 @@ def warnings_of(result: Replayed, settings: Settings) -> list[str]:
     for body, erring in result.erring.items():
         lines += [f'{body}: {fault}' for fault in marker_faults(erring, result.noise[body])]
     lines += [f'{body}: {left_out(count)}' for body, count in result.wrong.items() if count]
-    for body, outage in result.outages.items():
+    # Without any results one line below says why.
+    for body, outage in result.outages.items() if result.estimates else ():
         name = f'{body}: ' if body else ''
         more = f'; {outage.times} such times, this the longest' if outage.times > 1 else ''
         lines.append(f'{name}{unseen(body, outage.longest)}{more}')

@@ -39,6 +39,8 @@ _GAINS = 1 + (_WEIGHTS**2).sum(axis=1)
 _REACHES = np.abs(_WEIGHTS).sum(axis=1)
 _TURN = 2 * np.pi
 _NOTHING = complex(np.nan, np.nan)
+# What is predicted from nothing comes out as NaN.
+_UNDEFINED = np.errstate(divide='ignore', invalid='ignore', over='ignore')
 
 
 class Verdict(NamedTuple):
@@ -97,6 +99,7 @@ class Continuity:
         for _, signals in self._news:
             signals[:, both] = _NOTHING
 
+    @_UNDEFINED
     def odd(self, stamps: np.ndarray, angle: Real, position: Complex) -> np.ndarray:
         """
         Which of the next frames (T,), by stamps, ns, and poses (T, B), are far off.
@@ -144,6 +147,7 @@ class Continuity:
             self._find_step()
         return turns
 
+    @_UNDEFINED
     def step(self, stamp: int, angle: Real, position: Complex) -> Verdict:
         """Take the one next frame (1, B), which may be odd."""
         stamps = np.array([stamp])
@@ -196,6 +200,7 @@ class Continuity:
             return None
         return (self._weights * self._signals).sum(axis=0), self._limit
 
+    @_UNDEFINED
     def learn(self, size: Real) -> None:
         """A beat: see how well the frames since the last were predicted; `size` (B,), m."""
         if not self._news:
@@ -373,15 +378,14 @@ def _lagrange(times: Real, numbers: np.ndarray) -> Real:
     past, now = times[rows].T, times[_POINTS:]
     ahead = now - past
     weights = np.zeros((count, _POINTS, _POINTS))
-    with np.errstate(divide='ignore', invalid='ignore'):
-        for degree in range(_POINTS):
-            some = range(_DEGREE - degree, _POINTS)
-            for j in some:
-                each = np.ones(count)
-                for i in some:
-                    if i != j:
-                        each = each * ahead[i] / (past[j] - past[i])
-                weights[:, degree, j] = each
+    for degree in range(_POINTS):
+        some = range(_DEGREE - degree, _POINTS)
+        for j in some:
+            each = np.ones(count)
+            for i in some:
+                if i != j:
+                    each = each * ahead[i] / (past[j] - past[i])
+            weights[:, degree, j] = each
     weights[numbers[_POINTS:] - numbers[:count] > _RECENT] = np.nan
     return weights
 
