@@ -69,7 +69,8 @@ class MarkerNoise:
         self._start_anew()
 
     def forget(self, which: np.ndarray) -> None:
-        """Forget markers `which` (B, n): they sit elsewhere, or are others now."""
+        """Forget markers `which` (B, n), or (B, 1): they sit elsewhere, or are others now."""
+        which = np.broadcast_to(which, self.relative.shape)
         self._residual[:, which] = complex(np.nan, np.nan)
         self.relative[which], self.deviation[which] = 1.0, 0.0
 

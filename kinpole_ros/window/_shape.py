@@ -169,7 +169,7 @@ class Shapes:
             self._early[b] = []
         self._turns.forget()
         self._continuity.begin(which)
-        self._marker_noise.forget(np.broadcast_to(which[:, None], self.points.shape))
+        self._marker_noise.forget(which[:, None])
         self._measure()
 
     def fit(
