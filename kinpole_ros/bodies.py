@@ -460,14 +460,16 @@ class RigidBodies:
             for learned in learners:
                 learned.forget(anew)
             self._since[anew] = news.stamps[-1] + 1
+        # What a body left that begins anew was not the error of its markers.
+        left = np.where(anew[:, None], complex(np.nan, np.nan), news.residual)
         noise = np.fmax(self.noise(), self._noise.level())
-        fits = news.stamps, news.residual, news.freedom
+        fits = news.stamps, left, news.freedom
         self.deformation.learn(*fits, noise, self._noise.degrees())
         if anew.any():
             self._fields.forget()
         elif np.count_nonzero(self.deformation.freedom):
             self._fields.add(news.position, news.angle, news.residual, self._shapes.markers())
-        changed = self._shapes.weigh(news.residual, news.freedom, ~news.gaps)
+        changed = self._shapes.weigh(left, news.freedom, ~news.gaps)
         if changed.any():
             # Poses from before are by other weights.
             for weighed in (self._pins, self._references, self._lasting, self.deformation):

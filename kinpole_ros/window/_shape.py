@@ -359,6 +359,7 @@ class Shapes:
         if anew.any():
             self._turns.forget()
             self._continuity.begin(anew)
+            self._marker_noise.forget(anew[:, None])
         self._measure()
         return anew
 

@@ -88,6 +88,8 @@ class Deformation:
         self._rows.view()[:, which] = 0.0
         self._last[which] = 0.0
         self._sums[:, which] = self.freedom[which] = 0.0
+        if self._tail is not None:
+            self._tail[1][:, which] = 0.0
 
     def learn(
         self, stamps: np.ndarray, residual: Complex, freedom: Real, noise: Real, degrees: Real
