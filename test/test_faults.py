@@ -285,12 +285,6 @@ WRONG_STAMPS: dict[str, tuple[Callable[[int], int], bytes, str, str | None]] = {
     'frames overtake one another': (lambda k: (k ^ 1) * STEP, WARN, 'came late', LATE),
     'every stamp comes twice': (lambda k: k // 2 * STEP, WARN, 'stamps repeat', REPEATED),
     'all stamps are the same': (lambda k: 0, ERROR, 'the stamps stand still at', REPEATED),
-    'time of receipt, in bunches': (
-        lambda k: k // 10 * 10 * STEP + k % 10 * 100_000,
-        WARN,
-        'the stamps come in bunches',
-        None,
-    ),
     'ns taken for s': (lambda k: k * STEP * 10**9, ERROR, 'times as fast as the messages', None),
     'ms taken for s': (lambda k: k * STEP * 1000, ERROR, 'times as fast as the messages', None),
     'ms taken for ns': (lambda k: 5 * k, ERROR, 'times as fast as the messages', None),

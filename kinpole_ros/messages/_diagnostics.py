@@ -108,8 +108,13 @@ class DiagnosticsMaker:
         array.header.stamp = ns_to_stamp(stamp)
         faults = _faults(tracker, since, trouble, self._nothing)
         state = tracker.stamp_state()
-        if state is None or not state.regularized:
-            faults += stamp_faults(stamps, seconds, tracker.settings.window)
+        regularized = state is not None and state.regularized
+        faults += [
+            (level, text)
+            for level, text in stamp_faults(stamps, seconds, tracker.settings.window)
+            # Bunches are no fault of figures that are at the ticks of a clock.
+            if level == DiagnosticStatus.ERROR or not regularized
+        ]
         if state is not None and state.costs and since.get('frames'):
             text = jitter_costs(state, tracker.settings.stamps)
             faults.append((DiagnosticStatus.WARN, text))
