@@ -82,9 +82,10 @@ def find_clock(stamps: np.ndarray, before: Clock | None) -> tuple[Clock, np.ndar
     origin = int(stamps[0])
     since = (stamps - origin).astype(float)
     resolution = float(max(np.gcd.reduce(np.diff(stamps)), 1))
+    counts = None
     if before is not None and before.largest <= _PLAIN * before.interval:
         counts = counts_by(stamps, before)
-    else:
+    if counts is None or counts[-1] - counts[0] > 2 * len(counts):
         trials = [_afresh(since, resolution)]
         if before is not None:
             rates = np.array((before.interval, _edge_of(since, trials[0])))
@@ -131,7 +132,9 @@ def _costs(since: Real, counts: np.ndarray, intervals: Real, resolution: float) 
     late = (since - counts * intervals[:, None])[:, :settled]
     late = (late - late.min(axis=1, keepdims=True)).mean(axis=1)
     lost = counts[:, settled - 1] - counts[:, 0] - (settled - 1)
-    return np.asarray(settled * np.log(late + resolution / 4 + 1.0) + _LOSS * lost)
+    cost = settled * np.log(late + resolution / 4 + 1.0) + _LOSS * lost
+    # Where more are lost than come it is the pace within bunches, not that of the camera.
+    return np.asarray(np.where(lost > settled, np.inf, cost))
 
 
 def _search(since: Real, resolution: float) -> np.ndarray:

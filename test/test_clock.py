@@ -175,3 +175,24 @@ def test_diagnostics_name_the_jitter_and_the_fix():
         assert ('stamps: arrival' in status.message) == warns
         values = {pair.key: pair.value for pair in status.values}
         assert float(values['jitter of the stamps, rms (s)']) == pytest.approx(0.8e-3, rel=0.1)
+
+
+def test_bunches_are_spread_over_the_clock_and_named_where_they_are_not():
+    """Frames that are stamped on arrival, ten at a time, as by a network that holds them back."""
+    times = np.arange(600) / 200
+    points, rates = record(times)
+    number = np.arange(600)
+    stamps = START + number // 10 * 50_000_000 + number % 10 * 100_000
+    found = {}
+    for mode in ('auto', 'capture'):
+        tracker = Tracker(settings_from({'bodies': ['body'], 'stamps': mode}))
+        estimates = tracker.add(MarkerFrames(stamps, 'lab', NAMES, points), 1)
+        seen = [e.stamp for e in estimates]
+        value = np.concatenate([e.rate(1).value[:, 0] for e in estimates])
+        off = value - rates[np.searchsorted(stamps, np.concatenate(seen))]
+        status = DiagnosticsMaker('kinpole').make(START, tracker, None, 3.0, {}, stamps.tolist())
+        late = off[np.concatenate(seen) > START + 2 * 10**9]
+        found[mode] = np.sqrt((late**2).mean()), status.status[0].message
+    assert found['auto'][0] < 0.05 < found['capture'][0]
+    assert 'bunches' not in found['auto'][1]
+    assert 'the stamps come in bunches' in found['capture'][1]
