@@ -259,6 +259,10 @@ class RigidBodies:
             rows['beat'][part] = self._known_now()
             first = end
 
+    def are_timed(self, timed: bool) -> None:
+        """Whether the next frames are `timed` well enough to tell bodies that are far off."""
+        self._shapes.are_timed(timed)
+
     def take_unseen(self, rows: np.ndarray) -> None:
         """Fill rows (T,) of frames that nothing can be made of: the plane is not known."""
         rows['poses'] = rows['height'] = np.nan

@@ -105,6 +105,12 @@ class Timeline:
         """Whether frames are taken to be at ticks of the clock."""
         return self._regular
 
+    @property
+    def counts_are_sure(self) -> bool:
+        """Whether a frame's stamp alone tells its tick: none is later than the next."""
+        clock = self._ticks.clock
+        return not self.regular or (clock is not None and clock.largest < clock.interval)
+
     def stamp_state(self) -> StampState | None:
         """How the stamps are; None while too few have come."""
         return self._ticks.state()

@@ -339,6 +339,7 @@ class Tracker:
                 self._early = self._latest_early()
             seen = solid[..., 0]
         else:
+            self._rigid.are_timed(self._timeline.counts_are_sure)
             every = self._timeline.view()[-len(rows) - MOST_SUSPECT :]
             self._rigid.take(every, points, heights, gaps, landmarks)
             # As they were corrected.

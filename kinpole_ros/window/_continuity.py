@@ -59,10 +59,12 @@ class Continuity:
     Whether the poses of B bodies go on as those before; angles are in (-pi, pi].
 
     Signals (2 B,) are angles with whole turns, and then positions; NaN where nothing is known.
+    No pose is far off while frames are not `timed` well enough to be predicted.
     """
 
     def __init__(self, bodies: int) -> None:
         self._bodies = bodies
+        self.timed = True
         # The last samples of each body that are right, oldest first: stamps, ns, numbers of their
         # frames, signals.
         self._stamps = np.zeros((_POINTS, bodies))
@@ -112,7 +114,7 @@ class Continuity:
         self._next = stamps, angle, turns, signals, evenly
         if self._runs:
             return np.ones(len(stamps), bool)
-        if evenly:
+        if evenly and self.timed:
             every, count = np.concatenate((self._signals, signals)), len(stamps)
             off = signals - self._weights[0] * every[:count]
             for k in range(1, _POINTS):
@@ -231,7 +233,7 @@ class Continuity:
         """
         ahead, off = np.full((2, *signals.shape), _NOTHING)
         far = np.zeros(signals.shape, bool)
-        if not np.isfinite(self._limit).any():
+        if not self.timed or not np.isfinite(self._limit).any():
             return ahead, off, far
         numbers = self._number + np.arange(len(stamps))
         found: dict[bytes, Real] = {}

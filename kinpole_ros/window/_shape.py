@@ -245,6 +245,10 @@ class Shapes:
         course = Verdict(*(np.concatenate(field) for field in zip(*verdicts, strict=True)))
         return together, np.concatenate(seen), course
 
+    def are_timed(self, timed: bool) -> None:
+        """Whether the next frames are timed well enough to tell poses that are far off."""
+        self._continuity.timed = timed
+
     def expected(self, stamp: int) -> tuple[Complex, Real] | None:
         """Poses predicted for a frame at `stamp`: see `Continuity.expected`."""
         return self._continuity.expected(stamp)
