@@ -84,12 +84,14 @@ def find_clock(stamps: np.ndarray, before: Clock | None) -> tuple[Clock, np.ndar
     resolution = float(max(np.gcd.reduce(np.diff(stamps)), 1))
     if before is not None and before.largest <= _PLAIN * before.interval:
         counts = counts_by(stamps, before)
-    else:
-        trials = [_afresh(since, resolution)]
-        if before is not None:
-            rates = np.array((before.interval, _edge_of(since, trials[0])))
-            trials += [counts_by(stamps, before), *_counts_of(since, rates)]
-        counts = _likeliest(since, trials, resolution)
+        clock, used = _fit(origin, since, counts, resolution)
+        if clock.largest <= _PLAIN * clock.interval:
+            return clock, counts[-used:]
+    trials = [_afresh(since, resolution)]
+    if before is not None:
+        rates = np.array((before.interval, _edge_of(since, trials[0])))
+        trials += [counts_by(stamps, before), *_counts_of(since, rates)]
+    counts = _likeliest(since, trials, resolution)
     clock, used = _fit(origin, since, counts, resolution)
     # The rate found with some counts may show that others were meant.
     for _ in range(3):
