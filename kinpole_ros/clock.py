@@ -82,15 +82,18 @@ def find_clock(stamps: np.ndarray, before: Clock | None) -> tuple[Clock, np.ndar
     origin = int(stamps[0])
     since = (stamps - origin).astype(float)
     resolution = float(max(np.gcd.reduce(np.diff(stamps)), 1))
-    counts = None
     if before is not None and before.largest <= _PLAIN * before.interval:
         counts = counts_by(stamps, before)
-    if counts is None or counts[-1] - counts[0] > 2 * len(counts):
-        trials = [_afresh(since, resolution)]
-        if before is not None:
-            rates = np.array((before.interval, _edge_of(since, trials[0])))
-            trials += [counts_by(stamps, before), *_counts_of(since, rates)]
-        counts = _likeliest(since, trials, resolution)
+        clock, used = _fit(origin, since, counts, resolution)
+        # Where more are lost than come it is the pace within bunches, not that of the camera.
+        lost_most = counts[-1] - counts[0] > 2 * len(counts)
+        if clock.largest <= _PLAIN * clock.interval and not lost_most:
+            return clock, counts[-used:]
+    trials = [_afresh(since, resolution)]
+    if before is not None:
+        rates = np.array((before.interval, _edge_of(since, trials[0])))
+        trials += [counts_by(stamps, before), *_counts_of(since, rates)]
+    counts = _likeliest(since, trials, resolution)
     clock, used = _fit(origin, since, counts, resolution)
     # The rate found with some counts may show that others were meant.
     for _ in range(3):
@@ -133,7 +136,7 @@ def _costs(since: Real, counts: np.ndarray, intervals: Real, resolution: float) 
     late = (late - late.min(axis=1, keepdims=True)).mean(axis=1)
     lost = counts[:, settled - 1] - counts[:, 0] - (settled - 1)
     cost = settled * np.log(late + resolution / 4 + 1.0) + _LOSS * lost
-    # Where more are lost than come it is the pace within bunches, not that of the camera.
+    # Bunches, as above.
     return np.asarray(np.where(lost > settled, np.inf, cost))
 
 

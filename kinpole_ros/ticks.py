@@ -82,10 +82,14 @@ class Ticks:
         # Poses of frames taken, with what they are known by, that are still to be looked at.
         self._poses: list[tuple[np.ndarray, np.ndarray]] = []
         self._speed = 0.0
+        self._latest = 0
 
     def add(self, stamps: np.ndarray, taken: np.ndarray) -> None:
         """Frames that have come with `stamps` (T,), ns, of which some are `taken`."""
+        if not len(stamps):
+            return
         self._new.append((stamps.copy(), taken.copy()))
+        self._latest = int(stamps[-1])
         self.room -= len(stamps)
         self.seen += len(stamps)
 
@@ -145,14 +149,18 @@ class Ticks:
         clock = self.clock
         if self.regular or clock is None or clock.largest > 1.0 or clock.resolution < _COARSE:
             return len(stamps)
-        off = (stamps - clock.origin - clock.phase) / clock.interval
-        off = np.abs(off - np.rint(off)) * clock.interval
+        before = np.concatenate(((self._latest,), stamps))
+        ticks = (before - clock.origin - clock.phase) / clock.interval
+        counts = np.rint(ticks)
+        off = np.abs(ticks - counts)[1:] * clock.interval
         slips = (off > _COARSE / 2).nonzero()[0]
         if not len(slips):
             return len(stamps)
         first = int(slips[0])
         step = math.gcd(round(clock.resolution), int(stamps[first]) - clock.origin)
-        rounded = off[first] <= _ROUNDED * step and self._may_be_rounded(step)
+        # Frames that come sooner than the clock ticks are of another rate.
+        rounded = off[first] <= _ROUNDED * step and counts[first + 1] > counts[first]
+        rounded = rounded and self._may_be_rounded(step)
         return first if rounded else len(stamps)
 
     def _forget(self, count: int) -> None:
@@ -182,7 +190,8 @@ class Ticks:
         self.nats = float(np.clip(fading * self.nats + nats, -_MOST_NATS, _MOST_NATS))
         self._speed = max(speed, fading * self._speed)
         if self.mode == 'auto' and abs(self.nats) > _DECIDES:
-            self.regular = self.nats > 0
+            # Frames are not late by windows: then it is no clock.
+            self.regular = self.nats > 0 and self.clock.largest < self._window
 
     def state(self) -> StampState | None:
         """How the stamps are; None while too few have come."""

@@ -238,7 +238,8 @@ def test_frames_in_parts_leave_the_tracker_after_each_part_as_frames_added_part_
     assert alone.counts['resets'] and alone.counts['late'] and alone.counts['frame_changes']
     due = [(int(s), int(d)) for e in found for s, d in zip(e.stamp, e.due, strict=True)]
     assert due == expected
-    assert len(found) < 6 < len(expected)
+    # At once, but where frames start anew or their times do.
+    assert len(found) < 10 < len(expected)
 
 
 def test_a_gap_within_the_window_resets_nothing() -> None:
