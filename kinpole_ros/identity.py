@@ -286,7 +286,9 @@ def _likely(b: int, ways: _Poses, shape: Complex, known: np.ndarray, expected: E
     ways, agree, ahead = ways.at(ways_kept), agree[ways_kept], ahead[ways_kept]
     if not len(ways.count):
         return ways
-    best = ways.count == ways.count.max()
+    # A name counts as much as a fit: a marker that is off for once does not make its body another.
+    score = ways.count + agree
+    best = score == score.max()
     ways, agree, ahead = ways.at(best), agree[best], ahead[best]
     if len(agree) > 1 and (agree.max() > agree).sum() == len(agree) - 1:
         return ways.at(agree == agree.max())

@@ -361,3 +361,14 @@ def test_a_mirrored_body_is_not_found() -> None:
 def test_shapes_are_checked_with_the_other_parameters(values: dict[str, Any], said: str) -> None:
     with pytest.raises(ParameterError, match=said):
         settings_from(values)
+
+
+def test_bodies_of_one_shape_keep_their_names_where_a_marker_is_off() -> None:
+    shape = np.array([0.09 + 0.02j, -0.03 + 0.1j, -0.08 - 0.05j, 0.05 - 0.06j])
+    points = np.concatenate((shape, 3 + 1j * shape))
+    points[0] += 0.03
+    nowhere = np.full(2, complex(np.nan, np.nan))
+    names = np.arange(8).reshape(2, 4)
+    expected = Expected(nowhere, nowhere, names, np.zeros(2, bool))
+    found = match(points, np.stack((shape, shape)), np.full(2, 0.01), expected)
+    assert found.place.tolist() == [[-1, 1, 2, 3], [4, 5, 6, 7]]
