@@ -1,6 +1,7 @@
 """Frames one by one and joined, and through the learned shapes and noise as the tracker does it."""
 
 from collections.abc import Iterator, Sequence
+from itertools import groupby
 
 import numpy as np
 
@@ -42,6 +43,12 @@ def one_frame(
 
 
 def joined(frames: Sequence[MarkerFrames]) -> MarkerFrames:
-    """Frames of the same markers as one stretch: a tracker takes that far sooner."""
-    stamps, points = (np.concatenate([f[k] for f in frames]) for k in (0, 3))
+    """Frames of the same markers as one: a tracker takes them far sooner than one by one."""
+    stamps, points = (np.concatenate([frame[k] for frame in frames]) for k in (0, 3))
     return MarkerFrames(stamps, frames[0].frame_id, frames[0].identities, points)
+
+
+def stretches(frames: Sequence[MarkerFrames]) -> Iterator[MarkerFrames]:
+    """Frames, with those joined that follow each other and have the same markers."""
+    for _, alike in groupby(frames, lambda frame: (frame.frame_id, frame.identities)):
+        yield joined(list(alike))
