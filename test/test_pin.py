@@ -212,15 +212,19 @@ def test_a_frame_or_two_off_its_place_leaves_a_body_on_its_pin(bad: int) -> None
     assert found[-300:].all()
 
 
-def poses(angle: np.ndarray, place: np.ndarray, noise: float, seed: int) -> Iterator[Pins]:
-    """What is made of poses (N,) of a body of size 0.2 whose markers have that noise."""
+def poses(
+    angle: np.ndarray, place: np.ndarray, noise: float, seed: int, beat: int = 1
+) -> Iterator[Pins]:
+    """What is made of poses (N,) of a body of size 0.2 whose markers have that noise, by beats."""
     rng = np.random.default_rng(seed)
     pins = Pins(1)
-    variance = np.array([[[noise**2 / 4], [noise**2 / 0.04]]])
-    for k, (turned, at) in enumerate(zip(angle, place, strict=True)):
-        found = at + noise / 2 * (rng.normal(size=(1, 2)) @ (1, 1j))
-        off = noise / 0.2 * rng.normal(size=1)
-        pins.add(np.array([k]), found[None], (turned + off)[None], variance, np.array([0.2]))
+    found = (place + noise / 2 * (rng.normal(size=(len(place), 2)) @ (1, 1j)))[:, None]
+    turned = (angle + noise / 0.2 * rng.normal(size=len(angle)))[:, None]
+    variance = np.tile([[noise**2 / 4], [noise**2 / 0.04]], (len(angle), 1, 1))
+    stamps, size = np.arange(len(angle)), np.array([0.2])
+    for first in range(0, len(angle), beat):
+        part = slice(first, first + beat)
+        pins.add(stamps[part], found[part], turned[part], variance[part], size)
         yield pins
 
 
@@ -298,7 +302,7 @@ def test_the_stated_deviation_of_a_pin_is_its_error(speed: float, count: int) ->
     angle = speed * np.arange(count) / 200
     squares = []
     for seed in range(60):
-        *_, pins = poses(angle, 0.4 - 0.15 * np.exp(1j * angle), 1e-3, seed)
+        *_, pins = poses(angle, 0.4 - 0.15 * np.exp(1j * angle), 1e-3, seed, beat=12)
         squares.append(np.abs(pins.center[0] - 0.4) ** 2 / pins.variance[0] / 2)
     assert np.isfinite(squares).sum() > 50
     # Sixty draws of a chi-square of 2 over 2 have a mean within 0.13 of 1, two times in three.
