@@ -94,7 +94,7 @@ def follow_both(
     ],
 )
 def test_prompt_figures_are_those_of_the_arrays(scene: str, lag: float, plane: str) -> None:
-    seen = record(scene, 260, noise=2e-4, plane=plane)
+    seen = record(scene, 200, noise=2e-4, plane=plane)
     told, estimates = follow_both(seen.frames, {**seen.values, 'lag': lag})
     assert len(told) > 0.9 * (len(seen.frames) - START_UP)
     curved = [e.centrode_curvature.determined.any() for e in estimates]
