@@ -250,8 +250,10 @@ class Rig(Peer):
 
         # They come once a second, however many frames do.
         self.pace = 2 * PACE
-        self.until(act_and_look, f'diagnostics of level {level!r} that say: {words}')
-        self.pace = PACE
+        try:
+            self.until(act_and_look, f'diagnostics of level {level!r} that say: {words}')
+        finally:
+            self.pace = PACE
         self.check_finite()
 
 
