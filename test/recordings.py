@@ -5,7 +5,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
-from stretches import instants, one_frame
+from stretches import instants, one_frame, stretches
 
 from kinpole_ros import planar
 from kinpole_ros.estimate import POLE_NAMES, Estimate
@@ -92,8 +92,10 @@ def follow(
     """Run a tracker; ask for estimates at every so manieth frame only, since they take time."""
     tracker = Tracker(settings_from(values))
     found: list[Estimate] = []
-    for k, frame in enumerate(frames):
-        found += instants(tracker.add(frame, order if k % every == 0 else None))
+    for k in range(0, len(frames), every):
+        found += instants(tracker.add(frames[k], order))
+        for part in stretches(frames[k + 1 : k + every]):
+            tracker.add(part, None)
     return tracker, found
 
 

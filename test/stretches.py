@@ -1,6 +1,7 @@
-"""Frames one by one, and through the learned shapes and noise as the tracker does it."""
+"""Frames one by one and joined, and through the learned shapes and noise as the tracker does it."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from itertools import groupby
 
 import numpy as np
 
@@ -39,3 +40,15 @@ def one_frame(
 ) -> MarkerFrames:
     """The frame of one instant, with points (n, 3)."""
     return MarkerFrames(np.array([stamp], np.int64), frame_id, identities, points[None])
+
+
+def joined(frames: Sequence[MarkerFrames]) -> MarkerFrames:
+    """Frames of the same markers as one: a tracker takes them far sooner than one by one."""
+    stamps, points = (np.concatenate([frame[k] for frame in frames]) for k in (0, 3))
+    return MarkerFrames(stamps, frames[0].frame_id, frames[0].identities, points)
+
+
+def stretches(frames: Sequence[MarkerFrames]) -> Iterator[MarkerFrames]:
+    """Frames, with those joined that follow each other and have the same markers."""
+    for _, alike in groupby(frames, lambda frame: (frame.frame_id, frame.identities)):
+        yield joined(list(alike))

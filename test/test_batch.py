@@ -379,7 +379,7 @@ def test_what_cannot_be_used_is_one_line(
 def test_what_makes_results_worse_is_reported_and_kept_in_the_summary(
     simulated: Simulated, tmp_path: Path
 ) -> None:
-    bag = simulated('four_bar')
+    bag = simulated('four_bar', rate=100, duration=1.5)
     links = run(bag, '--output', tmp_path / 'links')
     assert links[0] == 0
     assert f'{bag}: body: its markers are' in links[2]
@@ -442,7 +442,7 @@ def test_results_do_not_become_a_part_of_the_folder_they_are_of(
 def test_progress_goes_by_bytes_within_bags_and_over_what_is_left(
     simulated: Simulated, tmp_path: Path
 ) -> None:
-    bag = simulated('cardan', rate=500, duration=4)
+    bag = simulated('cardan', rate=500, duration=2)
     short = simulated('cardan', rate=100, duration=0.6)
     told: list[float] = []
     batch([bag], tmp_path, SETTINGS, workers=1, progress=told.append)

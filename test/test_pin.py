@@ -8,11 +8,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from recordings import PINNED, START, STEP, follow, record
-from stretches import one_frame
+from stretches import instants, joined, one_frame
 
 from kinpole_ros.bench._motions import motions, still_turning
+from kinpole_ros.estimate import Estimate
 from kinpole_ros.frame import MarkerFrames
 from kinpole_ros.mechanism import BodyMotion, marker_positions
+from kinpole_ros.parameters import settings_from
+from kinpole_ros.tracker import Tracker
 from kinpole_ros.window import Pins
 
 pytestmark = pytest.mark.filterwarnings('error')
@@ -45,19 +48,26 @@ def about(center: complex, arm: complex, angle: Any) -> Any:
     return motion
 
 
+def tracked(frames: list[MarkerFrames], order: int = 1, **values: Any) -> list[Estimate]:
+    """What a tracker finds of frames all at once, by instant."""
+    return instants(Tracker(settings_from(values)).add(joined(frames), order))
+
+
 def recognized(frames: list[MarkerFrames], **values: Any) -> np.ndarray:
     """Whether the body is called pinned, by estimate."""
-    found = follow(frames, values, order=1, every=1)[1]
-    return np.array([estimate.pinned[0] for estimate in found])
+    return np.array([estimate.pinned[0] for estimate in tracked(frames, **values)])
 
 
 def ever_taken(frames: list[MarkerFrames]) -> bool:
     """Whether the body is ever thought to be pinned."""
-    tracker = follow(frames[:1], {})[0]
-    for frame in frames:
-        tracker.add(frame, None)
+    tracker, first = Tracker(settings_from({})), 0
+    while first < len(frames):
+        # Pins come and go at beats, of which there is one in so many frames.
+        last = first + tracker._rigid._shapes.beat
+        tracker.add(joined(frames[first:last]), None)
         if np.isfinite(tracker._rigid._pins.center[0]):
             return True
+        first = last
     return False
 
 
@@ -124,7 +134,7 @@ def test_an_icr_on_a_small_circle_is_no_pin(orbit: float) -> None:
 
 def test_what_passes_for_a_pin_is_one_within_the_noise_it_states() -> None:
     frames = seen(lambda t: still_turning(t, 3.0, 0.005 * SIZE), 1600, 1e-2 * SIZE)
-    found = [e for e in follow(frames, {}, order=1, every=1)[1] if e.pinned[0]]
+    found = [e for e in tracked(frames) if e.pinned[0]]
     assert found
     for estimate in found:
         true = still_turning((np.array([estimate.stamp]) - START) * 1e-9, 3.0, 0.005 * SIZE)
@@ -137,13 +147,14 @@ def test_a_slow_hinge_is_recognized_as_surely_as_a_fast_one() -> None:
     for rate in (0.4, 4.0, 40.0):
         count = int(6.0 / rate * 200) + 200
         motion = about(0.3 + 0.2j, 0.1 - 0.05j, lambda t, w=rate: w * t)
-        tracker = follow(seen(motion, count, 1e-4), {}, order=None)[0]
+        tracker = Tracker(settings_from({}))
+        tracker.add(joined(seen(motion, count, 1e-4)), None)
         assert np.isfinite(tracker._rigid._pins.center[0]), rate
 
 
 def test_a_hinge_at_rest_stays_one_and_has_no_poles() -> None:
     motion = about(0.3 + 0.2j, 0.1 + 0j, lambda t: 3.0 * np.minimum(t, 2.0))
-    found = follow(seen(motion, 700, 1e-4), {}, order=2, every=1)[1]
+    found = tracked(seen(motion, 700, 1e-4), order=2)
     assert found[-1].pinned[0]
     assert found[-1].motion(0) == 'still'
     assert not found[-1].pole(1).determined[0]
@@ -158,7 +169,8 @@ def test_a_pin_is_found_and_kept_while_markers_come_and_go(seed: int) -> None:
     for k, frame in enumerate(frames):
         if k // 40 % 2:
             frame.points[:, 3:] = np.nan
-    tracker = follow(frames[:800], {}, order=None)[0]
+    tracker = Tracker(settings_from({}))
+    tracker.add(joined(frames[:800]), None)
     for frame in frames[800:]:
         assert np.isfinite(tracker._rigid._pins.center[0])
         tracker.add(frame, None)
@@ -183,7 +195,7 @@ def test_a_body_that_leaves_its_pin_is_told_of_at_once() -> None:
         return on
 
     frames = seen(motion, 900, 1e-4)
-    found = follow(frames, {'lag': 0.1}, order=1, every=1)[1]
+    found = tracked(frames, lag=0.1)
     pinned = {(e.stamp - START) // STEP: bool(e.pinned[0]) for e in found}
     # 0.5 m/s leaves the noise within a few frames, which lie ahead of the instant that is told.
     assert pinned[570]
@@ -200,15 +212,19 @@ def test_a_frame_or_two_off_its_place_leaves_a_body_on_its_pin(bad: int) -> None
     assert found[-300:].all()
 
 
-def poses(angle: np.ndarray, place: np.ndarray, noise: float, seed: int) -> Iterator[Pins]:
-    """What is made of poses (N,) of a body of size 0.2 whose markers have that noise."""
+def poses(
+    angle: np.ndarray, place: np.ndarray, noise: float, seed: int, beat: int = 1
+) -> Iterator[Pins]:
+    """What is made of poses (N,) of a body of size 0.2 whose markers have that noise, by beats."""
     rng = np.random.default_rng(seed)
     pins = Pins(1)
-    variance = np.array([[[noise**2 / 4], [noise**2 / 0.04]]])
-    for k, (turned, at) in enumerate(zip(angle, place, strict=True)):
-        found = at + noise / 2 * (rng.normal(size=(1, 2)) @ (1, 1j))
-        off = noise / 0.2 * rng.normal(size=1)
-        pins.add(np.array([k]), found[None], (turned + off)[None], variance, np.array([0.2]))
+    found = (place + noise / 2 * (rng.normal(size=(len(place), 2)) @ (1, 1j)))[:, None]
+    turned = (angle + noise / 0.2 * rng.normal(size=len(angle)))[:, None]
+    variance = np.tile([[noise**2 / 4], [noise**2 / 0.04]], (len(angle), 1, 1))
+    stamps, size = np.arange(len(angle)), np.array([0.2])
+    for first in range(0, len(angle), beat):
+        part = slice(first, first + beat)
+        pins.add(stamps[part], found[part], turned[part], variance[part], size)
         yield pins
 
 
@@ -286,7 +302,7 @@ def test_the_stated_deviation_of_a_pin_is_its_error(speed: float, count: int) ->
     angle = speed * np.arange(count) / 200
     squares = []
     for seed in range(60):
-        *_, pins = poses(angle, 0.4 - 0.15 * np.exp(1j * angle), 1e-3, seed)
+        *_, pins = poses(angle, 0.4 - 0.15 * np.exp(1j * angle), 1e-3, seed, beat=12)
         squares.append(np.abs(pins.center[0] - 0.4) ** 2 / pins.variance[0] / 2)
     assert np.isfinite(squares).sum() > 50
     # Sixty draws of a chi-square of 2 over 2 have a mean within 0.13 of 1, two times in three.

@@ -54,6 +54,11 @@ def noisy(simulated: Bag, tmp_path_factory: pytest.TempPathFactory) -> dict[str,
     return decoded(output)
 
 
+@pytest.fixture(scope='session')
+def noisy_figures(noisy: dict[str, list[Any]]) -> Figures:
+    return figures(noisy)
+
+
 @pytest.fixture
 def run(tmp_path: Path) -> Callable[..., Figures]:
     """Replay a bag and return the figures of its results, all or only some topics."""
@@ -483,7 +488,7 @@ def test_markers_may_go_by_place_number_namespace_or_both(simulated: Bag, run: A
 
 @pytest.mark.parametrize('order', [1, 2, 3, 4])
 def test_the_order_limits_the_topics_and_not_the_figures(
-    simulated: Bag, noisy: dict[str, list[Any]], tmp_path: Path, order: int
+    simulated: Bag, noisy_figures: Figures, tmp_path: Path, order: int
 ) -> None:
     output, table = tmp_path / 'out.mcap', tmp_path / 'out.csv'
     replay(simulated('four_bar', **NOISY), replace(FOUR_BAR, derivative_order=order), output, table)
@@ -493,7 +498,7 @@ def test_the_order_limits_the_topics_and_not_the_figures(
         for row in result_outputs(tuple(FOUR_BAR.bodies), 'xy')
         if row.order <= order
     }
-    full = figures(noisy)
+    full = noisy_figures
     assert set(messages) - {'/diagnostics'} == wanted & set(full)
     assert_alike(figures(messages), {topic: full[topic] for topic in wanted if topic in full})
     head = table.read_text().split('\n', 1)[0]

@@ -506,11 +506,9 @@ def test_markers_lost_in_their_noise_make_no_body(count: int) -> None:
     shape = 1e-4 * rng.normal(size=(count, 3))
     tracker = Tracker(settings_from({}))
     names = tuple(str(k) for k in range(count))
-    found = []
-    for k in range(300):
-        rows = shape + 0.01 * rng.normal(size=(count, 3))
-        frame = one_frame(10**9 + k * 5_000_000, 'world', names, rows)
-        found += instants(tracker.add(frame, 4))
+    stamps = 10**9 + 5_000_000 * np.arange(300)
+    points = shape + 0.01 * rng.normal(size=(300, count, 3))
+    found = instants(tracker.add(MarkerFrames(stamps, 'world', names, points), 4))
     told = [estimate.missing[0] for estimate in found[50:]]
     assert told.count('markers too close together for their noise') > 0.95 * len(told)
 

@@ -1,5 +1,6 @@
 """A marker that jumps, two that change places, a mirrored body: mended, counted, and harmless."""
 
+import functools
 from collections import deque
 from collections.abc import Callable
 
@@ -10,7 +11,7 @@ from hypothesis import strategies as st
 from stretches import fit_frames, instants, one_frame
 
 from kinpole_ros.estimate import Estimate
-from kinpole_ros.frame import MarkerFrames
+from kinpole_ros.frame import MarkerFrames, part_of
 from kinpole_ros.mechanism import load_scene, marker_positions
 from kinpole_ros.parameters import settings_from
 from kinpole_ros.planar import Fit
@@ -37,11 +38,8 @@ def track(
         spoil(points)
     markers = {f'{body}.markers': SCENE.marker_names[body] for body in SCENE.markers}
     tracker = Tracker(settings_from({'bodies': list(SCENE.markers), **markers, **values}))
-    found: list[Estimate] = []
-    for k, rows in enumerate(points):
-        frame = one_frame(10**9 + k * (10**9 // RATE), 'world', NAMES, rows)
-        found += instants(tracker.add(frame, 3))
-    return tracker, found
+    stamps = 10**9 + 10**9 // RATE * np.arange(COUNT, dtype=np.int64)
+    return tracker, instants(tracker.add(MarkerFrames(stamps, 'world', NAMES, points), 3))
 
 
 def errors(found: list[Estimate]) -> dict[int, np.ndarray]:
@@ -54,9 +52,15 @@ def errors(found: list[Estimate]) -> dict[int, np.ndarray]:
     }
 
 
+@functools.cache
+def straight_track(noise: float = 2e-4, method: str = 'pose') -> list[Estimate]:
+    """What is found where nothing is spoiled."""
+    return track(None, noise, method=method)[1]
+
+
 @pytest.fixture(scope='module')
 def clean() -> dict[int, np.ndarray]:
-    return errors(track(None)[1])
+    return errors(straight_track())
 
 
 def jump(points: np.ndarray) -> None:
@@ -141,7 +145,7 @@ def test_a_marker_that_was_moved_for_good_is_learned_anew() -> None:
 
 def test_landmarks_by_themselves_are_mended_alike() -> None:
     _, found = track(swap, method='landmarks')
-    _, straight = track(None, method='landmarks')
+    straight = straight_track(method='landmarks')
     for one, other in zip(found, straight, strict=True):
         assert np.allclose(one.angle, other.angle, rtol=1e-9, equal_nan=True)
 
@@ -153,7 +157,7 @@ def test_figures_go_on_as_they_were_when_two_markers_are_exchanged_for_good(meth
 
     tracker, found = track(swapped, method=method)
     assert 200 <= tracker.counts['markers_exchanged'] < 300
-    (_, straight), truth = track(None, method=method), errors(found)
+    straight, truth = straight_track(method=method), errors(found)
     usual = np.sqrt(np.nanmean(np.square(list(errors(straight).values())), axis=0))
     off = [abs(truth[frame] - error) for frame, error in errors(straight).items() if frame > 150]
     assert (np.max(off, axis=0)[:, 1] < 0.1 * usual[:, 1]).all()
@@ -164,7 +168,7 @@ def test_figures_go_on_as_they_were_when_two_markers_are_exchanged_for_good(meth
 
 @pytest.mark.parametrize('spoil', [jump, two_jump, swap, lose])
 def test_without_noise_a_fault_changes_no_figure(spoil: Callable[[np.ndarray], None]) -> None:
-    _, straight = track(None, 0.0)
+    straight = straight_track(0.0)
     tracker, found = track(spoil, 0.0)
     assert sum(tracker.counts.values()) > COUNT  # something was seen to be wrong
     truth = SCENE.motion(np.arange(COUNT) / RATE)
@@ -210,6 +214,14 @@ def fitted(points: np.ndarray) -> tuple[Shapes, list[Fit], np.ndarray]:
     return shapes, fits, np.array(levels)
 
 
+@functools.cache
+def straight_fits(
+    shape: tuple[complex, ...], frames: int, turn: float = 0.03
+) -> tuple[list[Fit], np.ndarray]:
+    """Fits of markers of which none is spoiled, and the noise after each frame."""
+    return fitted(markers(np.array(shape), frames, turn))[1:]
+
+
 def turns(fits: list[Fit]) -> np.ndarray:
     return np.exp(1j * np.array([fit.angle[0] for fit in fits]))
 
@@ -227,7 +239,7 @@ def test_a_bad_frame_leaves_no_trace_in_the_poses_of_a_settled_body(fault: str) 
         spoiled[bad] += [0.1, 0.2j, -0.15, 0.1j]
     else:
         spoiled[bad, 2] = np.nan
-    _, straight, level = fitted(points)
+    straight, level = straight_fits(tuple(KITE), len(points))
     shapes, found, other = fitted(spoiled)
     assert (not shapes.mended) == (fault == 'hide')
     for k in range(len(points)):
@@ -249,11 +261,11 @@ def test_figures_forget_a_bad_frame_of_a_settled_body() -> None:
     rates = []
     for rows in (points, spoiled):
         tracker, found = Tracker(settings_from({'window': 0.1, 'lag': 0.05})), []
-        for k, row in enumerate(rows):
-            solid = np.stack((row.real, row.imag, 0 * row.real), axis=-1)
-            order = 3 if k > bad - 60 else None
-            frame = one_frame(k * 5_000_000, 'w', tuple('abcd'), solid)
-            found += instants(tracker.add(frame, order))
+        solid = np.stack((rows.real, rows.imag, 0 * rows.real), axis=-1)
+        frames = MarkerFrames(5_000_000 * np.arange(len(rows)), 'w', tuple('abcd'), solid)
+        tracker.add(part_of(frames, slice(bad - 59)), None)
+        for k in range(bad - 59, len(rows)):
+            found += instants(tracker.add(part_of(frames, slice(k, k + 1)), 3))
         turning = 0.03 * RATE
         rates.append([estimate.angle[:, 0] / turning ** np.arange(4) for estimate in found])
     change = np.abs(np.subtract(*rates))
@@ -292,7 +304,7 @@ def test_markers_exchanged_by_half_a_turn_leave_no_trace(
     shape: np.ndarray, count: int, turn: float
 ) -> None:
     points = markers(shape, 140, turn)
-    _, straight, _ = fitted(points)
+    straight, _ = straight_fits(tuple(shape), 140, turn)
     shapes, found, _ = fitted(exchange(points, 90, count))
     assert shapes.mended == {'markers_exchanged': len(shape) * count}
     assert np.array_equal(turns(found), turns(straight))
@@ -302,10 +314,11 @@ def test_markers_exchanged_by_half_a_turn_leave_no_trace(
 @pytest.mark.parametrize('count', [1, 5, 250])
 def test_of_exchanges_that_fit_alike_the_one_counts_that_goes_on(count: int, turn: float) -> None:
     """Any two markers of an equilateral triangle may be exchanged, and a turn of it fits."""
-    points = markers(0.1 * np.exp(2j * np.pi * np.arange(3) / 3), 400, turn)
+    shape = 0.1 * np.exp(2j * np.pi * np.arange(3) / 3)
+    points = markers(shape, 400, turn)
     spoiled = points.copy()
     spoiled[90 : 90 + count, :2] = points[90 : 90 + count, 1::-1]
-    _, straight, _ = fitted(points)
+    straight, _ = straight_fits(tuple(shape), 400, turn)
     shapes, found, _ = fitted(spoiled)
     assert shapes.mended['markers_exchanged'] >= 2 * min(count, 100)
     assert np.array_equal(turns(found), turns(straight))
@@ -438,6 +451,11 @@ def figures(points: np.ndarray) -> tuple[Tracker, list[Estimate]]:
     return tracker, instants(tracker.add(MarkerFrames(stamps, 'w', names, solid), 3))
 
 
+@functools.cache
+def straight_figures(count: int) -> list[Estimate]:
+    return figures(markers(KITE[:count], 300))[1]
+
+
 @pytest.mark.parametrize('far', [0.05, 3000.0])
 @pytest.mark.parametrize(
     'when',
@@ -451,7 +469,7 @@ def test_what_is_wild_in_the_first_frames_spoils_no_figure_after_them(
     points = markers(KITE[:count], 300)
     spoiled = points.copy()
     spoiled[when, 1] += far * np.exp(1j * np.arange(len(when)))
-    _, straight = figures(points)
+    straight = straight_figures(count)
     tracker, found = figures(spoiled)
     assert tracker.counts['markers_left_out'] == len(when)
     for one, other in zip(straight[20:], found[20:], strict=True):
