@@ -124,6 +124,20 @@ def test_six_bar_in_mm_tilted_and_in_no_order():
     assert told[1].first < 3 * NOISE
 
 
+@pytest.mark.parametrize('name, bodies', [('six_bar', 5), ('double_pendulum', 2), ('loader', 3)])
+def test_bodies_are_told_apart_where_noise_is_a_tenth_of_their_motion(name, bodies):
+    """Markers near a pin keep their distances to most of the next body, but not to all of it."""
+    frames, scene = markers_of(name, 20, rate=100, noise=1e-3, seed=2)
+    found = discover([frames])
+    assert sorted(found.markers) == sorted(map(list, scene.marker_names.values()))
+    assert len(found.names) == bodies
+
+
+def test_bodies_in_no_order_of_which_a_marker_is_not_found_again():
+    frames, _ = markers_of('antiparallelogram', 20, rate=100, noise=1e-3, tilt=30, scale=1000)
+    assert len(discover(shuffled(frames)).names) == 3
+
+
 @pytest.mark.parametrize(
     'name, kinds',
     [
