@@ -155,7 +155,7 @@ def _merge(cliques: list[list[int]], ratio: Real, limit: float) -> list[list[int
 
 
 def _agree(one: set[int], other: set[int], ratio: Real, limit: float) -> bool:
-    """Whether the markers that only one of two cliques has keep their distances, as far as known."""
+    """Whether the markers that only one of two has keep their distances, as far as known."""
     between = ratio[np.ix_(sorted(one - other), sorted(other - one))]
     known = between[np.isfinite(between)]
     return len(known) == 0 or bool(np.median(known) < _NEARLY * limit)
