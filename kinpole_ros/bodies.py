@@ -377,7 +377,7 @@ class RigidBodies:
             nowhere = np.where(suspect, np.nan, 0.0)
             fit = fit._replace(angle=fit.angle + nowhere, position=fit.position + nowhere)
             information = np.where(np.tile(suspect, 2), 0.0, information)
-        self.deformation.add(self._shapes.weighted(fit.residual))
+        self.deformation.add(fit.residual)
         self._news.append(
             _News(
                 rows['time'].copy(),
@@ -470,7 +470,7 @@ class RigidBodies:
         # What a body left that begins anew was not the error of its markers.
         left = np.where(anew[:, None], complex(np.nan, np.nan), news.residual)
         noise = np.fmax(self.noise(), self._noise.level())
-        fits = news.stamps, self._shapes.weighted(left), news.freedom
+        fits = news.stamps, left, news.freedom
         self.deformation.learn(*fits, noise, self._noise.degrees())
         if anew.any():
             self._fields.forget()
