@@ -181,6 +181,27 @@ def test_names_exchanged_for_some_frames_do_no_harm():
     assert len(assert_lengths(found, scene)) == 4
 
 
+@pytest.mark.parametrize('seed', range(4))
+def test_names_exchanged_for_good_are_named_and_do_no_harm(seed):
+    frames, scene = markers_of('four_bar', 10, seed=seed)
+    points, at, two = frames.points.copy(), 600 + 37 * seed, [2, 3]
+    points[at:, two] = points[at:, two[::-1]]
+    found = discover([frames._replace(points=points)])
+    assert found.markers == [list(scene.marker_names[body]) for body in found.names]
+    assert_lengths(found, scene)
+    one, other = (frames.identities[k] for k in two)
+    (note,) = found.notes
+    assert note.startswith(f'{one!r} and {other!r} exchange names at {at / 200:.2f} s')
+
+
+@pytest.mark.parametrize('scale, words', [(1, 'm'), (1000, 'scale 0.001)'), (39.37, 'inches')])
+def test_another_unit_that_is_as_likely_is_named(scale, words):
+    frames, _ = markers_of('four_bar', 3, scale=scale)
+    (line,) = [line for line in table(discover([frames]), None) if line.startswith('unit:')]
+    assert line.endswith(words) or words in line
+    assert ('0.0254' in line) == (words == 'inches')
+
+
 def test_names_that_change_in_every_frame_are_not_believed():
     frames, _ = markers_of('four_bar', 2, hidden=0.0)
     order = np.argsort(np.random.default_rng(0).random(frames.points.shape[:2]), axis=1)

@@ -69,6 +69,7 @@ def _joined(record: Record, stamps: Stamps, found: Bodies) -> Linkage:
             rolling.append(gear)
             freedom -= 1
     _note_loose(joints, rolling, names, notes)
+    _note_exchanged(record, notes)
     return Linkage(
         names,
         poses,
@@ -214,4 +215,16 @@ def _note_loose(
         notes.append(
             f'no joint connects {", ".join(loose)} with the ground: mark the bodies between, or '
             'move the rig further'
+        )
+
+
+def _note_exchanged(record: Record, notes: list[str]) -> None:
+    times: dict[tuple[str, str], list[int]] = {}
+    for frame, one, other in record.exchanged:
+        times.setdefault((one, other), []).append(frame)
+    for (one, other), frames in times.items():
+        often = f', {len(frames)} times in all' if len(frames) > 1 else ''
+        notes.append(
+            f'{one!r} and {other!r} exchange names at {record.seconds[frames[0]]:.2f} s{often}: '
+            'they are taken as they move; fix: correct the labels in the tracker'
         )
