@@ -138,6 +138,15 @@ def test_bodies_in_no_order_of_which_a_marker_is_not_found_again():
     assert len(discover(shuffled(frames)).names) == 3
 
 
+@pytest.mark.parametrize('noise, said', [(2e-4, False), (1e-3, True)])
+def test_points_left_over_are_told_of(noise, said):
+    """At 1 mm two of the ten markers cannot be followed for long, and are on no body."""
+    frames, _ = markers_of('four_bar', 20, rate=100, noise=noise, tilt=30, scale=1000, seed=1)
+    found = discover(shuffled(frames))
+    assert any('of the points are of no body' in note for note in found.notes) == said
+    assert (sum(map(len, found.markers)) < 10) == said
+
+
 @pytest.mark.parametrize(
     'name, kinds',
     [

@@ -18,6 +18,8 @@ from kinpole_ros.linkage._rolling import Rolling, fit_gear, fit_wheel
 
 # Times the noise a pin may leave over without doubt.
 _DOUBTFUL = 1.5
+# Share of the points that may be of no body: passing others, they cannot always be told apart.
+_LEFT_OVER = 0.03
 
 
 def discover(
@@ -70,6 +72,7 @@ def _joined(record: Record, stamps: Stamps, found: Bodies) -> Linkage:
             freedom -= 1
     _note_loose(joints, rolling, names, notes)
     _note_exchanged(record, notes)
+    _note_left_over(record, found, notes)
     return Linkage(
         names,
         poses,
@@ -227,4 +230,15 @@ def _note_exchanged(record: Record, notes: list[str]) -> None:
         notes.append(
             f'{one!r} and {other!r} exchange names at {record.seconds[frames[0]]:.2f} s{often}: '
             'they are taken as they move; fix: correct the labels in the tracker'
+        )
+
+
+def _note_left_over(record: Record, found: Bodies, notes: list[str]) -> None:
+    """Of points with names the table says which are of no body."""
+    seen, taken = (int(np.isfinite(of.real).sum()) for of in (record.points[..., 0], found.tracks))
+    share = 1 - taken / seen
+    if not found.ordered and share > _LEFT_OVER:
+        notes.append(
+            f'{share:.0%} of the points are of no body that was found: markers may be missing from '
+            'some; fix: give the markers names, or take more frames a second'
         )
