@@ -134,7 +134,7 @@ class RigidBodies:
         self._lasting = LastingNoise(self._count, window)
         self.deformation = Deformation(self._count, width, window)
         self._fields = Fields()
-        self._pins = Pins(self._count)
+        self._pins = Pins(self._count, width)
         self._references = References(self._count, window)
         self._since = np.zeros(self._count, np.int64)
         self._last_angle = np.zeros(self._count)
@@ -332,6 +332,7 @@ class RigidBodies:
         self._shapes.widen(width)
         self.matcher.forget_points()
         self.deformation.widen(width)
+        self._pins.widen(width)
         self._known = Samples((), _known_type(self._count, width))
         self._learned = True
 
@@ -452,7 +453,9 @@ class RigidBodies:
         if self._by_pose:
             variance = self._variance(news.information)
             poses = news.stamps, news.position, news.angle, variance, size
-            self._pins.add(*poses)
+            with np.errstate(divide='ignore', invalid='ignore'):
+                left = self._shapes.weighted(news.residual) / np.sqrt(self._misfit())[:, None]
+            self._pins.add(*poses, left)
             self._references.add(*poses, self._shapes.middle)
         alike = self._shapes.of_the_same(news.residual)
         self._noise.add(alike, news.freedom, ~news.gaps)

@@ -102,6 +102,18 @@ class Matcher:
         if self._withholds:
             points[:, self.withheld] = np.nan
 
+    def lacks_order(self, frames: int) -> bool:
+        """
+        Whether the frames sorted last are points without names, more or fewer than all there are.
+
+        While the plane is not known they cannot be matched by shape. How many there are is learned.
+        """
+        if not (self._may_be_nameless and self._layout.indexed):
+            return False
+        for _ in range(min(frames, _FIRST)):
+            self._is_whole_anew()
+        return len(self._roster.identities) != self._whole
+
     def arrange(self, first: int, most: int) -> tuple[int, bool]:
         """
         Match frames from `first` on by shape, where names mean nothing: of how many, up to `most`.

@@ -338,6 +338,8 @@ class Tracker:
             if len(self._early) > 2 * HISTORY:
                 self._early = self._latest_early()
             seen = solid[..., 0]
+            if self._rigid.matcher.lacks_order(len(rows)):
+                solid = np.full_like(solid, np.nan)
         else:
             self._rigid.are_timed(self._timeline.counts_are_sure)
             every = self._timeline.view()[-len(rows) - MOST_SUSPECT :]

@@ -124,6 +124,29 @@ def test_six_bar_in_mm_tilted_and_in_no_order():
     assert told[1].first < 3 * NOISE
 
 
+@pytest.mark.parametrize('name, bodies', [('six_bar', 5), ('double_pendulum', 2), ('loader', 3)])
+def test_bodies_are_told_apart_where_noise_is_a_tenth_of_their_motion(name, bodies):
+    """Markers near a pin keep their distances to most of the next body, but not to all of it."""
+    frames, scene = markers_of(name, 20, rate=100, noise=1e-3, seed=2)
+    found = discover([frames])
+    assert sorted(found.markers) == sorted(map(list, scene.marker_names.values()))
+    assert len(found.names) == bodies
+
+
+def test_bodies_in_no_order_of_which_a_marker_is_not_found_again():
+    frames, _ = markers_of('antiparallelogram', 20, rate=100, noise=1e-3, tilt=30, scale=1000)
+    assert len(discover(shuffled(frames)).names) == 3
+
+
+@pytest.mark.parametrize('noise, said', [(2e-4, False), (1e-3, True)])
+def test_points_left_over_are_told_of(noise, said):
+    """At 1 mm two of the ten markers cannot be followed for long, and are on no body."""
+    frames, _ = markers_of('four_bar', 20, rate=100, noise=noise, tilt=30, scale=1000, seed=1)
+    found = discover(shuffled(frames))
+    assert any('of the points are of no body' in note for note in found.notes) == said
+    assert (sum(map(len, found.markers)) < 10) == said
+
+
 @pytest.mark.parametrize(
     'name, kinds',
     [
@@ -165,6 +188,27 @@ def test_names_exchanged_for_some_frames_do_no_harm():
     found = discover([frames._replace(points=points)])
     assert found.markers == [list(scene.marker_names[body]) for body in found.names]
     assert len(assert_lengths(found, scene)) == 4
+
+
+@pytest.mark.parametrize('seed', range(4))
+def test_names_exchanged_for_good_are_named_and_do_no_harm(seed):
+    frames, scene = markers_of('four_bar', 10, seed=seed)
+    points, at, two = frames.points.copy(), 600 + 37 * seed, [2, 3]
+    points[at:, two] = points[at:, two[::-1]]
+    found = discover([frames._replace(points=points)])
+    assert found.markers == [list(scene.marker_names[body]) for body in found.names]
+    assert_lengths(found, scene)
+    one, other = (frames.identities[k] for k in two)
+    (note,) = found.notes
+    assert note.startswith(f'{one!r} and {other!r} exchange names at {at / 200:.2f} s')
+
+
+@pytest.mark.parametrize('scale, words', [(1, 'm'), (1000, 'scale 0.001)'), (39.37, 'inches')])
+def test_another_unit_that_is_as_likely_is_named(scale, words):
+    frames, _ = markers_of('four_bar', 3, scale=scale)
+    (line,) = [line for line in table(discover([frames]), None) if line.startswith('unit:')]
+    assert line.endswith(words) or words in line
+    assert ('0.0254' in line) == (words == 'inches')
 
 
 def test_names_that_change_in_every_frame_are_not_believed():

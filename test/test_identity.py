@@ -221,6 +221,19 @@ def test_points_without_names_may_be_missing_or_added(
     assert f'did not have {len(ALL)} points' in said(tracker)
 
 
+def test_points_without_names_may_be_missing_while_the_plane_is_found() -> None:
+    """By then nothing can be matched by shape: only frames with all points tell of the plane."""
+    rng = np.random.default_rng(4)
+    flat = [absent(rng, points) for points in POINTS]
+    angle = np.deg2rad(30)
+    turn = np.array(
+        [(np.cos(angle), 0, np.sin(angle)), (0, 1, 0), (-np.sin(angle), 0, np.cos(angle))]
+    )
+    tracker, found = track(cloud([points @ turn.T for points in flat]), **BY_PLACE, plane='fit')
+    assert tracker.plane is not None
+    held_up(found, after=0.9, right=track(named(names_of(cloud(flat))))[1])
+
+
 def test_shapes_learned_in_order_hold_when_points_come_in_any() -> None:
     rng = np.random.default_rng(4)
     frames = [points if k < 25 else shuffled(rng, points) for k, points in enumerate(POINTS)]

@@ -21,6 +21,8 @@ from kinpole_ros.window import Pins
 pytestmark = pytest.mark.filterwarnings('error')
 
 MARKERS = np.array([(0.09, 0.02), (-0.03, 0.1), (-0.08, -0.05), (0.05, -0.06)])
+# Residuals of bodies that are rigid, (T, 1, n).
+RIGID = np.zeros((60, 1, 4), complex)
 SIZE = 2 * np.sqrt((MARKERS**2).sum(axis=1).mean())
 
 
@@ -180,10 +182,10 @@ def test_a_pin_is_found_and_kept_while_markers_come_and_go(seed: int) -> None:
 
 @pytest.mark.filterwarnings('error')
 def test_a_body_whose_origin_does_not_move_at_all_is_on_a_pin() -> None:
-    pins, count = Pins(1), 60
+    pins, count = Pins(1, 4), 60
     angle, variance = np.linspace(0, 4, count)[:, None], np.full((count, 2, 1), 1e-10)
     stamps, origin = 10_000_000 * np.arange(count), np.full((count, 1), 0.25 + 0.5j)
-    pins.add(stamps, origin, angle, variance, np.array([0.2]))
+    pins.add(stamps, origin, angle, variance, np.array([0.2]), RIGID[:count])
     assert pins.center[0] == pytest.approx(0.25 + 0.5j)
 
 
@@ -217,14 +219,21 @@ def poses(
 ) -> Iterator[Pins]:
     """What is made of poses (N,) of a body of size 0.2 whose markers have that noise, by beats."""
     rng = np.random.default_rng(seed)
-    pins = Pins(1)
+    pins = Pins(1, 4)
     found = (place + noise / 2 * (rng.normal(size=(len(place), 2)) @ (1, 1j)))[:, None]
     turned = (angle + noise / 0.2 * rng.normal(size=len(angle)))[:, None]
     variance = np.tile([[noise**2 / 4], [noise**2 / 0.04]], (len(angle), 1, 1))
     stamps, size = np.arange(len(angle)), np.array([0.2])
     for first in range(0, len(angle), beat):
         part = slice(first, first + beat)
-        pins.add(stamps[part], found[part], turned[part], variance[part], size)
+        pins.add(
+            stamps[part],
+            found[part],
+            turned[part],
+            variance[part],
+            size,
+            RIGID[: part.stop - part.start],
+        )
         yield pins
 
 
@@ -238,16 +247,16 @@ def test_three_frames_off_its_pin_take_a_body_from_it_however_they_come(
     variance = np.full((1, 2, 1), 1e-8)
     for stamp, (off, held) in enumerate([(1, True), (1, True), (0, True), (1, True)]):
         place = np.array([[-0.15 + 0.05 * off + 0j]])
-        pins.add(np.array([60 + stamp]), place, np.zeros((1, 1)), variance, np.array([0.2]))
+        pose = place, np.zeros((1, 1))
+        pins.add(np.array([60 + stamp]), *pose, variance, np.array([0.2]), RIGID[:1])
         assert np.isfinite(pins.center[0]) == held
     back = np.array([[-0.15 + 0j]])
-    pins.add(np.array([70]), back, np.zeros((1, 1)), variance, np.array([0.2]))
+    pins.add(np.array([70]), back, np.zeros((1, 1)), variance, np.array([0.2]), RIGID[:1])
     for count in parts:
         assert np.isfinite(pins.center[0])
         away, none = np.full((count, 1), -0.1 + 0j), np.zeros((count, 1))
-        pins.add(
-            71 + np.arange(count), away, none, np.tile(variance, (count, 1, 1)), np.array([0.2])
-        )
+        stamps, all_of_them = 71 + np.arange(count), np.tile(variance, (count, 1, 1))
+        pins.add(stamps, away, none, all_of_them, np.array([0.2]), RIGID[:count])
     assert np.isnan(pins.center[0])
 
 
@@ -283,11 +292,12 @@ def test_turning_moving_and_scaling_the_scene_does_the_same_to_its_pin(
     noisy = exact + 1e-4 * (rng.normal(size=(60, 2)) @ (1, 1j))
     variance = np.tile([[1e-8], [1e-6]], (60, 1, 1))
     size = np.array([0.2])
-    plain, moved = Pins(1), Pins(1)
+    plain, moved = Pins(1, 4), Pins(1, 4)
     stamps, noisy, angle = np.arange(60), noisy[:, None], angle[:, None]
-    plain.add(stamps, noisy, angle, variance, size)
+    plain.add(stamps, noisy, angle, variance, size, RIGID[:60])
     place = scale * np.exp(1j * turn) * noisy + shift
-    moved.add(stamps, place, angle + turn, variance * [[scale**2], [1.0]], scale * size)
+    known = variance * [[scale**2], [1.0]], scale * size
+    moved.add(stamps, place, angle + turn, *known, RIGID[:60])
     assert np.isfinite(plain.center[0])
     expected = scale * np.exp(1j * turn) * plain.center[0] + shift
     close = 1e-9 * (scale + abs(shift))
@@ -307,3 +317,24 @@ def test_the_stated_deviation_of_a_pin_is_its_error(speed: float, count: int) ->
     assert np.isfinite(squares).sum() > 50
     # Sixty draws of a chi-square of 2 over 2 have a mean within 0.13 of 1, two times in three.
     assert 0.6 < np.nanmean(squares) < 1.5
+
+
+def test_the_deviation_of_a_pin_holds_where_a_marker_slips_with_the_turn() -> None:
+    """It comes again in every swing: no number of poses averages it out."""
+    t = np.arange(1000) / 200
+    swinging = about(0.4 + 0j, 0.2 + 0.1j, lambda t: 0.5 * np.sin(2 * np.pi * t))(t)
+    off = []
+    for seed, way in enumerate(np.linspace(0, np.pi, 12, endpoint=False)):
+        points = marker_positions(swinging, MARKERS[:3])
+        points += 2e-4 * np.random.default_rng(seed).normal(size=points.shape)
+        by = 2e-3 * np.sin(2 * np.pi * t) * np.exp(1j * (way + swinging.angle[0]))
+        points[:, 0] += np.stack((by.real, by.imag), axis=-1)
+        solid = np.concatenate((points, np.zeros((*points.shape[:2], 1))), axis=2)
+        stamps = START + STEP * np.arange(len(t))
+        frames = MarkerFrames(stamps, 'world', tuple('abc'), solid)
+        (found,) = Tracker(settings_from({})).add(frames, 1)
+        assert found.pinned[-1, 0]
+        pole = found.pole(1)
+        off.append(abs(pole.value[-1, 0] - 0.4) ** 2 / pole.covariance[-1, 0, 0, 0])
+    assert np.mean(np.array(off) < 5.99) >= 0.9
+    assert max(off) < 25

@@ -18,6 +18,8 @@ from kinpole_ros.linkage._rolling import Rolling, fit_gear, fit_wheel
 
 # Times the noise a pin may leave over without doubt.
 _DOUBTFUL = 1.5
+# Share of the points that may be of no body: passing others, they cannot always be told apart.
+_LEFT_OVER = 0.03
 
 
 def discover(
@@ -69,6 +71,8 @@ def _joined(record: Record, stamps: Stamps, found: Bodies) -> Linkage:
             rolling.append(gear)
             freedom -= 1
     _note_loose(joints, rolling, names, notes)
+    _note_exchanged(record, notes)
+    _note_left_over(record, found, notes)
     return Linkage(
         names,
         poses,
@@ -214,4 +218,27 @@ def _note_loose(
         notes.append(
             f'no joint connects {", ".join(loose)} with the ground: mark the bodies between, or '
             'move the rig further'
+        )
+
+
+def _note_exchanged(record: Record, notes: list[str]) -> None:
+    times: dict[tuple[str, str], list[int]] = {}
+    for frame, one, other in record.exchanged:
+        times.setdefault((one, other), []).append(frame)
+    for (one, other), frames in times.items():
+        often = f', {len(frames)} times in all' if len(frames) > 1 else ''
+        notes.append(
+            f'{one!r} and {other!r} exchange names at {record.seconds[frames[0]]:.2f} s{often}: '
+            'they are taken as they move; fix: correct the labels in the tracker'
+        )
+
+
+def _note_left_over(record: Record, found: Bodies, notes: list[str]) -> None:
+    """Of points with names the table says which are of no body."""
+    seen, taken = (int(np.isfinite(of.real).sum()) for of in (record.points[..., 0], found.tracks))
+    share = 1 - taken / seen
+    if not found.ordered and share > _LEFT_OVER:
+        notes.append(
+            f'{share:.0%} of the points are of no body that was found: markers may be missing from '
+            'some; fix: give the markers names, or take more frames a second'
         )

@@ -7,6 +7,8 @@ from kinpole_ros.linkage._model import Linkage
 
 # Intervals that stamps are uneven by that cost more than noise does.
 _UNEVEN = 0.02
+# Of bodies that are so many units large the unit may well be cm or inches.
+_DOUBTFUL = 2.0, 100.0
 
 
 def table(linkage: Linkage, checked: Checked | None) -> list[str]:
@@ -75,14 +77,24 @@ def _input(linkage: Linkage) -> list[str]:
         normal = ', '.join(f'{value:.4f}' for value in plane.normal)
         where = f'normal [{normal}], {plane.tilt:.1f} deg off the nearest axis'
     out = f'; markers leave it by {plane.spread * linkage.scale * 1e3:.2g} mm rms'
-    unit = 'm' if linkage.scale == 1 else f'mm, by the size of the bodies (scale {linkage.scale:g})'
     names = 'hold' if linkage.ordered else 'none, or they do not hold: told apart by shape'
     return [
         f'frames:  {frames}',
         f'plane:   {where}{out}',
-        f'unit:    {unit}',
+        f'unit:    {_unit(linkage)}',
         f'names:   {names}',
     ]
+
+
+def _unit(linkage: Linkage) -> str:
+    unit = 'm' if linkage.scale == 1 else f'mm, by the size of the bodies (scale {linkage.scale:g})'
+    largest = max(pose.size for pose in linkage.poses)
+    if _DOUBTFUL[0] < largest / linkage.scale < _DOUBTFUL[1]:
+        unit += (
+            f'; the largest has markers {largest:.3g} m apart: if it is in cm, set scale: 0.01, in '
+            'inches 0.0254'
+        )
+    return unit
 
 
 def _marked(linkage: Linkage, columns: list[int]) -> str:

@@ -10,6 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from kinpole_ros.frame import MarkerFrames
+from kinpole_ros.linkage._exchanges import correct_exchanges
 
 # Names are counted anew in every frame by some drivers: more names than this many times the markers
 # of a frame are none.
@@ -39,6 +40,8 @@ class Record(NamedTuple):
     points: np.ndarray
     names: tuple[str, ...]
     frame_id: str
+    # From which frames on which two names were exchanged; here they are not.
+    exchanged: tuple[tuple[int, str, str], ...] = ()
 
     def steps(self) -> np.ndarray:
         """Number of each frame (T,), counted in intervals: one that was lost is counted too."""
@@ -117,6 +120,10 @@ def gather(parts: Sequence[MarkerFrames]) -> tuple[Record, Stamps]:
     _check_seen(record)
     if names and not _names_hold(record):
         record = record._replace(names=())
+    if record.names:
+        points, found = correct_exchanges(record.points, record.steps())
+        named = tuple((frame, names[one], names[other]) for frame, one, other in found)
+        record = record._replace(points=points, exchanged=named)
     return record, _stamps(record, count)
 
 

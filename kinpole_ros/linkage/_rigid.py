@@ -10,11 +10,13 @@ from kinpole_ros.planar._plane import Complex, Real
 # Frames of a pair of tracks that distances are looked at in, and fewer than which say nothing.
 _FRAMES = 3000
 _FEWEST = 30
-# Spreads of a distance over its noise: below the first all are rigid, beyond the last none is. In
-# between the widest gap parts them, which a lens or a soft mount moves up.
+# Spreads of a distance over its noise: below the first all are rigid, beyond the last none is. The
+# widest gap up to there parts them, which a lens or a soft mount moves up.
 _RIGID, _LOOSE = 2.5, 40.0
 # A ratio that noise alone makes.
 _PLAIN = 1.5
+# Times the limit that distances of one body may vary by where it bends.
+_NEARLY = 1.5
 # Share of the frames at either end of a distance's range that may be of another marker.
 _TAIL = 0.01
 _TAIL_WIDTH = 4.6527  # that range of a normal distribution, in standard deviations
@@ -49,14 +51,14 @@ def group(tracks: Complex, noise: Real) -> Groups:
         spread = _spread(apart)
         ratio[one, other] = ratio[other, one] = spread / np.hypot(known[one], known[other])
     still = np.array([_still(some[:, k]) / known[k] for k in range(count)])
-    limit = _limit(ratio[np.triu_indices(count, 1)])
+    limit = _limit(ratio)
     rigid = ratio < limit
-    fixed = (still < limit).nonzero()[0].tolist()
+    fixed = (still < min(limit, 2 * _RIGID)).nonzero()[0].tolist()
     # Of those that stand still one is enough to tell what turns about it.
     standing = np.isin(np.arange(count), fixed)
     rigid[np.ix_(standing, standing)] = False
     cliques = [sorted(c) for c in _cliques(rigid) if len(c) > 1]
-    bodies = _merge(cliques, ratio)
+    bodies = _merge(cliques, ratio, limit)
     held = {k for body in bodies for k in body}
     single = [k for k in range(count) if k not in held and not standing[k]]
     return Groups(bodies, fixed, single, ratio, limit)
@@ -75,12 +77,34 @@ def _still(track: Complex) -> float:
     return max(_spread(track.real), _spread(track.imag))
 
 
-def _limit(ratios: Real) -> float:
-    """Where the ratios of rigid pairs end: in the middle of the widest gap that is possible."""
-    inside = np.sort(ratios[(ratios > _RIGID) & (ratios < _LOOSE)])
-    steps = np.log(np.concatenate(([_RIGID], inside, [_LOOSE])))
+def _limit(ratio: Real) -> float:
+    """
+    Where the ratios (n, n) of rigid pairs end: in the middle of the widest gap that is possible.
+
+    Gaps are those between the ratios at which clusters of markers merge (complete linkage): a
+    marker near a pin keeps its distance to some of the next body, but not to all.
+    """
+    merged = _linkage(ratio)
+    inside = np.sort(merged[(merged > _RIGID) & (merged < _LOOSE)])
+    if not len(inside):
+        return 2 * _RIGID
+    least = np.max(merged[merged <= _RIGID], initial=1.0)
+    steps = np.log(np.concatenate(([least], inside, [_LOOSE])))
     k = int(np.diff(steps).argmax())
-    return float(np.exp((steps[k] + steps[k + 1]) / 2)) if len(inside) else 2 * _RIGID
+    return max(_RIGID, float(np.exp((steps[k] + steps[k + 1]) / 2)))
+
+
+def _linkage(ratio: Real) -> Real:
+    """The largest ratios in clusters of markers (n,), merged two by two with it least each time."""
+    apart = ratio.copy()
+    np.fill_diagonal(apart, np.inf)
+    heights = []
+    while len(apart) > 1:
+        one, other = sorted(np.unravel_index(apart.argmin(), apart.shape))
+        heights.append(apart[one, other])
+        apart[one] = apart[:, one] = np.maximum(apart[one], apart[other])
+        apart = np.delete(np.delete(apart, other, axis=0), other, axis=1)
+    return np.array(heights)
 
 
 def _cliques(edges: np.ndarray) -> list[set[int]]:
@@ -102,22 +126,24 @@ def _cliques(edges: np.ndarray) -> list[set[int]]:
     return found
 
 
-def _merge(cliques: list[list[int]], ratio: Real) -> list[list[int]]:
+def _merge(cliques: list[list[int]], ratio: Real, limit: float) -> list[list[int]]:
     """
     Bodies of cliques: those that share two markers are one, since two hold a body of the plane.
 
-    Two markers alone are a body if one of them is in no larger one: distances are constant by
-    chance, too, as between markers of two cranks that turn alike. And if both are on bodies by
-    then, only if they are as rigid as these.
+    Unless most of their other distances change: then some marker is near a pin, and is on one of
+    them only. Two markers alone are a body if one of them is in no larger one: distances
+    are constant by chance, too, as between markers of two cranks that turn alike. And if both are
+    on bodies by then, only if they are as rigid as these.
     """
-    large = sorted((c for c in cliques if len(c) > 2), key=len, reverse=True)
+    large = [c for c in cliques if len(c) > 2]
+    large.sort(key=lambda c: (-len(c), max(ratio[pair] for pair in combinations(c, 2))))
     bodies: list[set[int]] = []
     for clique in large:
-        for body in bodies:
-            if len(body & set(clique)) > 1:
-                body |= set(clique)
-                break
-        else:
+        near = [body for body in bodies if len(body & set(clique)) > 1]
+        one = next((body for body in near if _agree(body, set(clique), ratio, limit)), None)
+        if one is not None:
+            one |= set(clique)
+        elif len(set(clique).difference(*bodies)) > 1 or not near:
             bodies.append(set(clique))
     held = set().union(*bodies) if bodies else set()
     pairs = [set(c) for c in cliques if len(c) == 2 and not set(c) <= held]
@@ -126,3 +152,10 @@ def _merge(cliques: list[list[int]], ratio: Real) -> list[list[int]]:
             bodies.append(pair)
             held |= pair
     return [sorted(body) for body in bodies]
+
+
+def _agree(one: set[int], other: set[int], ratio: Real, limit: float) -> bool:
+    """Whether the markers that only one of two has keep their distances, as far as known."""
+    between = ratio[np.ix_(sorted(one - other), sorted(other - one))]
+    known = between[np.isfinite(between)]
+    return len(known) == 0 or bool(np.median(known) < _NEARLY * limit)

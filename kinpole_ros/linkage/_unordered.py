@@ -69,7 +69,7 @@ def order_points(record: Record, progress: Callable[[float], None] | None) -> tu
                 )
             plane = fit_plane(solid)
             flat = plane.project(part.points)
-        poses = _split(tracks, shapes)
+        poses, same, tracks = _found_again(_split(tracks, shapes), same, tracks)
         shapes, more = _add_markers(poses, found, plane.project(left), noise)
         for shape, numbers in zip(shapes, same, strict=True):
             numbers += [_new(same) + k for k in range(len(shape) - len(numbers))]
@@ -155,11 +155,24 @@ def _split(tracks: Complex, shapes: list[Complex]) -> list[Pose]:
     return poses
 
 
+def _found_again(
+    poses: list[Pose], same: list[list[int]], tracks: Complex
+) -> tuple[list[Pose], list[list[int]], Complex]:
+    """Bodies, numbers and tracks of the markers that were found at all, two or more of a body."""
+    there = [np.isfinite(pose.shape) for pose in poses]
+    there = [found & (found.sum() > 1) for found in there]
+    kept = [k for k, found in enumerate(there) if found.any()]
+    numbers = [np.array(same[k])[there[k]].tolist() for k in kept]
+    columns = np.concatenate(there) if there else slice(None)
+    shown = [poses[k]._replace(shape=poses[k].shape[there[k]]) for k in kept]
+    return shown, numbers, tracks[:, columns]
+
+
 def _add_markers(
     poses: list[Pose], found: Tracks, flat: Complex, noise: float
 ) -> tuple[list[Complex], bool]:
     """The shapes of bodies with what tracks of points (T, n) are fixed on them; whether any is."""
-    shapes = [pose.shape[np.isfinite(pose.shape)] for pose in poses]
+    shapes = [pose.shape for pose in poses]
     added = False
     length = found.last - found.first
     for track in np.argsort(-length, kind='stable')[:_MOST_TRACKS].tolist() if poses else []:

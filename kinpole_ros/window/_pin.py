@@ -6,11 +6,17 @@ are kept spaced by the angle turned, not by time, so a slow body is known as sur
 and a body at rest stays what it was. It counts as pinned when a pin explains its poses as well as
 its shape explains its markers: bearing play and lenses bend both alike, and judged by white noise
 alone no real pin would pass.
+
+What makes a body not rigid is no noise: it comes again with the angle, so that no number of poses
+averages it out, and a pin may well explain it. How much of it the pin takes is seen in what the
+rigid fits leave over: the center is a weighted sum of poses, and the same sum of the residuals has
+as much error per degree of freedom (see `_soft.py`).
 """
 
 import numpy as np
 
 from kinpole_ros.planar._plane import Complex, Real
+from kinpole_ros.window._soft import chi_square, student
 
 # Poses kept per body, and the angle between them, rad: 4 rad of one-way turning.
 _KEPT = 64
@@ -27,20 +33,22 @@ _OFF, STRIKES = 5.0, 3
 # chance; an arc bent by it has its center off by this many times its square over the spread of the
 # angles (a centrode of constant speed, seen over a small arc).
 _ALIKE, _BEND = 3.0, 15.0
+# Residuals make a pin less sure whose sum stands so many deviations out of what noise makes of it.
+_COHERENT = 2.0
 # An ICR that wandered by this much, body sizes per rad, would have been seen.
 _WANDER = 0.05
 
 
 class Pins:
     """
-    The pins of B bodies.
+    The pins of B bodies of up to `width` markers.
 
     `center` (B,) is complex, m, in the ground frame, NaN for a body without one; `arm` (B,) leads
     from the body's origin to it in the body's axes; `variance` (B,), m^2, is that of one coordinate
     of the center; `since` (B,), ns, from when on the body has been seen to turn about it.
     """
 
-    def __init__(self, bodies: int) -> None:
+    def __init__(self, bodies: int, width: int) -> None:
         self.center = np.full(bodies, complex(np.nan, np.nan))
         self.arm = np.zeros(bodies, complex)
         self.variance = np.full(bodies, np.nan)
@@ -49,6 +57,7 @@ class Pins:
         self._turns = np.zeros((_KEPT, bodies), complex)
         # Of each pose its own: it is known less well while markers are hidden.
         self._variances = np.zeros((2, _KEPT, bodies))
+        self._residuals = np.zeros((_KEPT, bodies, width), complex)
         self._count = np.zeros(bodies, int)
         self._wanted = np.full(bodies, _ENOUGH)
         self._last = np.full(bodies, np.nan)
@@ -61,14 +70,27 @@ class Pins:
             spread = variance[:, 0] + np.abs(self.arm) ** 2 * variance[:, 1]
             return np.asarray(off > _OFF**2 * spread)
 
+    def widen(self, width: int) -> None:
+        """Let bodies have more markers."""
+        more = ((0, 0), (0, 0), (0, width - self._residuals.shape[2]))
+        self._residuals = np.pad(self._residuals, more)
+
     def add(
-        self, stamps: np.ndarray, position: Complex, angle: Real, variance: Real, size: Real
+        self,
+        stamps: np.ndarray,
+        position: Complex,
+        angle: Real,
+        variance: Real,
+        size: Real,
+        residual: Complex,
     ) -> None:
         """
         Take the poses (T, B) of some frames of `stamps` (T,), NaN where not known, and judge.
 
         `variance` (T, 2, B) is that of one coordinate of the position, m^2, and of the angle,
-        rad^2, as the misfit of the rigid bodies has it; `size` (B,), m, is theirs.
+        rad^2, as the misfit of the rigid bodies has it; `size` (B,), m, is theirs. `residual`
+        (T, B, width) is what the fits leave over in the bodies' axes, over the deviation by that
+        misfit, NaN for none.
         """
         known = np.isfinite(angle) & np.isfinite(variance).all(axis=1)
         strayed = known & self.strayed(position, angle, variance)
@@ -78,7 +100,7 @@ class Pins:
         running = np.where(back < 0, frame + 1 + self._strikes, frame - back)
         self._strikes = running[-1]
         gone = (running >= STRIKES).any(axis=0)
-        self.forget(gone)
+        self._leave(gone)
         fresh = np.zeros(len(gone), bool)
         usable = known & ~strayed & ~gone
         with np.errstate(invalid='ignore'):
@@ -95,6 +117,7 @@ class Pins:
             self._positions[row, b] = position[at, b]
             self._turns[row, b] = np.exp(1j * angle[at, b])
             self._variances[:, row, b] = variance[at, :, b].T
+            self._residuals[row, b] = np.nan_to_num(residual[at, b])
             self._last[b] = angle[at[-1], b]
             self._count[b] += len(at)
             fresh[b] = True
@@ -131,6 +154,13 @@ class Pins:
         total = (np.abs(misfit) ** 2).sum(axis=0)
         bent = np.maximum(alike - _ALIKE * total / np.sqrt(count), 0) / 2
         found = (np.abs(shares) ** 2 * each).sum(axis=0) + _BEND * bent / spread
+        # The same sum of what the rigid fits leave over, per degree of freedom.
+        left = self._residuals[:, which]
+        slow = np.einsum('kb,kbn->bn', shares * e * np.sqrt((even + across) / 2), left)
+        freedom = np.maximum(2 * left.any(axis=0).sum(axis=-1) - 3, 1)
+        slow = (np.abs(slow) ** 2).sum(axis=-1) / freedom
+        surely = slow > chi_square(freedom, _COHERENT) * found
+        found = np.where(surely, slow * student(freedom), found)
         refuted = square > _DROPPED
         # What wandering would leave: 0.45 of it times the spread of the angles (to third order).
         noise = (weights * even).sum(axis=0)
@@ -145,13 +175,17 @@ class Pins:
         self.variance[pinned] = found[taken]
         gone = np.zeros(len(self.center), bool)
         gone[which[refuted]] = True
-        self.forget(gone)
+        self._leave(gone)
+
+    def _leave(self, which: np.ndarray) -> None:
+        """Take the bodies `which` (B,) off their pins; more is wanted to call them pinned again."""
+        left = which & np.isfinite(self.center)
+        self._wanted[left] = np.minimum(2 * self._wanted[left], _WARY)
+        self.forget(which)
 
     def forget(self, which: np.ndarray) -> None:
-        """Take the bodies `which` (B,) off their pins and look at them afresh."""
+        """Look at the bodies `which` (B,) afresh: their poses up to now are of other shapes."""
         if which.any():
-            left = which & np.isfinite(self.center)
-            self._wanted[left] = np.minimum(2 * self._wanted[left], _WARY)
             self.center[which] = complex(np.nan, np.nan)
             self.arm[which] = 0.0
             self.variance[which] = np.nan

@@ -278,6 +278,11 @@ class Shapes:
         less = self._marker_noise.relative > 1
         return np.where(less, complex(np.nan, np.nan), residual) if less.any() else residual
 
+    def weighted(self, residual: Complex) -> Complex:
+        """Residuals (T, B, n) of markers as if all erred alike: over what each errs as a rule."""
+        relative = self._marker_noise.relative
+        return residual / np.sqrt(relative) if (relative > 1).any() else residual
+
     def weigh(self, residual: Complex, freedom: Real, goes_on: np.ndarray) -> np.ndarray:
         """
         Give markers the weights that they are worth, at a beat after `learn`.

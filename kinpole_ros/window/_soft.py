@@ -125,8 +125,8 @@ class Deformation:
         with np.errstate(divide='ignore', invalid='ignore'):
             # Samples that hold for random times, by the mean of their squares over their mean.
             self.held = np.where(frames > 0, 2 * frames / markers_seen - 1, 1.0)
-            sure = _chi_square(free * frames / (_INDEPENDENT * count), _SURE)
-            sure = sure / _chi_square(degrees, -_SURE)
+            sure = chi_square(free * frames / (_INDEPENDENT * count), _SURE)
+            sure = sure / chi_square(degrees, -_SURE)
             most = frames * free * (row @ row) * self.held * noise**2 * sure
             self.freedom = np.where(squares > most, free, 0.0)
 
@@ -196,7 +196,7 @@ class Deformation:
             with np.errstate(divide='ignore', invalid='ignore'):
                 share = np.sqrt(np.where(squares > white, 1 - white / squares, 0.0))
             independent = 1 + (looked - 1) * step / (_INDEPENDENT * count)
-            share *= np.sqrt(_student(free * independent))
+            share *= np.sqrt(student(free * independent))
             share /= interval[instants] ** np.arange(order + 1.0)[:, None]
             found[:, :, instants, bodies] = share * share[:, None] * mean.transpose(1, 2, 0)
         return found
@@ -257,7 +257,7 @@ def _stencils(count: int, ahead: int, degree: int, order: int) -> Real:
     return np.array(rows)
 
 
-def _student(freedom: Real) -> Real:
+def student(freedom: Real) -> Real:
     """
     Square of the 95% limit of Student's t of `freedom` (...) over that of a normal distribution.
 
@@ -269,7 +269,7 @@ def _student(freedom: Real) -> Real:
     return np.asarray((1 + (first + second / freedom) / freedom) ** 2)
 
 
-def _chi_square(freedom: Real, deviations: float) -> Real:
+def chi_square(freedom: Real, deviations: float) -> Real:
     """
     What a chi-square of `freedom` (...) over that is at so many deviations (Wilson and Hilferty).
 
