@@ -127,6 +127,8 @@ def follow_clock(stamps: np.ndarray, counts: np.ndarray) -> tuple[Clock, np.ndar
     Also whether those are as they were: where the newest are likelier at a rate of their own the
     clock is found anew from them.
     """
+    if len(stamps) <= 2 * _UNSETTLED:
+        return *find_clock(stamps, None), False
     origin = int(stamps[0])
     since = (stamps - origin).astype(float)
     resolution = float(max(np.gcd.reduce(np.diff(stamps)), 1))
