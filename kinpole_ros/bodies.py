@@ -146,6 +146,8 @@ class RigidBodies:
         self._window = window
         # ns, 0 before a body is seen.
         self._seen_last = np.zeros(self._count, np.int64)
+        # When the first of the frames since the last beat were, if not when it seemed.
+        self._times: np.ndarray | None = None
         # Frames since the last beat.
         self._news: list[_News] = []
         self._new = 0
@@ -262,6 +264,15 @@ class RigidBodies:
     def are_timed(self, timed: bool) -> None:
         """Whether the next frames are `timed` well enough to tell bodies that are far off."""
         self._shapes.are_timed(timed)
+
+    def until_beat(self) -> int:
+        """How many frames are taken before the next beat."""
+        self.settle()
+        return max(self._shapes.beat - self._new, 1)
+
+    def were_at(self, times: np.ndarray) -> None:
+        """The newest frames that were taken turned out to be at `times` (T,), ns."""
+        self._times = times[len(times) - self._new :].copy()
 
     def take_unseen(self, rows: np.ndarray) -> None:
         """Fill rows (T,) of frames that nothing can be made of: the plane is not known."""
@@ -447,7 +458,9 @@ class RigidBodies:
             return
         size = self._size()
         news = _News(*map(np.concatenate, zip(*self._news, strict=True)))
-        self._news, self._new = [], 0
+        if self._times is not None:
+            news.stamps[: len(self._times)] = self._times
+        self._news, self._new, self._times = [], 0, None
         self._learned = True
         if self._by_pose:
             variance = self._variance(news.information)

@@ -291,10 +291,11 @@ class Timeline:
         """Whether `look` is to be called before more frames come."""
         return self._ticks.room <= 0 or self._slips
 
-    def look(self, noise: np.ndarray) -> Callable[[], None] | None:
+    def look(self, noise: np.ndarray) -> Callable[[], bool] | None:
         """
         Look at the clock: what is to be done when all that waits is estimated, if anything.
 
+        That says whether frames were not when they seemed to be.
         `noise` (B,), m, is that of a marker of each body.
         """
         if self._slips:
@@ -310,7 +311,7 @@ class Timeline:
             return self._follow if mature else partial(self._count_anew, noise)
         return self._to_stamps if was else None
 
-    def _follow(self) -> None:
+    def _follow(self) -> bool:
         """Go on by the clock as it is known now."""
         clock, every, counter = self._ticks.clock, self._frames.view(), self._counter
         assert counter is not None and clock is not None
@@ -324,16 +325,18 @@ class Timeline:
         self._step = max(round(clock.interval), 1)
         every['time'] = self._times(every['count'])
         self._least = int(every['count'][-1])
+        return False
 
-    def _count_anew(self, noise: np.ndarray) -> None:
+    def _count_anew(self, noise: np.ndarray) -> bool:
         """Give all frames the counts that the clock has for them."""
         clock, every = self._ticks.clock, self._frames.view()
         assert clock is not None
+        other = not self._regular or self._ticks.seen > _YOUNG
         self._regular = True
         self._step = max(round(clock.interval), 1)
         number = min(len(every), len(self._ticks.counts))
         if not number:
-            return
+            return other
         here = len(every) - number
         counts = counts_by(every['stamp'][here:], clock)
         count = int(counts[0])
@@ -348,13 +351,15 @@ class Timeline:
         every['time'][:here] = _rising(every['stamp'][:here] - round(clock.lateness))
         self._newest = int(every['stamp'].max())
         self._least = int(every['count'][-1])
+        return other
 
-    def _to_stamps(self) -> None:
+    def _to_stamps(self) -> bool:
         """Take frames to be at their stamps from now on."""
         self._regular = False
         every = self._frames.view()
         every['time'] = _rising(every['stamp'])
         self._counter = None
+        return True
 
     def guess(self) -> np.ndarray:
         """
