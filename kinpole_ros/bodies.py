@@ -146,8 +146,6 @@ class RigidBodies:
         self._window = window
         # ns, 0 before a body is seen.
         self._seen_last = np.zeros(self._count, np.int64)
-        # When the first of the frames since the last beat were, if not when it seemed.
-        self._times: np.ndarray | None = None
         # Frames since the last beat.
         self._news: list[_News] = []
         self._new = 0
@@ -272,7 +270,10 @@ class RigidBodies:
 
     def were_at(self, times: np.ndarray) -> None:
         """The newest frames that were taken turned out to be at `times` (T,), ns."""
-        self._times = times[len(times) - self._new :].copy()
+        for news in reversed(self._news):
+            here = min(len(news.stamps), len(times))
+            news.stamps[len(news.stamps) - here :] = times[len(times) - here :]
+            times = times[: len(times) - here]
 
     def take_unseen(self, rows: np.ndarray) -> None:
         """Fill rows (T,) of frames that nothing can be made of: the plane is not known."""
@@ -458,9 +459,7 @@ class RigidBodies:
             return
         size = self._size()
         news = _News(*map(np.concatenate, zip(*self._news, strict=True)))
-        if self._times is not None:
-            news.stamps[: len(self._times)] = self._times
-        self._news, self._new, self._times = [], 0, None
+        self._news, self._new = [], 0
         self._learned = True
         if self._by_pose:
             variance = self._variance(news.information)

@@ -238,18 +238,20 @@ class Timeline:
         time, count = self._anchor
         return np.asarray(time + (counts - count) * self._step)
 
-    def pose(self, rows: np.ndarray, noise: np.ndarray) -> None:
+    def pose(self, rows: np.ndarray, noise: np.ndarray) -> np.ndarray:
         """
-        Frames `rows` have poses now: what that says of when they were.
+        Frames `rows` have poses now: what that says of when they, and those before, were.
 
-        `noise` (K, B) is that of a marker of each body, m, as it was known by the rows' `beat`.
+        `noise` (K, B) is that of a marker of each body, m, as it was known by the rows' `beat`. The
+        times (T,) are of the newest frames, as far as they are not those that they had.
         """
         self._ticks.add_poses(rows['poses'], rows['information'])
         if not self._regular:
-            return
+            return rows['time'][:0]
         every = self._frames.view()
-        pending = 0
+        pending = anew = 0
         if self._counter is not None:
+            anew = len(rows) + self._counter.pending
             self._count(self._counter, len(every) - len(rows), noise[rows['beat']])
             pending = self._counter.pending
         sure = len(every) - pending
@@ -258,6 +260,7 @@ class Timeline:
             oldest = int(times.searchsorted(times[-1] - self.window))
             self.samples = sure - oldest
             self.interval = float(times[-1] - times[oldest]) / max(self.samples - 1, 1)
+        return every['time'][len(every) - anew :]
 
     def _count(self, counter: FrameCounter, first: int, noise: np.ndarray) -> None:
         """

@@ -255,7 +255,6 @@ class Tracker:
             return []
         found = self._estimates(order)
         if change():
-            self._rigid.were_at(self._timeline.view()['time'])
             self._rigid.retime()
         return found
 
@@ -356,9 +355,7 @@ class Tracker:
             self._rigid.take(every, points, heights, gaps, landmarks)
             # As they were corrected.
             seen, solid = points, plane.in_space(points, heights)
-        self._timeline.pose(rows, self._rigid.known['noise'])
-        if self._timeline.regular:
-            self._rigid.were_at(self._timeline.view()['time'])
+        self._rigid.were_at(self._timeline.pose(rows, self._rigid.known['noise']))
         self._space.add(frames.stamps, solid)
         missing = np.count_nonzero(np.isnan(seen)) - seen.size
         self.counts['markers_not_seen'] += int(self._roster.wanted * len(rows) + missing)
