@@ -132,7 +132,7 @@ def follow_clock(stamps: np.ndarray, counts: np.ndarray) -> tuple[Clock, np.ndar
     origin = int(stamps[0])
     since = (stamps - origin).astype(float)
     resolution = float(max(np.gcd.reduce(np.diff(stamps)), 1))
-    clock, used = _fit(origin, since, counts, resolution)
+    clock, used = _fit(origin, since, counts, resolution, True)
     newest = since[-_SEARCHED:]
     trials = np.stack((counts[-_SEARCHED:], _search(newest, resolution)))
     costs = _costs(newest, trials, np.array([_edge_of(newest, c) for c in trials]), resolution)
@@ -228,11 +228,14 @@ def counts_by(stamps: np.ndarray, clock: Clock) -> np.ndarray:
     return np.asarray(number + np.minimum.accumulate(ahead[::-1])[::-1])
 
 
-def _fit(origin: int, since: Real, counts: np.ndarray, resolution: float) -> tuple[Clock, int]:
+def _fit(
+    origin: int, since: Real, counts: np.ndarray, resolution: float, counted: bool = False
+) -> tuple[Clock, int]:
     """
     The clock of frames `since` `origin`, ns, with `counts` (N,).
 
-    Of all, or of as many of the newest as are returned too, if the rate has changed.
+    Of all, or of as many of the newest as are returned too, if the rate has changed. Whether it has
+    is only looked at where counts cannot be wrong, or were `counted` one by one.
     """
     used = len(counts)
     # A frame after a loss may have come before it, late, for all one knows, and spoil the edge.
@@ -247,8 +250,7 @@ def _fit(origin: int, since: Real, counts: np.ndarray, resolution: float) -> tup
     # Stamps that run backward are of no clock.
     interval = max(interval, 1.0)
     part = len(counts) // 2
-    # Where counts are in doubt, so is what a part of the frames says.
-    while part > _FEW and (since - interval * counts).std() < _PLAIN * interval:
+    while part > _FEW and (counted or (since - interval * counts).std() < _PLAIN * interval):
         newest = slice(len(counts) - part, None)
         now, sure_now = _slope(since[newest], counts[newest], resolution)
         left, own = (

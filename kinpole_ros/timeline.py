@@ -322,11 +322,12 @@ class Timeline:
         self._ticks.uncount(counter.pending)
         sure = len(every) - counter.pending
         if sure > 0:
-            # Some may have been taken back.
-            every['count'][:sure] = self._ticks.counts[-sure:]
             self._anchor = int(every['time'][sure - 1]), int(every['count'][sure - 1])
         self._step = max(round(clock.interval), 1)
-        every['time'] = self._times(every['count'])
+        # Those before had another rate; some may have been taken back.
+        first = max(sure - len(self._ticks.counts), 0)
+        every['count'][first:sure] = self._ticks.counts[len(self._ticks.counts) - sure + first :]
+        every['time'][first:] = self._times(every['count'][first:])
         self._least = int(every['count'][-1])
         return False
 
