@@ -34,6 +34,9 @@ _UNSURE = 8
 _OUTLIER = 9.0
 # Of the polynomial that places a lost frame.
 _DEGREE = 3
+# Frames on each side that tell how long a gap is, nats that contradict what it was taken for, and
+# mean squares up to which a polynomial follows the motion. So many gaps are mended at once.
+_BESIDE, _CONTRADICTS, _FOLLOWED, _MOST_MENDED = 4, 20.0, 4.0, 16
 # What neighbors predict is correlated: there is half as much evidence as predictions.
 _INDEPENDENT = 0.5
 
@@ -80,6 +83,8 @@ class Ticks:
         self._stamps = np.zeros(0, np.int64)
         # Where frames are counted as they come, of the newest when they are sure.
         self.counts = np.zeros(0, np.int64)
+        # Only frames after so many can still be mended.
+        self._mended = 0
         self._taken = np.zeros(0, bool)
         self._new: list[tuple[np.ndarray, np.ndarray]] = []
         # Poses of frames taken, with what they are known by, that are still to be looked at.
@@ -110,7 +115,8 @@ class Ticks:
 
     def take_back(self, early: int) -> None:
         """So many fewer frames were lost than it seemed, if any were of late."""
-        begin = max(len(self.counts) - _TAKEN_BACK, 1)
+        # If that is wrong the next look mends it.
+        begin = max(len(self.counts) - _TAKEN_BACK, self._mended, 1)
         more = np.diff(self.counts[begin - 1 :]) - 1
         lost = more.nonzero()[0]
         if len(lost):
@@ -139,6 +145,7 @@ class Ticks:
             clock, counts = find_clock(self._stamps, self.clock)
         else:
             known = np.concatenate((self.counts, newest))
+            mend(known, *map(np.concatenate, zip(*self._poses, strict=True)), noise)
             clock, counts, same = follow_clock(self._stamps, known)
         dropped = len(self._stamps) - len(counts)
         self._forget(dropped)
@@ -160,6 +167,7 @@ class Ticks:
             self._stamps, counts = self._stamps[self._taken], counts[self._taken]
             self._taken = np.ones(len(counts), bool)
         self.counts = counts
+        self._mended = len(counts) - (2 * _SIDE + _UNSURE) + _BESIDE
         return same
 
     def _may_be_rounded(self, step: float) -> bool:
@@ -300,6 +308,54 @@ def evidence(times: Real, signals: Real, variance: Real) -> tuple[float, float]:
 
 def _pairs(count: int) -> Iterable[tuple[int, int]]:
     return ((k, m) for k in range(count) for m in range(count) if k != m)
+
+
+def mend(counts: np.ndarray, poses: Real, information: Real, noise: Real) -> None:
+    """
+    Put `counts` (N,) right where the motion contradicts them, whatever they were found by.
+
+    The newest frames have `poses` (T, 2 B, 2), as in `RigidBodies`; the newest count stays.
+    """
+    held = min(len(poses), len(counts))
+    signals, variance = _signals(poses[len(poses) - held :], information[-held:], noise)
+    for _ in range(_MOST_MENDED):
+        here, more = gap_to_mend(counts[len(counts) - held :], signals, variance)
+        if not more:
+            break
+        counts[: len(counts) - held + here] -= more
+
+
+def gap_to_mend(counts: np.ndarray, signals: Real, variance: Real) -> tuple[int, int]:
+    """
+    Before which frame one more or one fewer was lost than `counts` (N,) say, by the motion alone.
+
+    Also which, 1 or -1; 0 if none. It is the gap that contradicts most how poses go before and
+    after it; `signals` (N, S) have the `variance` (N, S), NaN where not known.
+    """
+    number = len(counts) - 2 * _BESIDE + 1
+    if number < 1:
+        return 0, 0
+    around = np.arange(2 * _BESIDE)
+    there = np.arange(number)[:, None] + around
+    more = np.array([0, 1, -1])
+    at = counts[there] + more[:, None, None] * (around >= _BESIDE)
+    fewest = np.diff(at, axis=-1).min(axis=-1)
+    at = (at - at.mean(axis=-1, keepdims=True)) / np.ptp(at, axis=-1).clip(1)[..., None]
+    basis, _ = np.linalg.qr(at[..., None] ** np.arange(_DEGREE + 1))
+    values = signals[there] / np.sqrt(variance[there].mean(axis=1, keepdims=True))
+    known = np.isfinite(values).all(axis=1)
+    values = np.where(known[:, None], values - values[:, :1], 0.0)
+    rest = values - basis @ (basis.swapaxes(-1, -2) @ values)
+    left = (rest**2).sum(axis=-2)  # (3, M, S)
+    least = left.min(axis=0) / (2 * _BESIDE - _DEGREE - 1)
+    cost = (left / np.maximum(least, 1.0)).sum(axis=-1) / 2
+    cost[fewest < 1] = np.inf
+    gain = cost[0] - cost
+    gain[:, (np.where(known, least, 0.0) > _FOLLOWED).any(axis=-1)] = 0.0
+    which, gap = np.unravel_index(gain.argmax(), gain.shape)
+    if gain[which, gap] < _CONTRADICTS:
+        return 0, 0
+    return int(gap) + _BESIDE, int(more[which])
 
 
 def course_costs(frames: np.ndarray, begin: int, counts: np.ndarray, noise: Real) -> Real:

@@ -14,7 +14,7 @@ import numpy as np
 from kinpole_ros.bodies import pose_columns
 from kinpole_ros.clock import FrameCounter, counts_by
 from kinpole_ros.parameters import Settings
-from kinpole_ros.ticks import StampState, Ticks, course_costs
+from kinpole_ros.ticks import StampState, Ticks, course_costs, mend
 from kinpole_ros.window import FEWEST_SAMPLES, Samples, Unforeseen, Windows
 
 # Frames later than this many intervals of late come after a gap.
@@ -23,8 +23,6 @@ _LATE = 2.5
 _LEAST_STEP = 1000
 # Motion is followed by so many frames before those whose count is not sure.
 _BEFORE = 8
-# Until so many frames have come the clock is not known well enough to keep what it said.
-_YOUNG = 64
 # Before the clock is known a frame may be late by this share of the window.
 _PLAUSIBLE = 1 / 4
 
@@ -310,8 +308,7 @@ class Timeline:
         same = self._ticks.look(noise, newest)
         self._counts['lost'] += self._ticks.lost - lost
         if self._ticks.regular:
-            mature = was and same and self._ticks.seen > _YOUNG
-            return self._follow if mature else partial(self._count_anew, noise)
+            return self._follow if was and same else partial(self._count_anew, noise)
         return self._to_stamps if was else None
 
     def _follow(self) -> bool:
@@ -335,8 +332,7 @@ class Timeline:
         """Give all frames the counts that the clock has for them."""
         clock, every = self._ticks.clock, self._frames.view()
         assert clock is not None
-        other = not self._regular or self._ticks.seen > _YOUNG
-        self._regular = True
+        other, self._regular = not self._regular, True
         self._step = max(round(clock.interval), 1)
         number = min(len(every), len(self._ticks.counts))
         if not number:
@@ -350,7 +346,11 @@ class Timeline:
         self._ticks.uncount(number)
         self._ticks.count(counts[:1])
         self._count(self._counter, here + 1, np.broadcast_to(noise, (number, len(noise))))
-        every['time'][here] = self._anchor[0]
+        mended, sure = every[here:], number - self._counter.pending
+        mend(mended['count'], mended['poses'], mended['information'], noise)
+        self._ticks.uncount(sure)
+        self._ticks.count(mended['count'][:sure])
+        every['time'][here:] = self._times(mended['count'])
         # Frames of another rate.
         every['time'][:here] = _rising(every['stamp'][:here] - round(clock.lateness))
         self._newest = int(every['stamp'].max())
