@@ -360,7 +360,7 @@ def gap_to_mend(counts: np.ndarray, signals: Real, variance: Real) -> tuple[int,
 
 def course_costs(frames: np.ndarray, begin: int, counts: np.ndarray, noise: Real) -> Real:
     """
-    How unlikely (H,), nats, the motion makes `counts` (H, n) of the `frames` from the `begin`-th on.
+    How unlikely (H,), nats, the motion makes `counts` (H, n) of `frames` from the `begin`-th on.
 
     The frames are rows of a `Timeline`; `noise` (B,), m, is that of a marker of each body.
     """

@@ -274,7 +274,9 @@ class Timeline:
             number = paths.shape[1]
             frames = every[max(0, begin - _BEFORE) : begin + number]
             counts = counter.count + np.arange(1, number + 1) + paths
-            return course_costs(frames, len(frames) - number, counts, noise[begin + number - 1 - first])
+            return course_costs(
+                frames, len(frames) - number, counts, noise[begin + number - 1 - first]
+            )
 
         for k, sure in enumerate(counter.take(every['stamp'][first:], motion)):
             every['count'][begin : begin + len(sure)] = sure

@@ -326,7 +326,7 @@ class Tracker:
         self.counts['markers_unknown'] = self._roster.unknown
         first, every = 0, len(steps)
         while first < every:
-            # Where counts take their time they are to be known when shapes and the like are learned.
+            # Where counts take their time they are to be known when shapes are learned.
             counted = self._timeline.counts_are_sure or self._roster.plane is None
             room = every if counted else self._rigid.until_beat()
             part = slice(first, first + room)
