@@ -83,6 +83,8 @@ class Ticks:
         self._stamps = np.zeros(0, np.int64)
         # Where frames are counted as they come, of the newest when they are sure.
         self.counts = np.zeros(0, np.int64)
+        # Whether frames are regular only since stamps are rounded.
+        self._rounded = False
         # Only frames after so many can still be mended.
         self._mended = 0
         self._taken = np.zeros(0, bool)
@@ -145,7 +147,8 @@ class Ticks:
             clock, counts = find_clock(self._stamps, self.clock)
         else:
             known = np.concatenate((self.counts, newest))
-            mend(known, *map(np.concatenate, zip(*self._poses, strict=True)), noise)
+            poses, information = (np.concatenate(parts) for parts in zip(*self._poses, strict=True))
+            mend(known, poses, information, noise)
             clock, counts, same = follow_clock(self._stamps, known)
         dropped = len(self._stamps) - len(counts)
         self._forget(dropped)
@@ -160,8 +163,14 @@ class Ticks:
         self._weigh(counts[self._taken], noise)
         late = self._stamps - clock.origin - counts * clock.interval
         step = clock.resolution
-        if step / 2 < float(np.ptp(late)) <= _ROUNDED * step and self._may_be_rounded(step):
-            self.regular = True
+        rounded = step / 2 < float(np.ptp(late)) <= _ROUNDED * step and self._may_be_rounded(step)
+        if rounded and not self.regular:
+            self._rounded = self.regular = True
+        if self._rounded and self.nats > _DECIDES:
+            self._rounded = False
+        elif self._rounded and step < _COARSE:
+            # Stamps are in finer steps now, and the motion does not tell.
+            self._rounded = self.regular = False
         if self.regular:
             # The others are of no use any more, nor do more of them come.
             self._stamps, counts = self._stamps[self._taken], counts[self._taken]
@@ -199,6 +208,10 @@ class Ticks:
         rounded = off[first] <= _ROUNDED * step and counts[first + 1] > counts[first]
         rounded = rounded and self._may_be_rounded(step)
         return first if rounded else len(stamps)
+
+    def round(self) -> None:
+        """Take frames to be at ticks, as their stamps are rounded."""
+        self.regular = self._rounded = True
 
     def _forget(self, count: int) -> None:
         if count > 0:

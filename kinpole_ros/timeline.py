@@ -302,7 +302,8 @@ class Timeline:
         `noise` (B,), m, is that of a marker of each body.
         """
         if self._slips:
-            self._slips, self._ticks.regular = False, True
+            self._slips = False
+            self._ticks.round()
             return partial(self._count_anew, noise)
         was = self._regular
         lost = self._ticks.lost

@@ -130,6 +130,26 @@ def test_frames_that_are_uneven_are_taken_by_their_stamps():
     assert auto.stamp_state().nats < -6 and not auto.stamp_state().costs
 
 
+def test_a_change_of_the_rate_is_noticed():
+    times = np.concatenate((np.arange(600) / 200, 3 + np.arange(600) / 150))
+    points, rates = record(times)
+    for kind in 'none', '0.001':
+        tracker, found = errors(late(times, kind, drift=0), points, rates, 4.5, mode='arrival')
+        assert tracker.stamp_state().interval == pytest.approx(1 / 150, rel=1e-3)
+        assert found < 0.1
+
+
+def test_rounding_lapses_when_stamps_become_true():
+    rng = np.random.default_rng(0)
+    times = np.arange(1200) / 240
+    points, _ = record(times, rest=10.0)
+    stamps = late(times, 'rounded')
+    uneven = times[600:] + rng.uniform(-0.3, 0.3, 600) / 240
+    stamps[600:] = START + np.rint(uneven * 1e9).astype(np.int64)
+    assert track(stamps[:600], points[:600])[0].stamp_state().regularized
+    assert not track(stamps, points)[0].stamp_state().regularized
+
+
 def test_decided_soon_after_a_body_at_rest_moves():
     times = np.arange(800) / 200
     points, _ = record(times, rest=2.0)
