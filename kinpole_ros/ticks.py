@@ -209,6 +209,11 @@ class Ticks:
         rounded = rounded and self._may_be_rounded(step)
         return first if rounded else len(stamps)
 
+    @property
+    def is_up_to_date(self) -> bool:
+        """Whether no frames have come since the last look."""
+        return not self._new
+
     def round(self) -> None:
         """Take frames to be at ticks, as their stamps are rounded."""
         self.regular = self._rounded = True

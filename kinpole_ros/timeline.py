@@ -304,7 +304,8 @@ class Timeline:
         if self._slips:
             self._slips = False
             self._ticks.round()
-            return partial(self._count_anew, noise)
+            if self._ticks.is_up_to_date:
+                return partial(self._count_anew, noise)
         was = self._regular
         lost = self._ticks.lost
         newest = None if self._counter is None else self._counter.likely
