@@ -33,6 +33,8 @@ from kinpole_ros.window import (
 
 # Coordinates are known no better than a few units of their last place.
 _ROUNDING = 4 * np.finfo(float).eps
+# Frames that are taken at once where beats come more often.
+_FEW = 16
 # rad. An angle noisier than this wanders round, and its errors are no longer small.
 _UNSTEADY = 0.15
 # A noise of fewer degrees of freedom may well be a third of what it is, or three times that.
@@ -262,6 +264,17 @@ class RigidBodies:
     def are_timed(self, timed: bool) -> None:
         """Whether the next frames are `timed` well enough to tell bodies that are far off."""
         self._shapes.are_timed(timed)
+
+    def until_beat(self) -> int:
+        """How many frames are taken before the next beat, or a few where beats come often."""
+        return max(self._shapes.beat - self._new, _FEW)
+
+    def were_at(self, times: np.ndarray) -> None:
+        """The newest frames that were taken turned out to be at `times` (T,), ns."""
+        for news in reversed(self._news):
+            here = min(len(news.stamps), len(times))
+            news.stamps[len(news.stamps) - here :] = times[len(times) - here :]
+            times = times[: len(times) - here]
 
     def take_unseen(self, rows: np.ndarray) -> None:
         """Fill rows (T,) of frames that nothing can be made of: the plane is not known."""

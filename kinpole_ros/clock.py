@@ -8,12 +8,15 @@ all later ones being at least a tick later than without the loss.
 """
 
 import math
-from collections.abc import Sequence
-from typing import NamedTuple
+from collections.abc import Callable, Iterator
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
 from kinpole_ros.planar._plane import Real
+
+# What paths (H, n) of the pending frames cost by the motion, nats (H,).
+Motion: TypeAlias = Callable[[np.ndarray], Real]
 
 # As many frames as a window needs.
 FEWEST_FRAMES = 7
@@ -21,8 +24,12 @@ FEWEST_FRAMES = 7
 # enough to go on from what it was.
 _SEARCHED = 64
 _CANDIDATES = 41
-# Nats: of a lost frame (one in fifty), and for a wrong count in a hundred.
-_LOSS, _SURE = 3.9, 4.6
+# Nats of a lost frame: one in fifty. Of a sure count one in a hundred is wrong.
+_LOSS, _DOUBT = 3.9, 0.01
+# So many paths are looked at, which cost no more than so many nats beside the likeliest.
+_MOST_PATHS, _UNLIKELY = 32, 12.0
+# A frame that comes within this share of the interval after another waited for it in a queue.
+_QUEUED = 0.1
 # No frame tells more than this, nats: a driver hangs for once about as often as frames are lost.
 _MOST_TOLD = 4.3
 # A frame that comes more than this share of the interval before its tick has another.
@@ -65,6 +72,11 @@ class Clock(NamedTuple):
     margin: float
     resolution: float
 
+    @property
+    def reach(self) -> float:
+        """By how many ticks a frame may be later than another with the same count."""
+        return (self.largest + self.margin) / self.interval
+
     def ticks(self, stamps: np.ndarray) -> Real:
         """At how many ticks (T,) the `stamps` (T,), ns, come: their whole part is the latest."""
         since = np.asarray(stamps) - self.origin
@@ -106,6 +118,30 @@ def find_clock(stamps: np.ndarray, before: Clock | None) -> tuple[Clock, np.ndar
         counts = again
         clock, used = _fit(origin, since, counts, resolution)
     return clock, counts[-used:]
+
+
+def follow_clock(stamps: np.ndarray, counts: np.ndarray) -> tuple[Clock, np.ndarray, bool]:
+    """
+    The clock behind `stamps` (N,), ns, of frames with `counts` (N,), and the counts of the latest.
+
+    Also whether those are as they were: where the newest are likelier at a rate of their own the
+    clock is found anew from them.
+    """
+    if len(stamps) <= 2 * _UNSETTLED:
+        return *find_clock(stamps, None), False
+    origin = int(stamps[0])
+    since = (stamps - origin).astype(float)
+    resolution = float(max(np.gcd.reduce(np.diff(stamps)), 1))
+    clock, used = _fit(origin, since, counts, resolution, True)
+    newest = since[-_SEARCHED:]
+    trials = np.stack((counts[-_SEARCHED:], _search(newest, resolution)))
+    costs = _costs(newest, trials, np.array([_edge_of(newest, c) for c in trials]), resolution)
+    lost = np.ptp(trials[:, : len(newest) - _UNSETTLED], axis=1)
+    if lost[0] != lost[1] and costs[1] < costs[0] - _CHANGED:
+        used = len(newest)
+    if used == len(counts):
+        return clock, counts, True
+    return *find_clock(stamps[-used:], None), False
 
 
 def _afresh(since: Real, resolution: float) -> np.ndarray:
@@ -192,11 +228,14 @@ def counts_by(stamps: np.ndarray, clock: Clock) -> np.ndarray:
     return np.asarray(number + np.minimum.accumulate(ahead[::-1])[::-1])
 
 
-def _fit(origin: int, since: Real, counts: np.ndarray, resolution: float) -> tuple[Clock, int]:
+def _fit(
+    origin: int, since: Real, counts: np.ndarray, resolution: float, counted: bool = False
+) -> tuple[Clock, int]:
     """
     The clock of frames `since` `origin`, ns, with `counts` (N,).
 
-    Of all, or of as many of the newest as are returned too, if the rate has changed.
+    Of all, or of as many of the newest as are returned too, if the rate has changed. Whether it has
+    is only looked at where counts cannot be wrong, or were `counted` one by one.
     """
     used = len(counts)
     # A frame after a loss may have come before it, late, for all one knows, and spoil the edge.
@@ -211,8 +250,7 @@ def _fit(origin: int, since: Real, counts: np.ndarray, resolution: float) -> tup
     # Stamps that run backward are of no clock.
     interval = max(interval, 1.0)
     part = len(counts) // 2
-    # Where counts are in doubt, so is what a part of the frames says.
-    while part > _FEW and (since - interval * counts).std() < _PLAIN * interval:
+    while part > _FEW and (counted or (since - interval * counts).std() < _PLAIN * interval):
         newest = slice(len(counts) - part, None)
         now, sure_now = _slope(since[newest], counts[newest], resolution)
         left, own = (
@@ -306,144 +344,120 @@ def _edge(values: Real, around: Real, slope: float) -> float:
     return slope
 
 
-class Loss(NamedTuple):
-    """
-    `lost` frames were lost before one of those counted, the `place`-th of them or up to `last` on.
-
-    By the stamps the first is the likeliest, each after it by `each` nats less. It is known by
-    frames up to the `end`-th, since the `by`-th of those that came.
-    """
-
-    place: int
-    last: int
-    end: int
-    lost: int
-    each: float
-    by: int
-
-
-class Counted(NamedTuple):
-    """
-    What a `FrameCounter` says of frames that have come.
-
-    The likeliest count of each when it came, and how many were `behind` then without a sure one;
-    the counts that are `sure` now, from the frame that had none on, and the `losses` among them.
-    `early` is how many fewer must have been lost for the frame after these, which was not taken
-    then; 0 if all were.
-    """
-
-    counts: list[int]
-    behind: list[int]
-    sure: list[int]
-    losses: list[Loss]
-    early: int
-
-
 class FrameCounter:
     """
-    Counts frames as they come, by a clock.
+    Counts frames as they come, by a clock and by the motion.
 
-    `count` is that of the newest frame whose count is sure, which had it by `clock`; those after it
-    are pending.
+    `count` is that of the newest frame whose count is sure; those after it are pending. What they
+    may have is a handful of paths: how many frames were lost before each of them. A path costs
+    what its losses, the lateness of its frames and the motion say, nats.
     """
 
     def __init__(self, clock: Clock, count: int) -> None:
         self.count = count
-        # By how many ticks each of the pending is later than without a loss.
-        self._pending: list[int] = []
-        # The least of it, and how many frames have it or more since one had that.
-        self._least = 0
-        self._alike = 0
-        # Frames that were counted since the last loss, and how large that was.
-        self._since_loss = 0
-        self._last_loss = 0
-        # What our counts are ahead of the clock's.
-        self._shift = 0
-        self._set(clock)
+        self._forget()
+        # So many fewer were lost than it seemed, of late, and since the clock was found.
+        self.early = 0
+        self._stamp = 0
+        self.follow(clock)
 
-    def _set(self, clock: Clock) -> None:
-        self.clock = clock
-        self._told = min(_MOST_TOLD, clock.interval / max(clock.lateness, 1.0))
+    def _forget(self) -> None:
+        """None is pending."""
+        # Frames lost (H, n) before each of the pending, by path, and what that costs by stamps.
+        self._paths = np.zeros((1, 0), np.int64)
+        self._costs = np.zeros(1)
 
     def follow(self, clock: Clock) -> None:
-        """Go by a clock that is known better."""
-        old = self.clock
-        at = old.origin - clock.origin + old.phase + (self.count - self._shift) * old.interval
-        self._shift = self.count - round((at - clock.phase) / clock.interval)
-        self._set(clock)
+        """Go by a clock that is known better, by these counts."""
+        self.clock, self._shift = clock, 0
+        self._told = clock.interval / max(clock.lateness, 1.0)
+        self._queued = _QUEUED * clock.interval
 
     @property
     def pending(self) -> int:
         """How many of the newest frames wait for their count."""
-        return len(self._pending)
+        return self._paths.shape[1]
 
-    def ticks(self, stamps: np.ndarray) -> list[float]:
-        """What `take` wants of frames with `stamps` (T,), ns."""
-        return (self.clock.ticks(stamps) + self._shift).tolist()
+    @property
+    def likely(self) -> np.ndarray:
+        """The likeliest counts of the pending."""
+        return self.count + np.arange(1, self.pending + 1) + self._paths[0]
 
-    def take(self, ticks: Sequence[float]) -> Counted:
-        """Count frames at `ticks` of the clock."""
-        found = Counted([], [], [], [], 0)
-        for tick in ticks:
-            pending = self._pending
-            ahead = math.floor(tick) - self.count - len(pending) - 1
-            if ahead < 0:
-                # Unless the edge was not known well.
-                ahead = math.floor(tick + _EARLY) - self.count - len(pending) - 1
-                early = min(-ahead, self._last_loss)
-                if early > 0:
-                    return found._replace(early=early)
-                ahead = 0
-            pending.append(ahead)
-            if ahead == 0:
-                self._settle(len(pending), found)
-            else:
-                if ahead < self._least or len(pending) == 1:
-                    self._least, self._alike = ahead, 0
-                self._alike += 1
-                gain = self._gain()
-                if gain > _LOSS + _SURE or len(pending) >= _MOST_PENDING:
-                    self._conclude(gain > _LOSS, found)
-            pending = self._pending
-            likely = self._least if pending and self._gain() > _LOSS else 0
-            found.counts.append(self.count + len(pending) + likely)
-            found.behind.append(len(pending))
-        return found
+    def least(self, stamps: np.ndarray) -> np.ndarray:
+        """Counts (T,) that frames have at least, as none was ever later than the latest."""
+        ticks = self.clock.ticks(stamps) + self._shift - self.clock.reach
+        return np.ceil(ticks).astype(np.int64)
 
-    def _gain(self) -> float:
-        """By how many nats a loss is likelier than frames that are late."""
-        return self._alike * min(_MOST_TOLD, self._least * self._told)
+    def take(self, stamps: np.ndarray, motion: Motion) -> Iterator[np.ndarray]:
+        """
+        Count frames with `stamps` (T,), ns: after each, the counts (n,) that are sure now.
 
-    def withdraw(self, early: int) -> int:
-        """So many fewer were lost; how many of the newest frames were counted since."""
-        self.count -= early
-        self._last_loss -= early
-        # Less late than it seemed.
-        self._pending = [ahead + early for ahead in self._pending]
-        self._least += early
-        return self._since_loss + len(self._pending)
+        They are of the frames from the oldest that was pending on.
+        """
+        queued = np.diff(stamps, prepend=self._stamp) < self._queued
+        self._stamp = int(stamps[-1])
+        ticks = self.clock.ticks(stamps).tolist()
+        for tick, late in zip(ticks, queued.tolist(), strict=True):
+            yield self._next(tick, late, motion)
 
-    def _settle(self, number: int, found: Counted) -> None:
-        found.sure.extend(range(self.count + 1, self.count + number + 1))
-        self.count += number
-        self._since_loss += number
-        del self._pending[:number]
+    def _next(self, tick: float, queued: bool, motion: Motion) -> np.ndarray:
+        number = self.pending + 1
+        tick += self._shift
+        most = math.floor(tick) - self.count - number
+        if most < 0:
+            # Unless the edge was not known well.
+            early = self.count + number - math.floor(tick + _EARLY)
+            if early > 0:
+                self._shift += early
+                self.early += early
+            most = 0
+        if not most:
+            # Nor were any lost before those that are pending.
+            self.count += number
+            self._forget()
+            return np.arange(self.count - number + 1, self.count + 1)
+        self._extend(most, queued)
+        costs = self._costs + motion(self._paths)
+        order = costs.argsort(kind='stable')[:_MOST_PATHS]
+        order = order[costs[order] < costs[order[0]] + _UNLIKELY]
+        self._paths, self._costs = self._paths[order], self._costs[order]
+        weights = np.exp(costs[order[0]] - costs[order])
+        doubt = weights @ (self._paths != self._paths[0]) / weights.sum()
+        sure = (doubt < _DOUBT).nonzero()[0]
+        known = max(int(sure[-1]) + 1 if len(sure) else 0, number - _MOST_PENDING)
+        return self._settle(known)
 
-    def _conclude(self, is_loss: bool, found: Counted) -> None:
-        """Some were lost before a pending frame, or else all are as they seemed."""
-        pending, lost = self._pending, self._least
-        number = len(pending)
-        if not is_loss:
-            self._settle(number, found)
-            return
-        rest = [ahead - lost for ahead in pending]
-        sure = number - rest[::-1].index(0)
-        place = len(found.sure)
-        self.count += lost
-        self._last_loss, self._since_loss = lost, 0
-        self._pending = rest
-        self._settle(sure, found)
-        each, by = lost * self._told, len(found.counts)
-        found.losses.append(Loss(place, sure - 1, place + sure, lost, each, by))
-        self._least = min(self._pending, default=0)
-        self._alike = len(self._pending)
+    def _extend(self, most: int, queued: bool) -> None:
+        """Go on with the next frame, before which at most so many were lost in all."""
+        number = self.pending
+        before = self._paths[:, -1] if number else np.zeros(1, np.int64)
+        if before.min() > most:
+            self._paths = np.minimum(self._paths, most)
+            before = self._paths[:, -1]
+        # Either nothing was lost now, or the frame is no later than the latest.
+        least = max(most - math.ceil(self.clock.reach), 0)
+        lost = np.unique(np.concatenate((before, np.arange(least, most + 1))))
+        path, which = ((lost >= before[:, None]) & (lost <= most)).nonzero()
+        more = lost[which] - before[path]
+        self._costs = self._costs[path] + _LOSS * np.minimum(more, 2)
+        # What waited for others tells nothing.
+        if not queued:
+            self._costs -= np.minimum(lost[which] * self._told, _MOST_TOLD)
+        self._paths = np.column_stack((self._paths[path], lost[which]))
+
+    def _settle(self, known: int) -> np.ndarray:
+        """Take so many of the pending as the likeliest path has them."""
+        if not known:
+            return np.zeros(0, np.int64)
+        counts = self.likely[:known]
+        if known == self.pending:
+            self._forget()
+            self.count = int(counts[-1])
+            return counts
+        lost = self._paths[0, known - 1]
+        alike = self._paths[:, known - 1] == lost
+        paths, first = np.unique(self._paths[alike, known:] - lost, axis=0, return_index=True)
+        order = first.argsort()
+        self._paths, self._costs = paths[order], self._costs[alike][first[order]]
+        self.count = int(counts[-1])
+        return counts

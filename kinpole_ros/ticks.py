@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from kinpole_ros.clock import FEWEST_FRAMES, Clock, Loss, find_clock
+from kinpole_ros.clock import FEWEST_FRAMES, Clock, find_clock, follow_clock
 from kinpole_ros.planar._plane import Real
 
 # Windows that the clock is found from, and frames at least and at most: 10 s of 0.3 s each.
@@ -26,12 +26,17 @@ _MOST_NATS = 50.0
 # Neighbors on each side that predict a pose, and frames for the first evidence.
 _SIDE = 3
 _FEWEST_EVIDENCE = 16
+# Only losses since so many frames may have been none.
+_TAKEN_BACK = 32
 # Newest frames whose ticks are not sure enough to say anything.
 _UNSURE = 8
 # One prediction does not count for more than so many mean squares.
 _OUTLIER = 9.0
 # Of the polynomial that places a lost frame.
 _DEGREE = 3
+# Frames on each side that tell how long a gap is, nats that contradict what it was taken for, and
+# mean squares up to which a polynomial follows the motion. So many gaps are mended at once.
+_BESIDE, _CONTRADICTS, _FOLLOWED, _MOST_MENDED = 4, 20.0, 4.0, 16
 # What neighbors predict is correlated: there is half as much evidence as predictions.
 _INDEPENDENT = 0.5
 
@@ -76,7 +81,12 @@ class Ticks:
         self.seen = 0
         self.nats = 0.0
         self._stamps = np.zeros(0, np.int64)
-        self._counts = np.zeros(0, np.int64)
+        # Where frames are counted as they come, of the newest when they are sure.
+        self.counts = np.zeros(0, np.int64)
+        # Whether frames are regular only since stamps are rounded.
+        self._rounded = False
+        # Only frames after so many can still be mended.
+        self._mended = 0
         self._taken = np.zeros(0, bool)
         self._new: list[tuple[np.ndarray, np.ndarray]] = []
         # Poses of frames taken, with what they are known by, that are still to be looked at.
@@ -97,24 +107,49 @@ class Ticks:
         """Poses (T, 2 B, 2) of the frames taken, as in `RigidBodies`."""
         self._poses.append((poses.copy(), information.copy()))
 
-    def look(self, noise: Real) -> np.ndarray:
-        """
-        Find the clock, and decide; the counts (N,) of the frames of late that were taken.
+    def count(self, counts: np.ndarray) -> None:
+        """The next of the frames have these `counts` (T,)."""
+        self.counts = np.concatenate((self.counts, counts))
 
-        `noise` (B,), m, is that of a marker of each body, NaN while not known.
+    def uncount(self, number: int) -> None:
+        """The counts of so many of the newest frames are to be found."""
+        self.counts = self.counts[: len(self.counts) - number]
+
+    def take_back(self, early: int) -> None:
+        """So many fewer frames were lost than it seemed, if any were of late."""
+        # If that is wrong the next look mends it.
+        begin = max(len(self.counts) - _TAKEN_BACK, self._mended, 1)
+        more = np.diff(self.counts[begin - 1 :]) - 1
+        lost = more.nonzero()[0]
+        if len(lost):
+            self.counts[: begin + lost[-1]] += min(early, int(more[lost[-1]]))
+
+    def look(self, noise: Real, newest: np.ndarray | None) -> bool:
+        """
+        Find the clock, and decide; whether it is still the one that frames are counted by.
+
+        `noise` (B,), m, is that of a marker of each body, NaN while not known; `newest` are the
+        counts of the newest frames as far as none is sure, None where frames are not counted.
         """
         news = [np.concatenate(parts) for parts in zip(*self._new, strict=True)]
         self._new = []
         before = len(self._stamps)
         self._stamps = np.concatenate((self._stamps, news[0]))
         self._taken = np.concatenate((self._taken, news[1]))
-        newest = int(self._stamps[-1])
-        old = int((self._stamps > newest - _MEMORY * self._window).argmax())
+        latest = int(self._stamps[-1])
+        old = int((self._stamps > latest - _MEMORY * self._window).argmax())
         # Of a slow camera as many as are looked at alike.
         old = max(min(old, len(self._stamps) - _LEAST), len(self._stamps) - _MOST, 0)
         self._forget(old)
         before = max(before - old, 0)
-        clock, counts = find_clock(self._stamps, self.clock)
+        if newest is None:
+            same = False
+            clock, counts = find_clock(self._stamps, self.clock)
+        else:
+            known = np.concatenate((self.counts, newest))
+            poses, information = (np.concatenate(parts) for parts in zip(*self._poses, strict=True))
+            mend(known, poses, information, noise)
+            clock, counts, same = follow_clock(self._stamps, known)
         dropped = len(self._stamps) - len(counts)
         self._forget(dropped)
         before = max(before - dropped, 0)
@@ -125,13 +160,24 @@ class Ticks:
         self.clock = clock
         seldom = max(FEWEST_FRAMES, int(_SELDOM * self._window / max(clock.interval, 1.0)))
         self.room = min(max(1, self.seen // _GROWTH), seldom)
-        ours = counts[self._taken]
-        self._weigh(ours, noise)
+        self._weigh(counts[self._taken], noise)
         late = self._stamps - clock.origin - counts * clock.interval
         step = clock.resolution
-        if step / 2 < float(np.ptp(late)) <= _ROUNDED * step and self._may_be_rounded(step):
-            self.regular = True
-        return ours
+        rounded = step / 2 < float(np.ptp(late)) <= _ROUNDED * step and self._may_be_rounded(step)
+        if rounded and not self.regular:
+            self._rounded = self.regular = True
+        if self._rounded and self.nats > _DECIDES:
+            self._rounded = False
+        elif self._rounded and step < _COARSE:
+            # Stamps are in finer steps now, and the motion does not tell.
+            self._rounded = self.regular = False
+        if self.regular:
+            # The others are of no use any more, nor do more of them come.
+            self._stamps, counts = self._stamps[self._taken], counts[self._taken]
+            self._taken = np.ones(len(counts), bool)
+        self.counts = counts
+        self._mended = len(counts) - (2 * _SIDE + _UNSURE) + _BESIDE
+        return same
 
     def _may_be_rounded(self, step: float) -> bool:
         """Whether stamps that are off their ticks may be so since they are in such steps, ns."""
@@ -163,9 +209,19 @@ class Ticks:
         rounded = rounded and self._may_be_rounded(step)
         return first if rounded else len(stamps)
 
+    @property
+    def is_up_to_date(self) -> bool:
+        """Whether no frames have come since the last look."""
+        return not self._new
+
+    def round(self) -> None:
+        """Take frames to be at ticks, as their stamps are rounded."""
+        self.regular = self._rounded = True
+
     def _forget(self, count: int) -> None:
         if count > 0:
             self._stamps, self._taken = self._stamps[count:], self._taken[count:]
+            self.counts = self.counts[count:]
 
     def _weigh(self, counts: np.ndarray, noise: Real) -> None:
         """Add up what the motion of late says, and decide by it."""
@@ -272,28 +328,86 @@ def _pairs(count: int) -> Iterable[tuple[int, int]]:
     return ((k, m) for k in range(count) for m in range(count) if k != m)
 
 
-def likeliest_place(frames: np.ndarray, begin: int, loss: Loss, noise: Real) -> int:
+def mend(counts: np.ndarray, poses: Real, information: Real, noise: Real) -> None:
     """
-    How many of the `frames` from the `begin`-th on came before a loss, by motion and stamps.
+    Put `counts` (N,) right where the motion contradicts them, whatever they were found by.
 
-    The frames are rows of a `Timeline`, counted as if none had; `noise` (B,), m, is that of a
-    marker of each body.
+    The newest frames have `poses` (T, 2 B, 2), as in `RigidBodies`; the newest count stays.
+    """
+    held = min(len(poses), len(counts))
+    signals, variance = _signals(poses[len(poses) - held :], information[-held:], noise)
+    for _ in range(_MOST_MENDED):
+        here, more = gap_to_mend(counts[len(counts) - held :], signals, variance)
+        if not more:
+            break
+        counts[: len(counts) - held + here] -= more
+
+
+def gap_to_mend(counts: np.ndarray, signals: Real, variance: Real) -> tuple[int, int]:
+    """
+    Before which frame one more or one fewer was lost than `counts` (N,) say, by the motion alone.
+
+    Also which, 1 or -1; 0 if none. It is the gap that contradicts most how poses go before and
+    after it; `signals` (N, S) have the `variance` (N, S), NaN where not known.
+    """
+    number = len(counts) - 2 * _BESIDE + 1
+    if number < 1:
+        return 0, 0
+    around = np.arange(2 * _BESIDE)
+    there = np.arange(number)[:, None] + around
+    more = np.array([0, 1, -1])
+    at = counts[there] + more[:, None, None] * (around >= _BESIDE)
+    fewest = np.diff(at, axis=-1).min(axis=-1)
+    at = (at - at.mean(axis=-1, keepdims=True)) / np.ptp(at, axis=-1).clip(1)[..., None]
+    basis, _ = np.linalg.qr(at[..., None] ** np.arange(_DEGREE + 1))
+    values = signals[there] / np.sqrt(variance[there].mean(axis=1, keepdims=True))
+    known = np.isfinite(values).all(axis=1)
+    values = np.where(known[:, None], values - values[:, :1], 0.0)
+    rest = values - basis @ (basis.swapaxes(-1, -2) @ values)
+    left = (rest**2).sum(axis=-2)  # (3, M, S)
+    least = left.min(axis=0) / (2 * _BESIDE - _DEGREE - 1)
+    cost = (left / np.maximum(least, 1.0)).sum(axis=-1) / 2
+    cost[fewest < 1] = np.inf
+    gain = cost[0] - cost
+    gain[:, (np.where(known, least, 0.0) > _FOLLOWED).any(axis=-1)] = 0.0
+    which, gap = np.unravel_index(gain.argmax(), gain.shape)
+    if gain[which, gap] < _CONTRADICTS:
+        return 0, 0
+    return int(gap) + _BESIDE, int(more[which])
+
+
+def course_costs(frames: np.ndarray, begin: int, counts: np.ndarray, noise: Real) -> Real:
+    """
+    How unlikely (H,), nats, the motion makes `counts` (H, n) of `frames` from the `begin`-th on.
+
+    The frames are rows of a `Timeline`; `noise` (B,), m, is that of a marker of each body.
     """
     signals, variance = _signals(frames['poses'], frames['information'], noise)
-    counts = frames['count'].astype(float)
-    known = np.isfinite(signals).all(axis=0) & np.isfinite(variance).all(axis=0)
-    left = np.zeros((loss.last + 1, int(known.sum())))
-    degree = min(_DEGREE, len(frames) - 3)
+    before = np.broadcast_to(frames['count'][:begin], (len(counts), begin))
+    at = np.concatenate((before, counts), axis=1) - counts[0, -1]
+    cost = np.zeros(len(counts))
+    # Signals that are known in the same frames go together.
+    known = np.isfinite(variance)
+    while known.any():
+        first = known.any(axis=0).argmax()
+        rows = known[:, first].copy()
+        alike = (known == rows[:, None]).all(axis=0)
+        known[:, alike] = False
+        deviation = np.sqrt(variance[np.ix_(rows, alike)].mean(axis=0))
+        cost += _misfit(at[:, rows], signals[np.ix_(rows, alike)] / deviation)
+    return cost
+
+
+def _misfit(times: np.ndarray, values: Real) -> Real:
+    """Half the squares (H,) that polynomials in `times` (H, N) leave of `values` (N, S)."""
+    degree = min(_DEGREE, len(values) - 3)
     if degree < 1:
-        return 0
-    values = signals[:, known] / np.sqrt(variance[:, known].mean(axis=0))
-    for place in range(loss.last + 1):
-        at = counts.copy()
-        at[begin : begin + place] -= loss.lost
-        basis, _ = np.linalg.qr(np.vander(at - at.mean(), degree + 1))
-        rest = values - basis @ (basis.T @ values)
-        left[place] = (rest**2).sum(axis=0)
-    freedom = max(len(frames) - degree - 1, 1)
-    scale = np.maximum(left.min(axis=0) / freedom, 1.0)
-    cost = (left / scale).sum(axis=1) / 2 + loss.each * np.arange(loss.last + 1)
-    return int(cost.argmin())
+        return np.zeros(len(times))
+    scaled = times / max(np.ptp(times), 1)
+    basis, _ = np.linalg.qr(scaled[..., None] ** np.arange(degree + 1))
+    values = values - values.mean(axis=0)
+    rest = values - basis @ (basis.swapaxes(1, 2) @ values)
+    left = (rest**2).sum(axis=1)
+    # Where no polynomial follows the motion, or the noise is not known.
+    scale = np.maximum(left.min(axis=0) / (len(values) - degree - 1), 1.0)
+    return np.asarray((left / scale).sum(axis=1) / 2)

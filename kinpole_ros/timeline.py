@@ -7,23 +7,22 @@ the clock behind these: see `ticks`.
 
 from collections import Counter
 from collections.abc import Callable
+from functools import partial
 
 import numpy as np
 
 from kinpole_ros.bodies import pose_columns
-from kinpole_ros.clock import Counted, FrameCounter, Loss, counts_by
+from kinpole_ros.clock import FrameCounter, counts_by
 from kinpole_ros.parameters import Settings
-from kinpole_ros.ticks import StampState, Ticks, likeliest_place
+from kinpole_ros.ticks import StampState, Ticks, course_costs, mend
 from kinpole_ros.window import FEWEST_SAMPLES, Samples, Unforeseen, Windows
 
 # Frames later than this many intervals of late come after a gap.
 _LATE = 2.5
 # ns. Frames are no nearer to each other than this.
 _LEAST_STEP = 1000
-# Counts of the clock are all sure but for those of the newest frames, which are counted anew.
-_UNSURE = 8
-# Until so many frames have come the clock is not known well enough to keep what it said.
-_YOUNG = 64
+# Motion is followed by so many frames before those whose count is not sure.
+_BEFORE = 8
 # Before the clock is known a frame may be late by this share of the window.
 _PLAUSIBLE = 1 / 4
 
@@ -83,9 +82,8 @@ class Timeline:
         # The time of a count, and from one to the next.
         self._anchor = 0, 0
         self._step = 0
-        # What the counter said of frames that come in next, and what it must take back first.
-        self._counted: Counted | None = None
-        self._early = 0
+        # What the newest frame has at least.
+        self._least = 0
         self._slips = False
 
     def __len__(self) -> int:
@@ -109,7 +107,7 @@ class Timeline:
     def counts_are_sure(self) -> bool:
         """Whether a frame's stamp alone tells its tick: none is later than the next."""
         clock = self._ticks.clock
-        return not self.regular or (clock is not None and clock.largest < clock.interval)
+        return not self.regular or (clock is not None and clock.reach < 1)
 
     def stamp_state(self) -> StampState | None:
         """How the stamps are; None while too few have come."""
@@ -135,7 +133,7 @@ class Timeline:
             came = slice(None) if repeated is None else ~repeated
             self._ticks.add(stamps[:end][came], (ahead > 0)[came])
             self._last, self._last_points = int(stamps[end - 1]), points[end - 1].copy()
-        return ahead, end, end < len(stamps) and not self._early
+        return ahead, end, end < len(stamps)
 
     def _sift_captures(
         self, stamps: np.ndarray, points: np.ndarray
@@ -176,12 +174,6 @@ class Timeline:
         end = int(anew.argmax()) if anew.any() else len(stamps)
         repeated = self._repeated(stamps[:end], points)
         taken = ~(late[:end] | repeated)
-        if self._counter is not None:
-            rows = taken.nonzero()[0]
-            self._counted = counted = self._counter.take(self._counter.ticks(stamps[rows]))
-            if counted.early:
-                end = int(rows[len(counted.counts)])
-                taken, repeated, self._early = taken[:end], repeated[:end], counted.early
         self._counts['late'] += int(late[:end].sum())
         self._counts['repeated'] += int(repeated.sum())
         if end:
@@ -224,140 +216,158 @@ class Timeline:
         return rows, (steps > _LATE * before) & (before > 0)
 
     def _enter_arrivals(self, rows: np.ndarray, stamps: np.ndarray) -> np.ndarray:
-        """Give frames the time of their ticks; which (T,) come after a gap."""
+        """Give frames times to go on with until they are counted; which (T,) come after a gap."""
         every = self._frames.view()
-        first = len(every) == len(rows)
-        if self._counted is None:
+        rows['count'] = rows['behind'] = 0
+        if self._counter is None:
+            first = len(every) == len(rows)
             last = int(stamps[0]) - _LEAST_STEP if first else int(every['time'][-len(rows) - 1])
             rows['time'] = _rising(np.concatenate(((last,), stamps)))[1:]
-            rows['count'] = rows['behind'] = 0
             return np.zeros(len(rows), bool)
-        counts = np.array(self._counted.counts)
-        before = self._anchor[1] if first else int(every['count'][-len(rows) - 1])
-        rows['count'], rows['behind'] = counts, self._counted.behind
+        number = np.arange(1, len(rows) + 1)
+        ahead = np.maximum(self._counter.least(stamps) - number, self._least)
+        counts = np.maximum.accumulate(ahead) + number
+        gaps = np.diff(counts, prepend=self._least) > _LATE
+        self._least = int(counts[-1])
         rows['time'] = self._times(counts)
-        return np.diff(counts, prepend=before) > _LATE
+        return gaps
 
     def _times(self, counts: np.ndarray) -> np.ndarray:
         time, count = self._anchor
         return np.asarray(time + (counts - count) * self._step)
 
-    def pose(self, rows: np.ndarray, noise: np.ndarray) -> None:
+    def pose(self, rows: np.ndarray, noise: np.ndarray) -> np.ndarray:
         """
-        Frames `rows` have poses now: what that says of when they were.
+        Frames `rows` have poses now: what that says of when they, and those before, were.
 
-        `noise` (K, B) is that of a marker of each body, m, as it was known by the rows' `beat`.
+        `noise` (K, B) is that of a marker of each body, m, as it was known by the rows' `beat`. The
+        times (T,) are of the newest frames, as far as they are not those that they had.
         """
         self._ticks.add_poses(rows['poses'], rows['information'])
-        counted, self._counted = self._counted, None
         if not self._regular:
-            return
+            return rows['time'][:0]
         every = self._frames.view()
-        if counted is not None and counted.sure:
-            assert self._counter is not None
+        pending = anew = 0
+        if self._counter is not None:
+            anew = len(rows) + self._counter.pending
+            self._count(self._counter, len(every) - len(rows), noise[rows['beat']])
             pending = self._counter.pending
-            first = len(every) - pending - len(counted.sure)
-            known = slice(first, len(every) - pending)
-            every['count'][known] = counted.sure
-            for loss in counted.losses:
-                self._place_loss(every, first, loss, noise[rows['beat'][loss.by]])
-            every['time'][known] = self._times(every['count'][known])
-        sure = len(every) - (0 if self._counter is None else self._counter.pending)
+        sure = len(every) - pending
         if sure:
             times = every['time'][:sure]
             oldest = int(times.searchsorted(times[-1] - self.window))
             self.samples = sure - oldest
             self.interval = float(times[-1] - times[oldest]) / max(self.samples - 1, 1)
+        return every['time'][len(every) - anew :]
 
-    def _place_loss(self, every: np.ndarray, first: int, loss: Loss, noise: np.ndarray) -> None:
-        """Put a loss where motion and stamps say that it was."""
-        if not loss.last:
-            return
-        frames = every[max(0, first + loss.place - _UNSURE) : first + loss.end]
-        begin = len(frames) - (loss.end - loss.place)
-        place = likeliest_place(frames, begin, loss, noise)
-        every['count'][first + loss.place : first + loss.place + place] -= loss.lost
+    def _count(self, counter: FrameCounter, first: int, noise: np.ndarray) -> None:
+        """
+        Count the frames from the `first` on, as if each came alone.
+
+        `noise` (T, B) is that of a marker of each body, m, as it was known when they came.
+        """
+        every = self._frames.view()
+        here = begin = first - counter.pending
+
+        def motion(paths: np.ndarray) -> np.ndarray:
+            """Nats by what the poses up to now say."""
+            number = paths.shape[1]
+            frames = every[max(0, begin - _BEFORE) : begin + number]
+            counts = counter.count + np.arange(1, number + 1) + paths
+            return course_costs(
+                frames, len(frames) - number, counts, noise[begin + number - 1 - first]
+            )
+
+        for k, sure in enumerate(counter.take(every['stamp'][first:], motion)):
+            every['count'][begin : begin + len(sure)] = sure
+            begin += len(sure)
+            every['behind'][first + k] = counter.pending
+            self._ticks.count(sure)
+            if counter.early:
+                self._ticks.take_back(counter.early)
+                counter.early = 0
+        every['count'][begin:] = counter.likely
+        every['time'][here:] = self._times(every['count'][here:])
 
     @property
     def look_due(self) -> bool:
         """Whether `look` is to be called before more frames come."""
-        return self._ticks.room <= 0 or self._early > 0 or self._slips
+        return self._ticks.room <= 0 or self._slips
 
-    def look(self, noise: np.ndarray) -> Callable[[], None] | None:
+    def look(self, noise: np.ndarray) -> Callable[[], bool] | None:
         """
         Look at the clock: what is to be done when all that waits is estimated, if anything.
 
+        That says whether frames were not when they seemed to be.
         `noise` (B,), m, is that of a marker of each body.
         """
-        if self._early:
-            return self._take_back
         if self._slips:
-            self._slips, self._ticks.regular = False, True
-            return self._count_anew
+            self._slips = False
+            self._ticks.round()
+            if self._ticks.is_up_to_date:
+                return partial(self._count_anew, noise)
         was = self._regular
         lost = self._ticks.lost
-        self._ticks.look(noise)
+        newest = None if self._counter is None else self._counter.likely
+        same = self._ticks.look(noise, newest)
         self._counts['lost'] += self._ticks.lost - lost
         if self._ticks.regular:
-            mature = was and self._counter is not None and self._ticks.seen > _YOUNG
-            return self._follow if mature else self._count_anew
+            return self._follow if was and same else partial(self._count_anew, noise)
         return self._to_stamps if was else None
 
-    def _take_back(self) -> None:
-        """Frames that seemed lost were late."""
-        assert self._counter is not None
-        number = min(self._counter.withdraw(self._early), len(self._frames))
-        every = self._frames.view()[len(self._frames) - number :]
-        every['count'] -= self._early
-        every['time'] -= self._early * self._step
-        self._early = 0
-
-    def _follow(self) -> None:
+    def _follow(self) -> bool:
         """Go on by the clock as it is known now."""
-        assert self._counter is not None and self._ticks.clock is not None
-        self._counter.follow(self._ticks.clock)
-        every = self._frames.view()
-        newest = len(every) - self._counter.pending - 1
-        if newest >= 0:
-            self._anchor = int(every['time'][newest]), int(every['count'][newest])
-        self._step = round(self._ticks.clock.interval)
-        every['time'] = self._times(every['count'])
+        clock, every, counter = self._ticks.clock, self._frames.view(), self._counter
+        assert counter is not None and clock is not None
+        counter.follow(clock)
+        self._ticks.uncount(counter.pending)
+        sure = len(every) - counter.pending
+        if sure > 0:
+            self._anchor = int(every['time'][sure - 1]), int(every['count'][sure - 1])
+        self._step = max(round(clock.interval), 1)
+        # Those before had another rate; some may have been taken back.
+        first = max(sure - len(self._ticks.counts), 0)
+        every['count'][first:sure] = self._ticks.counts[len(self._ticks.counts) - sure + first :]
+        every['time'][first:] = self._times(every['count'][first:])
+        self._least = int(every['count'][-1])
+        return False
 
-    def _count_anew(self) -> None:
+    def _count_anew(self, noise: np.ndarray) -> bool:
         """Give all frames the counts that the clock has for them."""
         clock, every = self._ticks.clock, self._frames.view()
         assert clock is not None
-        self._regular = True
+        other, self._regular = not self._regular, True
         self._step = max(round(clock.interval), 1)
-        if not len(every):
-            return
-        counts = counts_by(every['stamp'], clock)
-        sure = max(len(every) - _UNSURE, 1)
-        self._counter = FrameCounter(clock, int(counts[sure - 1]))
-        while sure < len(every):
-            rest = self._counter.ticks(every['stamp'][sure:])
-            counted = self._counter.take(rest)
-            counts[sure : sure + len(counted.counts)] = counted.counts
-            known = sure + len(counted.counts) - self._counter.pending
-            counts[known - len(counted.sure) : known] = counted.sure
-            sure += len(counted.counts)
-            if counted.early:
-                number = self._counter.withdraw(counted.early)
-                counts[max(sure - number, 0) : sure] -= counted.early
-        every['count'] = counts
-        newest = max(len(every) - self._counter.pending - 1, 0)
-        count = int(counts[newest])
-        time = clock.origin + round(clock.phase + count * clock.interval)
-        self._anchor = time, count
-        every['time'] = self._times(counts)
+        number = min(len(every), len(self._ticks.counts))
+        if not number:
+            return other
+        here = len(every) - number
+        counts = counts_by(every['stamp'][here:], clock)
+        count = int(counts[0])
+        self._anchor = clock.origin + round(clock.phase + count * clock.interval), count
+        every['count'][here] = count
+        self._counter = FrameCounter(clock, count)
+        self._ticks.uncount(number)
+        self._ticks.count(counts[:1])
+        self._count(self._counter, here + 1, np.broadcast_to(noise, (number, len(noise))))
+        mended, sure = every[here:], number - self._counter.pending
+        mend(mended['count'], mended['poses'], mended['information'], noise)
+        self._ticks.uncount(sure)
+        self._ticks.count(mended['count'][:sure])
+        every['time'][here:] = self._times(mended['count'])
+        # Frames of another rate.
+        every['time'][:here] = _rising(every['stamp'][:here] - round(clock.lateness))
         self._newest = int(every['stamp'].max())
+        self._least = int(every['count'][-1])
+        return other
 
-    def _to_stamps(self) -> None:
+    def _to_stamps(self) -> bool:
         """Take frames to be at their stamps from now on."""
         self._regular = False
         every = self._frames.view()
         every['time'] = _rising(every['stamp'])
         self._counter = None
+        return True
 
     def guess(self) -> np.ndarray:
         """

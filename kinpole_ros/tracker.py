@@ -250,13 +250,11 @@ class Tracker:
 
     def _look(self, order: int | None) -> list[Estimate]:
         """Look at the clock of the stamps; what waits is estimated before it changes anything."""
-        was = self._timeline.regular
         change = self._timeline.look(self._rigid.noise())
         if change is None:
             return []
         found = self._estimates(order)
-        change()
-        if self._timeline.regular != was:
+        if change():
             self._rigid.retime()
         return found
 
@@ -326,6 +324,19 @@ class Tracker:
         `solid` (T, B, n, 3), m, are their markers as sorted.
         """
         self.counts['markers_unknown'] = self._roster.unknown
+        first, every = 0, len(steps)
+        while first < every:
+            # Where counts take their time they are to be known when shapes are learned.
+            counted = self._timeline.counts_are_sure or self._roster.plane is None
+            room = every if counted else self._rigid.until_beat()
+            part = slice(first, first + room)
+            self._take(part_of(frames, part), steps[part], solid[part], numbers[part])
+            first += room
+
+    def _take(
+        self, frames: MarkerFrames, steps: np.ndarray, solid: np.ndarray, numbers: np.ndarray
+    ) -> None:
+        """The same of frames that may be taken at once."""
         rows, gaps = self._timeline.enter(frames.stamps, steps, numbers)
         landmarks = None if self._points is None else self._points.room(len(rows))
         points, heights = self._roster.flat(solid)
@@ -346,7 +357,7 @@ class Tracker:
             self._rigid.take(every, points, heights, gaps, landmarks)
             # As they were corrected.
             seen, solid = points, plane.in_space(points, heights)
-        self._timeline.pose(rows, self._rigid.known['noise'])
+        self._rigid.were_at(self._timeline.pose(rows, self._rigid.known['noise']))
         self._space.add(frames.stamps, solid)
         missing = np.count_nonzero(np.isnan(seen)) - seen.size
         self.counts['markers_not_seen'] += int(self._roster.wanted * len(rows) + missing)

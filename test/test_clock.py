@@ -91,12 +91,13 @@ def test_counts_as_frames_come():
     clock, counts = find_clock(stamps[:60], None)
     clock, counts = find_clock(stamps[:400], clock)
     counter = FrameCounter(clock, int(counts[391]))
-    counted = counter.take(counter.ticks(stamps[392:]))
-    assert not counted.early
-    sure = np.array(counted.sure)
-    off = sure - numbers[392 : 392 + len(sure)]
+    sure, pending = [], []
+    for now in counter.take(stamps[392:], lambda paths: np.zeros(len(paths))):
+        sure.extend(now.tolist())
+        pending.append(counter.pending)
+    off = np.array(sure) - numbers[392 : 392 + len(sure)]
     assert (off == off[0]).mean() > 0.995
-    assert max(counted.behind) < 8
+    assert max(pending) < 8
 
 
 @pytest.mark.parametrize('kind', ['uniform', '0.001', 'rounded'])
@@ -127,6 +128,26 @@ def test_frames_that_are_uneven_are_taken_by_their_stamps():
     for one, other in zip(found, capture, strict=True):
         np.testing.assert_array_equal(one, other)
     assert auto.stamp_state().nats < -6 and not auto.stamp_state().costs
+
+
+def test_a_change_of_the_rate_is_noticed():
+    times = np.concatenate((np.arange(600) / 200, 3 + np.arange(600) / 150))
+    points, rates = record(times)
+    for kind in 'none', '0.001':
+        tracker, found = errors(late(times, kind, drift=0), points, rates, 4.5, mode='arrival')
+        assert tracker.stamp_state().interval == pytest.approx(1 / 150, rel=1e-3)
+        assert found < 0.1
+
+
+def test_rounding_lapses_when_stamps_become_true():
+    rng = np.random.default_rng(0)
+    times = np.arange(1200) / 240
+    points, _ = record(times, rest=10.0)
+    stamps = late(times, 'rounded')
+    uneven = times[600:] + rng.uniform(-0.3, 0.3, 600) / 240
+    stamps[600:] = START + np.rint(uneven * 1e9).astype(np.int64)
+    assert track(stamps[:600], points[:600])[0].stamp_state().regularized
+    assert not track(stamps, points)[0].stamp_state().regularized
 
 
 def test_decided_soon_after_a_body_at_rest_moves():
