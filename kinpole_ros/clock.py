@@ -434,8 +434,9 @@ class FrameCounter:
         if before.min() > most:
             self._paths = np.minimum(self._paths, most)
             before = self._paths[:, -1]
-        # Either nothing was lost now, or the frame is no later than the latest.
-        least = max(most - math.ceil(self.clock.reach), 0)
+        # Either nothing was lost now, or the frame is no later than the latest, nor than it may
+        # wait for its count.
+        least = max(most - min(math.ceil(self.clock.reach), _MOST_PENDING), 0)
         lost = np.unique(np.concatenate((before, np.arange(least, most + 1))))
         path, which = ((lost >= before[:, None]) & (lost <= most)).nonzero()
         more = lost[which] - before[path]

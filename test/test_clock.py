@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from kinpole_ros.clock import FrameCounter, find_clock
+from kinpole_ros.clock import Clock, FrameCounter, find_clock
 from kinpole_ros.frame import MarkerFrames
 from kinpole_ros.mechanism import marker_positions
 from kinpole_ros.mechanism._motions import ORDERS, BodyMotion
@@ -217,3 +217,18 @@ def test_bunches_are_spread_over_the_clock_and_named_where_they_are_not():
     assert found['auto'][0] < 0.05 < found['capture'][0]
     assert 'bunches' not in found['auto'][1]
     assert 'the stamps come in bunches' in found['capture'][1]
+
+
+def test_a_clock_far_finer_than_its_lateness_counts_in_bounded_work() -> None:
+    clock = Clock(0, 0.0, 5.0, 0.1, 1e7, 1e7, 1e8, 0.0, 1.0)
+    counter = FrameCounter(clock, 0)
+    stamps = 10**9 + 5_000_000 * np.arange(40)
+    most = 0
+
+    def motion(paths: np.ndarray) -> np.ndarray:
+        nonlocal most
+        most = max(most, len(paths))
+        return np.zeros(len(paths))
+
+    list(counter.take(stamps, motion))
+    assert most < 10_000
