@@ -254,7 +254,9 @@ class Tracker:
         if change is None:
             return []
         found = self._estimates(order)
-        if change():
+        anew = change()
+        self._rigid.were_at(self._timeline.view()['time'])
+        if anew:
             self._rigid.retime()
         return found
 

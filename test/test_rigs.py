@@ -237,3 +237,12 @@ def test_the_section_is_put_in_the_place_of_the_old_one(
     assert page.read_text() == f'{around[0]}{rigs_part(made_up())}\n'
     bench_rigs(tmp_path / 'new')
     assert not (tmp_path / 'new' / 'benchmarks.md').exists()
+
+
+def test_poses_are_predicted_from_when_frames_turned_out_to_be() -> None:
+    # The clock moves frames by most of an interval when it is found.
+    recording = record('four-bar links', 100.0, 4.0)
+    late = next(case for case in CASES if 'uniform' in case.what)
+    rng = np.random.default_rng((*late.what.encode(), *b'four-bar links', 100))
+    found = run(recording, late.spoil(recording, rng))
+    assert np.nanmax(np.abs(found.error['ω'])) < 1.0

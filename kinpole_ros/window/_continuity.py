@@ -101,6 +101,17 @@ class Continuity:
         for _, signals in self._news:
             signals[:, both] = _NOTHING
 
+    def were_at(self, times: np.ndarray) -> None:
+        """The newest frames that were taken turned out to be at `times` (T,), ns."""
+        place = len(times) - (self._number - self._numbers)
+        known = place >= 0
+        self._stamps = np.where(known, times[np.maximum(place, 0)], self._stamps)
+        for run in self._runs.values():
+            for k in range(min(len(run), len(times))):
+                run[-1 - k] = float(times[-1 - k]), run[-1 - k][1]
+        if not self._runs:
+            self._find_step()
+
     @_UNDEFINED
     def odd(self, stamps: np.ndarray, angle: Real, position: Complex) -> np.ndarray:
         """

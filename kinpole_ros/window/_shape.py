@@ -249,6 +249,10 @@ class Shapes:
         """Whether the next frames are timed well enough to tell poses that are far off."""
         self._continuity.timed = timed
 
+    def were_at(self, times: np.ndarray) -> None:
+        """The newest frames that were fitted turned out to be at `times` (T,), ns."""
+        self._continuity.were_at(times)
+
     def expected(self, stamp: int) -> tuple[Complex, Real] | None:
         """Poses predicted for a frame at `stamp`: see `Continuity.expected`."""
         return self._continuity.expected(stamp)
