@@ -25,6 +25,7 @@ from kinpole_ros.space import Space, SpaceReport
 from kinpole_ros.ticks import StampState
 from kinpole_ros.timeline import Timeline
 from kinpole_ros.window import (
+    FEWEST_SAMPLES,
     MOST_SUSPECT,
     STRIKES,
     LandmarkFilter,
@@ -462,7 +463,7 @@ class Tracker:
         if suspect is not None:
             seen &= windows[0][:, None] <= windows[2][:, None] - suspect
         measured, firm = known['measured'], known['firm']
-        usable = seen & measured & firm
+        usable = seen & measured & firm & self._has_enough(windows)
         if self._points is None:
             by = derivatives or self._filter.derivatives
             found, together, reference = self._from_poses(windows, known, order, by)
@@ -564,6 +565,15 @@ class Tracker:
             np.where(held, pin, complex(np.nan, np.nan)),
             np.where(held, variance, np.nan),
         )
+
+    def _has_enough(self, windows: Windows) -> np.ndarray:
+        """Where (T, B) a body was seen in as many frames of the window as figures take."""
+        _, oldest, newest = windows
+        seen = self._timeline.view()['information'][:, : len(self.bodies)] > 0
+        if np.count_nonzero(seen) == seen.size:
+            return np.ones((len(oldest), seen.shape[1]), bool)
+        count = np.concatenate((np.zeros((1, seen.shape[1]), int), seen.cumsum(axis=0)))
+        return np.asarray(count[newest + 1] - count[oldest] >= FEWEST_SAMPLES)
 
     def _suspect(self, windows: Windows) -> np.ndarray | None:
         """How many of the newest frames of each window (T, B) were suspect, None for none."""
