@@ -11,6 +11,7 @@ from kinpole_ros.bench._page_accuracy import (
     chi_part,
     coverage_part,
     hindsight_part,
+    others_part,
     peers_part,
     pendulum_part,
 )
@@ -34,6 +35,7 @@ class Results(NamedTuple):
     seconds: float
     quick: bool
     ratios: Rows
+    others: Rows
     bounds: Rows
     coverage: Rows
     tables: dict[str, Table]
@@ -53,6 +55,7 @@ def make_page(results: Results) -> str:
     parts = [
         _head(results.seconds, results.quick),
         hindsight_part(results.ratios),
+        others_part(results.others),
         bounds_part(results.bounds, results.ratios),
         coverage_part(results.coverage, results.bounds),
         chi_part(results.coverage),

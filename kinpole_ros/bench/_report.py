@@ -27,7 +27,7 @@ from kinpole_ros.bench._hindsight import (
 )
 from kinpole_ros.bench._live import live_rows, measure_live
 from kinpole_ros.bench._long import long_run
-from kinpole_ros.bench._motions import motions
+from kinpole_ros.bench._motions import motions, other_motions
 from kinpole_ros.bench._outcome import rig_rows
 from kinpole_ros.bench._page import Results, make_page
 from kinpole_ros.bench._page_rigs import TITLE, rigs_part
@@ -55,6 +55,7 @@ _SECONDS = {
     'speed': (202, 16),
     'live': (273, 72),
     'hindsight': (33, 2),
+    'other motions': (40, 3),
     'equal lag': (12, 4),
     'over lag': (14, 2),
     'PyNumDiff': (60, 0),
@@ -134,6 +135,10 @@ def bench(
     write('hindsight', ratios, charts.hindsight)
     write('coverage', covered, None)
     write('bounds', bounded, None)
+    tell('other motions')(0.0)
+    some = tuple(other_motions())
+    others, *_ = hindsight_table(some, NOISES, *((1, 3.0) if quick else (3, 6.0)))
+    write('hindsight_others', others, None)
     tell('equal lag')(0.0)
     tables = equal_lag(make_recording(names, NOISES, *((1, 3.0) if quick else (2, 6.0))))
     tell('over lag')(0.0)
@@ -167,6 +172,7 @@ def bench(
         time.monotonic() - begun,
         quick,
         ratios,
+        others,
         bounded,
         covered,
         tables,
