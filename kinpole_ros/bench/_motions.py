@@ -1,18 +1,21 @@
 """
-The six motions the benchmarks are made on, each exact to the fourth derivative.
+The motions the benchmarks are made on, each exact to the fourth derivative.
 
-They differ in what is hard about them: a mechanism's many harmonics, far turning within a window,
-rates that pass through zero, rest, poles that stand still in the body, and a sudden whip.
+Six differ in what is hard about them: a mechanism's many harmonics, far turning within a window,
+rates that pass through zero, rest, poles that stand still in the body, and a sudden whip. The
+others were added later, to see whether what is good for those six is good for the rest: harmonics
+near the noise, at several speeds, dwells, motion that dies away, and motion with no period.
 """
 
 from collections.abc import Callable
+from functools import partial
 from math import comb, pi
 from typing import NamedTuple
 
 import numpy as np
 
 from kinpole_ros.mechanism import BodyMotion, load_scene
-from kinpole_ros.mechanism._motions import ORDERS, four_bar
+from kinpole_ros.mechanism._motions import ORDERS, four_bar, rotation_derivatives
 
 
 class Motion(NamedTuple):
@@ -45,6 +48,21 @@ def motions() -> dict[str, Motion]:
         'stop and go': Motion(_stop_and_go, _MARKERS),
         'rolling wheel': Motion(lambda t: wheel.motion(t)['wheel'], wheel.markers['wheel']),
         'dead point': Motion(_dead_point, bar.markers['coupler']),
+    }
+
+
+def other_motions() -> dict[str, Motion]:
+    """Return the other motions by name."""
+    rods = {
+        f'rod at {rate} rev/s': Motion(partial(_periodic, _rod, rate), _MARKERS)
+        for rate in (2, 4, 8, 15)
+    }
+    return rods | {
+        'Jansen leg': Motion(partial(_periodic, _jansen_leg, 1.0), _MARKERS),
+        'cam with dwells': Motion(_cam, _MARKERS),
+        'decaying pendulum': Motion(_decaying, _MARKERS),
+        'random': Motion(_random, _MARKERS),
+        'turning with a ripple': Motion(_ripple, _MARKERS),
     }
 
 
@@ -108,6 +126,97 @@ def _stop_and_go(t: np.ndarray) -> BodyMotion:
 
 def _dead_point(t: np.ndarray) -> BodyMotion:
     return four_bar(t, turns_per_second=0.5, phase=0.3, branch='open', **_NEAR_DEAD)['coupler']
+
+
+def _periodic(
+    pose: Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]], rate: float, t: np.ndarray
+) -> BodyMotion:
+    """
+    Motion of a body whose `pose` by the crank's angle is known, at so many turns per second.
+
+    By its Fourier series, which ends: position and angle are smooth.
+    """
+    count = 512
+    position, angle = pose(2 * pi * np.arange(count) / count)
+    series = np.fft.fft(np.stack((position, angle))) / count
+    series[np.abs(series) < 1e-13] = 0.0
+    number = np.rint(np.fft.fftfreq(count, 1 / count))
+    kept = np.flatnonzero(series.any(axis=0))
+    found = sum(series[:, k, None, None] * _turning(t, 2 * pi * rate * number[k]) for k in kept)
+    return BodyMotion(found[0], found[1].real)
+
+
+def _rod(crank: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The middle and the angle of the rod of a slider-crank, its crank a third of it."""
+    pin = 0.1 * np.exp(1j * crank)
+    angle = -np.arcsin(pin.imag / 0.3)
+    return pin + 0.15 * np.exp(1j * angle), angle
+
+
+def _jansen_leg(crank: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """
+    The last link of a leg of Theo Jansen's (with his eleven holy numbers, in units of 5 mm).
+
+    Each joint is where two circles meet, on the left of the way from the first to the second.
+    """
+    a, b, c, d, e, f, g, h, i, j, k, up, m = np.array(
+        (38.0, 41.5, 39.3, 40.1, 55.8, 39.4, 36.7, 65.7, 49.0, 50.0, 61.9, 7.8, 15.0)
+    ) * 0.005
+
+    def meet(p: np.ndarray, to_p: float, q: np.ndarray, to_q: float) -> np.ndarray:
+        apart = np.abs(q - p)
+        along = (apart**2 + to_p**2 - to_q**2) / (2 * apart)
+        return np.asarray(p + (along + 1j * np.sqrt(to_p**2 - along**2)) * (q - p) / apart)
+
+    pin = a + 1j * up + m * np.exp(1j * crank)
+    ground = np.zeros_like(pin)
+    upper, lower = meet(ground, b, pin, j), meet(pin, k, ground, c)
+    left = meet(ground, d, upper, e)
+    knee = meet(lower, g, left, f)
+    foot = meet(lower, i, knee, h)
+    return (knee + foot) / 2, np.unwrap(np.angle(foot - knee))
+
+
+def _cam(t: np.ndarray) -> BodyMotion:
+    """A rocker on a pin that rises by 0.6 rad, dwells and returns, once in a second."""
+    step = np.polynomial.Polynomial((0, 0, 0, 0, 0, 126, -420, 540, -315, 70))
+    cycle = t - np.floor(t)
+    angle = np.zeros((ORDERS, *t.shape))
+    for begin, length, sign in ((0.1, 0.25, 1.0), (0.6, 0.3, -1.0)):
+        u = np.clip((cycle - begin) / length, 0.0, 1.0)
+        angle += 0.6 * sign * np.stack([step.deriv(k)(u) / length**k for k in range(ORDERS)])
+    return _on_a_pin(angle)
+
+
+def _decaying(t: np.ndarray) -> BodyMotion:
+    """A pendulum that starts at 0.8 rad and loses a third of its swing in a second."""
+    rate = complex(-0.4, 2 * pi * 1.1)
+    return _on_a_pin(np.stack([(0.8 * rate**k * np.exp(rate * t)).real for k in range(ORDERS)]))
+
+
+def _on_a_pin(angle: np.ndarray) -> BodyMotion:
+    """A body that turns about a point 0.2 m above it, by that angle and its derivatives."""
+    position = -0.2j * rotation_derivatives(angle)
+    return BodyMotion(position, angle)
+
+
+def _random(t: np.ndarray) -> BodyMotion:
+    """Gaussian motion of all frequencies up to 3 Hz alike."""
+    rng = np.random.default_rng(5)
+    waves = [
+        (scale * rng.normal(), 2 * pi * rng.uniform(0, 3), rng.uniform(0, 2 * pi))
+        for scale in (0.1, 0.03, 0.03)
+        for _ in range(40)
+    ]
+    each = np.stack([size * _turning(t, *wave).real for size, *wave in waves])
+    angle, x, y = each.reshape(3, 40, *each.shape[1:]).sum(axis=1)
+    return BodyMotion(x + 1j * y, angle)
+
+
+def _ripple(t: np.ndarray) -> BodyMotion:
+    """Turning at 2 rev/s, with a ripple of 0.1% of a turn six times in each."""
+    body = still_turning(t, 2 * pi * 2.0)
+    return body._replace(angle=body.angle + 0.002 * pi * _turning(t, 2 * pi * 12.0).imag)
 
 
 def _turning(t: np.ndarray, rate: float, phase: float = 0.0) -> np.ndarray:

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from kinpole_ros import planar
-from kinpole_ros.bench._motions import Motion, motions
+from kinpole_ros.bench._motions import Motion, motions, other_motions
 from kinpole_ros.frame import MarkerFrames
 from kinpole_ros.mechanism import BodyMotion, marker_positions
 from kinpole_ros.mechanism._motions import rotation_derivatives
@@ -97,7 +97,7 @@ def make_recording(
     names: tuple[str, ...], noises: tuple[float, ...], seeds: int, seconds: float
 ) -> Recording:
     """Record each motion at each noise level so many times, each from another instant on."""
-    known = motions()
+    known = motions() | other_motions()
     cases = tuple(
         Case(name, noise, seed) for name in names for noise in noises for seed in range(seeds)
     )

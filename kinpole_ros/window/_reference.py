@@ -126,7 +126,8 @@ class References:
         moves, turns, even, still, counts = self._sums
         counts = np.maximum(counts, 1.0)
         clear = known & (turns > _CLEAR * still)
-        turns = np.where(clear, turns, 1.0)
+        # Noise in the turning would have the point nearer than it is.
+        turns = np.where(clear, turns - still, 1.0)
         best = np.where(clear, -self._both / turns, 0.0)
         gained = np.abs(self._both * best)
         left = np.maximum(moves - gained, 0.0) / counts
