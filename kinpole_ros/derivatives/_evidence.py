@@ -9,11 +9,12 @@ from typing import NamedTuple
 
 import numpy as np
 
+from kinpole_ros.derivatives._lacking import Lacking, Lacks, lacks_of
 from kinpole_ros.derivatives._models import Modes, Stencils
 from kinpole_ros.planar._plane import Real
 
 # The noise as it was measured counts for so many samples.
-_KNOWN = 300.0
+KNOWN = 300.0
 # Models with less weight than this do not count.
 _LEAST = 1e-5
 # Of angle and position: how many components, and which of both each component is of.
@@ -36,7 +37,7 @@ class Found(NamedTuple):
 
 class Evidence(NamedTuple):
     """
-    Modes (modes + 1, 3 S) of S bodies, and what M models say of them.
+    Modes (R, 3 S) of S bodies, and what M models say of them.
 
     `variance` (M, 2, S) is that of the noise, of angle and position, and `evidence` (M, 2, S) the
     logarithm of a model's probability, up to a constant.
@@ -45,79 +46,147 @@ class Evidence(NamedTuple):
     modes: Real
     variance: Real
     evidence: Real
+    lacks: Lacks | None
 
 
-def evidence_of(modes: Modes, samples: Real, seen: Real | float) -> Evidence:
-    """How probable models are by the samples, as for `derive`."""
+def evidence_of(
+    modes: Modes,
+    samples: Real,
+    seen: Real | float,
+    lacking: Lacking | None = None,
+    known: float = KNOWN,
+) -> Evidence:
+    """
+    How probable models are by the samples, as for `derive`.
+
+    The noise as it was measured counts for so many samples as are `known`.
+    """
     count, _, bodies = samples.shape
     half = (count + 1) // 2
     flat = samples.reshape(count, -1)
     first, last = flat[:half], flat[: -half - 1 : -1]
-    rows = np.zeros((len(modes.vectors), flat.shape[1]))
-    np.matmul(modes.even, first + last, out=rows[: len(modes.even)])
-    np.matmul(modes.odd, first - last, out=rows[len(modes.even) : -1])
-    mean, slope = rows[0], rows[len(modes.even)]
-    each = rows[modes.place]  # (P, m, 3 S)
-    moved = modes.share @ (each * each)  # (P, A, 3 S)
-    rest = np.empty((len(modes.prior), 3 * bodies))
-    rest[-1] = np.einsum('nr,nr->r', flat, flat) - mean * mean
-    np.subtract(rest[-1] - slope * slope, moved.reshape(-1, 3 * bodies), out=rest[:-1])
-    rest = np.maximum(rest, 0.0, out=rest).reshape(-1, 3, bodies)
+    pairs = np.empty((len(modes.even), 2, 3 * bodies))
+    pairs[:, 0] = modes.even @ (first + last)
+    pairs[:, 1] = modes.odd @ (first - last)
+    rows = pairs.reshape(-1, 3 * bodies)
+    squares = rows * rows
+    rest = np.empty((len(modes.freedom), 3 * bodies))
+    total = np.einsum('nr,nr->r', flat, flat) - squares[0]
+    rest[-1] = total
+    total = total - squares[1]
+    for begin, end, models, share, lost in modes.parts:
+        own = squares[begin:end].reshape(len(share), -1, 3 * bodies)
+        left = lost @ own if modes.exact else total - share @ own
+        rest[models] = left.reshape(-1, 3 * bodies)
+    rest = rest.reshape(-1, 3, bodies)
+    chances: Real = modes.chances
+    lacks = None
+    if lacking is not None:
+        lacks = lacks_of(modes, rows, samples, lacking)
+        rest -= lacks.less
+        chances = chances - lacks.log * _COMPONENTS[:, None]
+    rest = np.maximum(rest, 0.0, out=rest)
     rest[:, 1] += rest[:, 2]
-    number = _KNOWN + seen * _COMPONENTS[:, None]
-    variance = (rest[:, :2] + _KNOWN) / number
-    evidence = modes.chances - (number / 2) * np.log(variance)
-    return Evidence(rows, variance, evidence)
+    number = known + seen * _COMPONENTS[:, None]
+    variance = (rest[:, :2] + known) / number
+    evidence = chances - (number / 2) * np.log(variance)
+    return Evidence(rows, variance, evidence, lacks)
 
 
-def derive(modes: Modes, stencils: Stencils, samples: Real, seen: Real | float) -> Found:
+def derive(
+    modes: Modes,
+    stencils: Stencils,
+    samples: Real,
+    seen: Real | float,
+    lacking: Lacking | None = None,
+) -> Found:
     """
     Differentiate `samples` (n, 3, S) of angle and coordinates, in deviations of their noise.
 
-    So many of them are `seen` (2, S), the others are not. Angle and position are judged apart; a
-    position's two coordinates have one model. Time is in samples.
+    So many of them are `seen` (2, S), some cells are `lacking`. Angle and position are judged
+    apart; a position's two coordinates have one model. Time is in samples.
     """
-    rows, variance, evidence = evidence_of(modes, samples, seen)
-    bodies = samples.shape[2]
-    mean = rows[0]
-    likely, weights = _weights(evidence.reshape(len(evidence), -1), modes.groups)
-    orders, amplitudes = stencils.line.shape[1], modes.share.shape[1]
-    # Only of processes that count for any of the bodies.
-    some = weights[:-1].reshape(-1, amplitudes * 2 * bodies).any(axis=1).nonzero()[0]
-    models = np.append((amplitudes * some[:, None] + np.arange(amplitudes)).ravel(), -1)
-    off = np.zeros((len(models), orders, 3 * bodies))
-    within = off[:-1].reshape(len(some), amplitudes * orders, 3 * bodies)
-    np.matmul(stencils.modes[some], rows[modes.place[some]], out=within)
-    off[:-1] += stencils.line.T @ rows[[0, len(modes.even)]]
-    off[-1, 0] = stencils.line[0, 0] * mean
-    off = off.reshape(len(models), orders, 3, bodies)
-    by = likely[models].reshape(-1, 2, bodies)[:, _SIGNAL]
-    result = np.einsum('mcs,mkcs->kcs', by, off)
-    off -= result
-    covariance = stencils.covariance.T @ (weights * variance.reshape(len(variance), -1))
-    # (S, 3, K, M): what the models disagree about.
-    off = np.ascontiguousarray(off.transpose(3, 2, 1, 0))
-    by = weights[models].reshape(-1, 2, bodies).transpose(2, 1, 0)[:, _SIGNAL, None]
-    apart = ((off * by) @ off.swapaxes(-1, -2)).transpose(2, 3, 1, 0)
+    rows, variance, evidence, lacks = evidence_of(modes, samples, seen, lacking)
+    orders, bodies = len(stencils.modes), samples.shape[2]
+    likely, weights = _weights(evidence.reshape(len(evidence), -1), modes.kinds)
+    noisy = weights * variance.reshape(len(variance), -1)
+    # How much of each mode is motion in the mean, and how well that is known.
+    mixed = mixture(modes, np.concatenate((likely, noisy), axis=1))
+    known = mixed[:, : 2 * bodies].reshape(-1, 2, bodies)[:, _SIGNAL]
+    result = stencils.modes @ (rows.reshape(known.shape) * known).reshape(rows.shape)
+    covariance = stencils.products @ mixed[:, 2 * bodies :] + stencils.unseen @ noisy
     covariance = covariance.reshape(orders, orders, 2, bodies)
+    # What the models disagree about.
+    counting, off = by_models(modes, weights, stencils.modes[:, :, None] * rows)
+    off = off.reshape(-1, orders, 3, bodies)
+    result = result.reshape(orders, 3, bodies)
+    if lacks is not None:
+        assert lacking is not None
+        rows_there = modes.vectors[:-1, lacking.cells]
+        _, reach = by_models(modes, weights, stencils.modes[:, :, None, None] * rows_there)
+        less, more = lacks.correct(counting, reach.reshape(len(reach), orders, -1, bodies))
+        off -= less
+        result -= np.einsum('mkcs,mcs->kcs', less, likely[counting].reshape(-1, 2, bodies)[:, _SIGNAL])
+        covariance += np.einsum('mkjcs,mcs->kjcs', more, noisy[counting].reshape(-1, 2, bodies))
+    off -= result
+    off = np.ascontiguousarray(off.transpose(3, 2, 1, 0))  # (S, 3, K, M)
+    by = weights[counting].reshape(-1, 2, bodies).transpose(2, 1, 0)[:, _SIGNAL, None]
+    apart = ((off * by) @ off.swapaxes(-1, -2)).transpose(2, 3, 1, 0)
     covariance[:, :, 0] += apart[:, :, 0]
     covariance[:, :, 1] += (apart[:, :, 1] + apart[:, :, 2]) / 2
     freedom = (modes.freedom @ likely).reshape(2, bodies)
     return Found(result, covariance, freedom)
 
 
-def _weights(evidence: Real, groups: np.ndarray) -> tuple[Real, Real]:
+def probabilities(modes: Modes, found: Evidence) -> Real:
+    """How probable (M, 2 S) models are."""
+    return _weights(found.evidence.reshape(len(found.evidence), -1), modes.kinds)[0]
+
+
+def mixture(modes: Modes, weights: Real) -> Real:
+    """How much of modes is motion by models with `weights` (M, C): (R, C)."""
+    mixed = np.zeros((2 * len(modes.even), weights.shape[1]))
+    mixed[0], mixed[1] = weights.sum(axis=0), weights[:-1].sum(axis=0)
+    for begin, end, models, share, _ in modes.parts:
+        own = weights[models].reshape(*share.shape[:2], -1)
+        np.matmul(share.swapaxes(1, 2), own, out=mixed[begin:end].reshape(*share.shape[::2], -1))
+    return mixed
+
+
+def by_models(modes: Modes, weights: Real, terms: Real) -> tuple[np.ndarray, Real]:
+    """
+    Sums (M, ...) over the motion there is in modes, of `terms` (K, R, ...) of these.
+
+    Of models that count in any of the `weights` (M, C), by their numbers.
+    """
+    counts = weights.any(axis=1)
+    terms = np.moveaxis(terms, 1, 0)
+    shape = terms.shape[1:]
+    terms = terms.reshape(len(terms), -1)
+    line = terms[0] + terms[1]
+    numbers, found = [], []
+    for begin, end, models, share, _ in modes.parts:
+        some = counts[models].reshape(share.shape[:2]).any(axis=1).nonzero()[0]
+        if not len(some):
+            continue
+        own = terms[begin:end].reshape(len(share), share.shape[2], -1)[some]
+        found.append((share[some] @ own).reshape(len(some) * share.shape[1], -1) + line)
+        every = np.arange(models.start, models.stop).reshape(share.shape[:2])
+        numbers.append(every[some].ravel())
+    numbers.append(np.array([len(weights) - 1]))
+    found.append(terms[:1])
+    return np.concatenate(numbers), np.concatenate(found).reshape(-1, *shape)
+
+
+def _weights(evidence: Real, kinds: Real) -> tuple[Real, Real]:
     """Probabilities (M, S) of models of the `evidence` (M, S), and their weights in covariances."""
-    *spectra, simple = groups
     # For covariances evidence counts to the power of 1/2: the likeliest model is not the only one.
     weights = np.exp((evidence - evidence.max(axis=0)) / 2)
     likely = weights * weights
     # Of each spectrum beside the low polynomials and rest, unless it is out of the question.
-    low = weights[simple:]
-    total = np.add.reduceat(weights[:simple], spectra) + low.sum(axis=0)
+    total = kinds @ weights
     inverse = np.divide(1.0, total, out=np.zeros_like(total), where=total > 1e-300)
-    weights[:simple] *= np.repeat(inverse, np.diff(groups), axis=0)
-    low *= inverse.sum(axis=0)
+    weights *= kinds.T @ inverse
     weights /= weights.sum(axis=0)
     least = weights < _LEAST
     weights[least] = likely[least] = 0.0

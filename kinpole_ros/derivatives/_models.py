@@ -20,19 +20,27 @@ from kinpole_ros.planar._plane import Real
 
 FEWEST_SAMPLES = 7
 """Samples of the shortest window there is."""
+MOST_EXACT = 1e11
+"""Samples differ by no more deviations of their noise, or the noise is taken for larger."""
 # Powers of the spectra, and the shortest length of each, samples.
 SPECTRA = ((2.0, 1.0), (1.4, 1.0), (1.0, 4.0))
 # The longest length, windows. Each of the others is half as long as the one before.
 _LONGEST = 1.25
 # A line is all there is of degree 1.
 _DEGREES = (1, 2, 3, 4)
-# Deviations of processes, the least and how many, each 10 times the one before; and how many there
-# are for samples as good as exact, which go farther than is usual.
-_LEAST_AMPLITUDE, _AMPLITUDES, _MORE = 10.0**0.5, 7, 11
+# Deviations of processes: the least, and how many, each 10 times the one before; more of them for
+# samples that are all but exact.
+_LEAST, _AMPLITUDES, _MORE = 10.0**0.5, 7, 11
+# Deviation of the slope, by what it makes of all samples, over the largest of the amplitudes.
+_FLAT = 3.0
 # What of a process is at most this part of the noise is not seen.
-_LEAST = 1e-2
+_SEEN = 1e-2
 # The processes have this part of the prior; low polynomials, the line, and rest have the other.
 _PROCESSES = 0.5
+# Processes are stacked with those that have up to so many modes, windows.
+_WIDTHS = (1.0, 0.5, 0.2)
+# A function smaller than this part of the largest is rounding.
+_ROUNDING = 1e-13
 
 
 class Process(NamedTuple):
@@ -40,69 +48,89 @@ class Process(NamedTuple):
 
     spectrum: int
     length: float
-    log_prior: float
+    prior: float
+
+
+class Part(NamedTuple):
+    """
+    P processes, each of which has as many of the rows `first` to `last` of all modes.
+
+    `models` are their models, P A, by A amplitudes, `share` (P, A, m) is how much of a mode is
+    motion, and `lost` (P, A, m) how much is not.
+    """
+
+    first: int
+    last: int
+    models: slice
+    share: Real
+    lost: Real
 
 
 class Modes(NamedTuple):
     """
-    P processes on a window of n samples, as modes that are even or odd about its middle.
+    Models of a window of n samples, as modes in R rows, even and odd about its middle in turn.
 
-    `even` and `odd` (modes, (n + 1) // 2) make modes of the sums and differences of samples that
-    lie opposite to each other, `vectors` (modes + 1, n) of all samples, the last being zero. The
-    first of the even and of the odd are the mean and the slope. `place` (P, m) says which modes of
-    all, even and then odd, a process has; where it has no more, that is one after the last. `size`
-    (P, m) is how large a mode is by an amplitude of 1. By A amplitudes `share` (P, A, m) is how
-    much of a mode is motion, `lost` (P, A, m) how much is not, `gain` (P, A, m) what the motion is
-    in terms of the process, and `left` (P, A, m) the variance of these.
+    `even` and `odd` (R / 2, (n + 1) // 2) make them of the sums and differences of samples that lie
+    opposite to each other. The first two are mean and slope, the others lie in `parts`; a row of
+    zeros is none. M models are the processes, each with its amplitudes, and then rest: `chances`
+    (M, 2, 1) are the logarithm of a model's prior less half of that of its determinant, for one and
+    for two components, `freedom` (M,) is how many parameters it has for the samples, and `kinds`
+    (spectra, M) is 1 for those of a spectrum, and for low polynomials and rest.
 
-    Models are the processes, each with its amplitudes, and then rest, P A + 1 in all: `prior` is
-    the logarithm of a model's prior, `chances` (models, 2, 1) are that less half of the logarithm
-    of its determinant, for one and for two components, and `freedom` is how many parameters it has
-    for the samples. Those of a spectrum begin at `groups`, the
-    low polynomials, and rest, at the last of these.
+    Model by model `place` (M, m) says which rows, of R and one more of zeros, it has, and `share`
+    (M, m) how much of them is motion; `vectors` (R + 1, n) are the modes on all samples.
+
+    If samples are `exact` each process has as many modes as there are samples.
     """
 
     even: Real
     odd: Real
-    vectors: Real
-    place: np.ndarray
-    share: Real
-    lost: Real
-    gain: Real
-    left: Real
-    prior: Real
+    parts: tuple[Part, ...]
     chances: Real
     freedom: Real
-    size: Real
-    groups: np.ndarray
-    processes: tuple[Process, ...]
-    right: tuple[tuple[Real, Real], ...]
-    amplitudes: Real
+    kinds: Real
+    place: np.ndarray
+    share: Real
+    vectors: Real
     exact: bool
 
 
 class Stencils(NamedTuple):
     """
-    What modes say of derivatives at an instant, K orders: `modes` (P, A K, m), of a process with
-    each amplitude; `line` (2, K), of mean and slope; `covariance` (P A + 1, K K), of each model,
-    rest being the last.
+    What modes say of derivatives at an instant: `modes` (K, R), of K orders.
+
+    `products` (K K, R) are those of each two orders, and `unseen` (K K, M) is what models have
+    between the samples.
     """
 
     modes: Real
-    line: Real
-    covariance: Real
+    products: Real
+    unseen: Real
 
 
-def _processes(count: int) -> tuple[Process, ...]:
+class _Functions(NamedTuple):
+    """
+    The functions that make up a process on a window, even (0) or odd (1) about its middle.
+
+    Without their mean and slope they are the first of `vectors` (n / 2, n / 2) times `sizes` (m,)
+    times `right` (m, J) on its first half; `along` (J,) is what they have of these.
+    """
+
+    vectors: Real
+    sizes: Real
+    right: Real
+    along: Real
+
+
+def _processes(count: int) -> list[Process]:
     """All processes on a window of so many samples."""
     found = []
-    for k, (_, least) in enumerate(SPECTRA):
+    for k, (_, shortest) in enumerate(SPECTRA):
         longest = _LONGEST * count
-        lengths = longest / 2.0 ** np.arange(max(1, int(np.log2(longest / least)) + 1))
+        lengths = longest / 2.0 ** np.arange(max(1, int(np.log2(longest / shortest)) + 1))
         prior = _PROCESSES / len(SPECTRA) / len(lengths)
-        found += [Process(k, float(length), float(np.log(prior))) for length in lengths]
-    prior = float(np.log(_simple()))
-    return *found, *(Process(-1, degree, prior) for degree in _DEGREES)
+        found += [Process(k, float(length), prior) for length in lengths]
+    return found + [Process(-1, degree, _simple()) for degree in _DEGREES]
 
 
 def _simple() -> float:
@@ -110,11 +138,16 @@ def _simple() -> float:
     return (1 - _PROCESSES) / (len(_DEGREES) + 1)
 
 
+def _amplitudes(exact: bool) -> Real:
+    return np.asarray(_LEAST * 10.0 ** np.arange(_MORE if exact else _AMPLITUDES))
+
+
 def _values(process: Process, count: int, time: Real, order: int) -> tuple[Real, Real]:
     """Derivatives at times (T,) of the functions, even and odd, (T, J), that make up a process."""
     if process.spectrum < 0:
-        powers = [np.polynomial.Polynomial([0] * d + [1.0]) for d in range(2, 1 + _degree(process))]
         scale = 2 / count
+        degrees = range(2, int(process.length) + 1)
+        powers = [np.polynomial.Polynomial([0] * degree + [1.0]) for degree in degrees]
         found = [power.deriv(order)(scale * time) * scale**order for power in powers]
         values = np.reshape(found, (len(powers), len(time))).T
         return values[:, ::2], values[:, 1::2]
@@ -125,79 +158,10 @@ def _values(process: Process, count: int, time: Real, order: int) -> tuple[Real,
     weight = np.exp(-((frequency * process.length) ** power) / 2)
     weight[0] /= np.sqrt(2)
     weight /= np.sqrt((weight**2).sum())
-    kept = weight > 1e-13
+    kept = weight > _ROUNDING
     phase = np.outer(time, frequency[kept]) + order * np.pi / 2
     weight = weight[kept] * frequency[kept] ** order
     return weight * np.cos(phase), weight * np.sin(phase)
-
-
-def _degree(process: Process) -> int:
-    return int(process.length)
-
-
-@lru_cache(maxsize=64)
-def modes_of(count: int, block: int = 1) -> Modes:
-    """The modes of a window of `count` samples, a few or more, each the mean of `block`."""
-    time, root, lines = _half_window(count)
-    processes = _processes(count)
-    rows: tuple[list[Real], list[Real]] = ([lines[0][None]], [lines[1][None]])
-    sizes, right = [], []
-    for process in processes:
-        found = []
-        for parity, part in enumerate(_averaged(process, count, time, block)):
-            seen = root[:, None] * part
-            seen = seen - np.outer(lines[parity], lines[parity] @ seen)
-            vectors, size, turned = np.linalg.svd(seen, full_matrices=False)
-            kept = size * _AMPLITUDES[-1] > _LEAST
-            rows[parity].append(vectors[:, kept].T)
-            found.append((size[kept], turned[kept]))
-        sizes.append([size for size, _ in found])
-        right.append((found[0][1], found[1][1]))
-    even, odd = (np.concatenate(part) * root / 2 for part in rows)
-    half, opposite = len(time), slice(count // 2 - 1, None, -1)
-    vectors = np.zeros((len(even) + len(odd) + 1, count))
-    vectors[: len(even), :half], vectors[len(even) : -1, :half] = even, odd
-    vectors[: len(even), half:] = even[:, opposite]
-    vectors[len(even) : -1, half:] = -odd[:, opposite]
-    if count % 2:
-        vectors[: len(even), half - 1] *= 2
-    width = max(len(a) + len(b) for a, b in sizes)
-    place = np.full((len(processes), width), len(even) + len(odd))
-    size = np.zeros(place.shape)
-    next_even, next_odd = 1, len(even) + 1
-    for p, (a, b) in enumerate(sizes):
-        numbers = (next_even + np.arange(len(a)), next_odd + np.arange(len(b)))
-        place[p, : len(a) + len(b)] = np.concatenate(numbers)
-        size[p, : len(a) + len(b)] = np.concatenate((a, b))
-        next_even, next_odd = next_even + len(a), next_odd + len(b)
-    amplitude = _AMPLITUDES[:, None]
-    large = (amplitude * size[:, None]) ** 2
-    share = large / (1 + large)
-    gain = amplitude**2 * size[:, None] / (1 + large)
-    left = amplitude**2 / (1 + large)
-    # Rest has no slope, and is more probable by all that this might be.
-    occam = np.append(-np.log1p(large).sum(axis=-1) / 2, np.log(_FLAT))
-    prior = np.repeat([process.log_prior for process in processes], len(_AMPLITUDES))
-    prior = np.append(prior - np.log(len(_AMPLITUDES)), np.log(_simple()))
-    freedom = np.append(2 + share.sum(axis=-1), 1.0)
-    spectra = [process.spectrum for process in processes]
-    groups = np.array([spectra.index(k) for k in (*range(len(SPECTRA)), -1)]) * len(_AMPLITUDES)
-    return Modes(
-        even,
-        odd,
-        vectors,
-        place,
-        share,
-        gain,
-        left,
-        prior,
-        np.stack((prior + occam, prior + 2 * occam), axis=1)[..., None],
-        freedom,
-        size,
-        groups,
-        processes,
-        tuple(right),
-    )
 
 
 def _half_window(count: int) -> tuple[Real, Real, tuple[Real, Real]]:
@@ -212,69 +176,173 @@ def _half_window(count: int) -> tuple[Real, Real, tuple[Real, Real]]:
     return time, root, (root / np.linalg.norm(root), root * time / np.linalg.norm(root * time))
 
 
-def _averaged(process: Process, count: int, time: Real, block: int) -> tuple[Real, Real]:
-    """The functions (T, J) that make up a process, as means over samples of the length of 1."""
+def _lines(count: int, time: Real, order: int) -> Real:
+    """Derivatives (T, 2) of mean and slope."""
+    zero, one = np.zeros(len(time)), np.ones(len(time))
+    half, root, _ = _half_window(count)
+    slope = (time, one, zero)[min(order, 2)] / np.linalg.norm(root * half)
+    return np.stack((zero if order else one / np.sqrt(count), slope), axis=1)
+
+
+@lru_cache(maxsize=512)
+def _functions(process: Process, count: int, block: int) -> tuple[_Functions, _Functions]:
+    """The functions of a process on a window, each sample the mean of a block."""
+    time, root, lines = _half_window(count)
     offsets = (np.arange(block) - (block - 1) / 2) / block
-    parts = [_values(process, count, time + offset, 0) for offset in offsets]
-    return sum(even for even, _ in parts) / block, sum(odd for _, odd in parts) / block
+    averaged = [_values(process, count, time + offset, 0) for offset in offsets]
+    found = []
+    for parity, line in enumerate(lines):
+        seen = root[:, None] * sum(values[parity] for values in averaged) / block
+        along = line @ seen
+        seen -= np.outer(line, along)
+        vectors, sizes, right = np.linalg.svd(seen, full_matrices=False)
+        kept = sizes > _ROUNDING * sizes.max(initial=0.0)
+        vectors, sizes, right = vectors[:, kept], sizes[kept], right[kept]
+        # Small ones have rounding of the line, and of the large ones.
+        every, signs = np.linalg.qr(np.column_stack((line, vectors, np.eye(len(line)))))
+        every *= np.sign(np.diag(signs))
+        # Of an odd number of samples the one in the middle is no part of what is odd.
+        vectors = every[:, 1 : count // 2 if parity else None]
+        found.append(_Functions(vectors, sizes, right, along))
+    return found[0], found[1]
+
+
+def _layout(count: int, block: int, exact: bool) -> list[tuple[int, list[Process]]]:
+    """Processes by how many pairs of modes they have at most."""
+    whole = (count + 1) // 2 - 1
+    found: dict[int, list[Process]] = {}
+    for process in _processes(count):
+        widths = [_seen(one, exact) for one in _functions(process, count, block)]
+        limits = [max(int(part * whole), 1) for part in _WIDTHS]
+        limits = [width for width in limits if width >= max(widths)]
+        found.setdefault(whole if exact else min(limits), []).append(process)
+    return list(found.items())
+
+
+def _seen(functions: _Functions, exact: bool) -> int:
+    """How many of the modes are seen."""
+    sizes = functions.sizes
+    return len(sizes) if exact else int((sizes * _amplitudes(exact)[-1] > _SEEN).sum())
+
+
+@lru_cache(maxsize=64)
+def modes_of(count: int, block: int = 1, exact: bool = False) -> Modes:
+    """
+    The models of a window of `count` samples, a few or more, each the mean of `block`.
+
+    The largest motion is 1e7 deviations of the noise, and `MOST_EXACT` if the samples are `exact`.
+    """
+    _, root, lines = _half_window(count)
+    amplitudes = _amplitudes(exact)
+    rows: tuple[list[Real], list[Real]] = ([lines[0][None]], [lines[1][None]])
+    parts, kinds, priors, occam, freedom = [], [], [], [], []
+    first = models = 0
+    for width, processes in _layout(count, block, exact):
+        sizes = np.zeros((len(processes), width, 2))
+        for p, process in enumerate(processes):
+            for parity, functions in enumerate(_functions(process, count, block)):
+                seen = _seen(functions, exact)
+                sizes[p, :seen, parity] = functions.sizes[:seen]
+                vectors = functions.vectors[:, : None if exact else seen].T
+                rows[parity].append(np.pad(vectors, ((0, width - len(vectors)), (0, 0))))
+        large = (amplitudes[:, None] * sizes.reshape(len(processes), 1, -1)) ** 2
+        share = large / (1 + large)
+        number = len(processes) * len(amplitudes)
+        begin = 2 + first
+        first += 2 * width * len(processes)
+        some = slice(models, models + number)
+        parts.append(Part(begin, 2 + first, some, share, 1 / (1 + large)))
+        models += number
+        kinds += [process.spectrum for process in processes for _ in amplitudes]
+        priors += [process.prior / len(amplitudes) for process in processes for _ in amplitudes]
+        occam.append(-np.log1p(large).sum(axis=-1).ravel() / 2)
+        freedom.append(2 + share.sum(axis=-1).ravel())
+    even, odd = (np.concatenate(part) * root / 2 for part in rows)
+    # Rest has no slope, and is more probable by all that this might be.
+    occam.append(np.log([_FLAT * amplitudes[-1]]))
+    prior, less = np.log([*priors, _simple()]), np.concatenate(occam)
+    kind = np.array([*kinds, -1])
+    return Modes(
+        even,
+        odd,
+        tuple(parts),
+        np.stack((prior + less, prior + 2 * less), axis=1)[..., None],
+        np.concatenate([*freedom, [1.0]]),
+        np.array([(kind == k) | (kind < 0) for k in range(len(SPECTRA))], float),
+        *_by_model(parts, len(kind), 2 * len(even)),
+        _whole(count, even, odd),
+        exact,
+    )
+
+
+def _by_model(parts: list[Part], models: int, rows: int) -> tuple[np.ndarray, Real]:
+    """Which rows models have, and how much of them is motion: `place` and `share` of `Modes`."""
+    place = np.full((models, 2 + max(part.share.shape[2] for part in parts)), rows)
+    share = np.zeros(place.shape)
+    place[:, :2], share[:-1, :2], share[-1, 0] = (0, 1), 1.0, 1.0
+    for part in parts:
+        processes, amplitudes, width = part.share.shape
+        own = np.arange(part.first, part.last).reshape(processes, width)
+        place[part.models, 2 : 2 + width] = np.repeat(own, amplitudes, axis=0)
+        share[part.models, 2 : 2 + width] = part.share.reshape(-1, width)
+    return place, share
+
+
+def _whole(count: int, even: Real, odd: Real) -> Real:
+    """Modes on all samples, and none: `vectors` of `Modes`."""
+    half, opposite = even.shape[1], slice(count // 2 - 1, None, -1)
+    vectors = np.zeros((2 * len(even) + 1, count))
+    vectors[:-1:2, :half], vectors[1:-1:2, :half] = even, odd
+    vectors[:-1:2, half:], vectors[1:-1:2, half:] = even[:, opposite], -odd[:, opposite]
+    if count % 2:
+        vectors[:-1:2, half - 1] *= 2
+    return vectors
+
+
+def _derivatives(count: int, block: int, exact: bool, time: Real, order: int) -> Real:
+    """Derivatives (T, R) of the modes at times (T,)."""
+    lines = _lines(count, time, order)
+    found = [lines]
+    for width, processes in _layout(count, block, exact):
+        for process in processes:
+            values = _values(process, count, time, order)
+            rows = np.zeros((len(time), width, 2))
+            for parity, one in enumerate(_functions(process, count, block)):
+                seen = _seen(one, exact)
+                left = values[parity] - np.outer(lines[:, parity], one.along)
+                rows[:, :seen, parity] = left @ one.right[:seen].T / one.sizes[:seen]
+            found.append(rows.reshape(len(time), -1))
+    return np.concatenate(found, axis=1)
 
 
 @lru_cache(maxsize=256)
-def stencils_of(count: int, at: float, block: int, orders: int) -> Stencils:
+def stencils_of(count: int, at: float, block: int, orders: int, exact: bool = False) -> Stencils:
     """
     Those of a window, as in `modes_of`, at an instant so many samples from its middle.
 
     Of so many `orders`, from 0.
     """
-    modes = modes_of(count, block)
-    time, root, lines = _half_window(count)
-    width = np.linalg.norm(root * time)
-    line = np.zeros((2, orders))
-    line[0, 0] = count**-0.5
-    line[1, :2] = at / width, 1 / width
-    derived = np.zeros((len(modes.processes), orders, modes.place.shape[1]))
-    unseen = np.zeros((len(modes.processes), orders, orders))
-    for p, process in enumerate(modes.processes):
-        seen = _averaged(process, count, time, block)
-        here = [_values(process, count, np.array([at]), order) for order in range(orders)]
-        begin = 0
-        for parity, right in enumerate(modes.right[p]):
-            rows = np.concatenate([pair[parity] for pair in here])
-            rows = rows - np.outer(line[parity], lines[parity] @ (root[:, None] * seen[parity]))
-            own = rows @ right.T
-            derived[p, :, begin : begin + len(right)] = own
-            begin += len(right)
-            rows = rows - own @ right
-            unseen[p] += rows @ rows.T
-    weights = np.einsum('pkm,pam->pakm', derived, modes.gain)
-    covariance = np.einsum('pkm,pjm,pam->pakj', derived, derived, modes.left)
-    covariance += line.T @ line + (_AMPLITUDES**2)[:, None, None] * unseen[:, None]
-    rest = np.zeros((1, orders, orders))
-    rest[0, 0, 0] = 1 / count
-    covariance = np.concatenate((covariance.reshape(-1, orders, orders), rest))
-    weights = weights.reshape(len(weights), -1, weights.shape[-1])
-    return Stencils(weights, line, covariance.reshape(len(covariance), -1))
+    time = np.array([at])
+    modes = np.concatenate([_derivatives(count, block, exact, time, k) for k in range(orders)])
+    lines = np.concatenate([_lines(count, time, k) for k in range(orders)])
+    unseen = []
+    for _, processes in _layout(count, block, exact):
+        for process in processes:
+            values = [_values(process, count, time, k) for k in range(orders)]
+            total = np.zeros((orders, orders))
+            for parity, one in enumerate(_functions(process, count, block)):
+                left = np.concatenate([value[parity] for value in values])
+                left = left - np.outer(lines[:, parity], one.along)
+                left = left - (left @ one.right.T) @ one.right
+                total += left @ left.T
+            unseen.append(_amplitudes(exact)[:, None] ** 2 * total.ravel())
+    unseen.append(np.zeros((1, orders * orders)))
+    products = (modes[:, None] * modes).reshape(orders * orders, -1)
+    return Stencils(modes, products, np.concatenate(unseen).T)
 
 
-@lru_cache(maxsize=16)
-def slopes_of(count: int, block: int = 1) -> Real:
-    """First and second derivatives (2, modes + 1, n) of the modes of a window at its samples."""
-    modes = modes_of(count, block)
-    half_time, root, lines = _half_window(count)
+@lru_cache(maxsize=8)
+def slopes_of(count: int, block: int = 1, exact: bool = False) -> Real:
+    """Derivatives (orders, R, n) of the modes of a window at its samples, the first four."""
     time = np.arange(count) - (count - 1) / 2
-    width = np.linalg.norm(time)
-    slopes = np.zeros((2, *modes.vectors.shape))
-    slopes[0, len(modes.even)] = 1 / width
-    for p, process in enumerate(modes.processes):
-        begin = 0
-        seen = _averaged(process, count, half_time, block)
-        for parity, right in enumerate(modes.right[p]):
-            part = slice(begin, begin + len(right))
-            size = modes.size[p, part, None]
-            for order in (1, 2):
-                rows = right @ _values(process, count, time, order)[parity].T
-                if parity and order == 1:
-                    rows -= (right @ (lines[1] * root @ seen[1]))[:, None] / width
-                slopes[order - 1, modes.place[p, part]] = rows / size
-            begin += len(right)
-    return slopes
+    return np.stack([_derivatives(count, block, exact, time, order).T for order in range(1, 5)])

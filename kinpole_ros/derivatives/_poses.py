@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from kinpole_ros.derivatives._evidence import Found, derive
-from kinpole_ros.derivatives._models import FEWEST_SAMPLES, modes_of, stencils_of
+from kinpole_ros.derivatives._models import FEWEST_SAMPLES, MOST_EXACT, modes_of, stencils_of
 from kinpole_ros.derivatives._samples import derive_incomplete
 from kinpole_ros.planar._plane import Complex, Real
 
@@ -22,6 +22,8 @@ _PRESENT = 0.5
 _ALIKE = 0.8
 # Samples are in their places if they are off by no more than this part of the interval.
 _OFF = 1e-4
+# Samples that differ by more deviations of their noise are taken for exact.
+_EXACT = 1e7
 # Instants and bodies that are differentiated at once, as many as fit into the cache.
 _AT_ONCE = 64
 
@@ -76,8 +78,8 @@ class _Cells(NamedTuple):
     `samples` (n, 3, S) are angles and coordinates about those of the instant, in deviations of
     their noise, 0 where none is; `weight` (n, 2, S) is how good those of angle and position are
     beside the best; `off` (n, S) is by how many intervals they are late; `ahead` (S,) is how many
-    cells are newer than the instant; `unit` (2, S) are the deviations of the noise, and `interval`
-    (S,) s.
+    cells are newer than the instant; `unit` (2, S) are the deviations of the noise, `interval` (S,)
+    is in s, and `exact` (S,) where motion is so much larger than its noise that it matters.
     """
 
     samples: Real
@@ -86,6 +88,7 @@ class _Cells(NamedTuple):
     ahead: np.ndarray
     unit: Real
     interval: Real
+    exact: np.ndarray
 
 
 def derive_poses(
@@ -159,9 +162,8 @@ def _even_cells(poses: Poses, windows: Windows, left_out: np.ndarray, noise: Rea
             noise / np.sqrt(poses.position_information[rows].max(axis=0)),
         )
     )
-    samples[:, 0] /= unit[0]
-    samples[:, 1:] /= unit[1]
     signals = len(now) * bodies
+    exact = _in_units(samples.transpose(1, 0, 2, 3), unit).reshape(signals)
     interval = (poses.time[newest] - poses.time[oldest]) * 1e-9 / (count - 1)
     return _Cells(
         samples.reshape(count, 3, signals),
@@ -170,6 +172,7 @@ def _even_cells(poses: Poses, windows: Windows, left_out: np.ndarray, noise: Rea
         np.repeat(newest - now, bodies),
         unit.reshape(2, signals),
         np.repeat(interval, bodies),
+        exact,
     )
 
 
@@ -212,7 +215,7 @@ def _cells(poses: Poses, windows: Windows, left_out: np.ndarray, noise: Real) ->
     samples[0][at] = poses.angle[row, body] - angle[instant, body]
     off = poses.position[row, body] - position[instant, body]
     samples[1][at], samples[2][at] = off.real, off.imag
-    samples /= unit[[0, 1, 1], None]
+    exact = _in_units(samples, unit)
     misplaced = np.zeros(shape)
     misplaced[at] = late[frame, instant]
     signals = noise.size
@@ -223,7 +226,21 @@ def _cells(poses: Poses, windows: Windows, left_out: np.ndarray, noise: Real) ->
         ahead.reshape(-1),
         unit.reshape(2, signals),
         np.repeat(interval * 1e-9, bodies),
+        exact.reshape(signals),
     )
+
+
+def _in_units(samples: Real, unit: Real) -> np.ndarray:
+    """
+    Bring samples (3, n, ...) and the deviations (2, ...) of their noise into such units.
+
+    Both in place: there is no noise below rounding. Returns where samples are all but exact.
+    """
+    largest = np.abs(samples).max(axis=1)
+    largest = np.stack((largest[0], np.maximum(largest[1], largest[2])))
+    np.maximum(unit, largest / MOST_EXACT, out=unit)
+    samples /= unit[[0, 1, 1], None]
+    return np.asarray((largest > _EXACT * unit).any(axis=0))
 
 
 def _intervals(time: Real, inside: np.ndarray) -> Real:
@@ -236,12 +253,17 @@ def _intervals(time: Real, inside: np.ndarray) -> Real:
 
 
 class _Group(NamedTuple):
-    """Signals `which` (S,) with windows of `size` cells, each of `block` samples, `ahead` newer."""
+    """
+    Signals `which` (S,) with windows of `size` cells, each of `block` samples, `ahead` newer.
+
+    All of them or none are `exact`.
+    """
 
     which: np.ndarray | slice
     size: int
     block: int
     ahead: int
+    exact: int
 
 
 def _groups(cells: _Cells, window: float) -> list[_Group]:
@@ -254,7 +276,7 @@ def _groups(cells: _Cells, window: float) -> list[_Group]:
         sizes = full
     else:
         sizes = _sizes(cells, full, blocks)
-    keys = np.stack((sizes, blocks, cells.ahead))
+    keys = np.stack((sizes, blocks, cells.ahead, cells.exact))
     if (keys == keys[:, :1]).all():
         return [_Group(slice(None), *keys[:, 0].tolist())] if sizes[0] else []
     each, number = np.unique(keys, axis=1, return_inverse=True)
@@ -285,7 +307,7 @@ def _sizes(cells: _Cells, full: np.ndarray, blocks: np.ndarray) -> np.ndarray:
 
 def _derive(cells: _Cells, group: _Group, orders: int) -> tuple[Found, Real]:
     """Derivatives of a group, per s, and how long its windows are (S,), s."""
-    which, size, block, ahead = group
+    which, size, block, ahead, exact = group
     count = size * block
     # From the oldest.
     samples = cells.samples[:count, :, which][::-1]
@@ -307,10 +329,10 @@ def _derive(cells: _Cells, group: _Group, orders: int) -> tuple[Found, Real]:
     if block > 1:
         samples = samples * np.sqrt(block)
     at = (size - 1) / 2 - (ahead - (block - 1) / 2) / block
-    window = size, at, block, orders
+    window = size, at, block, orders, bool(exact)
     samples = np.ascontiguousarray(samples)
     if even:
-        found = derive(modes_of(size, block), stencils_of(*window), samples, float(size))
+        found = derive(modes_of(size, block, bool(exact)), stencils_of(*window), samples, float(size))
     else:
         found = derive_incomplete(window, samples, weight, off)
     scale = interval ** -np.arange(float(orders))[:, None]
