@@ -26,7 +26,8 @@ def derive_landmarks(
     seen = np.where(np.isnan(flat), 0.0, 1.0)
     poses = Poses(time, np.zeros(flat.shape), flat, seen, seen)
     nothing = np.zeros((instants, bodies * width), int)
-    noise = np.repeat(noise, width, axis=1)
+    rounding = np.finfo(float).eps * np.abs(flat[windows.now])
+    noise = np.maximum(np.repeat(noise, width, axis=1), rounding)
     found = derive_poses(poses, windows, nothing, noise, window, order)
     shape = instants, bodies, width
     position = found.position.reshape(-1, *shape)
@@ -41,8 +42,10 @@ def derive_landmarks(
         arms = np.where(here, _squared_arms(landmarks[0], here), 0.0)
         of_position = covariance.sum(axis=-1) / number**2
         of_angle = (covariance * arms).sum(axis=-1) / arms.sum(axis=-1) ** 2
-        span = np.nanmean(found.span.reshape(shape), axis=-1)
-        freedom = np.nanmean(found.freedom.reshape(shape), axis=-1)
+        span, freedom = (
+            np.where(here, each.reshape(shape), 0.0).sum(axis=-1) / number
+            for each in (found.span, found.freedom)
+        )
     some = slice(order + 1)
     return Derivatives(
         motion.position[some], motion.angle[some], of_position, of_angle, span, freedom

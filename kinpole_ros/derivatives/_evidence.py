@@ -112,6 +112,8 @@ def derive(
     noisy = weights * variance.reshape(len(variance), -1)
     # How much of each mode is motion in the mean, and how well that is known.
     mixed = mixture(modes, np.concatenate((likely, noisy), axis=1))
+    # That it rests is not known better than a slope is.
+    mixed[1, 2 * bodies :] += noisy[-1]
     known = mixed[:, : 2 * bodies].reshape(-1, 2, bodies)[:, _SIGNAL]
     result = stencils.modes @ (rows.reshape(known.shape) * known).reshape(rows.shape)
     covariance = stencils.products @ mixed[:, 2 * bodies :] + stencils.unseen @ noisy

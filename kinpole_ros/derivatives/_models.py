@@ -20,7 +20,7 @@ from kinpole_ros.planar._plane import Real
 
 FEWEST_SAMPLES = 7
 """Samples of the shortest window there is."""
-MOST_EXACT = 1e11
+MOST_EXACT = 1e13
 """Samples differ by no more deviations of their noise, or the noise is taken for larger."""
 # Powers of the spectra, and the shortest length of each, samples.
 SPECTRA = ((2.0, 1.0), (1.4, 1.0), (1.0, 4.0))
@@ -30,7 +30,7 @@ _LONGEST = 1.25
 _DEGREES = (1, 2, 3, 4)
 # Deviations of processes: the least, and how many, each 10 times the one before; more of them for
 # samples that are all but exact.
-_LEAST, _AMPLITUDES, _MORE = 10.0**0.5, 7, 11
+_LEAST, _AMPLITUDES, _MORE = 10.0**0.5, 7, 13
 # Deviation of the slope, by what it makes of all samples, over the largest of the amplitudes.
 _FLAT = 3.0
 # What of a process is at most this part of the noise is not seen.

@@ -20,6 +20,8 @@ _SHORTER = 0.7
 _PRESENT = 0.5
 # Samples that have this share of the information of the best count as much as these.
 _ALIKE = 0.8
+# Of a block those samples count that have this share of the information of the best of it.
+_POOR = 0.25
 # Samples are in their places if they are off by no more than this part of the interval.
 _OFF = 1e-4
 # Samples that differ by more deviations of their noise are taken for exact.
@@ -189,7 +191,6 @@ def _cells(poses: Poses, windows: Windows, left_out: np.ndarray, noise: Real) ->
     place = time / interval
     cell = np.rint(place).astype(int)
     late = place - cell
-    late[np.abs(late) < _OFF] = 0.0
     known = (poses.angle_information[rows] > 0) & (poses.position_information[rows] > 0)
     known &= inside[..., None] & (np.arange(most)[:, None, None] >= left_out)
     # (n, T, B) from here on.
@@ -218,6 +219,7 @@ def _cells(poses: Poses, windows: Windows, left_out: np.ndarray, noise: Real) ->
     exact = _in_units(samples, unit)
     misplaced = np.zeros(shape)
     misplaced[at] = late[frame, instant]
+    misplaced[(np.abs(misplaced) < _OFF) & ~exact] = 0.0
     signals = noise.size
     return _Cells(
         samples.reshape(3, count, signals).swapaxes(0, 1),
@@ -370,11 +372,17 @@ def _blocks(
     weight = weight.reshape(size, block, *weight.shape[1:])
     off = off.reshape(size, block, -1)
     samples = samples.reshape(size, block, *samples.shape[1:])
-    total = weight.sum(axis=1)
-    share = weight / np.where(total > 0, total, 1.0)[:, None]
-    samples = (samples * share[:, :, [0, 1, 1]]).sum(axis=1)
+    # All that are told of count alike, or the middle would not be where the block's is.
+    best = weight.max(axis=1, keepdims=True)
+    told = ((weight >= _POOR * best) & (weight > 0)).all(axis=2)
+    number = told.sum(axis=1)
+    share = told / np.maximum(number, 1)[:, None]
+    samples = (samples * share[:, :, None]).sum(axis=1)
+    variance = np.divide(told[:, :, None], weight, out=np.zeros_like(weight), where=weight > 0)
+    total = number[:, None] ** 2 / np.maximum(variance.sum(axis=1), 1e-300)
+    total = np.where(number[:, None] > 0, total, 0.0)
     # What is missing in a block moves its middle.
     offsets = (np.arange(block) - (block - 1) / 2)[:, None]
-    late = (share[:, :, 1] * (off + offsets)).sum(axis=1) / block
+    late = (share * (off + offsets)).sum(axis=1) / block
     late[np.abs(late) < _OFF] = 0.0
-    return samples, total / block, np.where(total[:, 1] > 0, late, 0.0)
+    return samples, total / block, np.where(number > 0, late, 0.0)

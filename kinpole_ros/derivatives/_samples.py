@@ -14,9 +14,9 @@ from kinpole_ros.planar._plane import Real
 
 # A sample that is missing is first put on a parabola through so many others.
 _NEAREST = 6
-# How often samples are moved. For that their noise counts for so many samples: as long as they are
-# not in their places, they are off by more.
-_ROUNDS, _KNOWN = 4, 1.0
+# Samples are moved until they go by no more than so many deviations of their noise, or so often.
+# Meanwhile the noise counts for so many samples: it is more while they are not in their places.
+_SETTLED, _ROUNDS, _KNOWN = 0.1, 8, 1.0
 _SIGNAL = [0, 1, 1]
 
 
@@ -33,35 +33,73 @@ def derive_incomplete(
     modes = modes_of(count, block, exact)
     seen, lacking = weights.sum(axis=0), _lacking(weights)
     samples = _filled(samples, weights[:, 1] <= 0, off)
-    if np.count_nonzero(off):
-        samples = _moved(modes, slopes_of(count, block, exact), samples, off, seen, lacking)
-    return derive(modes, stencils_of(*window), samples, seen, lacking)
+    if not np.count_nonzero(off):
+        return derive(modes, stencils_of(*window), samples, seen, lacking)
+    slopes = slopes_of(count, block, exact)
+    samples, left = _moved(modes, slopes, samples, off, seen, lacking)
+    # By how much samples are not in their places yet is noise.
+    more = 1 + left**2
+    scale = np.sqrt(more)
+    found = derive(modes, stencils_of(*window), samples / scale[_SIGNAL], seen, lacking)
+    return found._replace(mean=found.mean * scale[_SIGNAL], covariance=found.covariance * more)
 
 
 def _moved(
     modes: Modes, slopes: Real, samples: Real, off: Real, seen: Real, lacking: Lacking | None
-) -> Real:
-    """Samples moved from where they are `off` their places along what is found of the motion."""
+) -> tuple[Real, Real]:
+    """
+    Samples moved from where they are `off` their places along what is found of the motion.
+
+    And by how much (2, S) they still were in the last round, those of angle and position.
+    """
     bodies = off.shape[1]
     given, samples = samples.copy(), _moved_by_neighbors(samples, off)
+    left = np.zeros((2, bodies))
+    waiting = np.arange(bodies)
     for _ in range(_ROUNDS):
-        found = evidence_of(modes, samples, seen, lacking, _KNOWN)
-        likely = probabilities(modes, found)
-        if lacking is not None and found.lacks is not None:
-            by = likely.reshape(-1, 2, bodies)[:, _SIGNAL]
-            wrong = np.einsum('xmcs,mcs->xsc', found.lacks.error, by)
-            where = lacking.cells, slice(None), np.arange(bodies)
-            missing = (lacking.weight <= 0).all(axis=1)[..., None]
-            given[where] = np.where(missing, samples[where] - wrong, given[where])
-        share = mixture(modes, likely).reshape(-1, 2, bodies)[:, _SIGNAL]
-        some = share.any(axis=(1, 2)).nonzero()[0]
-        motion = found.modes.reshape(-1, 3, bodies)[some] * share[some]
-        samples = given.copy()
-        power = np.ones(off.shape)
-        for order, slope in enumerate(slopes[:, some], 1):
-            power = power * off / order
-            samples -= power[:, None] * np.tensordot(slope, motion, ((0,), (0,)))
-    return samples
+        some = None if lacking is None else Lacking(*(part[..., waiting] for part in lacking))
+        part = np.ascontiguousarray(samples[..., waiting])
+        moved = _moved_once(
+            modes, slopes, given[..., waiting], part, off[:, waiting], seen[:, waiting], some
+        )
+        change = ((moved - part) ** 2).mean(axis=0)
+        left[:, waiting] = np.sqrt((change[0], change[1:].max(axis=0)))
+        samples[..., waiting] = moved
+        waiting = waiting[(left[:, waiting] > _SETTLED).any(axis=0)]
+        if not len(waiting):
+            break
+    return samples, left
+
+
+def _moved_once(
+    modes: Modes,
+    slopes: Real,
+    given: Real,
+    samples: Real,
+    off: Real,
+    seen: Real,
+    lacking: Lacking | None,
+) -> Real:
+    """The `given` samples moved along what is found from the `samples`, moved before."""
+    bodies = off.shape[1]
+    found = evidence_of(modes, samples, seen, lacking, _KNOWN)
+    likely = probabilities(modes, found)
+    share = mixture(modes, likely).reshape(-1, 2, bodies)[:, _SIGNAL]
+    some = share.any(axis=(1, 2)).nonzero()[0]
+    motion = found.modes.reshape(-1, 3, bodies)[some] * share[some]
+    moved = given.copy()
+    power = np.ones(off.shape)
+    for order, slope in enumerate(slopes[:, some], 1):
+        power = power * off / order
+        moved -= power[:, None] * np.tensordot(slope, motion, ((0,), (0,)))
+    if lacking is not None and found.lacks is not None:
+        # What is missing is where the others have it.
+        by = likely.reshape(-1, 2, bodies)[:, _SIGNAL]
+        wrong = np.einsum('xmcs,mcs->xsc', found.lacks.error, by)
+        where = lacking.cells, slice(None), np.arange(bodies)
+        missing = (lacking.weight <= 0).all(axis=1)[..., None]
+        moved[where] = np.where(missing, samples[where] - wrong, moved[where])
+    return moved
 
 
 def _lacking(weights: Real) -> Lacking | None:
