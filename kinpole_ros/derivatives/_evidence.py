@@ -119,13 +119,13 @@ def derive(
     covariance = stencils.products @ mixed[:, 2 * bodies :] + stencils.unseen @ noisy
     covariance = covariance.reshape(orders, orders, 2, bodies)
     # What the models disagree about.
-    counting, off = by_models(modes, weights, stencils.modes[:, :, None] * rows)
+    counting, off = by_models(modes, weights, stencils.modes, rows)
     off = off.reshape(-1, orders, 3, bodies)
     result = result.reshape(orders, 3, bodies)
     if lacks is not None:
         assert lacking is not None
-        rows_there = modes.vectors[:-1, lacking.cells]
-        _, reach = by_models(modes, weights, stencils.modes[:, :, None, None] * rows_there)
+        vectors = modes.vectors[:-1, lacking.cells].reshape(len(rows), -1)
+        _, reach = by_models(modes, weights, stencils.modes, vectors)
         less, more = lacks.correct(counting, reach.reshape(len(reach), orders, -1, bodies))
         off -= less
         result -= np.einsum('mkcs,mcs->kcs', less, likely[counting].reshape(-1, 2, bodies)[:, _SIGNAL])
@@ -155,29 +155,30 @@ def mixture(modes: Modes, weights: Real) -> Real:
     return mixed
 
 
-def by_models(modes: Modes, weights: Real, terms: Real) -> tuple[np.ndarray, Real]:
+def by_models(
+    modes: Modes, weights: Real, stencils: Real, rows: Real
+) -> tuple[np.ndarray, Real]:
     """
-    Sums (M, ...) over the motion there is in modes, of `terms` (K, R, ...) of these.
+    What models make (M, K, C) of modes that are `rows` (R, C), by their `stencils` (K, R).
 
-    Of models that count in any of the `weights` (M, C), by their numbers.
+    Of models that count in any of the `weights` (M, ...), by their numbers.
     """
     counts = weights.any(axis=1)
-    terms = np.moveaxis(terms, 1, 0)
-    shape = terms.shape[1:]
-    terms = terms.reshape(len(terms), -1)
-    line = terms[0] + terms[1]
+    line = stencils[:, 0, None] * rows[0] + stencils[:, 1, None] * rows[1]
     numbers, found = [], []
     for begin, end, models, share, _ in modes.parts:
-        some = counts[models].reshape(share.shape[:2]).any(axis=1).nonzero()[0]
+        processes, amplitudes, width = share.shape
+        some = counts[models].reshape(processes, amplitudes).any(axis=1).nonzero()[0]
         if not len(some):
             continue
-        own = terms[begin:end].reshape(len(share), share.shape[2], -1)[some]
-        found.append((share[some] @ own).reshape(len(some) * share.shape[1], -1) + line)
-        every = np.arange(models.start, models.stop).reshape(share.shape[:2])
-        numbers.append(every[some].ravel())
+        own = rows[begin:end].reshape(processes, width, 1, -1)[some]
+        by = stencils[:, begin:end].T.reshape(processes, width, -1, 1)[some]
+        terms = (by * own).reshape(len(some), width, -1)
+        found.append((share[some] @ terms).reshape(-1, *line.shape) + line)
+        numbers.append((models.start + some[:, None] * amplitudes + np.arange(amplitudes)).ravel())
     numbers.append(np.array([len(weights) - 1]))
-    found.append(terms[:1])
-    return np.concatenate(numbers), np.concatenate(found).reshape(-1, *shape)
+    found.append((stencils[:, 0, None] * rows[0])[None])
+    return np.concatenate(numbers), np.concatenate(found)
 
 
 def _weights(evidence: Real, kinds: Real) -> tuple[Real, Real]:

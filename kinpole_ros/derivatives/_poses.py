@@ -27,7 +27,7 @@ _OFF = 1e-4
 # Samples that differ by more deviations of their noise are taken for exact.
 _EXACT = 1e7
 # Instants and bodies that are differentiated at once, as many as fit into the cache.
-_AT_ONCE = 64
+_AT_ONCE = 16
 
 
 class Poses(NamedTuple):
@@ -295,13 +295,13 @@ def _sizes(cells: _Cells, full: np.ndarray, blocks: np.ndarray) -> np.ndarray:
     there = np.broadcast_to((cells.weight > 0).all(axis=1), (count, len(full)))
     seen = there.cumsum(axis=0)
     # Not beyond the oldest that is there.
-    full = np.minimum(full, (count - there[::-1].argmax(axis=0)) // blocks)
+    oldest = count - there[::-1].argmax(axis=0)
     sizes = np.zeros(len(full), int)
     while (full >= FEWEST_SAMPLES).any():
         need = np.minimum(full * blocks, count) - 1
         least = np.maximum(_PRESENT * full * blocks, FEWEST_SAMPLES)
         enough = seen[need, np.arange(len(need))] >= least
-        enough &= (cells.ahead >= 0) & (cells.ahead < full * blocks)
+        enough &= (cells.ahead >= 0) & (cells.ahead < full * blocks) & (full * blocks <= oldest)
         sizes = np.where((sizes == 0) & enough & (full >= FEWEST_SAMPLES), full, sizes)
         full = (full * _SHORTER).astype(int)
     return sizes
