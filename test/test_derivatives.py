@@ -194,9 +194,11 @@ def test_stencils_are_those_of_the_regression_on_each_process(
 ) -> None:
     modes, stencils = modes_of(count, block), stencils_of(count, at, block, 5)
     place = np.arange(count) - (count - 1) / 2
-    amplitudes = _models._AMPLITUDES
+    amplitudes = _models._amplitudes(False)
+    processes = [each for _, some in _models._layout(count, block, False) for each in some]
+    rows = np.pad(stencils.modes, ((0, 0), (0, 1)))
     compared = set()
-    for p, process in enumerate(modes.processes):
+    for p, process in enumerate(processes):
         if process.spectrum >= 0:
             what: Any = _models.SPECTRA[process.spectrum][0], process.length
         else:
@@ -205,12 +207,13 @@ def test_stencils_are_those_of_the_regression_on_each_process(
             weights, covariance = regression(
                 what, amplitudes[a], count, at, place, np.ones(count), 5, block
             )
-            rows = stencils.modes[p].reshape(len(amplitudes), 5, -1)[a]
-            found = rows @ modes.vectors[modes.place[p]]
-            found += stencils.line.T @ modes.vectors[[0, len(modes.even)]]
+            model = len(amplitudes) * p + a
+            own = rows[:, modes.place[model]]
+            found = (own * modes.share[model]) @ modes.vectors[modes.place[model]]
             size = np.linalg.norm(weights, axis=1, keepdims=True)
             below(np.abs(found - weights), 1e-6 * size + 1e-12)
-            there = stencils.covariance[len(amplitudes) * p + a].reshape(5, 5)
+            there = (own * modes.share[model]) @ own.T
+            there += stencils.unseen[:, model].reshape(5, 5)
             size = np.sqrt(np.diag(covariance))
             off = np.abs(there - covariance) / (size[:, None] * size + 1e-12)
             below(off, 1e-6)
@@ -232,13 +235,13 @@ ONE_AMPLITUDE = 300.0
 @pytest.fixture
 def one_process(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     """There is one process on a line, or a line, or rest: the first is by far the likeliest."""
-    caches = (_models.modes_of, _models.stencils_of, _models.slopes_of)
+    caches = _models.modes_of, _models.stencils_of, _models.slopes_of, _models._functions
     monkeypatch.setattr(_models, 'SPECTRA', (ONE,))
     monkeypatch.setattr(_models, '_LONGEST', ONE[1] / 50)
     monkeypatch.setattr(_models, '_DEGREES', (1,))
-    monkeypatch.setattr(_models, '_AMPLITUDES', np.array([ONE_AMPLITUDE]))
+    monkeypatch.setattr(_models, '_amplitudes', lambda exact: np.array([ONE_AMPLITUDE]))
     # What there is of modes below the noise would be left out otherwise.
-    monkeypatch.setattr(_models, '_LEAST', 1e-5)
+    monkeypatch.setattr(_models, '_SEEN', 1e-5)
     for cache in caches:
         cache.cache_clear()
     yield

@@ -16,7 +16,7 @@ from kinpole_ros.planar._plane import Complex, Real
 # More samples than this in a window are averaged in blocks.
 _MOST = 128
 # Windows with too few samples are shorter by powers of this. So much of a window is there.
-_SHORTER = 0.7
+_SHORTER = 0.9
 _PRESENT = 0.5
 # Samples that have this share of the information of the best count as much as these.
 _ALIKE = 0.8
@@ -189,7 +189,9 @@ def _cells(poses: Poses, windows: Windows, left_out: np.ndarray, noise: Real) ->
     time = np.where(inside, poses.time[rows] - poses.time[now], 0)
     interval = _intervals(time, inside)
     place = time / interval
-    cell = np.rint(place).astype(int)
+    # Cells are about where frames are on the mean, or two of them might have the same.
+    phase = np.angle(np.where(inside, np.exp(2j * np.pi * place), 0).sum(axis=0)) / (2 * np.pi)
+    cell = np.rint(place - phase).astype(int) - np.rint(-phase).astype(int)
     late = place - cell
     known = (poses.angle_information[rows] > 0) & (poses.position_information[rows] > 0)
     known &= inside[..., None] & (np.arange(most)[:, None, None] >= left_out)

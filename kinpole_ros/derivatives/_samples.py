@@ -16,7 +16,9 @@ from kinpole_ros.planar._plane import Real
 _NEAREST = 6
 # Samples are moved until they go by no more than so many deviations of their noise, or so often.
 # Meanwhile the noise counts for so many samples: it is more while they are not in their places.
-_SETTLED, _ROUNDS, _KNOWN = 0.1, 8, 1.0
+_SETTLED, _ROUNDS, _KNOWN = 0.01, 10, 1.0
+# So many pairs of cells that are lacking are treated at once.
+_MOST = 1000
 _SIGNAL = [0, 1, 1]
 
 
@@ -29,6 +31,23 @@ def derive_incomplete(
 
     The arguments of `stencils_of` are the `window`.
     """
+    lacking = (weights < 1).any(axis=1).sum(axis=0)
+    signals = np.arange(len(lacking))
+    # What is lacking goes by its square: not too much of it at once.
+    if len(signals) > 1 and len(signals) * int(lacking.max()) ** 2 > _MOST:
+        half = len(signals) // 2
+        parts = [
+            derive_incomplete(window, samples[..., some], weights[..., some], off[:, some])
+            for some in (signals[:half], signals[half:])
+        ]
+        return Found(*(np.concatenate(each, axis=-1) for each in zip(*parts, strict=True)))
+    return _derive_some(window, samples, weights, off)
+
+
+def _derive_some(
+    window: tuple[int, float, int, int, bool], samples: Real, weights: Real, off: Real
+) -> Found:
+    """The same of a few signals."""
     count, _, block, _, exact = window
     modes = modes_of(count, block, exact)
     seen, lacking = weights.sum(axis=0), _lacking(weights)
