@@ -16,10 +16,12 @@ from kinpole_ros.planar._plane import Complex, Real
 # More samples than this in a window are averaged in blocks.
 _MOST = 128
 # Windows with too few samples are shorter by powers of this. So much of a window is there.
-_SHORTER = 0.9
+_SHORTER = 0.95
 _PRESENT = 0.5
-# Samples that have this share of the information of the best count as much as these.
-_ALIKE = 0.8
+# Samples that have this share of the information of the best count alike, by their mean.
+_ALIKE = 0.5
+# If more cells than that are lacking, they are put together in pairs.
+_LACKING = 24
 # Of a block those samples count that have this share of the information of the best of it.
 _POOR = 0.25
 # Samples are in their places if they are off by no more than this part of the interval.
@@ -160,8 +162,8 @@ def _even_cells(poses: Poses, windows: Windows, left_out: np.ndarray, noise: Rea
     samples[:, 1], samples[:, 2] = off.real, off.imag
     unit = np.stack(
         (
-            noise / np.sqrt(poses.angle_information[rows].max(axis=0)),
-            noise / np.sqrt(poses.position_information[rows].max(axis=0)),
+            noise / np.sqrt(poses.angle_information[rows].mean(axis=0)),
+            noise / np.sqrt(poses.position_information[rows].mean(axis=0)),
         )
     )
     signals = len(now) * bodies
@@ -207,11 +209,11 @@ def _cells(poses: Poses, windows: Windows, left_out: np.ndarray, noise: Real) ->
     information = np.zeros((2, *shape))
     information[0][at] = poses.angle_information[row, body]
     information[1][at] = poses.position_information[row, body]
-    best = information.max(axis=1)
+    usual = _usual(information, 1)
     with np.errstate(divide='ignore', invalid='ignore'):
-        weight = np.where(best[:, None] > 0, information / best[:, None], 0.0)
-        weight[weight >= _ALIKE] = 1.0
-        unit = noise / np.sqrt(best)
+        weight = np.where(usual[:, None] > 0, information / usual[:, None], 0.0)
+        unit = noise / np.sqrt(usual)
+    weight[weight >= _ALIKE] = 1.0
     samples = np.zeros((3, *shape))
     # Where the body is not seen at the instant, about nothing.
     angle, position = (np.nan_to_num(a[now]) for a in (poses.angle, poses.position))
@@ -232,6 +234,12 @@ def _cells(poses: Poses, windows: Windows, left_out: np.ndarray, noise: Real) ->
         np.repeat(interval * 1e-9, bodies),
         exact.reshape(signals),
     )
+
+
+def _usual(information: Real, axis: int) -> Real:
+    """The mean of those that are not much less than the best of them."""
+    alike = information >= _ALIKE * information.max(axis=axis, keepdims=True)
+    return np.asarray((information * alike).sum(axis=axis) / alike.sum(axis=axis))
 
 
 def _in_units(samples: Real, unit: Real) -> np.ndarray:
@@ -280,6 +288,8 @@ def _groups(cells: _Cells, window: float) -> list[_Group]:
         sizes = full
     else:
         sizes = _sizes(cells, full, blocks)
+    if len(cells.weight) > 1:
+        sizes, blocks = _paired(cells, sizes, blocks)
     keys = np.stack((sizes, blocks, cells.ahead, cells.exact))
     if (keys == keys[:, :1]).all():
         return [_Group(slice(None), *keys[:, 0].tolist())] if sizes[0] else []
@@ -289,6 +299,14 @@ def _groups(cells: _Cells, window: float) -> list[_Group]:
         for k, key in enumerate(each.T.tolist())
         if key[0]
     ]
+
+
+def _paired(cells: _Cells, sizes: np.ndarray, blocks: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Sizes and blocks (S,), these twice as long where too much is lacking."""
+    lacking = (cells.weight <= 0).any(axis=1).cumsum(axis=0)
+    last = np.minimum(sizes * blocks, len(lacking)) - 1
+    pair = (lacking[last, np.arange(len(last))] > _LACKING) & (blocks == 1) & (sizes > 0)
+    return np.where(pair, sizes // 2, sizes), np.where(pair, 2, blocks)
 
 
 def _sizes(cells: _Cells, full: np.ndarray, blocks: np.ndarray) -> np.ndarray:
@@ -318,6 +336,7 @@ def _derive(cells: _Cells, group: _Group, orders: int) -> tuple[Found, Real]:
     lacks = count - len(samples)
     interval = cells.interval[which] * block
     even = len(cells.weight) == 1 and not lacks
+    less = np.full((2, 1), np.sqrt(block))
     if even and block > 1:
         samples = samples.reshape(size, block, 3, -1).mean(axis=1)
     if not even:
@@ -328,10 +347,10 @@ def _derive(cells: _Cells, group: _Group, orders: int) -> tuple[Found, Real]:
             samples, weight = (np.pad(a, ((lacks, 0), (0, 0), (0, 0))) for a in (samples, weight))
             off = np.pad(off, ((lacks, 0), (0, 0)))
         if block > 1:
-            samples, weight, off = _blocks(samples, weight, off, size, block)
+            samples, weight, off, less = _blocks(samples, weight, off, size, block)
         even = bool((weight == 1).all() and not np.count_nonzero(off))
     if block > 1:
-        samples = samples * np.sqrt(block)
+        samples = samples * less[[0, 1, 1]]
     at = (size - 1) / 2 - (ahead - (block - 1) / 2) / block
     window = size, at, block, orders, bool(exact)
     samples = np.ascontiguousarray(samples)
@@ -340,7 +359,7 @@ def _derive(cells: _Cells, group: _Group, orders: int) -> tuple[Found, Real]:
     else:
         found = derive_incomplete(window, samples, weight, off)
     scale = interval ** -np.arange(float(orders))[:, None]
-    unit = cells.unit[:, which] / np.sqrt(block) * scale[:, None]  # (K, 2, S)
+    unit = cells.unit[:, which] / less * scale[:, None]  # (K, 2, S)
     mean, covariance = found.mean * unit[:, [0, 1, 1]], found.covariance * unit * unit[:, None]
     return found._replace(mean=mean, covariance=covariance), (size - 1) * interval
 
@@ -369,8 +388,12 @@ def _put(
 
 def _blocks(
     samples: Real, weight: Real, off: Real, size: int, block: int
-) -> tuple[Real, Real, Real]:
-    """Means over blocks, each of those samples in it that there are."""
+) -> tuple[Real, Real, Real, Real]:
+    """
+    Means over blocks, each of those samples in it that there are.
+
+    With their weights, how much they are off, and by how much (2, S) their noise is less.
+    """
     weight = weight.reshape(size, block, *weight.shape[1:])
     off = off.reshape(size, block, -1)
     samples = samples.reshape(size, block, *samples.shape[1:])
@@ -381,10 +404,13 @@ def _blocks(
     share = told / np.maximum(number, 1)[:, None]
     samples = (samples * share[:, :, None]).sum(axis=1)
     variance = np.divide(told[:, :, None], weight, out=np.zeros_like(weight), where=weight > 0)
-    total = number[:, None] ** 2 / np.maximum(variance.sum(axis=1), 1e-300)
+    total = number[:, None] ** 2 / np.maximum(variance.sum(axis=1), 1e-300) / block
     total = np.where(number[:, None] > 0, total, 0.0)
+    usual = _usual(total, 0)
+    weight = total / usual
+    weight[weight >= _ALIKE] = 1.0
     # What is missing in a block moves its middle.
     offsets = (np.arange(block) - (block - 1) / 2)[:, None]
     late = (share * (off + offsets)).sum(axis=1) / block
     late[np.abs(late) < _OFF] = 0.0
-    return samples, total / block, np.where(number > 0, late, 0.0)
+    return samples, weight, np.where(number > 0, late, 0.0), np.sqrt(block * usual)

@@ -7,16 +7,16 @@ motion, which is then found again.
 
 import numpy as np
 
-from kinpole_ros.derivatives._evidence import Found, derive, evidence_of, mixture, probabilities
+from kinpole_ros.derivatives._evidence import KNOWN, Found, derive, evidence_of, mixture, probabilities
 from kinpole_ros.derivatives._lacking import Lacking
 from kinpole_ros.derivatives._models import Modes, modes_of, slopes_of, stencils_of
 from kinpole_ros.planar._plane import Real
 
 # A sample that is missing is first put on a parabola through so many others.
 _NEAREST = 6
-# Samples are moved until they go by no more than so many deviations of their noise, or so often.
-# Meanwhile the noise counts for so many samples: it is more while they are not in their places.
-_SETTLED, _ROUNDS, _KNOWN = 0.01, 10, 1.0
+# How often samples are moved, and those that are all but exact. Meanwhile the noise counts for so
+# many samples: it is more while they are not in their places.
+_ROUNDS, _MORE_ROUNDS, _KNOWN = 8, 20, 1.0
 # So many pairs of cells that are lacking are treated at once.
 _MOST = 1000
 _SIGNAL = [0, 1, 1]
@@ -71,23 +71,14 @@ def _moved(
 
     And by how much (2, S) they still were in the last round, those of angle and position.
     """
-    bodies = off.shape[1]
     given, samples = samples.copy(), _moved_by_neighbors(samples, off)
-    left = np.zeros((2, bodies))
-    waiting = np.arange(bodies)
-    for _ in range(_ROUNDS):
-        some = None if lacking is None else Lacking(*(part[..., waiting] for part in lacking))
-        part = np.ascontiguousarray(samples[..., waiting])
-        moved = _moved_once(
-            modes, slopes, given[..., waiting], part, off[:, waiting], seen[:, waiting], some
-        )
-        change = ((moved - part) ** 2).mean(axis=0)
-        left[:, waiting] = np.sqrt((change[0], change[1:].max(axis=0)))
-        samples[..., waiting] = moved
-        waiting = waiting[(left[:, waiting] > _SETTLED).any(axis=0)]
-        if not len(waiting):
-            break
-    return samples, left
+    rounds = _MORE_ROUNDS if modes.exact else _ROUNDS
+    for k in range(rounds):
+        known = _KNOWN if k < rounds - 2 else KNOWN
+        before = samples
+        samples = _moved_once(modes, slopes, given, samples, off, seen, lacking, known)
+    change = ((samples - before) ** 2).mean(axis=0)
+    return samples, np.sqrt(np.stack((change[0], change[1:].max(axis=0))))
 
 
 def _moved_once(
@@ -98,10 +89,11 @@ def _moved_once(
     off: Real,
     seen: Real,
     lacking: Lacking | None,
+    known: float,
 ) -> Real:
     """The `given` samples moved along what is found from the `samples`, moved before."""
     bodies = off.shape[1]
-    found = evidence_of(modes, samples, seen, lacking, _KNOWN)
+    found = evidence_of(modes, samples, seen, lacking, known)
     likely = probabilities(modes, found)
     share = mixture(modes, likely).reshape(-1, 2, bodies)[:, _SIGNAL]
     some = share.any(axis=(1, 2)).nonzero()[0]
