@@ -1,0 +1,321 @@
+/*
+ * The sums of _kernel.c, for one kind of processor: that file includes this one for each of them,
+ * and names their functions by NAME. Compilers lower vectors before they inline or clone functions,
+ * so nothing but to compile the text again makes them as wide as the processor's.
+ */
+
+/* out (columns, LANES), `step` apart, += values (columns, depth), `stride` apart, times table
+   (depth, LANES). Three columns are done at once, so that sums need not wait for each other. */
+static inline void
+NAME(add)(const double *table, long depth, const double *values, long stride, long columns,
+          double *out, long step)
+{
+    for (; columns >= 3; columns -= 3, values += 3 * stride, out += 3 * step) {
+        const double *y = values + stride, *z = y + stride;
+        Four *o = (Four *)out, *p = (Four *)(out + step), *q = (Four *)(out + 2 * step);
+        Four a = o[0], b = o[1], c = p[0], d = p[1], e = q[0], f = q[1];
+        for (long k = 0; k < depth; k++) {
+            const Four *t = (const Four *)(table + k * LANES);
+            Four t0 = t[0], t1 = t[1];
+            a += t0 * values[k];
+            b += t1 * values[k];
+            c += t0 * y[k];
+            d += t1 * y[k];
+            e += t0 * z[k];
+            f += t1 * z[k];
+        }
+        o[0] = a, o[1] = b, p[0] = c, p[1] = d, q[0] = e, q[1] = f;
+    }
+    for (; columns > 0; columns--, values += stride, out += step) {
+        Four *o = (Four *)out;
+        Four a = o[0], b = o[1];
+        for (long k = 0; k < depth; k++) {
+            const Four *t = (const Four *)(table + k * LANES);
+            a += t[0] * values[k];
+            b += t[1] * values[k];
+        }
+        o[0] = a, o[1] = b;
+    }
+}
+
+/* out (LANES) += factor (LANES) times values (LANES). */
+static inline void
+NAME(multiply)(double *out, const double *factor, const double *values)
+{
+    for (int h = 0; h < 2; h++)
+        ((Four *)out)[h] += ((const Four *)factor)[h] * ((const Four *)values)[h];
+}
+
+static inline void
+NAME(fill)(double *out, double value)
+{
+    for (int i = 0; i < LANES; i++)
+        out[i] = value;
+}
+
+/* out (LANES) are sums of the products of left (a, rows) and right (b, rows), of each row by each,
+   or of each two of left if there is no right, over the modes of a group's process. */
+static inline void
+NAME(products)(const Models *m, const double *table, long group, const double *left, long a,
+               const double *right, long b, double *terms, double *out)
+{
+    if (group == m->groups - 1)
+        return; /* rest has no modes beside the mean */
+    const long *first = m->first + group / m->chunks;
+    table += group % m->chunks * m->rows * LANES;
+    for (int parity = 0; parity < 2; parity++, first += m->processes + 1) {
+        long begin = first[0], depth = first[1] - begin, columns = 0;
+        for (long i = 0; i < a; i++)
+            for (long j = 0; j < (right ? b : i + 1); j++, columns++) {
+                const double *x = left + i * m->rows + begin;
+                const double *y = (right ? right : left) + j * m->rows + begin;
+                for (long k = 0; k < depth; k++)
+                    terms[columns * depth + k] = x[k] * y[k];
+            }
+        NAME(add)(table + begin * LANES, depth, terms, depth, columns, out, LANES);
+    }
+}
+
+/* The modes (3, rows) of samples, and how large these are beside the mean (3,). */
+static inline void
+NAME(project)(const Models *m, const double *samples, long bodies, Work *w)
+{
+    long n = m->count, half = m->half;
+    double *fold = w->terms; /* (2, 3, half) */
+    for (int c = 0; c < 3; c++) {
+        double total = 0.0;
+        for (long t = 0; t < half; t++) {
+            double a = samples[(3 * t + c) * bodies], b = samples[(3 * (n - 1 - t) + c) * bodies];
+            fold[c * half + t] = a + b;
+            fold[(3 + c) * half + t] = a - b;
+            total += t == n - 1 - t ? a * a : a * a + b * b;
+        }
+        w->total[c] = total;
+    }
+    memset(w->modes, 0, 3 * m->rows * sizeof(double));
+    for (long r = 0; r < m->rows; r += LANES)
+        NAME(add)(m->panels + r * half, half, fold + (r < m->even ? 0 : 3 * half), half, 3,
+                  w->modes + r, m->rows);
+    for (int c = 0; c < 3; c++)
+        w->total[c] -= w->modes[c * m->rows] * w->modes[c * m->rows];
+}
+
+/* What is off at cells, `values` (X, LANES), by the factors L D L' of its covariance: these times
+   `root` are divided by L, and `scaled` are the same over D. */
+static inline void
+NAME(solve)(const double *factor, const double *root, long number, double *values, double *scaled)
+{
+    for (long x = 0; x < number; x++) {
+        const double *row = factor + x * (x + 1) / 2 * LANES;
+        for (int h = 0; h < 2; h++) {
+            Four sum = ((Four *)(values + x * LANES))[h] * root[x];
+            for (long k = 0; k < x; k++)
+                sum -= ((const Four *)row)[2 * k + h] * ((Four *)values)[2 * k + h];
+            ((Four *)values)[2 * x + h] = sum;
+            ((Four *)scaled)[2 * x + h] = sum * ((const Four *)row)[2 * x + h];
+        }
+    }
+}
+
+/* By how much the squares of what models leave are smaller for what is lacking, `rest` (3, LANES),
+   and half of the logarithm of their determinant larger, `log` (2, LANES), of a group. */
+static inline void
+NAME(lack)(const Models *m, const Cells *cells, long group, Work *w, double *rest, double *logs)
+{
+    long number = cells->number, pairs = number * (number + 1) / 2, columns = pairs + 3 * number;
+    int isrest = group == m->groups - 1;
+    /* What is off at the cells if all are as good: its covariance (pairs), and itself (3 X). */
+    double *off = w->off;
+    memset(off, 0, columns * LANES * sizeof(double));
+    NAME(products)(m, m->left, group, cells->modes, number, NULL, 0, w->terms, off);
+    NAME(products)(m, m->left, group, w->modes, 3, cells->modes, number, w->terms,
+                   off + pairs * LANES);
+    if (!m->exact || isrest)
+        for (long k = 0; k < columns; k++)
+            for (int i = 0; i < LANES; i++)
+                off[k * LANES + i] = w->base[isrest * columns + k] - off[k * LANES + i];
+    for (long part = 0; part < cells->parts; part++) {
+        const double *weight = cells->weight + part * number, *root = cells->root + part * number;
+        double *factor = w->factors + (group * cells->parts + part) * pairs * LANES;
+        /* L D L', with the inverse of D on the diagonal. */
+        Four product[2], sum[2];
+        memset(logs + part * LANES, 0, LANES * sizeof(double));
+        for (int h = 0; h < 2; h++)
+            product[h] = (Four){1.0, 1.0, 1.0, 1.0};
+        for (long i = 0; i < number; i++) {
+            Four *row = (Four *)(factor + i * (i + 1) / 2 * LANES);
+            for (long j = 0; j <= i; j++) {
+                Four *other = (Four *)(factor + j * (j + 1) / 2 * LANES);
+                for (int h = 0; h < 2; h++) {
+                    sum[h] = ((Four *)(off + (i * (i + 1) / 2 + j) * LANES))[h] * root[i] * root[j];
+                    if (i == j) {
+                        sum[h] += weight[i];
+                        /* Until now it is L times D. */
+                        for (long k = 0; k < i; k++) {
+                            Four before = row[2 * k + h];
+                            row[2 * k + h] *= ((Four *)(factor + k * (k + 3) / 2 * LANES))[h];
+                            sum[h] -= before * row[2 * k + h];
+                        }
+                        product[h] *= sum[h];
+                        row[2 * i + h] = 1.0 / sum[h];
+                    } else {
+                        for (long k = 0; k < j; k++)
+                            sum[h] -= row[2 * k + h] * other[2 * k + h];
+                        row[2 * j + h] = sum[h];
+                    }
+                }
+            }
+            /* Few logarithms, but no product that vanishes. */
+            if (i % 8 == 7 || i == number - 1)
+                for (int h = 0; h < LANES; h++) {
+                    logs[part * LANES + h] += log(((double *)product)[h]) / 2;
+                    ((double *)product)[h] = 1.0;
+                }
+        }
+    }
+    if (cells->parts == 1)
+        memcpy(logs + LANES, logs, LANES * sizeof(double));
+    for (int c = 0; c < 3; c++) {
+        long part = cells->parts > 1 && c > 0;
+        double *error = w->errors + (group * 3 + c) * number * LANES;
+        memcpy(error, off + (pairs + c * number) * LANES, number * LANES * sizeof(double));
+        NAME(solve)(w->factors + (group * cells->parts + part) * pairs * LANES,
+                    cells->root + part * number, number, error, w->scaled);
+        for (long x = 0; x < number; x++)
+            NAME(multiply)(rest + c * LANES, error + x * LANES, w->scaled + x * LANES);
+    }
+}
+
+/* What models say of one signal (see derive in _evidence.py). */
+static void
+NAME(differentiate)(const Models *m, const Stencils *s, const double *samples, long bodies,
+                    const double *seen, const Cells *cells, Work *w, Result *out)
+{
+    long lanes = m->groups * LANES, rows = m->rows, orders = s->orders, number = cells->number;
+    long pairs = number * (number + 1) / 2;
+    NAME(project)(m, samples, bodies, w);
+    for (long i = 0; i < 3 * rows; i++)
+        w->squares[i] = w->modes[i] * w->modes[i];
+    if (number)
+        gather(m, samples, bodies, cells, w);
+    /* Evidence (2, groups, LANES) of models, and the variance of the noise. */
+    for (long g = 0; g < m->groups; g++) {
+        double rest[3 * LANES] = {0}, less[3 * LANES] = {0}, logs[2 * LANES] = {0};
+        int isrest = g == m->groups - 1;
+        if (!isrest) {
+            const double *table = m->left + g % m->chunks * rows * LANES;
+            const long *first = m->first + g / m->chunks;
+            for (int parity = 0; parity < 2; parity++, first += m->processes + 1)
+                NAME(add)(table + first[0] * LANES, first[1] - first[0], w->squares + first[0],
+                          rows, 3, rest, LANES);
+        }
+        if (number)
+            NAME(lack)(m, cells, g, w, less, logs);
+        for (int c = 0; c < 3; c++)
+            for (int i = 0; i < LANES; i++) {
+                double line = isrest ? 0.0 : w->squares[c * rows + m->even];
+                double all = w->total[c] - line, own = rest[c * LANES + i];
+                own = (m->exact && !isrest ? own : all - own) - less[c * LANES + i];
+                rest[c * LANES + i] = own < 0.0 ? 0.0 : own;
+            }
+        for (int i = 0; i < LANES; i++)
+            rest[LANES + i] += rest[2 * LANES + i];
+        for (int c = 0; c < 2; c++)
+            for (int i = 0; i < LANES; i++) {
+                long k = c * lanes + g * LANES + i;
+                double total = m->known + seen[c * bodies] * (c + 1);
+                w->variance[k] = (rest[c * LANES + i] + m->known) / total;
+                w->evidence[k] = m->chances[k] - total / 2 * log(w->variance[k]);
+                w->evidence[k] -= logs[c * LANES + i] * (c + 1);
+            }
+    }
+    for (int c = 0; c < 2; c++)
+        weigh(m, w->evidence + c * lanes, w->likely + c * lanes, w->weight + c * lanes);
+
+    /* What models that count make of the signal, (groups, 3, orders, LANES), and its mean. */
+    memset(w->mean, 0, 3 * orders * LANES * sizeof(double));
+    memset(w->spread, 0, 2 * orders * orders * LANES * sizeof(double));
+    double parameters[2 * LANES] = {0};
+    for (long g = 0; g < m->groups; g++) {
+        double noisy[2 * LANES], *apart = w->apart + g * 3 * orders * LANES;
+        double any = 0.0;
+        for (int c = 0; c < 2; c++)
+            for (int i = 0; i < LANES; i++) {
+                long k = c * lanes + g * LANES + i;
+                any += w->weight[k];
+                noisy[c * LANES + i] = w->weight[k] > 0.0 ? w->weight[k] * w->variance[k] : 0.0;
+            }
+        w->counts[g] = any != 0.0;
+        if (!w->counts[g])
+            continue;
+        for (int c = 0; c < 2; c++)
+            NAME(multiply)(parameters + c * LANES, w->likely + c * lanes + g * LANES,
+                           m->freedom + g * LANES);
+        line(m, s->modes, orders, w->modes, 3, g, apart, 1);
+        NAME(products)(m, m->share, g, w->modes, 3, s->modes, orders, w->terms, apart);
+        /* Covariances (2, orders, orders, LANES), of angle and position. */
+        for (int c = 0; c < 2; c++)
+            for (long k = 0; k < orders * orders; k++)
+                NAME(multiply)(w->spread + (c * orders * orders + k) * LANES, noisy + c * LANES,
+                               s->spread + (g * orders * orders + k) * LANES);
+        for (long part = 0; part < (number ? cells->parts : 0); part++) {
+            const double *factor = w->factors + (g * cells->parts + part) * pairs * LANES;
+            line(m, s->modes, orders, cells->modes, number, g, w->reach, 0);
+            NAME(products)(m, m->share, g, s->modes, orders, cells->modes, number, w->terms,
+                           w->reach);
+            for (long k = 0; k < orders; k++) {
+                double *reach = w->reach + k * number * LANES;
+                double *scaled = w->scaled + k * number * LANES;
+                NAME(solve)(factor, cells->root + part * number, number, reach, scaled);
+                for (int c = 0; c < 3; c++)
+                    for (long x = 0; x < number && (cells->parts == 1 || part == (c > 0)); x++)
+                        for (int i = 0; i < LANES; i++)
+                            apart[(c * orders + k) * LANES + i] -= scaled[x * LANES + i] *
+                                w->errors[((g * 3 + c) * number + x) * LANES + i];
+                for (long j = 0; j <= k; j++) {
+                    double more[LANES] = {0};
+                    for (long x = 0; x < number; x++)
+                        NAME(multiply)(more, reach + x * LANES,
+                                       w->scaled + (j * number + x) * LANES);
+                    for (int c = 0; c < 2; c++)
+                        if (cells->parts == 1 || part == c)
+                            NAME(multiply)(w->spread + ((c * orders + k) * orders + j) * LANES,
+                                           noisy + c * LANES, more);
+                }
+            }
+        }
+        for (int c = 0; c < 3; c++)
+            for (long k = 0; k < orders; k++)
+                NAME(multiply)(w->mean + (c * orders + k) * LANES,
+                               w->likely + (c > 0) * lanes + g * LANES,
+                               apart + (c * orders + k) * LANES);
+    }
+    for (long k = 0; k < 3 * orders; k++) {
+        double mean = sum_of(w->mean + k * LANES);
+        out->mean[(k % orders * 3 + k / orders) * bodies] = mean;
+        for (long g = 0; g < m->groups; g++)
+            for (int i = 0; i < (w->counts[g] ? LANES : 0); i++)
+                w->apart[(g * 3 * orders + k) * LANES + i] -= mean;
+    }
+    /* What the models disagree about. */
+    for (long g = 0; g < m->groups; g++)
+        for (int c = 0; c < (w->counts[g] ? 3 : 0); c++)
+            for (long k = 0; k < orders; k++) {
+                double by[LANES], *apart = w->apart + (g * 3 + c) * orders * LANES;
+                for (int i = 0; i < LANES; i++)
+                    by[i] = w->weight[(c > 0) * lanes + g * LANES + i] * apart[k * LANES + i] /
+                        (c > 0 ? 2 : 1);
+                for (long j = 0; j <= k; j++)
+                    NAME(multiply)(w->spread + (((c > 0) * orders + k) * orders + j) * LANES, by,
+                                   apart + j * LANES);
+            }
+    for (int c = 0; c < 2; c++) {
+        out->freedom[c * bodies] = sum_of(parameters + c * LANES);
+        for (long k = 0; k < orders; k++)
+            for (long j = 0; j <= k; j++) {
+                double sum = sum_of(w->spread + ((c * orders + k) * orders + j) * LANES);
+                out->covariance[((k * orders + j) * 2 + c) * bodies] = sum;
+                out->covariance[((j * orders + k) * 2 + c) * bodies] = sum;
+            }
+    }
+}
