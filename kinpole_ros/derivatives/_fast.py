@@ -4,6 +4,7 @@
 Both do the same: _evidence.py says what, and _kernel.c why it is there twice.
 """
 
+from importlib import import_module
 from typing import Any
 
 import numpy as np
@@ -16,7 +17,7 @@ from kinpole_ros.planar._plane import Real
 
 _kernel: Any
 try:
-    from kinpole_ros.derivatives import _kernel
+    _kernel = import_module('kinpole_ros.derivatives._kernel')
 except ImportError:
     _kernel = None
 

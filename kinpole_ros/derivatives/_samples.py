@@ -7,7 +7,8 @@ motion, which is then found again.
 
 import numpy as np
 
-from kinpole_ros.derivatives._evidence import Found, derive, evidence_of, mixture, probabilities
+from kinpole_ros.derivatives._evidence import Found, evidence_of, mixture, probabilities
+from kinpole_ros.derivatives._fast import derive
 from kinpole_ros.derivatives._lacking import Lacking
 from kinpole_ros.derivatives._models import Modes, modes_of, slopes_of, stencils_of
 from kinpole_ros.planar._plane import Real
