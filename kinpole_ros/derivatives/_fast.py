@@ -148,12 +148,12 @@ def _scattered(modes: Modes, values: Real) -> Real:
     return found
 
 
-def _table(modes: Modes, values: list[Real]) -> Real:
+def _table(modes: Modes, values: list[Real], nothing: float) -> Real:
     """Of the modes of each part (P, A, m): (chunks, rows, _LANES), by amplitudes."""
-    width = _up(values[0].shape[1])
-    found = np.zeros((2 * len(modes.even), width))
+    amplitudes = values[0].shape[1]
+    found = np.full((2 * len(modes.even), _up(amplitudes)), nothing)
     for part, own in zip(modes.parts, values, strict=True):
-        found[part.first : part.last, : own.shape[1]] = own.swapaxes(1, 2).reshape(-1, own.shape[1])
+        found[part.first : part.last, :amplitudes] = own.swapaxes(1, 2).reshape(-1, amplitudes)
     found = _scattered(modes, found)
     return found.reshape(len(found), -1, _LANES).swapaxes(0, 1)
 
@@ -168,10 +168,11 @@ def _pack(modes: Modes) -> _Packed:
     kinds = len(modes.kinds)
     # The last kind is of all spectra.
     kind = np.where(modes.kinds.all(axis=0), kinds, modes.kinds.argmax(axis=0)).astype(np.int64)
-    shares = _table(modes, [part.share for part in modes.parts])
+    shares = _table(modes, [part.share for part in modes.parts], 0.0)
     numbers = [panels, shares]
     if modes.exact:
-        numbers.append(_table(modes, [part.lost for part in modes.parts]))
+        # What is no model leaves all there is, as if it were the line: it has to be invertible.
+        numbers.append(_table(modes, [part.lost for part in modes.parts], 1.0))
     numbers += [_lanes(modes, modes.chances[:, c, 0], -np.inf) for c in range(2)]
     numbers.append(_lanes(modes, modes.freedom, 0.0))
     head = [count, len(first[0]) - 1, len(shares), kinds, modes.exact, _up(len(each[0])), len(half)]
