@@ -7,10 +7,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from kinpole_ros.derivatives import _evidence, _fast
+from kinpole_ros.derivatives import _evidence, _fast, _samples
 from kinpole_ros.derivatives._evidence import Found
 from kinpole_ros.derivatives._lacking import Lacking
-from kinpole_ros.derivatives._models import Modes, Stencils, modes_of, stencils_of
+from kinpole_ros.derivatives._models import Modes, Stencils, modes_of, slopes_of, stencils_of
 from kinpole_ros.derivatives._samples import _lacking as lacking_of
 
 built = pytest.mark.skipif(
@@ -89,6 +89,24 @@ def test_lacking_samples(count: int, exact: bool) -> None:
 
 
 @built
+@pytest.mark.parametrize('exact', [False, True])
+@pytest.mark.parametrize('count', COUNTS)
+def test_samples_that_are_moved(count: int, exact: bool) -> None:
+    rng = np.random.default_rng(count)
+    for bodies, block, most in ((1, 1, 0), (3, 2, 2), (16, 1, 4), (3, 1, 10)):
+        modes, slopes = modes_of(count, block, exact), slopes_of(count, block, exact)
+        given = signals(rng, count, bodies)
+        samples = given + 0.1 * rng.normal(size=given.shape)
+        weights = missing(rng, count, bodies, min(most, count // 3))
+        off = rng.uniform(-0.5, 0.5, (count, bodies))
+        arrays = given, samples, off, weights.sum(axis=0), lacking_of(weights)
+        found = _fast.move(modes, slopes, *arrays, _samples._KNOWN)
+        expected = _samples._moved_once(modes, slopes, *arrays)
+        assert found is not None
+        assert np.abs(found - expected).max() < 1e-9
+
+
+@built
 def test_more_than_a_kernel_takes() -> None:
     """As many cells as the kernel takes, and one more, which numpy does."""
     rng = np.random.default_rng(0)
@@ -100,6 +118,9 @@ def test_more_than_a_kernel_takes() -> None:
         seen = weights.sum(axis=0)
         expected = _evidence.derive(*window, samples, seen, lacking)
         same(_fast.derive(*window, samples, seen, lacking), expected, 1e-8)
+        arrays = samples, samples, np.zeros((60, 2)), seen, lacking
+        moved = _fast.move(window[0], slopes_of(60), *arrays, _samples._KNOWN)
+        assert (moved is None) == (number > _fast._MOST_LACKING)
 
 
 @built
@@ -156,6 +177,9 @@ def test_arrays_that_do_not_fit() -> None:
     for case in cases:
         with pytest.raises(ValueError, match='do not fit'):
             _fast.derive(modes, stencils, *case)
+    slopes, off = slopes_of(50), np.zeros((50, 3))
+    with pytest.raises(ValueError, match='do not fit'):
+        _fast.move(modes, slopes, samples, samples, off[1:], np.full((2, 3), 50.0), None, 1.0)
     other = stencils_of(60, 0.0, 1, 4)
     with pytest.raises(ValueError, match=r'do not fit|index|size'):
         _fast.derive(modes, other, samples, 50.0)
@@ -170,6 +194,7 @@ def test_without_the_kernel(monkeypatch: pytest.MonkeyPatch) -> None:
             without.setitem(sys.modules, 'kinpole_ros.derivatives._kernel', None)
             module = reload(import_module('kinpole_ros.derivatives._fast'))
             assert module._kernel is None
+            assert module.move(*[None] * 8) is None
             found, expected = (f(*window, samples, 50.0) for f in (module.derive, _evidence.derive))
     finally:
         reload(import_module('kinpole_ros.derivatives._fast'))

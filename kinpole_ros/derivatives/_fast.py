@@ -25,8 +25,8 @@ except ImportError:
 _LANES = 8
 # With more cells lacking than this numpy is no slower.
 _MOST_LACKING = 24
-# Models, and stencils of models, that stay packed.
-_KEPT = 256
+# How many stay packed, no more than are kept of the originals.
+_MODES, _STENCILS, _SLOPES = 64, 256, 8
 
 
 def derive(
@@ -40,25 +40,19 @@ def derive(
     if _kernel is None or (lacking is not None and len(lacking.cells) > _MOST_LACKING):
         return _evidence.derive(modes, stencils, samples, seen, lacking)
     orders, bodies = len(stencils.modes), samples.shape[2]
-    models, packed = _packed(modes, stencils)
     if not isinstance(seen, np.ndarray):
         seen = np.full((2, bodies), float(seen))
-    cells = weight = None
-    if lacking is not None:
-        cells = np.ascontiguousarray(lacking.cells, np.int64)
-        weight = np.ascontiguousarray(lacking.weight, float)
     mean = np.empty((orders, 3, bodies))
     covariance = np.empty((orders, orders, 2, bodies))
     freedom = np.empty((2, bodies))
     _kernel.derive(
         _evidence.KNOWN,
         _evidence._LEAST,
-        *models,
-        packed,
+        *_packed_modes(modes),
+        _packed_stencils(modes, stencils),
         np.ascontiguousarray(samples, float),
         np.ascontiguousarray(seen, float),
-        cells,
-        weight,
+        *_cells(lacking),
         mean,
         covariance,
         freedom,
@@ -66,30 +60,86 @@ def derive(
     return Found(mean, covariance, freedom)
 
 
+def move(
+    modes: Modes,
+    slopes: Real,
+    given: Real,
+    samples: Real,
+    off: Real,
+    seen: Real,
+    lacking: Lacking | None,
+    known: float,
+) -> Real | None:
+    """
+    The same as `_moved_once` of _samples.py, or nothing if the kernel cannot.
+
+    The noise as it was measured counts for so many samples as are `known`.
+    """
+    if _kernel is None or (lacking is not None and len(lacking.cells) > _MOST_LACKING):
+        return None
+    moved = np.empty(samples.shape)
+    _kernel.move(
+        known,
+        _evidence._LEAST,
+        *_packed_modes(modes),
+        _packed_slopes(modes, slopes),
+        np.ascontiguousarray(samples, float),
+        np.ascontiguousarray(seen, float),
+        *_cells(lacking),
+        moved,
+        np.ascontiguousarray(given, float),
+        np.ascontiguousarray(off, float),
+    )
+    return moved
+
+
+def _cells(lacking: Lacking | None) -> tuple[np.ndarray | None, Real | None]:
+    if lacking is None:
+        return None, None
+    cells, weight = lacking
+    return np.ascontiguousarray(cells, np.int64), np.ascontiguousarray(weight, float)
+
+
 _Packed = tuple[np.ndarray, Real]
-# By identity: comparing their arrays would take longer than what is saved. What is packed has the
+# By identity: to compare their arrays would take longer than what is saved. What is packed has the
 # originals beside it, so that these live as long.
 _modes: dict[int, tuple[Modes, _Packed]] = {}
 _stencils: dict[tuple[int, int], tuple[Modes, Stencils, Real]] = {}
+_slopes: dict[tuple[int, int], tuple[Modes, Real, Real]] = {}
 
 
-def _packed(modes: Modes, stencils: Stencils) -> tuple[_Packed, Real]:
-    """What the kernel takes of models and of stencils."""
+def _packed_modes(modes: Modes) -> _Packed:
+    """What the kernel takes of models."""
+    found = _modes.get(id(modes))
+    if found is None:
+        found = _modes[id(modes)] = modes, _pack(modes)
+        _forget(_modes, _MODES)
+    return found[1]
+
+
+def _packed_stencils(modes: Modes, stencils: Stencils) -> Real:
+    """What the kernel takes of stencils."""
     key = id(modes), id(stencils)
-    known = _modes.get(key[0])
-    if known is None:
-        known = _modes[key[0]] = modes, _pack(modes)
-        _forget(_modes)
     found = _stencils.get(key)
     if found is None:
         found = _stencils[key] = modes, stencils, _pack_stencils(modes, stencils)
-        _forget(_stencils)
-    return known[1], found[2]
+        _forget(_stencils, _STENCILS)
+    return found[2]
 
 
-def _forget(kept: dict[Any, Any]) -> None:
+def _packed_slopes(modes: Modes, slopes: Real) -> Real:
+    """What the kernel takes of slopes."""
+    key = id(modes), id(slopes)
+    found = _slopes.get(key)
+    if found is None:
+        found = _slopes[key] = modes, slopes, _pack_slopes(modes, slopes)
+        _forget(_slopes, _SLOPES)
+    return found[2]
+
+
+def _forget(kept: dict[Any, Any], most: int) -> None:
     """The oldest, if there are too many."""
-    while len(kept) > _KEPT:
+    while len(kept) > most:
         kept.pop(next(iter(kept)), None)
 
 
@@ -198,3 +248,13 @@ def _pack_stencils(modes: Modes, stencils: Stencils) -> Real:
     lanes = _lanes(modes, spread.T, 0.0).swapaxes(1, 2)
     rows = _scattered(modes, stencils.modes.T).T
     return np.concatenate((rows.ravel(), lanes.ravel()))
+
+
+def _pack_slopes(modes: Modes, slopes: Real) -> Real:
+    """Slopes (orders, panels, rows, _LANES) of the kernel, at the first half of all samples."""
+    half = modes.even.shape[1]
+    packed = []
+    for slope in slopes:
+        own = np.pad(_scattered(modes, slope[:, :half]), ((0, 0), (0, -half % _LANES)))
+        packed.append(own.reshape(len(own), -1, _LANES).swapaxes(0, 1))
+    return np.ascontiguousarray(packed)

@@ -15,9 +15,13 @@
 #include <string.h>
 
 #define LANES 8
+/* Derivatives by which samples are moved. */
+#define SLOPES 4
 /* Spectra there may be, and by how much evidence is too little to count. */
 #define MOST_KINDS 8
 #define FAR 80.0
+/* Otherwise it is not built. */
+_Static_assert(sizeof(long) == 8, "arrays have integers of 8 bytes");
 typedef double Four __attribute__((vector_size(32), aligned(8), may_alias));
 
 /* Models of a window of `count` samples, as _fast.py packs them: see there for the arrays. */
@@ -49,7 +53,7 @@ typedef struct {
 typedef struct {
     double total[3];
     double *modes, *squares, *terms, *evidence, *variance, *likely, *weight, *apart, *mean, *spread;
-    double *base, *off, *factors, *errors, *reach, *scaled;
+    double *base, *off, *factors, *errors, *reach, *scaled, *along;
     long *counts;
 } Work;
 
@@ -166,6 +170,9 @@ weigh(const Models *m, const double *evidence, double *likely, double *weight)
 #else
 #pragma GCC pop_options
 #endif
+#else
+#define differentiate_wide differentiate_anywhere
+#define move_wide move_anywhere
 #endif
 
 static int
@@ -240,6 +247,7 @@ lay_out(const Models *m, long orders, long number, double *scratch, Work *w, Cel
         {&w->off, (pairs + 3 * number) * LANES},
         {&w->factors, 2 * pairs * lanes},
         {&w->errors, 3 * number * lanes},
+        {&w->along, 2 * SLOPES * 3 * (m->half + LANES)},
         {&w->reach, orders * number * LANES},
         {&w->scaled, orders * number * LANES},
         {(double **)&w->counts, m->groups},
@@ -278,52 +286,62 @@ choose(const long *at, const double *weight, long number, long bodies, Cells *ce
     }
 }
 
+/* What either of both does is given, as arrays: what models are of, `tables` of them, samples (n, 3,
+   S), what of them is seen (2, S), cells (X, S) and weights (X, 2, S), or None, and then for derive
+   the arrays of Result, and for move what is moved, (n, 3, S), what is given, and `off` (n, S). */
 static PyObject *
-derive(PyObject *self, PyObject *args)
+run(PyObject *args, int moving)
 {
-    enum { COUNTS, NUMBERS, STENCILS, SAMPLES, SEEN, AT, WEIGHT, MEAN, COVARIANCE, FREEDOM, ALL };
+    enum { COUNTS, NUMBERS, TABLES, SAMPLES, SEEN, AT, WEIGHT, FIRST, SECOND, THIRD, ALL };
     Py_buffer b[ALL] = {{0}};
     Models m;
-    Stencils s;
     Work w;
     Cells cells = {0};
     double *scratch = NULL;
-    int good = 0;
-    if (!PyArg_ParseTuple(args, "ddy*y*y*y*y*z*z*w*w*w*", &m.known, &m.least, &b[COUNTS],
-                          &b[NUMBERS], &b[STENCILS], &b[SAMPLES], &b[SEEN], &b[AT], &b[WEIGHT],
-                          &b[MEAN], &b[COVARIANCE], &b[FREEDOM]))
+    if (!PyArg_ParseTuple(args, moving ? "ddy*y*y*y*y*z*z*w*y*y*" : "ddy*y*y*y*y*z*z*w*w*w*",
+                          &m.known, &m.least, &b[COUNTS], &b[NUMBERS], &b[TABLES], &b[SAMPLES],
+                          &b[SEEN], &b[AT], &b[WEIGHT], &b[FIRST], &b[SECOND], &b[THIRD]))
         return NULL;
+    const double *tables = b[TABLES].buf, *samples = b[SAMPLES].buf, *seen = b[SEEN].buf;
+    const double *weight = b[WEIGHT].buf;
+    double *first = b[FIRST].buf, *second = b[SECOND].buf, *third = b[THIRD].buf;
+    const long *at = b[AT].buf;
     long bodies = b[SEEN].len / 16, number = bodies ? b[AT].len / 8 / bodies : 0;
-    good = unpack(&b[COUNTS], &b[NUMBERS], &m);
-    s.orders = good && bodies ? b[MEAN].len / 24 / bodies : 0;
-    s.modes = b[STENCILS].buf;
-    s.spread = s.modes + s.orders * m.rows;
-    good = good && b[SAMPLES].len == 24 * m.count * bodies && b[WEIGHT].len == 16 * number * bodies;
-    good = good && b[MEAN].len == 24 * s.orders * bodies && b[FREEDOM].len == 16 * bodies;
-    good = good && b[COVARIANCE].len == 16 * s.orders * s.orders * bodies;
-    good = good && b[STENCILS].len == 8 * s.orders * (m.rows + m.groups * s.orders * LANES);
+    int good = unpack(&b[COUNTS], &b[NUMBERS], &m) && bodies;
+    long orders = good && !moving ? b[FIRST].len / 24 / bodies : 1;
+    good = good && b[SAMPLES].len == 24 * m.count * bodies;
+    good = good && b[AT].len == 8 * number * bodies && b[WEIGHT].len == 16 * number * bodies;
+    if (good && moving) {
+        good = b[FIRST].len == b[SAMPLES].len && b[SECOND].len == b[SAMPLES].len;
+        good = good && b[THIRD].len == 8 * m.count * bodies;
+        long panels = (m.half + LANES - 1) / LANES;
+        good = good && b[TABLES].len == 8 * SLOPES * panels * m.rows * LANES;
+    } else if (good) {
+        good = b[FIRST].len == 24 * orders * bodies && b[THIRD].len == 16 * bodies;
+        good = good && b[SECOND].len == 16 * orders * orders * bodies;
+        good = good && b[TABLES].len == 8 * orders * (m.rows + m.groups * orders * LANES);
+    }
     for (long k = 0; good && k < number * bodies; k++)
-        good = ((long *)b[AT].buf)[k] >= 0 && ((long *)b[AT].buf)[k] < m.count;
+        good = at[k] >= 0 && at[k] < m.count;
     if (!good)
         PyErr_SetString(PyExc_ValueError, "arrays do not fit to each other");
-    else if (!(scratch = PyMem_RawMalloc(8 * lay_out(&m, s.orders, number, NULL, &w, &cells))))
+    else if (!(scratch = PyMem_RawMalloc(8 * lay_out(&m, orders, number, NULL, &w, &cells))))
         PyErr_NoMemory();
     else {
-        lay_out(&m, s.orders, number, scratch, &w, &cells);
+        Stencils s = {orders, tables, tables + orders * m.rows};
+        int wide = is_wide();
+        lay_out(&m, orders, number, scratch, &w, &cells);
         Py_BEGIN_ALLOW_THREADS
         for (long k = 0; k < bodies; k++) {
-            const double *samples = (double *)b[SAMPLES].buf + k, *seen = (double *)b[SEEN].buf + k;
-            Result out = {(double *)b[MEAN].buf + k, (double *)b[COVARIANCE].buf + k,
-                          (double *)b[FREEDOM].buf + k};
+            Result out = {first + k, second + k, third + k};
             if (number)
-                choose((long *)b[AT].buf + k, (double *)b[WEIGHT].buf + k, number, bodies, &cells);
-#ifdef WIDE
-            if (is_wide()) {
-                differentiate_wide(&m, &s, samples, bodies, seen, &cells, &w, &out);
-                continue;
-            }
-#endif
-            differentiate_anywhere(&m, &s, samples, bodies, seen, &cells, &w, &out);
+                choose(at + k, weight + k, number, bodies, &cells);
+            if (moving)
+                (wide ? move_wide : move_anywhere)(&m, tables, second + k, samples + k, third + k,
+                                                   bodies, seen + k, &cells, &w, first + k);
+            else
+                (wide ? differentiate_wide : differentiate_anywhere)(
+                    &m, &s, samples + k, bodies, seen + k, &cells, &w, &out);
         }
         Py_END_ALLOW_THREADS
     }
@@ -335,8 +353,21 @@ derive(PyObject *self, PyObject *args)
     Py_RETURN_NONE;
 }
 
+static PyObject *
+derive(PyObject *self, PyObject *args)
+{
+    return run(args, 0);
+}
+
+static PyObject *
+move(PyObject *self, PyObject *args)
+{
+    return run(args, 1);
+}
+
 static PyMethodDef methods[] = {
     {"derive", derive, METH_VARARGS, "See derive in _fast.py, which packs its arguments."},
+    {"move", move, METH_VARARGS, "See move in _fast.py, which packs its arguments."},
     {NULL, NULL, 0, NULL},
 };
 

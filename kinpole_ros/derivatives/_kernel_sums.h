@@ -186,19 +186,18 @@ NAME(lack)(const Models *m, const Cells *cells, long group, Work *w, double *res
     }
 }
 
-/* What models say of one signal (see derive in _evidence.py). */
-static void
-NAME(differentiate)(const Models *m, const Stencils *s, const double *samples, long bodies,
-                    const double *seen, const Cells *cells, Work *w, Result *out)
+/* How probable models are by one signal: the evidence (2, groups, LANES), the variance of the noise,
+   probabilities and weights. */
+static inline void
+NAME(judge)(const Models *m, const double *samples, long bodies, const double *seen,
+            const Cells *cells, Work *w)
 {
-    long lanes = m->groups * LANES, rows = m->rows, orders = s->orders, number = cells->number;
-    long pairs = number * (number + 1) / 2;
+    long lanes = m->groups * LANES, rows = m->rows, number = cells->number;
     NAME(project)(m, samples, bodies, w);
     for (long i = 0; i < 3 * rows; i++)
         w->squares[i] = w->modes[i] * w->modes[i];
     if (number)
         gather(m, samples, bodies, cells, w);
-    /* Evidence (2, groups, LANES) of models, and the variance of the noise. */
     for (long g = 0; g < m->groups; g++) {
         double rest[3 * LANES] = {0}, less[3 * LANES] = {0}, logs[2 * LANES] = {0};
         int isrest = g == m->groups - 1;
@@ -231,7 +230,16 @@ NAME(differentiate)(const Models *m, const Stencils *s, const double *samples, l
     }
     for (int c = 0; c < 2; c++)
         weigh(m, w->evidence + c * lanes, w->likely + c * lanes, w->weight + c * lanes);
+}
 
+/* What models say of one signal: derive of _evidence.py. */
+static void
+NAME(differentiate)(const Models *m, const Stencils *s, const double *samples, long bodies,
+                    const double *seen, const Cells *cells, Work *w, const Result *out)
+{
+    long lanes = m->groups * LANES, orders = s->orders, number = cells->number;
+    long pairs = number * (number + 1) / 2;
+    NAME(judge)(m, samples, bodies, seen, cells, w);
     /* What models that count make of the signal, (groups, 3, orders, LANES), and its mean. */
     memset(w->mean, 0, 3 * orders * LANES * sizeof(double));
     memset(w->spread, 0, 2 * orders * orders * LANES * sizeof(double));
@@ -316,6 +324,106 @@ NAME(differentiate)(const Models *m, const Stencils *s, const double *samples, l
                 double sum = sum_of(w->spread + ((c * orders + k) * orders + j) * LANES);
                 out->covariance[((k * orders + j) * 2 + c) * bodies] = sum;
                 out->covariance[((j * orders + k) * 2 + c) * bodies] = sum;
+            }
+    }
+}
+
+/* By how much what is missing is off, (X, 3), in the mean of the models that count. */
+static inline void
+NAME(restore)(const Models *m, const Cells *cells, Work *w, double *wrong)
+{
+    long number = cells->number, pairs = number * (number + 1) / 2;
+    for (long g = 0; g < m->groups; g++)
+        for (int c = 0; c < (w->counts[g] ? 3 : 0); c++) {
+            long part = cells->parts > 1 && c > 0;
+            const double *factor = w->factors + (g * cells->parts + part) * pairs * LANES;
+            const double *error = w->errors + (g * 3 + c) * number * LANES;
+            double *own = w->scaled;
+            for (long x = number - 1; x >= 0; x--) {
+                double sum[LANES] = {0};
+                for (int h = 0; h < 2; h++) {
+                    Four left = ((const Four *)(error + x * LANES))[h] *
+                                ((const Four *)(factor + x * (x + 3) / 2 * LANES))[h];
+                    for (long k = x + 1; k < number; k++)
+                        left -= ((const Four *)(factor + (k * (k + 1) / 2 + x) * LANES))[h] *
+                                ((Four *)own)[2 * k + h];
+                    ((Four *)own)[2 * x + h] = left;
+                }
+                NAME(multiply)(sum, own + x * LANES,
+                               w->likely + ((c > 0) * m->groups + g) * LANES);
+                wrong[x * 3 + c] += cells->root[part * number + x] * sum_of(sum);
+            }
+        }
+}
+
+/* The samples of one signal moved along what is found of it: _moved_once of _samples.py. `slopes`
+   (SLOPES, panels, rows, LANES) are derivatives of the modes at the first half of all samples. */
+static void
+NAME(move)(const Models *m, const double *slopes, const double *given, const double *samples,
+           const double *off, long bodies, const double *seen, const Cells *cells, Work *w,
+           double *moved)
+{
+    long rows = m->rows, n = m->count, panels = (m->half + LANES - 1) / LANES, half = panels * LANES;
+    NAME(judge)(m, samples, bodies, seen, cells, w);
+    /* Derivatives (2, SLOPES, 3, half) of even and of odd modes. */
+    double *motion = w->squares, *along = w->along, moving[2] = {0};
+    memset(along, 0, 2 * SLOPES * 3 * half * sizeof(double));
+    for (long g = 0; g < m->groups; g++) {
+        double sum[2];
+        for (int c = 0; c < 2; c++) {
+            sum[c] = sum_of(w->likely + (c * m->groups + g) * LANES);
+            moving[c] += g < m->groups - 1 ? sum[c] : 0.0;
+        }
+        w->counts[g] = sum[0] != 0.0 || sum[1] != 0.0;
+    }
+    for (int c = 0; c < 3; c++)
+        motion[c * rows + m->even] = moving[c > 0] * w->modes[c * rows + m->even];
+    /* The slope, and then all groups. */
+    for (long g = -1; g < m->groups - 1; g++) {
+        if (g >= 0 && !w->counts[g])
+            continue;
+        for (int parity = g < 0; parity < 2; parity++) {
+            const long *first = m->first + parity * (m->processes + 1) + g / m->chunks;
+            long begin = g < 0 ? m->even : first[0], depth = g < 0 ? 1 : first[1] - begin;
+            for (long r = begin; g >= 0 && r < begin + depth; r++) {
+                const double *share = m->share + (g % m->chunks * rows + r) * LANES;
+                double part[2 * LANES] = {0};
+                for (int c = 0; c < 2; c++)
+                    NAME(multiply)(part + c * LANES, share,
+                                   w->likely + (c * m->groups + g) * LANES);
+                for (int c = 0; c < 3; c++)
+                    motion[c * rows + r] = sum_of(part + (c > 0) * LANES) * w->modes[c * rows + r];
+            }
+            for (long k = 0; k < SLOPES * panels; k++)
+                NAME(add)(slopes + (k * rows + begin) * LANES, depth, motion + begin, rows, 3,
+                          along + (parity * SLOPES + k / panels) * 3 * half + k % panels * LANES,
+                          half);
+        }
+    }
+    for (long t = 0; t < n; t++)
+        for (int c = 0; c < 3; c++) {
+            long near = t < m->half ? t : n - 1 - t;
+            double power = 1.0, by = off[t * bodies], sum = 0.0;
+            for (int k = 0; k < SLOPES; k++) {
+                double even = along[(k * 3 + c) * half + near];
+                double odd = along[((SLOPES + k) * 3 + c) * half + near];
+                /* The first derivative, and the third, of what is even is odd. */
+                power *= by / (k + 1);
+                sum += power * (t == near ? even + odd : k % 2 ? even - odd : odd - even);
+            }
+            moved[(3 * t + c) * bodies] = given[(3 * t + c) * bodies] - sum;
+        }
+    /* What is missing is where the others have it. */
+    long number = cells->number;
+    if (number) {
+        double *wrong = w->reach;
+        memset(wrong, 0, 3 * number * sizeof(double));
+        NAME(restore)(m, cells, w, wrong);
+        for (long x = 0; x < number; x++)
+            for (int c = 0; c < 3; c++) {
+                long at = (3 * cells->at[x] + c) * bodies;
+                if (cells->weight[x] <= 0.0 && cells->weight[(cells->parts - 1) * number + x] <= 0.0)
+                    moved[at] = samples[at] - wrong[x * 3 + c];
             }
     }
 }

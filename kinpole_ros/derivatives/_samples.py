@@ -8,7 +8,7 @@ motion, which is then found again.
 import numpy as np
 
 from kinpole_ros.derivatives._evidence import Found, evidence_of, mixture, probabilities
-from kinpole_ros.derivatives._fast import derive
+from kinpole_ros.derivatives._fast import derive, move
 from kinpole_ros.derivatives._lacking import Lacking
 from kinpole_ros.derivatives._models import Modes, modes_of, slopes_of, stencils_of
 from kinpole_ros.planar._plane import Real
@@ -60,9 +60,10 @@ def _moved(
     for _ in range(_ROUNDS):
         some = None if lacking is None else Lacking(*(part[..., waiting] for part in lacking))
         part = np.ascontiguousarray(samples[..., waiting])
-        moved = _moved_once(
-            modes, slopes, given[..., waiting], part, off[:, waiting], seen[:, waiting], some
-        )
+        arrays = given[..., waiting], part, off[:, waiting], seen[:, waiting], some
+        moved = move(modes, slopes, *arrays, _KNOWN)
+        if moved is None:
+            moved = _moved_once(modes, slopes, *arrays)
         change = ((moved - part) ** 2).mean(axis=0)
         left[:, waiting] = np.sqrt((change[0], change[1:].max(axis=0)))
         samples[..., waiting] = moved
