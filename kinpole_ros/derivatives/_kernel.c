@@ -22,7 +22,6 @@
 #define FAR 80.0
 /* Otherwise it is not built. */
 _Static_assert(sizeof(long) == 8, "arrays have integers of 8 bytes");
-typedef double Four __attribute__((vector_size(32), aligned(8), may_alias));
 
 /* Models of a window of `count` samples, as _fast.py packs them: see there for the arrays. */
 typedef struct {
@@ -150,18 +149,21 @@ weigh(const Models *m, const double *evidence, double *likely, double *weight)
         likely[i] /= sure;
 }
 
+#define WIDTH 2
 #define NAME(name) name##_anywhere
 #include "_kernel_sums.h"
 #undef NAME
+#undef WIDTH
 /* Not compiled for this very processor: a package may be built elsewhere. */
 #if defined(__x86_64__) && (defined(__clang__) || defined(__GNUC__))
-#define WIDE
+#define HAS_WIDE
 #ifdef __clang__
 #pragma clang attribute push(__attribute__((target("avx2,fma"))), apply_to = function)
 #else
 #pragma GCC push_options
 #pragma GCC target("avx2,fma")
 #endif
+#define WIDTH 4
 #define NAME(name) name##_wide
 #include "_kernel_sums.h"
 #undef NAME
@@ -178,7 +180,7 @@ weigh(const Models *m, const double *evidence, double *likely, double *weight)
 static int
 is_wide(void)
 {
-#ifdef WIDE
+#ifdef HAS_WIDE
     return __builtin_cpu_supports("avx2") && __builtin_cpu_supports("fma");
 #else
     return 0;

@@ -1,8 +1,13 @@
 /*
  * The sums of _kernel.c, for one kind of processor: that file includes this one for each of them,
- * and names their functions by NAME. Compilers lower vectors before they inline or clone functions,
- * so nothing but to compile the text again makes them as wide as the processor's.
+ * and names their functions by NAME. Vectors are of WIDTH numbers. Compilers break up those that a
+ * processor does not have before they inline or clone functions, and badly, so nothing but to
+ * compile the text again makes them as wide as the processor's.
  */
+
+typedef double NAME(Vector) __attribute__((vector_size(8 * WIDTH), aligned(8), may_alias));
+#define Vector NAME(Vector)
+#define PARTS (LANES / WIDTH)
 
 /* out (columns, LANES), `step` apart, += values (columns, depth), `stride` apart, times table
    (depth, LANES). Three columns are done at once, so that sums need not wait for each other. */
@@ -11,30 +16,34 @@ NAME(add)(const double *table, long depth, const double *values, long stride, lo
           double *out, long step)
 {
     for (; columns >= 3; columns -= 3, values += 3 * stride, out += 3 * step) {
-        const double *y = values + stride, *z = y + stride;
-        Four *o = (Four *)out, *p = (Four *)(out + step), *q = (Four *)(out + 2 * step);
-        Four a = o[0], b = o[1], c = p[0], d = p[1], e = q[0], f = q[1];
-        for (long k = 0; k < depth; k++) {
-            const Four *t = (const Four *)(table + k * LANES);
-            Four t0 = t[0], t1 = t[1];
-            a += t0 * values[k];
-            b += t1 * values[k];
-            c += t0 * y[k];
-            d += t1 * y[k];
-            e += t0 * z[k];
-            f += t1 * z[k];
+        Vector x[PARTS], y[PARTS], z[PARTS];
+        for (int h = 0; h < PARTS; h++) {
+            x[h] = ((Vector *)out)[h];
+            y[h] = ((Vector *)(out + step))[h];
+            z[h] = ((Vector *)(out + 2 * step))[h];
         }
-        o[0] = a, o[1] = b, p[0] = c, p[1] = d, q[0] = e, q[1] = f;
+        for (long k = 0; k < depth; k++)
+            for (int h = 0; h < PARTS; h++) {
+                Vector by = ((const Vector *)(table + k * LANES))[h];
+                x[h] += by * values[k];
+                y[h] += by * values[stride + k];
+                z[h] += by * values[2 * stride + k];
+            }
+        for (int h = 0; h < PARTS; h++) {
+            ((Vector *)out)[h] = x[h];
+            ((Vector *)(out + step))[h] = y[h];
+            ((Vector *)(out + 2 * step))[h] = z[h];
+        }
     }
     for (; columns > 0; columns--, values += stride, out += step) {
-        Four *o = (Four *)out;
-        Four a = o[0], b = o[1];
-        for (long k = 0; k < depth; k++) {
-            const Four *t = (const Four *)(table + k * LANES);
-            a += t[0] * values[k];
-            b += t[1] * values[k];
-        }
-        o[0] = a, o[1] = b;
+        Vector x[PARTS];
+        for (int h = 0; h < PARTS; h++)
+            x[h] = ((Vector *)out)[h];
+        for (long k = 0; k < depth; k++)
+            for (int h = 0; h < PARTS; h++)
+                x[h] += ((const Vector *)(table + k * LANES))[h] * values[k];
+        for (int h = 0; h < PARTS; h++)
+            ((Vector *)out)[h] = x[h];
     }
 }
 
@@ -42,8 +51,8 @@ NAME(add)(const double *table, long depth, const double *values, long stride, lo
 static inline void
 NAME(multiply)(double *out, const double *factor, const double *values)
 {
-    for (int h = 0; h < 2; h++)
-        ((Four *)out)[h] += ((const Four *)factor)[h] * ((const Four *)values)[h];
+    for (int h = 0; h < PARTS; h++)
+        ((Vector *)out)[h] += ((const Vector *)factor)[h] * ((const Vector *)values)[h];
 }
 
 static inline void
@@ -107,12 +116,12 @@ NAME(solve)(const double *factor, const double *root, long number, double *value
 {
     for (long x = 0; x < number; x++) {
         const double *row = factor + x * (x + 1) / 2 * LANES;
-        for (int h = 0; h < 2; h++) {
-            Four sum = ((Four *)(values + x * LANES))[h] * root[x];
+        for (int h = 0; h < PARTS; h++) {
+            Vector sum = ((Vector *)(values + x * LANES))[h] * root[x];
             for (long k = 0; k < x; k++)
-                sum -= ((const Four *)row)[2 * k + h] * ((Four *)values)[2 * k + h];
-            ((Four *)values)[2 * x + h] = sum;
-            ((Four *)scaled)[2 * x + h] = sum * ((const Four *)row)[2 * x + h];
+                sum -= ((const Vector *)row)[PARTS * k + h] * ((Vector *)values)[PARTS * k + h];
+            ((Vector *)values)[PARTS * x + h] = sum;
+            ((Vector *)scaled)[PARTS * x + h] = sum * ((const Vector *)row)[PARTS * x + h];
         }
     }
 }
@@ -138,30 +147,30 @@ NAME(lack)(const Models *m, const Cells *cells, long group, Work *w, double *res
         const double *weight = cells->weight + part * number, *root = cells->root + part * number;
         double *factor = w->factors + (group * cells->parts + part) * pairs * LANES;
         /* L D L', with the inverse of D on the diagonal. */
-        Four product[2], sum[2];
+        Vector product[PARTS], sum[PARTS];
         memset(logs + part * LANES, 0, LANES * sizeof(double));
-        for (int h = 0; h < 2; h++)
-            product[h] = (Four){1.0, 1.0, 1.0, 1.0};
+        for (int h = 0; h < PARTS; h++)
+            product[h] = (Vector){0} + 1.0;
         for (long i = 0; i < number; i++) {
-            Four *row = (Four *)(factor + i * (i + 1) / 2 * LANES);
+            Vector *row = (Vector *)(factor + i * (i + 1) / 2 * LANES);
             for (long j = 0; j <= i; j++) {
-                Four *other = (Four *)(factor + j * (j + 1) / 2 * LANES);
-                for (int h = 0; h < 2; h++) {
-                    sum[h] = ((Four *)(off + (i * (i + 1) / 2 + j) * LANES))[h] * root[i] * root[j];
+                Vector *other = (Vector *)(factor + j * (j + 1) / 2 * LANES);
+                for (int h = 0; h < PARTS; h++) {
+                    sum[h] = ((Vector *)(off + (i * (i + 1) / 2 + j) * LANES))[h] * root[i] * root[j];
                     if (i == j) {
                         sum[h] += weight[i];
                         /* Until now it is L times D. */
                         for (long k = 0; k < i; k++) {
-                            Four before = row[2 * k + h];
-                            row[2 * k + h] *= ((Four *)(factor + k * (k + 3) / 2 * LANES))[h];
-                            sum[h] -= before * row[2 * k + h];
+                            Vector before = row[PARTS * k + h];
+                            row[PARTS * k + h] *= ((Vector *)(factor + k * (k + 3) / 2 * LANES))[h];
+                            sum[h] -= before * row[PARTS * k + h];
                         }
                         product[h] *= sum[h];
-                        row[2 * i + h] = 1.0 / sum[h];
+                        row[PARTS * i + h] = 1.0 / sum[h];
                     } else {
                         for (long k = 0; k < j; k++)
-                            sum[h] -= row[2 * k + h] * other[2 * k + h];
-                        row[2 * j + h] = sum[h];
+                            sum[h] -= row[PARTS * k + h] * other[PARTS * k + h];
+                        row[PARTS * j + h] = sum[h];
                     }
                 }
             }
@@ -341,13 +350,13 @@ NAME(restore)(const Models *m, const Cells *cells, Work *w, double *wrong)
             double *own = w->scaled;
             for (long x = number - 1; x >= 0; x--) {
                 double sum[LANES] = {0};
-                for (int h = 0; h < 2; h++) {
-                    Four left = ((const Four *)(error + x * LANES))[h] *
-                                ((const Four *)(factor + x * (x + 3) / 2 * LANES))[h];
+                for (int h = 0; h < PARTS; h++) {
+                    Vector left = ((const Vector *)(error + x * LANES))[h] *
+                                ((const Vector *)(factor + x * (x + 3) / 2 * LANES))[h];
                     for (long k = x + 1; k < number; k++)
-                        left -= ((const Four *)(factor + (k * (k + 1) / 2 + x) * LANES))[h] *
-                                ((Four *)own)[2 * k + h];
-                    ((Four *)own)[2 * x + h] = left;
+                        left -= ((const Vector *)(factor + (k * (k + 1) / 2 + x) * LANES))[h] *
+                                ((Vector *)own)[PARTS * k + h];
+                    ((Vector *)own)[PARTS * x + h] = left;
                 }
                 NAME(multiply)(sum, own + x * LANES,
                                w->likely + ((c > 0) * m->groups + g) * LANES);
@@ -427,3 +436,6 @@ NAME(move)(const Models *m, const double *slopes, const double *given, const dou
             }
     }
 }
+
+#undef Vector
+#undef PARTS
