@@ -1,8 +1,8 @@
 /*
- * derive of _evidence.py, about ten times as fast: what numpy does there takes some 100 calls, each
- * of which goes through more of the models than it has to. This is the same in one go, where signals
- * are done one by one, modes beyond those of a process are skipped, and so are models that do not
- * count. _fast.py uses it if it could be built; numpy's is the one to read, and to test this by.
+ * derive of _evidence.py and _moved_once of _samples.py, about ten times as fast for one signal:
+ * numpy takes some 100 calls, each of which goes through more of the models than it has to. Here
+ * signals are done one by one, modes beyond those of a process are skipped, and so are models that
+ * do not count. _fast.py uses it if it could be built; numpy's is the one to read, and to test by.
  *
  * LANES amplitudes of a process are a group; its models lie side by side in all arrays. The last
  * group is rest, in the first of its lanes. Lanes that are no models have no chance: -infinity.
@@ -288,9 +288,9 @@ choose(const long *at, const double *weight, long number, long bodies, Cells *ce
     }
 }
 
-/* What either of both does is given, as arrays: what models are of, `tables` of them, samples (n, 3,
-   S), what of them is seen (2, S), cells (X, S) and weights (X, 2, S), or None, and then for derive
-   the arrays of Result, and for move what is moved, (n, 3, S), what is given, and `off` (n, S). */
+/* Both get arrays: of models, of stencils or slopes, samples (n, 3, S), what is seen of them (2, S),
+   cells (X, S) and weights (X, 2, S) or None. Then come for derive those of Result, and for
+   move what is moved and what is given, (n, 3, S), and `off` (n, S). */
 static PyObject *
 run(PyObject *args, int moving)
 {

@@ -156,7 +156,8 @@ NAME(lack)(const Models *m, const Cells *cells, long group, Work *w, double *res
             for (long j = 0; j <= i; j++) {
                 Vector *other = (Vector *)(factor + j * (j + 1) / 2 * LANES);
                 for (int h = 0; h < PARTS; h++) {
-                    sum[h] = ((Vector *)(off + (i * (i + 1) / 2 + j) * LANES))[h] * root[i] * root[j];
+                    sum[h] = ((Vector *)(off + (i * (i + 1) / 2 + j) * LANES))[h];
+                    sum[h] *= root[i] * root[j];
                     if (i == j) {
                         sum[h] += weight[i];
                         /* Until now it is L times D. */
@@ -195,8 +196,8 @@ NAME(lack)(const Models *m, const Cells *cells, long group, Work *w, double *res
     }
 }
 
-/* How probable models are by one signal: the evidence (2, groups, LANES), the variance of the noise,
-   probabilities and weights. */
+/* How probable models are by one signal: evidence, the variance of the noise, probabilities, and
+   weights, (2, groups, LANES) each. */
 static inline void
 NAME(judge)(const Models *m, const double *samples, long bodies, const double *seen,
             const Cells *cells, Work *w)
@@ -372,7 +373,8 @@ NAME(move)(const Models *m, const double *slopes, const double *given, const dou
            const double *off, long bodies, const double *seen, const Cells *cells, Work *w,
            double *moved)
 {
-    long rows = m->rows, n = m->count, panels = (m->half + LANES - 1) / LANES, half = panels * LANES;
+    long rows = m->rows, n = m->count;
+    long panels = (m->half + LANES - 1) / LANES, half = panels * LANES;
     NAME(judge)(m, samples, bodies, seen, cells, w);
     /* Derivatives (2, SLOPES, 3, half) of even and of odd modes. */
     double *motion = w->squares, *along = w->along, moving[2] = {0};
@@ -431,7 +433,8 @@ NAME(move)(const Models *m, const double *slopes, const double *given, const dou
         for (long x = 0; x < number; x++)
             for (int c = 0; c < 3; c++) {
                 long at = (3 * cells->at[x] + c) * bodies;
-                if (cells->weight[x] <= 0.0 && cells->weight[(cells->parts - 1) * number + x] <= 0.0)
+                long last = (cells->parts - 1) * number + x;
+                if (cells->weight[x] <= 0.0 && cells->weight[last] <= 0.0)
                     moved[at] = samples[at] - wrong[x * 3 + c];
             }
     }
