@@ -288,8 +288,8 @@ choose(const long *at, const double *weight, long number, long bodies, Cells *ce
     }
 }
 
-/* Both get arrays: of models, of stencils or slopes, samples (n, 3, S), what is seen of them (2, S),
-   cells (X, S) and weights (X, 2, S) or None. Then come for derive those of Result, and for
+/* Both get arrays: of models, of stencils or slopes, samples (n, 3, S), what of them is seen
+   (2, S), cells (X, S) and weights (X, 2, S) or None. Then come for derive those of Result, and for
    move what is moved and what is given, (n, 3, S), and `off` (n, S). */
 static PyObject *
 run(PyObject *args, int moving)
