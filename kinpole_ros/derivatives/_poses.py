@@ -8,7 +8,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from kinpole_ros.derivatives._evidence import Found, derive
+from kinpole_ros.derivatives._evidence import Found
+from kinpole_ros.derivatives._fast import derive
 from kinpole_ros.derivatives._models import FEWEST_SAMPLES, MOST_EXACT, modes_of, stencils_of
 from kinpole_ros.derivatives._samples import derive_incomplete
 from kinpole_ros.planar._plane import Complex, Real

@@ -7,7 +7,8 @@ motion, which is then found again.
 
 import numpy as np
 
-from kinpole_ros.derivatives._evidence import KNOWN, Found, derive, evidence_of, mixture, probabilities
+from kinpole_ros.derivatives._evidence import KNOWN, Found, evidence_of, mixture, probabilities
+from kinpole_ros.derivatives._fast import derive, move
 from kinpole_ros.derivatives._lacking import Lacking
 from kinpole_ros.derivatives._models import Modes, modes_of, slopes_of, stencils_of
 from kinpole_ros.planar._plane import Real
@@ -74,9 +75,10 @@ def _moved(
     given, samples = samples.copy(), _moved_by_neighbors(samples, off)
     rounds = _MORE_ROUNDS if modes.exact else _ROUNDS
     for k in range(rounds):
-        known = _KNOWN if k < rounds - 2 else KNOWN
+        arrays = given, samples, off, seen, lacking, _KNOWN if k < rounds - 2 else KNOWN
         before = samples
-        samples = _moved_once(modes, slopes, given, samples, off, seen, lacking, known)
+        moved = move(modes, slopes, *arrays)
+        samples = _moved_once(modes, slopes, *arrays) if moved is None else moved
     change = ((samples - before) ** 2).mean(axis=0)
     return samples, np.sqrt(np.stack((change[0], change[1:].max(axis=0))))
 
