@@ -30,7 +30,7 @@ _OFF = 1e-4
 # Samples that differ by more deviations of their noise are taken for exact.
 _EXACT = 1e7
 # Instants and bodies that are differentiated at once, as many as fit into the cache.
-_AT_ONCE = 16
+_AT_ONCE = 64
 
 
 class Poses(NamedTuple):
@@ -224,7 +224,7 @@ def _cells(poses: Poses, windows: Windows, left_out: np.ndarray, noise: Real) ->
     exact = _in_units(samples, unit)
     misplaced = np.zeros(shape)
     misplaced[at] = late[frame, instant]
-    misplaced[(np.abs(misplaced) < _OFF) & ~exact] = 0.0
+    misplaced[np.abs(misplaced) < _OFF] = 0.0
     signals = noise.size
     return _Cells(
         samples.reshape(3, count, signals).swapaxes(0, 1),
