@@ -101,7 +101,7 @@ def test_samples_that_are_moved(count: int, exact: bool) -> None:
         off = rng.uniform(-0.5, 0.5, (count, bodies))
         arrays = given, samples, off, weights.sum(axis=0), lacking_of(weights)
         found = _fast.move(modes, slopes, *arrays, _samples._KNOWN)
-        expected = _samples._moved_once(modes, slopes, *arrays)
+        expected = _samples._moved_once(modes, slopes, *arrays, _samples._KNOWN)
         assert found is not None
         assert np.abs(found - expected).max() < 1e-9
 

@@ -159,9 +159,10 @@ def _jansen_leg(crank: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
     Each joint is where two circles meet, on the left of the way from the first to the second.
     """
-    a, b, c, d, e, f, g, h, i, j, k, up, m = np.array(
-        (38.0, 41.5, 39.3, 40.1, 55.8, 39.4, 36.7, 65.7, 49.0, 50.0, 61.9, 7.8, 15.0)
-    ) * 0.005
+    a, b, c, d, e, f, g, h, i, j, k, up, m = (
+        np.array((38.0, 41.5, 39.3, 40.1, 55.8, 39.4, 36.7, 65.7, 49.0, 50.0, 61.9, 7.8, 15.0))
+        * 0.005
+    )
 
     def meet(p: np.ndarray, to_p: float, q: np.ndarray, to_q: float) -> np.ndarray:
         apart = np.abs(q - p)

@@ -128,7 +128,9 @@ def derive(
         _, reach = by_models(modes, weights, stencils.modes, vectors)
         less, more = lacks.correct(counting, reach.reshape(len(reach), orders, -1, bodies))
         off -= less
-        result -= np.einsum('mkcs,mcs->kcs', less, likely[counting].reshape(-1, 2, bodies)[:, _SIGNAL])
+        result -= np.einsum(
+            'mkcs,mcs->kcs', less, likely[counting].reshape(-1, 2, bodies)[:, _SIGNAL]
+        )
         covariance += np.einsum('mkjcs,mcs->kjcs', more, noisy[counting].reshape(-1, 2, bodies))
     off -= result
     off = np.ascontiguousarray(off.transpose(3, 2, 1, 0))  # (S, 3, K, M)
@@ -155,9 +157,7 @@ def mixture(modes: Modes, weights: Real) -> Real:
     return mixed
 
 
-def by_models(
-    modes: Modes, weights: Real, stencils: Real, rows: Real
-) -> tuple[np.ndarray, Real]:
+def by_models(modes: Modes, weights: Real, stencils: Real, rows: Real) -> tuple[np.ndarray, Real]:
     """
     What models make (M, K, C) of modes that are `rows` (R, C), by their `stencils` (K, R).
 

@@ -356,7 +356,9 @@ def _derive(cells: _Cells, group: _Group, orders: int) -> tuple[Found, Real]:
     window = size, at, block, orders, bool(exact)
     samples = np.ascontiguousarray(samples)
     if even:
-        found = derive(modes_of(size, block, bool(exact)), stencils_of(*window), samples, float(size))
+        found = derive(
+            modes_of(size, block, bool(exact)), stencils_of(*window), samples, float(size)
+        )
     else:
         found = derive_incomplete(window, samples, weight, off)
     scale = interval ** -np.arange(float(orders))[:, None]
