@@ -111,11 +111,7 @@ def _two_sines(t: np.ndarray) -> BodyMotion:
 def _stop_and_go(t: np.ndarray) -> BodyMotion:
     """Half a second of rest, half a second of motion on an arc, there and back, turning on."""
     cycle = np.floor(t)
-    u = np.clip((t - cycle - 0.5) / 0.5, 0.0, 1.0)
-    # The polynomial of degree 9 from 0 to 1 whose first four derivatives vanish at both ends.
-    step = np.polynomial.Polynomial((0, 0, 0, 0, 0, 126, -420, 540, -315, 70))
-    s = np.stack([step.deriv(k)(u) / 0.5**k if k else step(u) for k in range(ORDERS)])
-    s[1:, (u == 0) | (u == 1)] = 0.0
+    s = _rise(t - cycle - 0.5, 0.5)
     turned = s.copy()
     turned[0] += cycle
     back = cycle % 2 == 1
@@ -132,9 +128,10 @@ def _periodic(
     pose: Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]], rate: float, t: np.ndarray
 ) -> BodyMotion:
     """
-    Motion of a body whose `pose` by the crank's angle is known, at so many turns per second.
+    Motion at times (N,), s, of a body on a crank that turns at `rate` rev/s.
 
-    By its Fourier series, which ends: position and angle are smooth.
+    `pose` gives position (M,), complex, m, and angle (M,), rad, by angles (M,) of the crank. The
+    derivatives are those of its Fourier series, which ends soon: both are smooth.
     """
     count = 512
     position, angle = pose(2 * pi * np.arange(count) / count)
@@ -180,13 +177,18 @@ def _jansen_leg(crank: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 def _cam(t: np.ndarray) -> BodyMotion:
     """A rocker on a pin that rises by 0.6 rad, dwells and returns, once in a second."""
-    step = np.polynomial.Polynomial((0, 0, 0, 0, 0, 126, -420, 540, -315, 70))
     cycle = t - np.floor(t)
-    angle = np.zeros((ORDERS, *t.shape))
-    for begin, length, sign in ((0.1, 0.25, 1.0), (0.6, 0.3, -1.0)):
-        u = np.clip((cycle - begin) / length, 0.0, 1.0)
-        angle += 0.6 * sign * np.stack([step.deriv(k)(u) / length**k for k in range(ORDERS)])
-    return _on_a_pin(angle)
+    return _on_a_pin(0.6 * (_rise(cycle - 0.1, 0.25) - _rise(cycle - 0.6, 0.3)))
+
+
+def _rise(t: np.ndarray, length: float) -> np.ndarray:
+    """A rise from 0 to 1 in `length` s, and its derivatives, (5, ...), all continuous."""
+    u = np.clip(t / length, 0.0, 1.0)
+    # The polynomial of degree 9 from 0 to 1 whose first four derivatives vanish at both ends.
+    step = np.polynomial.Polynomial((0, 0, 0, 0, 0, 126, -420, 540, -315, 70))
+    found = np.stack([step.deriv(k)(u) / length**k if k else step(u) for k in range(ORDERS)])
+    found[1:, (u == 0) | (u == 1)] = 0.0
+    return found
 
 
 def _decaying(t: np.ndarray) -> BodyMotion:

@@ -50,7 +50,8 @@ def others_part(rows: Rows) -> str:
 
 Nothing was tuned on these: the rod of a slider-crank at several speeds (its harmonics come near the
 noise one by one), the foot of a Jansen leg, a cam with dwells, a pendulum that dies away, random
-motion up to 3 Hz, and steady turning with a ripple.
+motion up to 3 Hz, and steady turning with a ripple. As above stamps are even, markers have their
+names and noise is white; what rigs send is [below](#on-real-rigs).
 
 {cell_table}
 

@@ -97,8 +97,8 @@ def make_recording(
     names: tuple[str, ...], noises: tuple[float, ...], seeds: int, seconds: float
 ) -> Recording:
     """Record each motion at each noise level so many times, each from another instant on."""
-    known = motions() | other_motions()
-    names_of_all = sorted(motions()) + sorted(other_motions())
+    first, others = motions(), other_motions()
+    known, numbers = first | others, sorted(first) + sorted(others)
     cases = tuple(
         Case(name, noise, seed) for name in names for noise in noises for seed in range(seeds)
     )
@@ -109,7 +109,7 @@ def make_recording(
     parts = []
     for k, case in enumerate(cases):
         # Seeds by name, so that a case is the same in whatever selection it is in.
-        number = names_of_all.index(case.motion)
+        number = numbers.index(case.motion)
         rng = np.random.default_rng((number, round(1e9 * case.noise), case.seed))
         moved, exact = observe(known[case.motion], times(count) + 0.37 * case.seed)
         noise = case.noise * known[case.motion].size

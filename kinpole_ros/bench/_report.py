@@ -55,7 +55,7 @@ _SECONDS = {
     'speed': (202, 16),
     'live': (273, 72),
     'hindsight': (33, 2),
-    'other motions': (40, 3),
+    'other motions': (20, 2),
     'equal lag': (12, 4),
     'over lag': (14, 2),
     'PyNumDiff': (60, 0),
