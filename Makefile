@@ -1,4 +1,5 @@
-# The project's own commands. Each sets up .venv first, when it is missing or setup.py has changed.
+# The project's own commands. Each sets up .venv first, when it is missing or what it is made of has
+# changed.
 
 PYTHON ?= python3
 PYTEST_ARGS ?=
@@ -60,11 +61,12 @@ fuzz: $(STAMP)  ## read 10,000 corrupted bags and 100,000 corrupted messages
 
 clean:  ## remove .venv and all else that can be made again
 	rm -rf .venv build *.egg-info .hypothesis .mypy_cache .pytest_cache .ruff_cache
-	rm -f out/demo.mcap out/demo.png
+	rm -f out/demo.mcap out/demo.png kinpole_ros/derivatives/*.so
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +
 
-# Begun anew for another Python, and when ROS 2 has come or gone.
-$(STAMP): setup.py
+# Begun anew for another Python, and when ROS 2 has come or gone. The kernel is built along with it
+# if there is a compiler, and nothing is said if there is none.
+$(STAMP): setup.py $(wildcard kinpole_ros/derivatives/_kernel*.[ch])
 	@"$(BASE)" -c 'import ensurepip, venv' 2>/dev/null || { echo '$(BASE) has no venv: install it' \
 	  '(Debian and Ubuntu: sudo apt install python3-venv), then make again' >&2; exit 1; }
 	@echo 'Setting up .venv: a minute or two ...'

@@ -2,7 +2,7 @@
 
 from glob import glob
 
-from setuptools import find_packages, setup
+from setuptools import Extension, find_packages, setup
 
 NAME = 'kinpole_ros'
 SHARE = f'share/{NAME}'
@@ -12,6 +12,16 @@ setup(
     version='0.1.0',
     packages=find_packages(include=[NAME, f'{NAME}.*']),
     package_data={NAME: ['py.typed']},
+    # Without a compiler there is none, and all is the same but for the time it takes.
+    ext_modules=[
+        Extension(
+            f'{NAME}.derivatives._kernel',
+            [f'{NAME}/derivatives/_kernel.c'],
+            depends=[f'{NAME}/derivatives/_kernel_sums.h'],
+            extra_compile_args=['-O3'],
+            optional=True,
+        )
+    ],
     data_files=[
         ('share/ament_index/resource_index/packages', [f'resource/{NAME}']),
         (SHARE, ['package.xml']),

@@ -23,11 +23,9 @@ from kinpole_ros.window import (
     LastingNoise,
     Noise,
     Pins,
-    PlainShape,
     References,
     Samples,
     Shapes,
-    Unforeseen,
     Verdict,
 )
 
@@ -284,33 +282,6 @@ class RigidBodies:
         rows['poses'] = rows['height'] = np.nan
         rows['information'], rows['strayed'], rows['suspect'] = 0.0, False, 0
         rows['beat'] = self._known_now()
-
-    def foresee(self, rows: np.ndarray) -> list[PlainShape]:
-        """
-        Fill the last of three frames with what is to be expected; by what it will be fitted.
-
-        Raises Unforeseen where the others do not have all bodies.
-        """
-        count, held = self._count, self._shapes.held
-        seen = rows['information'][:-1] > 0
-        least = self._misfit() / _UNSTEADY**2
-        lost = (held[:count] < least) & (self._shapes.spread > least)
-        if np.count_nonzero(seen) < seen.size or np.count_nonzero(lost):
-            raise Unforeseen
-        ahead = self._shapes.expected(int(rows['stamp'][-1]))
-        if ahead is None:
-            raise Unforeseen
-        before, last, here = rows['poses']
-        here[:] = 2 * last - before
-        # Turns are counted when it has come.
-        here[:count, 0] += 2 * np.pi * (last[:count, 1] - before[:count, 1])
-        here[:count, 1] = last[:count, 1]
-        rows['information'][-1] = held
-        # It may stray from a pin; whether that matters is for the caller to see.
-        rows['strayed'][-1] = np.isfinite(self._pins.center)
-        rows['suspect'][-1] = 0
-        self._known_now()
-        return self._shapes.in_plain_numbers(*ahead)
 
     def settle(self) -> bool:
         """Learn if it is time for a beat; whether names stand for other markers then."""

@@ -16,16 +16,8 @@ from kinpole_ros.plane import Plane
 
 # A denominator counts as known when it exceeds its standard deviation this many times.
 SIGNIFICANT = 4.0
-# Of a pole's denominator by common weights: so many times the noise and, apart from that, so many
-# times what the windows differ by, of order 1 to 4. Where a motion sets in they do so long before
-# the noise tells. Also so many times the noise by weights of its own, where that is not too much.
-NOISE = 2.5
-DIFFERENT = (13.0, 8.2, 5.0, 5.0)
-APART = (2.0, 2.0, 0.0, 0.0)
 # Beyond this many body sizes a pole is as good as at infinity.
 FARTHEST = 1e3
-# Two values of one figure contradict each other beyond so many deviations of their difference.
-AGREE = 3.0
 # An ICR that moves by less than so many standard deviations, or body sizes per rad, stands still.
 MOVING = 1.7
 STILL = 1e-6
@@ -55,22 +47,6 @@ class Numbers(NamedTuple):
 _Figure = TypeVar('_Figure', bound=Vectors | Numbers)
 
 
-class Poses(NamedTuple):
-    """
-    Poses with derivatives (K, ...) of `position`, complex, and `angle`; covariances (K, K, ...).
-
-    `turning` (K, ...) is the variance of the angle by which the windows differ; `parted` (K, ...)
-    that by which they contradict each other about the angle by itself.
-    """
-
-    position: np.ndarray
-    angle: np.ndarray
-    position_covariance: np.ndarray
-    angle_covariance: np.ndarray
-    turning: np.ndarray
-    parted: np.ndarray
-
-
 class Estimate:
     """
     Motion of B bodies at T instants `stamp` (T,), ns, up to the derivative of `order`.
@@ -86,9 +62,8 @@ class Estimate:
     `pin` (T, B) is the fixed point a body was found to turn about, complex, m, with
     `pin_variance` (T, B), m^2, of one coordinate; NaN for a body on no pin. `shape` (T, B, n) are
     the markers in the bodies' frames, complex, m. `due` (T,) is which frame, of those the tracker
-    was given together, each instant fell due with. `together` are poses (K, A, T, B) whose angle
-    and position are found by the same weights, those that suit the pole of order 1 to A. `plane` is
-    where all this lies in `frame_id`, None for the one that the parameters name.
+    was given together, each instant fell due with. `plane` is where all this lies in `frame_id`,
+    None for the one that the parameters name.
 
     What follows is of shape (T, B) too, (T, pairs) for pairs of bodies. An index gives one instant
     as an estimate of its own, in which all arrays lack the axis of T.
@@ -113,7 +88,6 @@ class Estimate:
         pin_variance: np.ndarray | None = None,
         shape: np.ndarray | None = None,
         due: np.ndarray | None = None,
-        together: Poses | None = None,
         reference: np.ndarray | None = None,
         plane: Plane | None = None,
     ) -> None:
@@ -136,7 +110,6 @@ class Estimate:
         self.pinned = np.isfinite(self.pin)
         self.shape = np.empty((*each, 0), complex) if shape is None else shape
         self.due = np.arange(np.size(stamp)).reshape(np.shape(stamp)) if due is None else due
-        self.together = together
         self.reference = np.zeros(each, complex) if reference is None else reference
         self.plane = plane
         self._poles: dict[int, Vectors] = {}
@@ -166,7 +139,6 @@ class Estimate:
             self.pin_variance[instant],
             self.shape[instant],
             self.due[instant],
-            self.together and Poses(*(part[..., instant, :] for part in self.together)),
             self.reference[instant],
             self.plane,
         )
@@ -192,54 +164,20 @@ class Estimate:
     def rate(self, order: int) -> Numbers:
         """Derivative of the angle of that order (rad/s^order), order 1 to 4."""
         value, variance = self.angle[order], self.angle_covariance[order, order]
-        if self.together is not None:
-            variance = variance + self.together.parted[order]
         return Numbers(value, variance, np.isfinite(value))
-
-    @cached_property
-    def _all_poses(self) -> tuple[np.ndarray, ...]:
-        """The first four of Poses (K, 1 + A, T, B): apart, and those together if known."""
-        apart = (
-            self.position[:, None],
-            self.angle[:, None],
-            self.position_covariance[:, :, None],
-            self.angle_covariance[:, :, None],
-        )
-        if self.together is None:
-            return apart
-        both = zip(apart, self.together, strict=False)
-        return tuple(map(np.concatenate, both, (1, 1, 2, 2)))
-
-    def poses(self, order: int) -> tuple[np.ndarray, ...]:
-        """Poses (K, S, T, B) to find the pole of that order from: apart and, if known, together."""
-        position, angle, of_position, of_angle = self._all_poses
-        sets = slice(0, order + 1, order)
-        return position[:, sets], angle[:, sets], of_position[:, :, sets], of_angle[:, :, sets]
 
     @np.errstate(divide='ignore', invalid='ignore', over='ignore')
     def general_pole(self, order: int) -> Vectors:
         """The pole of order 1 to 4 (m) as it follows from the motion, whatever is known of pins."""
-        position, angle, of_position, of_angle = self.poses(order)
-        turn = denominator, by_angle = planar.rotation(order, angle)
-        poles = planar.pole(order, position, angle, turn)
-        spread = planar.covariance(poles, of_position, of_angle)
-        value, spread, known = _mean(poles.value, spread)
-        near = np.abs(value - self.position[0]) < FARTHEST * self.size
-        # Whether the body turns is asked of the last: together, where that is known.
-        orders = poles.angle_orders
-        rate = np.abs(denominator)
-        noise = planar.mean_square(by_angle, of_angle[orders, orders])
-        if self.together is None:
-            turning = rate[0] > SIGNIFICANT * np.sqrt(noise[0])
-        else:
-            different = self.together.turning[order, order - 1]
-            # A single window differs from none: its noise alone has to tell.
-            times = np.where(different > 0, NOISE, SIGNIFICANT)
-            least = times**2 * noise[1] + DIFFERENT[order - 1] ** 2 * different
-            turning = rate[1] > np.sqrt(least)
-            if APART[order - 1]:
-                turning &= rate[0] > APART[order - 1] * np.sqrt(noise[0])
-        return Vectors(value, spread, turning & near & known)
+        turn = denominator, by_angle = planar.rotation(order, self.angle)
+        pole = planar.pole(order, self.position, self.angle, turn)
+        spread = planar.covariance(pole, self.position_covariance, self.angle_covariance)
+        near = np.abs(pole.value - self.position[0]) < FARTHEST * self.size
+        orders = pole.angle_orders
+        noise = planar.mean_square(by_angle, self.angle_covariance[orders, orders])
+        turning = np.abs(denominator) > SIGNIFICANT * np.sqrt(noise)
+        known = np.isfinite(pole.value) & np.isfinite(spread).all(axis=(-2, -1))
+        return Vectors(pole.value, spread, turning & near & known)
 
     def pole(self, order: int) -> Vectors:
         """ICR, IAP, IJP or ISP (m) for order 1 to 4, on the pin where there is one."""
@@ -275,15 +213,17 @@ class Estimate:
 
     @cached_property
     def _velocities(self) -> planar.Linear:
-        """Velocity of the ICR by each set of poses (S, T, B)."""
-        return planar.icr_velocity(*self.poses(1)[:2])
+        """Velocity of the ICR, as it follows from the motion."""
+        return planar.icr_velocity(self.position, self.angle)
 
     @cached_property
     @np.errstate(divide='ignore', invalid='ignore', over='ignore')
     def icr_velocity(self) -> Vectors:
         """Velocity of the ICR along both centrodes (m/s)."""
         u = self._velocities
-        value, spread, known = _mean(u.value, planar.covariance(u, *self.poses(1)[2:]))
+        value = u.value
+        spread = planar.covariance(u, self.position_covariance, self.angle_covariance)
+        known = np.isfinite(value) & np.isfinite(spread).all(axis=(-2, -1))
         if np.count_nonzero(self.pinned):
             value = np.where(self.pinned, 0.0, value)
             spread = np.where(self.pinned[..., None, None], 0.0, spread)
@@ -294,11 +234,10 @@ class Estimate:
     @np.errstate(divide='ignore', invalid='ignore', over='ignore')
     def centrode_curvature(self) -> Numbers:
         """Signed curvature of the fixed centrode (1/m); undetermined where the ICR stands still."""
-        position, angle, *covariances = self.poses(1)
-        curvature = planar.centrode_curvature(position, angle, self._velocities)
+        curvature = planar.centrode_curvature(self.position, self.angle, self._velocities)
         u = self.icr_velocity
-        noise = planar.variance(curvature, *covariances)
-        value, noise, known = _mean(curvature.value, noise)
+        noise = planar.variance(curvature, self.position_covariance, self.angle_covariance)
+        value, known = curvature.value, np.isfinite(curvature.value) & np.isfinite(noise)
         # It goes by the speed to the power of -2, which is far from linear where that is noisy:
         # of the error x of the speed, relative to it, the change of second order is 3 x^2.
         slowness = (u.covariance[..., 0, 0] + u.covariance[..., 1, 1]) / 2 / np.abs(u.value) ** 2
@@ -406,37 +345,3 @@ def _stands_out(values: np.ndarray, covariance: np.ndarray) -> np.ndarray:
     variance = np.einsum('kk...->k...', covariance)
     with np.errstate(invalid='ignore'):
         return np.asarray((values > SIGNIFICANT * np.sqrt(variance))[1:].any(axis=0))
-
-
-def _mean(values: np.ndarray, spread: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """
-    Mean of one or two values (S, ...) and of their (co)variances, (S, ...) or (S, ..., 2, 2).
-
-    Weighted by the inverse squares of the latter; what the values differ by is error too. Also
-    where (...) it is known: not where the values contradict each other.
-    """
-    plane = spread.ndim > values.ndim
-    variance = spread[..., 0, 0] + spread[..., 1, 1] if plane else spread
-    known = np.isfinite(variance) & np.isfinite(values)
-    if len(values) == 1:
-        return values[0], spread[0], known[0]
-    either = known[0] | known[1]
-    if np.count_nonzero(known) < known.size:
-        # What is not known gives way to the other. Where neither is the first stands, to tell what
-        # it would be.
-        lost = ~known
-        lost[0] &= known[1]
-        values = np.where(lost, values[::-1], values)
-        spread = np.where(lost[..., None, None] if plane else lost, spread[::-1], spread)
-        variance = np.where(lost.any(axis=0), 1.0, variance)
-    # Not by their squares, which overflow where next to nothing is known.
-    ratio = variance / variance[::-1]
-    shares = 1 / (1 + ratio * ratio)
-    value = np.einsum('s...,s...->...', shares, values)
-    off, apart = values[1] - values[0], shares[0] * shares[1]
-    either &= off.real**2 + off.imag**2 <= AGREE**2 * (variance[0] + variance[1])
-    if not plane:
-        return value, np.einsum('s...,s...->...', shares, spread) + apart * off**2, either
-    xy = off[..., None].view(float)
-    mixed = np.einsum('s...,s...xy->...xy', shares, spread)
-    return value, mixed + apart[..., None, None] * xy[..., None] * xy[..., None, :], either

@@ -6,7 +6,6 @@ rows of the results table that have subscribers, and the diagnostics.
 """
 
 import gc
-import os
 import sys
 import time
 import warnings
@@ -290,40 +289,18 @@ class KinpoleNode(LifecycleNode):
                 self._note('message', str(frames))
                 continue
             self._stamps.extend(frames.stamps.tolist())
-            told, left = self._answer_at_once(frames)
-            for estimate in self._tracker.add(frames, order, told):
+            for estimate in self._tracker.add(frames, order):
                 self._latest = self._drawn = estimate
                 # All are made before the first goes out: its readers wake, and take the core.
                 made = [
                     (publisher, data)
-                    for output, publisher in left
+                    for output, publisher in self._wanted
                     for data in output.build(estimate)[1]
                 ]
                 for publisher, data in made:
                     publisher.publish(data)
         self._tracker.settle()
-        if messages == 1 and order is not None and any(row[0].prompt for row in self._wanted):
-            self._tracker.foresee(order)
         self._amid_markers = False
-
-    def _answer_at_once(self, frames: MarkerFrames) -> tuple[bool, list[tuple[Output, Any]]]:
-        """Publish what can be told of a frame before it is added: whether all, and what is left."""
-        found = self._tracker.prompt(frames)
-        if found is None:
-            return False, self._wanted
-        rows = [(publisher, output.prompt) for output, publisher in self._wanted if output.prompt]
-        try:
-            made = [(publisher, prompt(found)) for publisher, prompt in rows]
-        except ArithmeticError:
-            return False, self._wanted
-        for publisher, data in made:
-            if data is not None:
-                publisher.publish(data)
-        # Readers wake on this core as often as not.
-        os.sched_yield()
-        self._tracker.counts['prompt'] += 1
-        left = [row for row in self._wanted if row[0].prompt is None]
-        return not left, left
 
     def _newest_last(
         self, read: list[MarkerFrames | MessageError]

@@ -26,8 +26,6 @@ _MOST_NATS = 50.0
 # Neighbors on each side that predict a pose, and frames for the first evidence.
 _SIDE = 3
 _FEWEST_EVIDENCE = 16
-# By a clock behind which stamps are by up to more than so many intervals no frame is counted.
-_LATEST = 16
 # Only losses since so many frames may have been none.
 _TAKEN_BACK = 32
 # Newest frames whose ticks are not sure enough to say anything.
@@ -172,8 +170,6 @@ class Ticks:
             self._rounded = False
         elif self._rounded and step < _COARSE:
             # Stamps are in finer steps now, and the motion does not tell.
-            self._rounded = self.regular = False
-        if self.mode == 'auto' and clock.largest > _LATEST * clock.interval:
             self._rounded = self.regular = False
         if self.regular:
             # The others are of no use any more, nor do more of them come.

@@ -13,9 +13,10 @@ import numpy as np
 
 from kinpole_ros.bodies import pose_columns
 from kinpole_ros.clock import FrameCounter, counts_by
+from kinpole_ros.derivatives import FEWEST_SAMPLES, Windows
 from kinpole_ros.parameters import Settings
 from kinpole_ros.ticks import StampState, Ticks, course_costs, mend
-from kinpole_ros.window import FEWEST_SAMPLES, Samples, Unforeseen, Windows
+from kinpole_ros.window import Samples
 
 # Frames later than this many intervals of late come after a gap.
 _LATE = 2.5
@@ -369,30 +370,6 @@ class Timeline:
         self._counter = None
         return True
 
-    def guess(self) -> np.ndarray:
-        """
-        A row (1,) for the frame that comes if all goes on as it did, until it is `withdrawn`.
-
-        Raises Unforeseen where frames do not come evenly, or are too few.
-        """
-        if len(self._frames) < FEWEST_SAMPLES or self._regular:
-            raise Unforeseen
-        stamps = self._frames.view()['stamp'][-4:]
-        steps = stamps[1:] - stamps[:-1]
-        if np.ptp(steps) > 1:
-            raise Unforeseen
-        # The step of three frames ago: at 120 Hz and the like one in three is a ns longer.
-        stamp = stamps[-1:] + steps[0]
-        row = self._frames.room(1)
-        row['stamp'] = row['time'] = stamp
-        row['count'] = row['behind'] = 0
-        self._place(row, stamp)
-        return row
-
-    def withdraw(self) -> None:
-        """Take the guess back."""
-        self._frames.withdraw(1)
-
     def waiting(self) -> np.ndarray:
         """Those of the frames that are not estimated yet."""
         every = self._frames.view()
@@ -432,7 +409,7 @@ class Timeline:
         full = (newest - oldest)[frame] >= FEWEST_SAMPLES - 1
         seen = (full & (due >= oldest[frame])).nonzero()[0]
         frame = frame[seen]
-        return end, (due[seen], oldest[frame], newest[frame]), frame
+        return end, Windows(due[seen], oldest[frame], newest[frame]), frame
 
     def pass_by(self, due: int, count: int) -> None:
         """All that wait are estimated, up to `due`; the first `count` no window to come holds."""

@@ -8,40 +8,31 @@ Header stamps drive it; it never asks for the time.
 
 import itertools
 from collections import Counter
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 
 import numpy as np
 
 from kinpole_ros.bodies import Outage, RigidBodies, one_more, pose_columns
-from kinpole_ros.estimate import FARTHEST, Estimate, Poses
+from kinpole_ros.derivatives import Derivatives, Poses, Windows, derive_poses
+from kinpole_ros.estimate import Estimate
 from kinpole_ros.frame import MarkerFrames, part_of
+from kinpole_ros.landmarks import derive_landmarks
 from kinpole_ros.matcher import Matcher
 from kinpole_ros.parameters import Settings
 from kinpole_ros.plane import Plane
-from kinpole_ros.prompt import Foreseen, Prompt
 from kinpole_ros.roster import Roster
 from kinpole_ros.scatter import HISTORY
 from kinpole_ros.space import Space, SpaceReport
 from kinpole_ros.ticks import StampState
 from kinpole_ros.timeline import Timeline
 from kinpole_ros.window import (
-    FEWEST_SAMPLES,
     MOST_SUSPECT,
     STRIKES,
-    LandmarkFilter,
-    PoseDerivatives,
-    PoseFilter,
     Samples,
-    Unforeseen,
-    Windows,
     alike,
-    joined,
-    runs,
     seen_at,
 )
 
-# So many bodies are told of sooner in numbers than by arrays: eight in 0.66 ms, not 1.3.
-_FEW = 8
 # Not by its first stamp, which a bag that loops has again and again.
 _run_numbers = itertools.count(1)
 
@@ -82,15 +73,10 @@ class Tracker:
         self._early: list[tuple[np.ndarray, MarkerFrames, np.ndarray]] = []
         self._timeline = Timeline(self.settings, self.counts, before)
         self._rigid = RigidBodies(self.settings, self._timeline.window, self._roster, self.counts)
-        self._filter = PoseFilter()
-        # From when on poses are of the bodies that the filter knows, ns.
-        self._since = np.zeros(count, np.int64)
-        self._landmark_filter = LandmarkFilter()
         self._points: Samples | None = None
         if self.settings.method == 'landmarks':
             self._points = Samples((count, self._roster.width), complex)
         self._run_number = next(_run_numbers)
-        self._foreseen: Foreseen | None = None
 
     @property
     def samples(self) -> int:
@@ -172,7 +158,7 @@ class Tracker:
         """The markers that the last message has."""
         return self._roster.identities
 
-    def add(self, frames: MarkerFrames, order: int | None, told: bool = False) -> list[Estimate]:
+    def add(self, frames: MarkerFrames, order: int | None) -> list[Estimate]:
         """
         Take frames; return what is now known, stamped `lag` earlier, an instant for most frames.
 
@@ -180,14 +166,10 @@ class Tracker:
         seen already is left out, and so is a frame that comes late: before the newest, within the
         window. Everything starts anew with another frame_id, with a stamp farther from the newest
         than the window, and where stamps go on from a late one: then the clock has stepped back.
-        With `told`, for a frame of which nothing is wanted but what `prompt` said, there is an
-        estimate only where it is needed to go on.
         """
-        return self.add_parts((frames,), order, told)
+        return self.add_parts((frames,), order)
 
-    def add_parts(
-        self, parts: Iterable[MarkerFrames], order: int | None, told: bool = False
-    ) -> list[Estimate]:
+    def add_parts(self, parts: Iterable[MarkerFrames], order: int | None) -> list[Estimate]:
         """
         The same of frames in parts, at less cost than one by one.
 
@@ -195,7 +177,6 @@ class Tracker:
         frame of that part. Instants are `due` by the number of the frame in all parts.
         """
         found: list[Estimate] = []
-        self._foreseen = None
         before = 0
         for frames in parts:
             stamps = np.asarray(frames.stamps)
@@ -239,11 +220,10 @@ class Tracker:
                         self._outages[''] = one_more(before_it, newest, next_one - newest)
                     self._start(self._timeline)
             before += len(stamps)
-        return found + self._estimates(order, told)
+        return found + self._estimates(order)
 
     def settle(self) -> None:
         """Learn and judge what is due, while nobody waits for it; else the next `add` does."""
-        self._filter.settle()
         self._rigid.settle()
         self._space.settle()
         if self._timeline.look_due:
@@ -260,63 +240,6 @@ class Tracker:
         if anew:
             self._rigid.retime()
         return found
-
-    def foresee(self, order: int) -> None:
-        """Find what can be found of the next frame, while nobody waits for it, for `prompt`."""
-        if len(self.bodies) > _FEW or self._points is not None:
-            return
-        self.settle()
-        try:
-            row = self._timeline.guess()
-        except Unforeseen:
-            return
-        try:
-            self._foreseen = self._expected(row, order)
-        except Unforeseen:
-            pass
-        finally:
-            self._timeline.withdraw()
-
-    def prompt(self, frames: MarkerFrames) -> Prompt | None:
-        """
-        What `add` will say of a frame that comes as foreseen, at once; else None.
-
-        It is to be added then.
-        """
-        foreseen, self._foreseen = self._foreseen, None
-        if foreseen is None:
-            return None
-        try:
-            return foreseen.told(frames)
-        except (Unforeseen, ArithmeticError):
-            return None
-
-    def _expected(self, row: np.ndarray, order: int) -> Foreseen:
-        """The frame that comes if all goes on as it did, for which there is a `row` for now."""
-        rows = self._timeline.view()[-3:]
-        shapes = self._rigid.foresee(rows)
-        _, windows, _ = self._timeline.falling_due(row)
-        if len(windows[0]) != 1:
-            raise Unforeseen
-        # Once as it is expected, and off that to see what it changes.
-        now, oldest, newest = (index.repeat(3) for index in windows)
-        known = self._rigid.known[-1:].repeat(3)
-        windows = now, oldest, newest
-        estimate = self._estimate(windows, order, np.zeros(3, int), known, self._filter.ahead)
-        if np.count_nonzero(row['strayed']):
-            # A pin may be lost by this frame.
-            row['strayed'] = False
-            if (np.isfinite(self._pinned(windows, known)[0]) != estimate.pinned).any():
-                raise Unforeseen
-        return Foreseen(
-            int(row['stamp'][0]),
-            self._roster,
-            shapes,
-            rows['poses'][-2:],
-            known['reference'][0],
-            self._filter.room,
-            estimate,
-        )
 
     def _run(
         self, frames: MarkerFrames, steps: np.ndarray, solid: np.ndarray, numbers: np.ndarray
@@ -370,7 +293,6 @@ class Tracker:
         self._roster.plane = self._space.plane
         early, self._early = self._latest_early(), []
         self._rigid = RigidBodies(self.settings, self._timeline.window, self._roster, self.counts)
-        self._filter = PoseFilter()
         end = len(self._timeline) - sum(len(rows) for rows, *_ in early)
         for rows, frames, gaps in early:
             solid = self._roster.sort(frames)
@@ -419,7 +341,7 @@ class Tracker:
             self._points = Samples(wide.shape[1:], complex)
             self._points.room(len(wide))[...] = wide
 
-    def _estimates(self, order: int | None, told: bool = False) -> list[Estimate]:
+    def _estimates(self, order: int | None) -> list[Estimate]:
         """
         What falls due with the frames that wait: to wait for one more would trail beyond lag.
 
@@ -432,8 +354,7 @@ class Tracker:
         self._rigid.forget()
         end, windows, frame = self._timeline.falling_due(new)
         found = []
-        told = told and self._filter.passed(int(windows[0][0]) + self._timeline.dropped)
-        if order is not None and len(frame) and not told:
+        if order is not None and len(frame):
             then = known[new['beat'][frame]]
             found.append(self._estimate(windows, order, new['number'][frame], then))
         outlived = int(new['oldest'][-1])
@@ -445,35 +366,25 @@ class Tracker:
         return found
 
     def _estimate(
-        self,
-        windows: Windows,
-        order: int,
-        due: np.ndarray,
-        known: np.ndarray,
-        derivatives: Callable[..., PoseDerivatives] | None = None,
+        self, windows: Windows, order: int, due: np.ndarray, known: np.ndarray
     ) -> Estimate:
-        """
-        The frames `windows[0]` (T,), as those from `windows[1]` to `windows[2]` tell of them.
-
-        By the `derivatives` of poses, those of the filter unless given.
-        """
+        """The frames `windows[0]` (T,), as those from `windows[1]` to `windows[2]` tell of them."""
         frames = self._timeline.view()[windows[0]]
         seen = frames['information'][:, : len(self.bodies)] > 0
         suspect = self._suspect(windows)
         if suspect is not None:
             seen &= windows[0][:, None] <= windows[2][:, None] - suspect
         measured, firm = known['measured'], known['firm']
-        usable = seen & measured & firm & self._has_enough(windows)
+        usable = seen & measured & firm
         if self._points is None:
-            by = derivatives or self._filter.derivatives
-            found, together, reference = self._from_poses(windows, known, order, by)
+            found, reference = self._from_poses(windows, known, order, suspect)
         else:
-            found, together, reference = self._from_landmarks(windows, known, order)
+            found, reference = self._from_landmarks(windows, known, order), None
         if np.count_nonzero(known['deformed']):
-            self._add_deformation(windows, known, found, together)
+            self._add_deformation(windows, known, found)
         position, angle, position_covariance, angle_covariance, span, degree = found
         if np.count_nonzero(usable) < usable.size:
-            for array in (*found, *(together or ())):
+            for array in found:
                 array[..., ~usable] = np.nan
         enough = np.isfinite(angle[1]) & np.isfinite(position[1])
         missing = np.empty(seen.shape, object)
@@ -502,7 +413,6 @@ class Tracker:
             *self._pinned(windows, known),
             known['shape'],
             due,
-            together,
             reference,
             self.plane,
         )
@@ -512,9 +422,8 @@ class Tracker:
         windows: Windows,
         known: np.ndarray,
         found: tuple[np.ndarray, ...],
-        together: Poses | None,
     ) -> None:
-        """Add to the covariances `found`, and to those `together`, what deformed bodies err by."""
+        """Add to the covariances `found` what deformed bodies err by."""
         frames, count = self._timeline.view(), len(self.bodies)
         information = frames['information'][windows[0]]
         if self._points is None:
@@ -535,9 +444,6 @@ class Tracker:
             of_angle, of_position = slow / information[:, :count], slow / information[:, count:]
         found[2][...] += of_position
         found[3][...] += of_angle
-        if together is not None:
-            together.position_covariance[...] += of_position[:, :, None]
-            together.angle_covariance[...] += of_angle[:, :, None]
 
     def _pinned(self, windows: Windows, known: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """
@@ -566,100 +472,55 @@ class Tracker:
             np.where(held, variance, np.nan),
         )
 
-    def _has_enough(self, windows: Windows) -> np.ndarray:
-        """Where (T, B) a body was seen in as many frames of the window as figures take."""
-        _, oldest, newest = windows
-        seen = self._timeline.view()['information'][:, : len(self.bodies)] > 0
-        if np.count_nonzero(seen) == seen.size:
-            return np.ones((len(oldest), seen.shape[1]), bool)
-        count = np.concatenate((np.zeros((1, seen.shape[1]), int), seen.cumsum(axis=0)))
-        return np.asarray(count[newest + 1] - count[oldest] >= FEWEST_SAMPLES)
-
     def _suspect(self, windows: Windows) -> np.ndarray | None:
         """How many of the newest frames of each window (T, B) were suspect, None for none."""
         suspect = self._timeline.view()['suspect'][windows[2]]
         return suspect if np.count_nonzero(suspect) else None
 
     def _from_poses(
-        self,
-        windows: Windows,
-        known: np.ndarray,
-        order: int,
-        derivatives: Callable[..., PoseDerivatives],
-    ) -> tuple[tuple[np.ndarray, ...], Poses | None, np.ndarray | None]:
+        self, windows: Windows, known: np.ndarray, order: int, suspect: np.ndarray | None
+    ) -> tuple[tuple[np.ndarray, ...], np.ndarray]:
         """
-        Derivatives of the fitted poses, angle and position each by itself and together.
+        Derivatives of the fitted poses, and of which points (T, B) of the bodies they are.
 
-        Also of which points (T, B) of the bodies the positions are, None for the origins.
+        Frames that are `suspect`, so many (T, B) of the newest, do not count.
         """
-        now = windows[0]
         count = len(self.bodies)
         frames = self._timeline.view()
-        signals = frames['poses'].copy()
-        angles, turns = signals[:, :count, 0], signals[:, :count, 1]
-        turned = 2 * np.pi * (turns - turns[0])
-        angles += turned
-        turns[...] = 0.0
-        reach = FARTHEST * known['size']
-        found = []
-        numbers = now + self._timeline.dropped
-        noise = np.concatenate((known['noise'], known['noise']), axis=1)
-        first = 0
-        suspect = self._suspect(windows)
-        changes = [known['reference'], known['since']]
-        if suspect is not None:
-            # Each such instant by itself: the next has one of these frames more, or none.
-            each = np.arange(1, len(now) + 1)[:, None] * (suspect > 0).any(axis=1, keepdims=True)
-            changes.append(each)
-        for part in alike(*changes):
+        poses, information, time = frames['poses'], frames['information'], frames['time']
+        angle = poses[:, :count, 0] + 2 * np.pi * (poses[:, :count, 1] - poses[0, :count, 1])
+        whole = angle - poses[:, :count, 0]
+        if suspect is None:
+            suspect = np.zeros((len(known), count), int)
+        parts = []
+        for part in alike(known['reference'], known['since']):
             row = known[part.start]
-            poses = signals, frames['information']
-            if suspect is not None and np.count_nonzero(suspect[part.start]):
-                poses = _without_newest(*poses, int(windows[2][part.start]), suspect[part.start])
+            signals, good = poses, information
             if np.count_nonzero(row['since']):
-                poses = self._of_late(row['since'], *poses)
+                # A body that began anew is another one since then.
+                before = np.tile(time[:, None] < row['since'], 2)
+                good = np.where(before, 0.0, information)
             if np.count_nonzero(row['reference']):
-                poses = seen_at(row['reference'], row['middle'], *poses)
-            some = tuple(frame[part] for frame in windows)
-            for run in runs(frames['time'], some, *poses, noise[part]):
-                end = first + run[1].shape[1]
-                found.append(derivatives(numbers[first:end], *run, reach[first:end], order))
-                first = end
-        parts = joined(found)
-        apart, together = parts[:6], Poses(*parts[6:])
+                signals, good = seen_at(row['reference'], row['middle'], signals, good)
+            position = signals[:, count:, 0] + 1j * signals[:, count:, 1]
+            seen = Poses(time, angle, position, good[:, :count], good[:, count:])
+            instants = windows.part(part)
+            noise, window = known['noise'][part], self._timeline.window
+            found = derive_poses(seen, instants, suspect[part], noise, window * 1e-9, order)
+            parts.append(found)
+        found = Derivatives(*(np.concatenate(each, axis=-2) for each in zip(*parts, strict=True)))
         # Of all turns that are one, as it was measured.
-        for angle in (apart[1], together.angle):
-            angle[0] -= turned[now]
-        return apart, together, known['reference']
-
-    def _of_late(
-        self, since: np.ndarray, poses: np.ndarray, information: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """Poses and their information without those of bodies that began anew `since` (B,), ns."""
-        anew = since != self._since
-        if np.count_nonzero(anew):
-            self._filter.forget(anew)
-            self._since = since.copy()
-        before = np.tile(self._timeline.view()['time'][:, None] < since, 2)
-        return np.where(before[..., None], np.nan, poses), np.where(before, 0.0, information)
+        found.angle[0] -= whole[windows[0]]
+        return (*found[:-1], found.freedom - 1), known['reference']
 
     def _from_landmarks(
         self, windows: Windows, known: np.ndarray, order: int
-    ) -> tuple[tuple[np.ndarray, ...], Poses | None, np.ndarray | None]:
+    ) -> tuple[np.ndarray, ...]:
         """The same from the derivatives of each landmark."""
         assert self._points is not None
         frames = self._timeline.view()
-        found = self._landmark_filter.derivatives(
-            frames['time'], windows, self._points.view(), known['noise'], order
-        )
-        found[1][0] = frames['poses'][windows[0], : len(self.bodies), 0]
-        return found, None, None
-
-
-def _without_newest(
-    poses: np.ndarray, information: np.ndarray, newest: int, suspect: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """Poses and their information without the `suspect` (B,) frames up to the `newest`."""
-    frame = np.arange(len(information))[:, None]
-    left = np.tile((frame <= newest) & (frame > newest - suspect), 2)
-    return poses, np.where(left, 0.0, information)
+        window = self._timeline.window * 1e-9
+        points, noise = self._points.view(), known['noise']
+        found = derive_landmarks(frames['time'], points, windows, noise, window, order)
+        found.angle[0] = frames['poses'][windows[0], : len(self.bodies), 0]
+        return *found[:-1], found.freedom - 1

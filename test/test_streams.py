@@ -396,7 +396,7 @@ def test_what_markers_are_exchanged_for_good_is_not_known_before() -> None:
 
 @pytest.mark.parametrize('size', [3, 4, 5, 6, 7])
 def test_one_body_is_followed_alike_in_blocks_of_a_few_frames(size: int) -> None:
-    """What is judged anew may be for one instant twice: as many as there are, but not all."""
+    """Instants that are differentiated together do not mix."""
     frames = two_bodies(160, 3.0, 0.0, 1e-4)
     frames = frames._replace(identities=frames.identities[:4], points=frames.points[:, :4])
     whole, parts = Tracker(settings_from({})), Tracker(settings_from({}))
@@ -405,7 +405,7 @@ def test_one_body_is_followed_alike_in_blocks_of_a_few_frames(size: int) -> None
     for first in range(0, 160, size):
         found += parts.add(part_of(frames, slice(first, first + size)), 3)
     some = everything(found)
-    for name in ('position', 'angle', 'position together', 'angle together'):
+    for name in ('position', 'angle'):
         alike(at_once[name], some[name])
 
 
@@ -505,10 +505,6 @@ def everything(found: list[Estimate]) -> dict[str, np.ndarray]:
         axis = 0 if name in ('stamp', 'shape') else -2
         array = np.concatenate([getattr(e, name) for e in found], axis=axis)
         arrays[name] = np.moveaxis(array, axis, 0)
-    if found[0].together is not None:
-        for name in found[0].together._fields:
-            array = np.concatenate([getattr(e.together, name) for e in found], axis=-2)
-            arrays[f'{name} together'] = np.moveaxis(array, -2, 0)
     return arrays
 
 

@@ -3,6 +3,7 @@
 from collections.abc import Iterator
 
 from kinpole_ros.bags._replay import Replayed
+from kinpole_ros.derivatives import FEWEST_SAMPLES
 from kinpole_ros.messages import (
     SMOOTHED,
     jitter_costs,
@@ -15,7 +16,6 @@ from kinpole_ros.messages import (
     unseen,
 )
 from kinpole_ros.parameters import Settings
-from kinpole_ros.window import FEWEST_SAMPLES
 
 # What can be done about the reasons that the tracker gives.
 _MENDS = {

@@ -10,6 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from kinpole_ros.bench._polynomial import derivative_weights
 from kinpole_ros.bench._record import (
     LAG,
     POLES,
@@ -23,7 +24,6 @@ from kinpole_ros.bench._record import (
     quantities,
     rms,
 )
-from kinpole_ros.window import derivative_weights
 
 # Motion, noise level and quantity.
 Key = tuple[str, float, str]

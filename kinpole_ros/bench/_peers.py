@@ -29,6 +29,7 @@ from kinpole_ros.bench._hindsight import (
     pooled_rms,
     settings,
 )
+from kinpole_ros.bench._polynomial import derivative_weights, stencil
 from kinpole_ros.bench._record import (
     LAG,
     QUANTITIES,
@@ -42,11 +43,11 @@ from kinpole_ros.bench._record import (
     quantities,
     stamps_of,
 )
+from kinpole_ros.derivatives import Windows
 from kinpole_ros.frame import part_of
 from kinpole_ros.parameters import Settings
 from kinpole_ros.planar import fit_pose
 from kinpole_ros.tracker import Tracker
-from kinpole_ros.window import Windows, derivative_weights, stencil
 
 Table = dict[Key, float]
 
@@ -321,12 +322,13 @@ class FixedTracker(Tracker):
     """The same pipeline with a fixed local polynomial (41 samples, degree 4) for the choice."""
 
     def _from_poses(
-        self, windows: Windows, known: np.ndarray, order: int, derivatives: object
-    ) -> tuple[tuple[np.ndarray, ...], None, None]:
+        self, windows: Windows, known: np.ndarray, order: int, suspect: np.ndarray | None
+    ) -> tuple[tuple[np.ndarray, ...], np.ndarray]:
         frames = zip(*windows, known['noise'], strict=True)
         found = [self._at(*frame, order) for frame in frames]
         axes = (1, 1, 2, 2, 0, 0)
-        return tuple(map(np.stack, zip(*found, strict=True), axes)), None, None
+        parts = tuple(map(np.stack, zip(*found, strict=True), axes))
+        return parts, np.zeros_like(known['reference'])
 
     def _at(
         self, now: int, oldest: int, newest: int, noise: np.ndarray, order: int

@@ -12,12 +12,12 @@ import numpy as np
 
 from kinpole_ros import planar
 from kinpole_ros.bench._hindsight import apply_weights
+from kinpole_ros.bench._polynomial import derivative_weights
 from kinpole_ros.bench._record import START
 from kinpole_ros.estimate import Estimate
 from kinpole_ros.frame import MarkerFrames
 from kinpole_ros.parameters import Settings
 from kinpole_ros.tracker import Tracker
-from kinpole_ros.window import derivative_weights
 
 TABLE = Path(__file__).parents[3] / 'shared' / 'data' / 'double_pendulum' / 'run16.csv'
 # Samples and degree of the rivals, per marker and centered.

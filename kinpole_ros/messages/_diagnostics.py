@@ -7,6 +7,7 @@ import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 
 from kinpole_ros.bodies import Outage
+from kinpole_ros.derivatives import FEWEST_SAMPLES
 from kinpole_ros.estimate import Estimate
 from kinpole_ros.messages._identities import identity_lines
 from kinpole_ros.messages._markers import ns_to_stamp
@@ -20,7 +21,6 @@ from kinpole_ros.messages._space import (
 from kinpole_ros.messages._stamps import jitter_costs, stamp_faults, stamp_values
 from kinpole_ros.theory import Theory, joint_offsets, rate_differences
 from kinpole_ros.tracker import Tracker
-from kinpole_ros.window import FEWEST_SAMPLES
 
 # Of the names of markers in a message, which may be anything.
 _MOST_NAMES, _MOST_TOLD = 12, 80
@@ -46,7 +46,6 @@ _WORDS = {
     'unreadable': 'messages that could not be read',
     'dropped': 'messages dropped, since the node or the network could not keep up',
     'untold': 'results left out, since the node could not keep up',
-    'prompt': 'frames answered at once, since they came as foreseen',
     'failures': 'failures of the node itself',
 }
 

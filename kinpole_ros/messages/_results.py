@@ -20,10 +20,9 @@ from nav_msgs.msg import Odometry, Path
 from visualization_msgs.msg import MarkerArray
 
 from kinpole_ros.estimate import POLE_NAMES, RATE_NAMES, Estimate, Numbers, Vectors
-from kinpole_ros.messages._cdr import stamped_doubles, stamped_vector
+from kinpole_ros.messages._cdr import stamped_doubles
 from kinpole_ros.messages._loci import Build, Built, Trail, centrode, scene
 from kinpole_ros.plane import XY, Plane, PlaneSetting, plane_of
-from kinpole_ros.prompt import Moving, Prompt
 from kinpole_ros.theory import Theory, balance
 
 # The topic of what is drawn.
@@ -45,15 +44,13 @@ class Output(NamedTuple):
 
     `order` is the highest derivative it needs. `build` makes the messages of an estimate's
     instants: the indices of instants, in order, and a serialized message for each. There is none of
-    an instant at which nothing is determined, or nothing due to be drawn. `prompt` makes the same
-    message of what a frame says that comes alone; None for a topic that has to wait.
+    an instant at which nothing is determined, or nothing due to be drawn.
     """
 
     topic: str
     message_type: type
     order: int
     build: Build
-    prompt: Callable[[Prompt], bytes | None] | None = None
 
 
 def result_outputs(
@@ -72,21 +69,19 @@ def result_outputs(
         outputs.append(Output(f'{body}/odom', Odometry, 1, _odometry(b, given)))
         for order in range(1, 5):
             rate = _numbers(_rate(order), b, given)
-            name, prompt = f'{body}/{RATE_NAMES[order - 1]}', _prompt(_moving_rate(order), b, given)
-            outputs.append(Output(name, Vector3Stamped, order, rate, prompt))
+            name = f'{body}/{RATE_NAMES[order - 1]}'
+            outputs.append(Output(name, Vector3Stamped, order, rate))
         for order in range(1, 5):
             name = f'{body}/{POLE_NAMES[order - 1]}'
             point, pose = _points(_pole(order), b, given, b), _poses(_pole(order), b, given)
-            icr = _prompt(lambda moving: moving.icr, b, given) if order == 1 else None
-            outputs.append(Output(name, PointStamped, order, point, icr))
+            outputs.append(Output(name, PointStamped, order, point))
             outputs.append(
                 Output(f'{name}/with_covariance', PoseWithCovarianceStamped, order, pose)
             )
         velocity = _points(lambda e: e.icr_velocity, b, given)
         outputs.append(Output(f'{body}/icr_velocity', Vector3Stamped, 2, velocity))
         curvature = _numbers(lambda e: e.centrode_curvature, b, given)
-        prompt = _prompt(lambda moving: moving.centrode_curvature, b, given)
-        outputs.append(Output(f'{body}/centrode_curvature', Vector3Stamped, 3, curvature, prompt))
+        outputs.append(Output(f'{body}/centrode_curvature', Vector3Stamped, 3, curvature))
         for name, fixed in (('fixed', True), ('moving', False)):
             locus = centrode(b, given, trails[b], fixed)
             outputs.append(Output(f'{body}/centrode/{name}', Path, 1, locus))
@@ -127,28 +122,6 @@ def _rate(order: int) -> Callable[[Estimate], Numbers]:
 
 def _pole(order: int) -> Callable[[Estimate], Vectors]:
     return lambda estimate: estimate.pole(order)
-
-
-def _moving_rate(order: int) -> Callable[[Moving], float | None]:
-    return lambda moving: moving.rate(order)
-
-
-def _prompt(
-    quantity: Callable[[Moving], complex | None], b: int, given: Plane
-) -> Callable[[Prompt], bytes | None]:
-    """One quantity of body `b` in plain numbers: a point at its height, or one along the normal."""
-
-    def message(prompt: Prompt) -> bytes | None:
-        moving = prompt.bodies[b]
-        found = quantity(moving)
-        if found is None:
-            return None
-        plane = prompt.plane or given
-        point = (found, moving.height) if isinstance(found, complex) else (0j, found)
-        vector = plane.point(*point)
-        return stamped_vector(prompt.stamp, prompt.frame_id, vector)
-
-    return message
 
 
 def _messages(

@@ -12,15 +12,17 @@ poses' derivatives have beside those of the noise.
 
 from functools import lru_cache
 from math import factorial
+from typing import TypeAlias
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
 from kinpole_ros.planar._plane import Complex, Real
 from kinpole_ros.window._noise import KEPT
-from kinpole_ros.window._runs import Windows
 from kinpole_ros.window._samples import Samples
 
+# Frames (T,) that are instants, and the oldest and newest in their windows.
+Windows: TypeAlias = tuple[np.ndarray, np.ndarray, np.ndarray]
 # A body is deformed where so many standard deviations below what was found is more than noise.
 _SURE = 4.0
 # Stencils one after the other by this share of their length tell of different errors.
@@ -218,7 +220,13 @@ class Deformation:
         return products
 
 
-def _keys(windows: Windows, interval: Real, span: Real, degree: Real, asked: np.ndarray) -> Real:
+def _keys(
+    windows: Windows,
+    interval: Real,
+    span: Real,
+    degree: Real,
+    asked: np.ndarray,
+) -> Real:
     """How many samples stencils have, how many of them ahead, and their degrees, (T, B, 3)."""
     now, oldest, newest = windows
     least, most = _DEGREES

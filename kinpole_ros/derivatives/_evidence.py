@@ -1,0 +1,196 @@
+"""
+Derivatives of poses within a window: the mean over all models, by how probable each is.
+
+What the models disagree about is part of the covariance. There each spectrum counts as much as the
+others: how the harmonics of a motion fall below its noise is what the samples cannot tell.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from kinpole_ros.derivatives._lacking import Lacking, Lacks, lacks_of
+from kinpole_ros.derivatives._models import Modes, Stencils
+from kinpole_ros.planar._plane import Real
+
+# The noise as it was measured counts for so many samples.
+KNOWN = 300.0
+# Models with less weight than this do not count.
+_LEAST = 1e-5
+# Of angle and position: how many components, and which of both each component is of.
+_COMPONENTS = np.array((1, 2))
+_SIGNAL = [0, 1, 1]
+
+
+class Found(NamedTuple):
+    """
+    Of S bodies: derivatives `mean` (K, 3, S) of angle and both coordinates.
+
+    `covariance` (K, K, 2, S) is that of the angle and of one coordinate, `freedom` (2, S) how many
+    parameters their motions have.
+    """
+
+    mean: Real
+    covariance: Real
+    freedom: Real
+
+
+class Evidence(NamedTuple):
+    """
+    Modes (R, 3 S) of S bodies, and what M models say of them.
+
+    `variance` (M, 2, S) is that of the noise, of angle and position, and `evidence` (M, 2, S) the
+    logarithm of a model's probability, up to a constant.
+    """
+
+    modes: Real
+    variance: Real
+    evidence: Real
+    lacks: Lacks | None
+
+
+def evidence_of(
+    modes: Modes,
+    samples: Real,
+    seen: Real | float,
+    lacking: Lacking | None = None,
+    known: float = KNOWN,
+) -> Evidence:
+    """
+    How probable models are by the samples, as for `derive`.
+
+    The noise as it was measured counts for so many samples as are `known`.
+    """
+    count, _, bodies = samples.shape
+    half = (count + 1) // 2
+    flat = samples.reshape(count, -1)
+    first, last = flat[:half], flat[: -half - 1 : -1]
+    pairs = np.empty((len(modes.even), 2, 3 * bodies))
+    pairs[:, 0] = modes.even @ (first + last)
+    pairs[:, 1] = modes.odd @ (first - last)
+    rows = pairs.reshape(-1, 3 * bodies)
+    squares = rows * rows
+    rest = np.empty((len(modes.freedom), 3 * bodies))
+    total = np.einsum('nr,nr->r', flat, flat) - squares[0]
+    rest[-1] = total
+    total = total - squares[1]
+    for begin, end, models, share, lost in modes.parts:
+        own = squares[begin:end].reshape(len(share), -1, 3 * bodies)
+        left = lost @ own if modes.exact else total - share @ own
+        rest[models] = left.reshape(-1, 3 * bodies)
+    rest = rest.reshape(-1, 3, bodies)
+    chances: Real = modes.chances
+    lacks = None
+    if lacking is not None:
+        lacks = lacks_of(modes, rows, samples, lacking)
+        rest -= lacks.less
+        chances = chances - lacks.log * _COMPONENTS[:, None]
+    rest = np.maximum(rest, 0.0, out=rest)
+    rest[:, 1] += rest[:, 2]
+    number = known + seen * _COMPONENTS[:, None]
+    variance = (rest[:, :2] + known) / number
+    evidence = chances - (number / 2) * np.log(variance)
+    return Evidence(rows, variance, evidence, lacks)
+
+
+def derive(
+    modes: Modes,
+    stencils: Stencils,
+    samples: Real,
+    seen: Real | float,
+    lacking: Lacking | None = None,
+) -> Found:
+    """
+    Differentiate `samples` (n, 3, S) of angle and coordinates, in deviations of their noise.
+
+    So many of them are `seen` (2, S), some cells are `lacking`. Angle and position are judged
+    apart; a position's two coordinates have one model. Time is in samples.
+    """
+    rows, variance, evidence, lacks = evidence_of(modes, samples, seen, lacking)
+    orders, bodies = len(stencils.modes), samples.shape[2]
+    likely, weights = _weights(evidence.reshape(len(evidence), -1), modes.kinds)
+    noisy = weights * variance.reshape(len(variance), -1)
+    # How much of each mode is motion in the mean, and how well that is known.
+    mixed = mixture(modes, np.concatenate((likely, noisy), axis=1))
+    # That it rests is not known better than a slope is.
+    mixed[1, 2 * bodies :] += noisy[-1]
+    known = mixed[:, : 2 * bodies].reshape(-1, 2, bodies)[:, _SIGNAL]
+    result = stencils.modes @ (rows.reshape(known.shape) * known).reshape(rows.shape)
+    covariance = stencils.products @ mixed[:, 2 * bodies :] + stencils.unseen @ noisy
+    covariance = covariance.reshape(orders, orders, 2, bodies)
+    # What the models disagree about.
+    counting, off = by_models(modes, weights, stencils.modes, rows)
+    off = off.reshape(-1, orders, 3, bodies)
+    result = result.reshape(orders, 3, bodies)
+    if lacks is not None:
+        assert lacking is not None
+        vectors = modes.vectors[:-1, lacking.cells].reshape(len(rows), -1)
+        _, reach = by_models(modes, weights, stencils.modes, vectors)
+        less, more = lacks.correct(counting, reach.reshape(len(reach), orders, -1, bodies))
+        off -= less
+        result -= np.einsum(
+            'mkcs,mcs->kcs', less, likely[counting].reshape(-1, 2, bodies)[:, _SIGNAL]
+        )
+        covariance += np.einsum('mkjcs,mcs->kjcs', more, noisy[counting].reshape(-1, 2, bodies))
+    off -= result
+    off = np.ascontiguousarray(off.transpose(3, 2, 1, 0))  # (S, 3, K, M)
+    by = weights[counting].reshape(-1, 2, bodies).transpose(2, 1, 0)[:, _SIGNAL, None]
+    apart = ((off * by) @ off.swapaxes(-1, -2)).transpose(2, 3, 1, 0)
+    covariance[:, :, 0] += apart[:, :, 0]
+    covariance[:, :, 1] += (apart[:, :, 1] + apart[:, :, 2]) / 2
+    freedom = (modes.freedom @ likely).reshape(2, bodies)
+    return Found(result, covariance, freedom)
+
+
+def probabilities(modes: Modes, found: Evidence) -> Real:
+    """How probable (M, 2 S) models are."""
+    return _weights(found.evidence.reshape(len(found.evidence), -1), modes.kinds)[0]
+
+
+def mixture(modes: Modes, weights: Real) -> Real:
+    """How much of modes is motion by models with `weights` (M, C): (R, C)."""
+    mixed = np.zeros((2 * len(modes.even), weights.shape[1]))
+    mixed[0], mixed[1] = weights.sum(axis=0), weights[:-1].sum(axis=0)
+    for begin, end, models, share, _ in modes.parts:
+        own = weights[models].reshape(*share.shape[:2], -1)
+        np.matmul(share.swapaxes(1, 2), own, out=mixed[begin:end].reshape(*share.shape[::2], -1))
+    return mixed
+
+
+def by_models(modes: Modes, weights: Real, stencils: Real, rows: Real) -> tuple[np.ndarray, Real]:
+    """
+    What models make (M, K, C) of modes that are `rows` (R, C), by their `stencils` (K, R).
+
+    Of models that count in any of the `weights` (M, ...), by their numbers.
+    """
+    counts = weights.any(axis=1)
+    line = stencils[:, 0, None] * rows[0] + stencils[:, 1, None] * rows[1]
+    numbers, found = [], []
+    for begin, end, models, share, _ in modes.parts:
+        processes, amplitudes, width = share.shape
+        some = counts[models].reshape(processes, amplitudes).any(axis=1).nonzero()[0]
+        if not len(some):
+            continue
+        own = rows[begin:end].reshape(processes, width, 1, -1)[some]
+        by = stencils[:, begin:end].T.reshape(processes, width, -1, 1)[some]
+        terms = (by * own).reshape(len(some), width, -1)
+        found.append((share[some] @ terms).reshape(-1, *line.shape) + line)
+        numbers.append((models.start + some[:, None] * amplitudes + np.arange(amplitudes)).ravel())
+    numbers.append(np.array([len(weights) - 1]))
+    found.append((stencils[:, 0, None] * rows[0])[None])
+    return np.concatenate(numbers), np.concatenate(found)
+
+
+def _weights(evidence: Real, kinds: Real) -> tuple[Real, Real]:
+    """Probabilities (M, S) of models of the `evidence` (M, S), and their weights in covariances."""
+    # For covariances evidence counts to the power of 1/2: the likeliest model is not the only one.
+    weights = np.exp((evidence - evidence.max(axis=0)) / 2)
+    likely = weights * weights
+    # Of each spectrum beside the low polynomials and rest, unless it is out of the question.
+    total = kinds @ weights
+    inverse = np.divide(1.0, total, out=np.zeros_like(total), where=total > 1e-300)
+    weights *= kinds.T @ inverse
+    weights /= weights.sum(axis=0)
+    least = weights < _LEAST
+    weights[least] = likely[least] = 0.0
+    return likely / likely.sum(axis=0), weights

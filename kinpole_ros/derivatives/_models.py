@@ -1,0 +1,348 @@
+"""
+What kinds of motion there may be within a window, and how each differentiates it.
+
+A signal is a line, a process of zero mean on top of it, and white noise. A process is known by its
+spectrum, exp(-(w l)^p): a longer `l` is a slower motion, and the power `p` says how fast harmonics
+fall. Low polynomials are processes too. On the samples of a window the singular vectors of a
+process, its modes, make each of its amplitudes diagonal: evidence and derivatives of all amplitudes
+are sums over modes (Rasmussen and Williams, Gaussian Processes for Machine Learning, 2006: 2.7 for
+the line with a flat prior, 5.4 for the evidence).
+
+Times are in samples from the middle of the window here, and signals in deviations of the noise.
+"""
+
+from functools import lru_cache
+from typing import NamedTuple
+
+import numpy as np
+
+from kinpole_ros.planar._plane import Real
+
+FEWEST_SAMPLES = 7
+"""Samples of the shortest window there is."""
+MOST_EXACT = 1e13
+"""Samples differ by no more deviations of their noise, or the noise is taken for larger."""
+# Powers of the spectra, and the shortest length of each, samples.
+SPECTRA = ((2.0, 1.0), (1.4, 1.0), (1.0, 4.0))
+# The longest length, windows. Each of the others is half as long as the one before.
+_LONGEST = 1.25
+# A line is all there is of degree 1.
+_DEGREES = (1, 2, 3, 4)
+# Deviations of processes: the least, and how many, each 10 times the one before; more of them for
+# samples that are all but exact.
+_LEAST, _AMPLITUDES, _MORE = 10.0**0.5, 7, 13
+# Deviation of the slope, by what it makes of all samples, over the largest of the amplitudes.
+_FLAT = 3.0
+# What of a process is at most this part of the noise is not seen.
+_SEEN = 1e-2
+# The processes have this part of the prior; low polynomials, the line, and rest have the other.
+_PROCESSES = 0.5
+# Processes are stacked with those that have up to so many modes, windows.
+_WIDTHS = (1.0, 0.5, 0.2)
+# A function smaller than this part of the largest is rounding.
+_ROUNDING = 1e-13
+
+
+class Process(NamedTuple):
+    """A process by the number of its spectrum and its length, samples, or -1 and a degree."""
+
+    spectrum: int
+    length: float
+    prior: float
+
+
+class Part(NamedTuple):
+    """
+    P processes, each of which has as many of the rows `first` to `last` of all modes.
+
+    `models` are their models, P A, by A amplitudes, `share` (P, A, m) is how much of a mode is
+    motion, and `lost` (P, A, m) how much is not.
+    """
+
+    first: int
+    last: int
+    models: slice
+    share: Real
+    lost: Real
+
+
+class Modes(NamedTuple):
+    """
+    Models of a window of n samples, as modes in R rows, even and odd about its middle in turn.
+
+    `even` and `odd` (R / 2, (n + 1) // 2) make them of the sums and differences of samples that lie
+    opposite to each other. The first two are mean and slope, the others lie in `parts`; a row of
+    zeros is none. M models are the processes, each with its amplitudes, and then rest: `chances`
+    (M, 2, 1) are the logarithm of a model's prior less half of that of its determinant, for one and
+    for two components, `freedom` (M,) is how many parameters it has for the samples, and `kinds`
+    (spectra, M) is 1 for those of a spectrum, and for low polynomials and rest.
+
+    Model by model `place` (M, m) says which rows, of R and one more of zeros, it has, and `share`
+    (M, m) how much of them is motion; `vectors` (R + 1, n) are the modes on all samples.
+
+    If samples are `exact` each process has as many modes as there are samples.
+    """
+
+    even: Real
+    odd: Real
+    parts: tuple[Part, ...]
+    chances: Real
+    freedom: Real
+    kinds: Real
+    place: np.ndarray
+    share: Real
+    vectors: Real
+    exact: bool
+
+
+class Stencils(NamedTuple):
+    """
+    What modes say of derivatives at an instant: `modes` (K, R), of K orders.
+
+    `products` (K K, R) are those of each two orders, and `unseen` (K K, M) is what models have
+    between the samples.
+    """
+
+    modes: Real
+    products: Real
+    unseen: Real
+
+
+class _Functions(NamedTuple):
+    """
+    The functions that make up a process on a window, even (0) or odd (1) about its middle.
+
+    Without their mean and slope they are the first of `vectors` (n / 2, n / 2) times `sizes` (m,)
+    times `right` (m, J) on its first half; `along` (J,) is what they have of these.
+    """
+
+    vectors: Real
+    sizes: Real
+    right: Real
+    along: Real
+
+
+def _processes(count: int) -> list[Process]:
+    """All processes on a window of so many samples."""
+    found = []
+    for k, (_, shortest) in enumerate(SPECTRA):
+        longest = _LONGEST * count
+        lengths = longest / 2.0 ** np.arange(max(1, int(np.log2(longest / shortest)) + 1))
+        prior = _PROCESSES / len(SPECTRA) / len(lengths)
+        found += [Process(k, float(length), prior) for length in lengths]
+    return found + [Process(-1, degree, _simple()) for degree in _DEGREES]
+
+
+def _simple() -> float:
+    """The prior of a low polynomial, and of rest."""
+    return (1 - _PROCESSES) / (len(_DEGREES) + 1)
+
+
+def _amplitudes(exact: bool) -> Real:
+    return np.asarray(_LEAST * 10.0 ** np.arange(_MORE if exact else _AMPLITUDES))
+
+
+def _values(process: Process, count: int, time: Real, order: int) -> tuple[Real, Real]:
+    """Derivatives at times (T,) of the functions, even and odd, (T, J), that make up a process."""
+    if process.spectrum < 0:
+        scale = 2 / count
+        degrees = range(2, int(process.length) + 1)
+        powers = [np.polynomial.Polynomial([0] * degree + [1.0]) for degree in degrees]
+        found = [power.deriv(order)(scale * time) * scale**order for power in powers]
+        values = np.reshape(found, (len(powers), len(time))).T
+        return values[:, ::2], values[:, 1::2]
+    # Waves of a sum that repeats itself, but not within a window.
+    power, _ = SPECTRA[process.spectrum]
+    step = 2 * np.pi / (count + 10 * process.length)
+    frequency = step * np.arange(int(np.pi / step) + 1)
+    weight = np.exp(-((frequency * process.length) ** power) / 2)
+    weight[0] /= np.sqrt(2)
+    weight /= np.sqrt((weight**2).sum())
+    kept = weight > _ROUNDING
+    phase = np.outer(time, frequency[kept]) + order * np.pi / 2
+    weight = weight[kept] * frequency[kept] ** order
+    return weight * np.cos(phase), weight * np.sin(phase)
+
+
+def _half_window(count: int) -> tuple[Real, Real, tuple[Real, Real]]:
+    """
+    The first half of a window's times, with the middle if there is one, and what these stand for.
+
+    That is the root of 2 for two samples opposite to each other, and 1 for the middle; then mean
+    and slope, of length 1, of all samples.
+    """
+    time = np.arange((count + 1) // 2) - (count - 1) / 2
+    root = np.where(time < 0, np.sqrt(2.0), 1.0)
+    return time, root, (root / np.linalg.norm(root), root * time / np.linalg.norm(root * time))
+
+
+def _lines(count: int, time: Real, order: int) -> Real:
+    """Derivatives (T, 2) of mean and slope."""
+    zero, one = np.zeros(len(time)), np.ones(len(time))
+    half, root, _ = _half_window(count)
+    slope = (time, one, zero)[min(order, 2)] / np.linalg.norm(root * half)
+    return np.stack((zero if order else one / np.sqrt(count), slope), axis=1)
+
+
+@lru_cache(maxsize=512)
+def _functions(process: Process, count: int, block: int) -> tuple[_Functions, _Functions]:
+    """The functions of a process on a window, each sample the mean of a block."""
+    time, root, lines = _half_window(count)
+    offsets = (np.arange(block) - (block - 1) / 2) / block
+    averaged = [_values(process, count, time + offset, 0) for offset in offsets]
+    found = []
+    for parity, line in enumerate(lines):
+        seen = root[:, None] * sum(values[parity] for values in averaged) / block
+        along = line @ seen
+        seen -= np.outer(line, along)
+        vectors, sizes, right = np.linalg.svd(seen, full_matrices=False)
+        kept = sizes > _ROUNDING * sizes.max(initial=0.0)
+        vectors, sizes, right = vectors[:, kept], sizes[kept], right[kept]
+        # Small ones have rounding of the line, and of the large ones.
+        every, signs = np.linalg.qr(np.column_stack((line, vectors, np.eye(len(line)))))
+        every *= np.sign(np.diag(signs))
+        # Of an odd number of samples the one in the middle is no part of what is odd.
+        vectors = every[:, 1 : count // 2 if parity else None]
+        found.append(_Functions(vectors, sizes, right, along))
+    return found[0], found[1]
+
+
+def _layout(count: int, block: int, exact: bool) -> list[tuple[int, list[Process]]]:
+    """Processes by how many pairs of modes they have at most."""
+    whole = (count + 1) // 2 - 1
+    found: dict[int, list[Process]] = {}
+    for process in _processes(count):
+        widths = [_seen(one, exact) for one in _functions(process, count, block)]
+        limits = [max(int(part * whole), 1) for part in _WIDTHS]
+        limits = [width for width in limits if width >= max(widths)]
+        found.setdefault(whole if exact else min(limits), []).append(process)
+    return list(found.items())
+
+
+def _seen(functions: _Functions, exact: bool) -> int:
+    """How many of the modes are seen."""
+    sizes = functions.sizes
+    return len(sizes) if exact else int((sizes * _amplitudes(exact)[-1] > _SEEN).sum())
+
+
+@lru_cache(maxsize=64)
+def modes_of(count: int, block: int = 1, exact: bool = False) -> Modes:
+    """
+    The models of a window of `count` samples, a few or more, each the mean of `block`.
+
+    The largest motion is 1e7 deviations of the noise, and `MOST_EXACT` if the samples are `exact`.
+    """
+    _, root, lines = _half_window(count)
+    amplitudes = _amplitudes(exact)
+    rows: tuple[list[Real], list[Real]] = ([lines[0][None]], [lines[1][None]])
+    parts, kinds, priors, occam, freedom = [], [], [], [], []
+    first = models = 0
+    for width, processes in _layout(count, block, exact):
+        sizes = np.zeros((len(processes), width, 2))
+        for p, process in enumerate(processes):
+            for parity, functions in enumerate(_functions(process, count, block)):
+                seen = _seen(functions, exact)
+                sizes[p, :seen, parity] = functions.sizes[:seen]
+                vectors = functions.vectors[:, : None if exact else seen].T
+                rows[parity].append(np.pad(vectors, ((0, width - len(vectors)), (0, 0))))
+        large = (amplitudes[:, None] * sizes.reshape(len(processes), 1, -1)) ** 2
+        share = large / (1 + large)
+        number = len(processes) * len(amplitudes)
+        begin = 2 + first
+        first += 2 * width * len(processes)
+        some = slice(models, models + number)
+        parts.append(Part(begin, 2 + first, some, share, 1 / (1 + large)))
+        models += number
+        kinds += [process.spectrum for process in processes for _ in amplitudes]
+        priors += [process.prior / len(amplitudes) for process in processes for _ in amplitudes]
+        occam.append(-np.log1p(large).sum(axis=-1).ravel() / 2)
+        freedom.append(2 + share.sum(axis=-1).ravel())
+    even, odd = (np.concatenate(part) * root / 2 for part in rows)
+    # Rest has no slope, and is more probable by all that this might be.
+    occam.append(np.log([_FLAT * amplitudes[-1]]))
+    prior, less = np.log([*priors, _simple()]), np.concatenate(occam)
+    kind = np.array([*kinds, -1])
+    return Modes(
+        even,
+        odd,
+        tuple(parts),
+        np.stack((prior + less, prior + 2 * less), axis=1)[..., None],
+        np.concatenate([*freedom, [1.0]]),
+        np.array([(kind == k) | (kind < 0) for k in range(len(SPECTRA))], float),
+        *_by_model(parts, len(kind), 2 * len(even)),
+        _whole(count, even, odd),
+        exact,
+    )
+
+
+def _by_model(parts: list[Part], models: int, rows: int) -> tuple[np.ndarray, Real]:
+    """Which rows models have, and how much of them is motion: `place` and `share` of `Modes`."""
+    place = np.full((models, 2 + max(part.share.shape[2] for part in parts)), rows)
+    share = np.zeros(place.shape)
+    place[:, :2], share[:-1, :2], share[-1, 0] = (0, 1), 1.0, 1.0
+    for part in parts:
+        processes, amplitudes, width = part.share.shape
+        own = np.arange(part.first, part.last).reshape(processes, width)
+        place[part.models, 2 : 2 + width] = np.repeat(own, amplitudes, axis=0)
+        share[part.models, 2 : 2 + width] = part.share.reshape(-1, width)
+    return place, share
+
+
+def _whole(count: int, even: Real, odd: Real) -> Real:
+    """Modes on all samples, and none: `vectors` of `Modes`."""
+    half, opposite = even.shape[1], slice(count // 2 - 1, None, -1)
+    vectors = np.zeros((2 * len(even) + 1, count))
+    vectors[:-1:2, :half], vectors[1:-1:2, :half] = even, odd
+    vectors[:-1:2, half:], vectors[1:-1:2, half:] = even[:, opposite], -odd[:, opposite]
+    if count % 2:
+        vectors[:-1:2, half - 1] *= 2
+    return vectors
+
+
+def _derivatives(count: int, block: int, exact: bool, time: Real, order: int) -> Real:
+    """Derivatives (T, R) of the modes at times (T,)."""
+    lines = _lines(count, time, order)
+    found = [lines]
+    for width, processes in _layout(count, block, exact):
+        for process in processes:
+            values = _values(process, count, time, order)
+            rows = np.zeros((len(time), width, 2))
+            for parity, one in enumerate(_functions(process, count, block)):
+                seen = _seen(one, exact)
+                left = values[parity] - np.outer(lines[:, parity], one.along)
+                rows[:, :seen, parity] = left @ one.right[:seen].T / one.sizes[:seen]
+            found.append(rows.reshape(len(time), -1))
+    return np.concatenate(found, axis=1)
+
+
+@lru_cache(maxsize=256)
+def stencils_of(count: int, at: float, block: int, orders: int, exact: bool = False) -> Stencils:
+    """
+    Those of a window, as in `modes_of`, at an instant so many samples from its middle.
+
+    Of so many `orders`, from 0.
+    """
+    time = np.array([at])
+    modes = np.concatenate([_derivatives(count, block, exact, time, k) for k in range(orders)])
+    lines = np.concatenate([_lines(count, time, k) for k in range(orders)])
+    unseen = []
+    for _, processes in _layout(count, block, exact):
+        for process in processes:
+            values = [_values(process, count, time, k) for k in range(orders)]
+            total = np.zeros((orders, orders))
+            for parity, one in enumerate(_functions(process, count, block)):
+                left = np.concatenate([value[parity] for value in values])
+                left = left - np.outer(lines[:, parity], one.along)
+                left = left - (left @ one.right.T) @ one.right
+                total += left @ left.T
+            unseen.append(_amplitudes(exact)[:, None] ** 2 * total.ravel())
+    unseen.append(np.zeros((1, orders * orders)))
+    products = (modes[:, None] * modes).reshape(orders * orders, -1)
+    return Stencils(modes, products, np.concatenate(unseen).T)
+
+
+@lru_cache(maxsize=8)
+def slopes_of(count: int, block: int = 1, exact: bool = False) -> Real:
+    """Derivatives (orders, R, n) of the modes of a window at its samples, the first four."""
+    time = np.arange(count) - (count - 1) / 2
+    return np.stack([_derivatives(count, block, exact, time, order).T for order in range(1, 5)])

@@ -1,0 +1,419 @@
+"""
+From poses at stamps to derivatives at instants: which samples a window has, and how good they are.
+
+Nothing is remembered: what is found at an instant depends on the poses in its window alone.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from kinpole_ros.derivatives._evidence import Found
+from kinpole_ros.derivatives._fast import derive
+from kinpole_ros.derivatives._models import FEWEST_SAMPLES, MOST_EXACT, modes_of, stencils_of
+from kinpole_ros.derivatives._samples import derive_incomplete
+from kinpole_ros.planar._plane import Complex, Real
+
+# More samples than this in a window are averaged in blocks.
+_MOST = 128
+# Windows with too few samples are shorter by powers of this. So much of a window is there.
+_SHORTER = 0.95
+_PRESENT = 0.5
+# Samples that have this share of the information of the best count alike, by their mean.
+_ALIKE = 0.5
+# If more cells than that are lacking, they are put together in pairs.
+_LACKING = 24
+# Of a block those samples count that have this share of the information of the best of it.
+_POOR = 0.25
+# Samples are in their places if they are off by no more than this part of the interval.
+_OFF = 1e-4
+# Samples that differ by more deviations of their noise are taken for exact.
+_EXACT = 1e7
+# Instants and bodies that are differentiated at once, as many as fit into the cache.
+_AT_ONCE = 64
+
+
+class Poses(NamedTuple):
+    """
+    Poses of B bodies in N frames at `time` (N,), ns.
+
+    `angle` (N, B), rad, goes on over turns; `position` (N, B) is complex, m. `angle_information`
+    and `position_information` (N, B) are inverse variances of angles and of each coordinate, in
+    units of the noise; 0 where a body is not known.
+    """
+
+    time: np.ndarray
+    angle: Real
+    position: Complex
+    angle_information: Real
+    position_information: Real
+
+
+class Derivatives(NamedTuple):
+    """
+    Derivatives (K, T, B) of poses of B bodies at T instants, K orders; NaN where too few are known.
+
+    With covariances (K, K, T, B), of one coordinate. `span` (T, B) is how long the window is, s,
+    and `freedom` (T, B) how many parameters the angle's motion has in it, 2 if it is steady.
+    """
+
+    position: Complex
+    angle: Real
+    position_covariance: Real
+    angle_covariance: Real
+    span: Real
+    freedom: Real
+
+
+class Windows(NamedTuple):
+    """Frames (T,) that are instants, and the oldest and newest frames of their windows."""
+
+    now: np.ndarray
+    oldest: np.ndarray
+    newest: np.ndarray
+
+    def part(self, which: slice) -> 'Windows':
+        return Windows(*(frames[which] for frames in self))
+
+
+class _Cells(NamedTuple):
+    """
+    Windows of S instants and bodies as even cells, the newest first.
+
+    `samples` (n, 3, S) are angles and coordinates about those of the instant, in deviations of
+    their noise, 0 where none is; `weight` (n, 2, S) is how good those of angle and position are
+    beside the best; `off` (n, S) is by how many intervals they are late; `ahead` (S,) is how many
+    cells are newer than the instant; `unit` (2, S) are the deviations of the noise, `interval` (S,)
+    is in s, and `exact` (S,) where motion is so much larger than its noise that it matters.
+    """
+
+    samples: Real
+    weight: Real
+    off: Real
+    ahead: np.ndarray
+    unit: Real
+    interval: Real
+    exact: np.ndarray
+
+
+def derive_poses(
+    poses: Poses,
+    windows: Windows,
+    left_out: np.ndarray,
+    noise: Real,
+    window: float,
+    order: int,
+) -> Derivatives:
+    """
+    Differentiate poses at the instants of `windows`, up to `order`.
+
+    `left_out` (T, B) is how many of the newest frames of each window do not count, `noise` (T, B)
+    the deviation of a sample with information of 1, and `window`, s, the longest there is.
+    """
+    instants, bodies = noise.shape
+    result = _nothing(order + 1, instants, bodies)
+    step = max(1, _AT_ONCE // bodies)
+    even = _are_even(poses, windows) and not np.count_nonzero(left_out)
+    for first in range(0, instants, step):
+        part = slice(first, min(first + step, instants))
+        some = windows.part(part)
+        cells = (_even_cells if even else _cells)(poses, some, left_out[part], noise[part])
+        for group in _groups(cells, window):
+            _put(result, part, group.which, *_derive(cells, group, order + 1))
+    # What was found is about the poses at the instants.
+    result.angle[0] += poses.angle[windows.now]
+    result.position[0] += poses.position[windows.now]
+    return result
+
+
+def _nothing(orders: int, instants: int, bodies: int) -> Derivatives:
+    shape = orders, instants, bodies
+    unknown = np.full(shape, np.nan)
+    square = np.full((orders, *shape), np.nan)
+    each = np.full(shape[1:], np.nan)
+    return Derivatives(unknown + 0j, unknown, square, square.copy(), each, each.copy())
+
+
+def _are_even(poses: Poses, windows: Windows) -> bool:
+    """Whether all windows have as many frames, evenly, all of which tell as much."""
+    now, oldest, newest = windows
+    rows = slice(int(oldest[0]), int(newest[-1]) + 1)
+    steps = np.diff(poses.time[rows])
+    alike = all(
+        bool((part[rows] >= _ALIKE * part[rows].max(axis=0)).all() and part[rows.start].all())
+        for part in (poses.angle_information, poses.position_information)
+    )
+    return bool(
+        alike
+        and (newest - oldest == newest[0] - oldest[0]).all()
+        and (newest - now == newest[0] - now[0]).all()
+        and np.ptp(steps) * (newest[0] - oldest[0]) <= _OFF * steps[0]
+    )
+
+
+def _even_cells(poses: Poses, windows: Windows, left_out: np.ndarray, noise: Real) -> _Cells:
+    """The cells of windows that are even."""
+    now, oldest, newest = windows
+    count = int(newest[0] - oldest[0]) + 1
+    bodies = noise.shape[1]
+    rows = newest - np.arange(count)[:, None]  # (n, T)
+    samples = np.empty((count, 3, len(now), bodies))
+    samples[:, 0] = poses.angle[rows] - poses.angle[now]
+    off = poses.position[rows] - poses.position[now]
+    samples[:, 1], samples[:, 2] = off.real, off.imag
+    unit = np.stack(
+        (
+            noise / np.sqrt(poses.angle_information[rows].mean(axis=0)),
+            noise / np.sqrt(poses.position_information[rows].mean(axis=0)),
+        )
+    )
+    signals = len(now) * bodies
+    exact = _in_units(samples.transpose(1, 0, 2, 3), unit).reshape(signals)
+    interval = (poses.time[newest] - poses.time[oldest]) * 1e-9 / (count - 1)
+    return _Cells(
+        samples.reshape(count, 3, signals),
+        np.ones((1, 2, 1)),
+        np.zeros((1, 1)),
+        np.repeat(newest - now, bodies),
+        unit.reshape(2, signals),
+        np.repeat(interval, bodies),
+        exact,
+    )
+
+
+def _cells(poses: Poses, windows: Windows, left_out: np.ndarray, noise: Real) -> _Cells:
+    """The cells of any windows."""
+    now, oldest, newest = windows
+    bodies = noise.shape[1]
+    most = int((newest - oldest).max()) + 1
+    rows = newest - np.arange(most)[:, None]  # (n, T)
+    inside = rows >= oldest
+    rows = np.maximum(rows, 0)
+    time = np.where(inside, poses.time[rows] - poses.time[now], 0)
+    interval = _intervals(time, inside)
+    place = time / interval
+    # Cells are about where frames are on the mean, or two of them might have the same.
+    phase = np.angle(np.where(inside, np.exp(2j * np.pi * place), 0).sum(axis=0)) / (2 * np.pi)
+    cell = np.rint(place - phase).astype(int) - np.rint(-phase).astype(int)
+    late = place - cell
+    known = (poses.angle_information[rows] > 0) & (poses.position_information[rows] > 0)
+    known &= inside[..., None] & (np.arange(most)[:, None, None] >= left_out)
+    # (n, T, B) from here on.
+    cell = np.broadcast_to(cell[..., None], known.shape)
+    ahead = np.where(known, cell, -1).max(axis=0)
+    oldest_cell = np.where(known, cell, ahead).min(axis=0)
+    count = max(int((ahead - oldest_cell).max()) + 1, 1)
+    frame, instant, body = known.nonzero()
+    at = ahead[instant, body] - cell[frame, instant, body], instant, body
+    row = rows[frame, instant]
+    shape = count, *noise.shape
+    information = np.zeros((2, *shape))
+    information[0][at] = poses.angle_information[row, body]
+    information[1][at] = poses.position_information[row, body]
+    usual = _usual(information, 1)
+    with np.errstate(divide='ignore', invalid='ignore'):
+        weight = np.where(usual[:, None] > 0, information / usual[:, None], 0.0)
+        unit = noise / np.sqrt(usual)
+    weight[weight >= _ALIKE] = 1.0
+    samples = np.zeros((3, *shape))
+    # Where the body is not seen at the instant, about nothing.
+    angle, position = (np.nan_to_num(a[now]) for a in (poses.angle, poses.position))
+    samples[0][at] = poses.angle[row, body] - angle[instant, body]
+    off = poses.position[row, body] - position[instant, body]
+    samples[1][at], samples[2][at] = off.real, off.imag
+    exact = _in_units(samples, unit)
+    misplaced = np.zeros(shape)
+    misplaced[at] = late[frame, instant]
+    misplaced[np.abs(misplaced) < _OFF] = 0.0
+    signals = noise.size
+    return _Cells(
+        samples.reshape(3, count, signals).swapaxes(0, 1),
+        weight.reshape(2, count, signals).swapaxes(0, 1),
+        misplaced.reshape(count, signals),
+        ahead.reshape(-1),
+        unit.reshape(2, signals),
+        np.repeat(interval * 1e-9, bodies),
+        exact.reshape(signals),
+    )
+
+
+def _usual(information: Real, axis: int) -> Real:
+    """The mean of those that are not much less than the best of them."""
+    alike = information >= _ALIKE * information.max(axis=axis, keepdims=True)
+    return np.asarray((information * alike).sum(axis=axis) / alike.sum(axis=axis))
+
+
+def _in_units(samples: Real, unit: Real) -> np.ndarray:
+    """
+    Bring samples (3, n, ...) and the deviations (2, ...) of their noise into such units.
+
+    Both in place: there is no noise below rounding. Returns where samples are all but exact.
+    """
+    largest = np.abs(samples).max(axis=1)
+    largest = np.stack((largest[0], np.maximum(largest[1], largest[2])))
+    np.maximum(unit, largest / MOST_EXACT, out=unit)
+    samples /= unit[[0, 1, 1], None]
+    return np.asarray((largest > _EXACT * unit).any(axis=0))
+
+
+def _intervals(time: Real, inside: np.ndarray) -> Real:
+    """The interval (T,) of the frames, ns, that most of those `inside` (n, T) are apart."""
+    steps = np.where(inside[1:], time[:-1] - time[1:], np.inf)
+    number = inside[1:].sum(axis=0)
+    usual = np.sort(steps, axis=0)[np.maximum(number - 1, 0) // 2, np.arange(len(number))]
+    counts = np.where(inside[1:], np.rint(steps / usual), 0.0).sum(axis=0)
+    return np.asarray(np.where(inside[1:], steps, 0.0).sum(axis=0) / np.maximum(counts, 1))
+
+
+class _Group(NamedTuple):
+    """
+    Signals `which` (S,) with windows of `size` cells, each of `block` samples, `ahead` newer.
+
+    All of them or none are `exact`.
+    """
+
+    which: np.ndarray | slice
+    size: int
+    block: int
+    ahead: int
+    exact: int
+
+
+def _groups(cells: _Cells, window: float) -> list[_Group]:
+    """Signals by their windows, those left out of which there is too little."""
+    count = len(cells.samples)
+    whole = np.maximum(np.rint(window / cells.interval).astype(int), FEWEST_SAMPLES)
+    blocks = -(-whole // _MOST)
+    full = whole // blocks
+    if len(cells.weight) == 1 and (full * blocks <= count).all():
+        sizes = full
+    else:
+        sizes = _sizes(cells, full, blocks)
+    if len(cells.weight) > 1:
+        sizes, blocks = _paired(cells, sizes, blocks)
+    keys = np.stack((sizes, blocks, cells.ahead, cells.exact))
+    if (keys == keys[:, :1]).all():
+        return [_Group(slice(None), *keys[:, 0].tolist())] if sizes[0] else []
+    each, number = np.unique(keys, axis=1, return_inverse=True)
+    return [
+        _Group(np.flatnonzero(number.reshape(-1) == k), *key)
+        for k, key in enumerate(each.T.tolist())
+        if key[0]
+    ]
+
+
+def _paired(cells: _Cells, sizes: np.ndarray, blocks: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Sizes and blocks (S,), these twice as long where too much is lacking."""
+    lacking = (cells.weight <= 0).any(axis=1).cumsum(axis=0)
+    last = np.minimum(sizes * blocks, len(lacking)) - 1
+    pair = (lacking[last, np.arange(len(last))] > _LACKING) & (blocks == 1) & (sizes > 0)
+    return np.where(pair, sizes // 2, sizes), np.where(pair, 2, blocks)
+
+
+def _sizes(cells: _Cells, full: np.ndarray, blocks: np.ndarray) -> np.ndarray:
+    """How many cells (S,) the longest windows have of which enough is there, 0 for none."""
+    count = len(cells.samples)
+    there = np.broadcast_to((cells.weight > 0).all(axis=1), (count, len(full)))
+    seen = there.cumsum(axis=0)
+    # Not beyond the oldest that is there.
+    oldest = count - there[::-1].argmax(axis=0)
+    sizes = np.zeros(len(full), int)
+    while (full >= FEWEST_SAMPLES).any():
+        need = np.minimum(full * blocks, count) - 1
+        least = np.maximum(_PRESENT * full * blocks, FEWEST_SAMPLES)
+        enough = seen[need, np.arange(len(need))] >= least
+        enough &= (cells.ahead >= 0) & (cells.ahead < full * blocks) & (full * blocks <= oldest)
+        sizes = np.where((sizes == 0) & enough & (full >= FEWEST_SAMPLES), full, sizes)
+        full = (full * _SHORTER).astype(int)
+    return sizes
+
+
+def _derive(cells: _Cells, group: _Group, orders: int) -> tuple[Found, Real]:
+    """Derivatives of a group, per s, and how long its windows are (S,), s."""
+    which, size, block, ahead, exact = group
+    count = size * block
+    # From the oldest.
+    samples = cells.samples[:count, :, which][::-1]
+    lacks = count - len(samples)
+    interval = cells.interval[which] * block
+    even = len(cells.weight) == 1 and not lacks
+    less = np.full((2, 1), np.sqrt(block))
+    if even and block > 1:
+        samples = samples.reshape(size, block, 3, -1).mean(axis=1)
+    if not even:
+        shape = len(cells.samples), 2, len(cells.ahead)
+        weight = np.broadcast_to(cells.weight, shape)[:count, :, which][::-1]
+        off = np.broadcast_to(cells.off, shape[::2])[:count, which][::-1]
+        if lacks:
+            samples, weight = (np.pad(a, ((lacks, 0), (0, 0), (0, 0))) for a in (samples, weight))
+            off = np.pad(off, ((lacks, 0), (0, 0)))
+        if block > 1:
+            samples, weight, off, less = _blocks(samples, weight, off, size, block)
+        even = bool((weight == 1).all() and not np.count_nonzero(off))
+    if block > 1:
+        samples = samples * less[[0, 1, 1]]
+    at = (size - 1) / 2 - (ahead - (block - 1) / 2) / block
+    window = size, at, block, orders, bool(exact)
+    samples = np.ascontiguousarray(samples)
+    if even:
+        found = derive(
+            modes_of(size, block, bool(exact)), stencils_of(*window), samples, float(size)
+        )
+    else:
+        found = derive_incomplete(window, samples, weight, off)
+    scale = interval ** -np.arange(float(orders))[:, None]
+    unit = cells.unit[:, which] / less * scale[:, None]  # (K, 2, S)
+    mean, covariance = found.mean * unit[:, [0, 1, 1]], found.covariance * unit * unit[:, None]
+    return found._replace(mean=mean, covariance=covariance), (size - 1) * interval
+
+
+def _put(
+    result: Derivatives, part: slice, which: np.ndarray | slice, found: Found, span: Real
+) -> None:
+    """Put what was found of some of all instants and bodies in its place."""
+    mean, covariance = found.mean, found.covariance
+    fields = (
+        mean[:, 1] + 1j * mean[:, 2],
+        mean[:, 0],
+        covariance[:, :, 1],
+        covariance[:, :, 0],
+        span,
+        found.freedom[0],
+    )
+    for field, values in zip(result, fields, strict=True):
+        there = field[..., part, :]
+        if isinstance(which, slice):
+            there[...] = values.reshape(there.shape)
+        else:
+            instant, body = np.divmod(which, there.shape[-1])
+            there[..., instant, body] = values
+
+
+def _blocks(
+    samples: Real, weight: Real, off: Real, size: int, block: int
+) -> tuple[Real, Real, Real, Real]:
+    """
+    Means over blocks, each of those samples in it that there are.
+
+    With their weights, how much they are off, and by how much (2, S) their noise is less.
+    """
+    weight = weight.reshape(size, block, *weight.shape[1:])
+    off = off.reshape(size, block, -1)
+    samples = samples.reshape(size, block, *samples.shape[1:])
+    # All that are told of count alike, or the middle would not be where the block's is.
+    best = weight.max(axis=1, keepdims=True)
+    told = ((weight >= _POOR * best) & (weight > 0)).all(axis=2)
+    number = told.sum(axis=1)
+    share = told / np.maximum(number, 1)[:, None]
+    samples = (samples * share[:, :, None]).sum(axis=1)
+    variance = np.divide(told[:, :, None], weight, out=np.zeros_like(weight), where=weight > 0)
+    total = number[:, None] ** 2 / np.maximum(variance.sum(axis=1), 1e-300) / block
+    total = np.where(number[:, None] > 0, total, 0.0)
+    usual = _usual(total, 0)
+    weight = total / usual
+    weight[weight >= _ALIKE] = 1.0
+    # What is missing in a block moves its middle.
+    offsets = (np.arange(block) - (block - 1) / 2)[:, None]
+    late = (share * (off + offsets)).sum(axis=1) / block
+    late[np.abs(late) < _OFF] = 0.0
+    return samples, weight, np.where(number > 0, late, 0.0), np.sqrt(block * usual)

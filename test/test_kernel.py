@@ -1,0 +1,202 @@
+"""The compiled `derive` is the same as numpy's, and the package does without it."""
+
+import sys
+from importlib import import_module, reload
+from typing import Any
+
+import numpy as np
+import pytest
+
+from kinpole_ros.derivatives import _evidence, _fast, _samples
+from kinpole_ros.derivatives._evidence import Found
+from kinpole_ros.derivatives._lacking import Lacking
+from kinpole_ros.derivatives._models import Modes, Stencils, modes_of, slopes_of, stencils_of
+from kinpole_ros.derivatives._samples import _lacking as lacking_of
+
+built = pytest.mark.skipif(
+    _fast._kernel is None, reason='the kernel is not built: setup.py build_ext --inplace'
+)
+pytestmark = pytest.mark.filterwarnings('error')
+
+COUNTS = (7, 8, 9, 20, 33, 64, 100, 127, 128)
+# Numpy's own rounding: what a model leaves is the difference of squares that are as large.
+LARGEST = 100.0
+
+
+def models(
+    count: int, block: int, orders: int, exact: bool, at: float = 0.3
+) -> tuple[Modes, Stencils]:
+    """Those of a window, and stencils at this part of half a window behind its middle."""
+    stencils = stencils_of(count, at * (count - 1) / 2, block, orders, exact)
+    return modes_of(count, block, exact), stencils
+
+
+def signals(rng: np.random.Generator, count: int, bodies: int) -> np.ndarray:
+    """Waves of any length, (n, 3, S), some much larger than their noise."""
+    t = np.arange(count)[:, None, None]
+    frequency = 10 ** rng.uniform(-2, 0, (3, bodies))
+    wave = np.sin(t * frequency + rng.uniform(0, 6, (3, bodies)))
+    large = 10 ** rng.uniform(-1, np.log10(LARGEST), (3, bodies))
+    return np.asarray(large * wave + rng.normal(size=(count, 3, bodies)))
+
+
+def missing(rng: np.random.Generator, count: int, bodies: int, most: int) -> np.ndarray:
+    """Weights (n, 2, S) of which up to so many per signal are less than 1, as for angles or not."""
+    weights = np.ones((count, 2, bodies))
+    for k in range(bodies):
+        cells = rng.choice(count, rng.integers(0, most + 1), replace=False)
+        few = rng.uniform(0, 1, (len(cells), 2))
+        weights[cells, :, k] = (np.zeros_like(few), few[:, :1], few)[rng.integers(3)]
+    return weights
+
+
+def same(found: Found, expected: Found, tolerance: float = 1e-9) -> None:
+    deviation = np.sqrt(np.einsum('kkcs->kcs', expected.covariance))
+    mean = np.abs(found.mean - expected.mean)
+    covariance = np.abs(found.covariance - expected.covariance)
+    freedom = np.abs(found.freedom - expected.freedom)
+    assert (mean <= tolerance * deviation[:, [0, 1, 1]]).all()
+    assert (covariance <= tolerance * deviation * deviation[:, None]).all()
+    assert (freedom <= tolerance * expected.freedom).all()
+
+
+@built
+@pytest.mark.parametrize('exact', [False, True])
+@pytest.mark.parametrize('count', COUNTS)
+def test_all_samples(count: int, exact: bool) -> None:
+    rng = np.random.default_rng(count)
+    for bodies, orders, block in ((1, 5, 1), (3, 4, 3), (16, 3, 1), (3, 2, 2)):
+        window = models(count, block, orders, exact)
+        samples = signals(rng, count, bodies)
+        if exact:
+            samples *= 1e5
+        expected = _evidence.derive(*window, samples, float(count))
+        same(_fast.derive(*window, samples, float(count)), expected)
+
+
+@built
+@pytest.mark.parametrize('exact', [False, True])
+@pytest.mark.parametrize('count', COUNTS)
+def test_lacking_samples(count: int, exact: bool) -> None:
+    rng = np.random.default_rng(count)
+    for bodies, orders, block, most in ((1, 5, 1, 1), (3, 4, 2, 2), (16, 4, 1, 4), (3, 2, 1, 10)):
+        window = models(count, block, orders, exact)
+        weights = missing(rng, count, bodies, min(most, count // 3))
+        lacking, samples = lacking_of(weights), signals(rng, count, bodies)
+        seen = weights.sum(axis=0)
+        expected = _evidence.derive(*window, samples, seen, lacking)
+        same(_fast.derive(*window, samples, seen, lacking), expected, 1e-8)
+
+
+@built
+@pytest.mark.parametrize('exact', [False, True])
+@pytest.mark.parametrize('count', COUNTS)
+def test_samples_that_are_moved(count: int, exact: bool) -> None:
+    rng = np.random.default_rng(count)
+    for bodies, block, most in ((1, 1, 0), (3, 2, 2), (16, 1, 4), (3, 1, 10)):
+        modes, slopes = modes_of(count, block, exact), slopes_of(count, block, exact)
+        given = signals(rng, count, bodies)
+        samples = given + 0.1 * rng.normal(size=given.shape)
+        weights = missing(rng, count, bodies, min(most, count // 3))
+        off = rng.uniform(-0.5, 0.5, (count, bodies))
+        arrays = given, samples, off, weights.sum(axis=0), lacking_of(weights)
+        found = _fast.move(modes, slopes, *arrays, _samples._KNOWN)
+        expected = _samples._moved_once(modes, slopes, *arrays, _samples._KNOWN)
+        assert found is not None
+        assert np.abs(found - expected).max() < 1e-9
+
+
+@built
+def test_more_than_a_kernel_takes() -> None:
+    """As many cells as the kernel takes, and one more, which numpy does."""
+    rng = np.random.default_rng(0)
+    window = models(60, 1, 3, False)
+    for number in (_fast._MOST_LACKING, _fast._MOST_LACKING + 1):
+        weights = np.ones((60, 2, 2))
+        weights[rng.permutation(60)[:number]] = 0.0
+        lacking, samples = lacking_of(weights), signals(rng, 60, 2)
+        seen = weights.sum(axis=0)
+        expected = _evidence.derive(*window, samples, seen, lacking)
+        same(_fast.derive(*window, samples, seen, lacking), expected, 1e-8)
+        arrays = samples, samples, np.zeros((60, 2)), seen, lacking
+        moved = _fast.move(window[0], slopes_of(60), *arrays, _samples._KNOWN)
+        assert (moved is None) == (number > _fast._MOST_LACKING)
+
+
+@built
+def test_motion_as_large_as_there_is() -> None:
+    """To what rounding of numpy leaves of it."""
+    rng = np.random.default_rng(0)
+    samples = signals(rng, 100, 3)
+    for exact, large, tolerance in ((False, 1e4, 1e-2), (True, 1e10, 1e-6)):
+        window = models(100, 1, 4, exact)
+        wave = samples * large
+        same(_fast.derive(*window, wave, 100.0), _evidence.derive(*window, wave, 100.0), tolerance)
+
+
+@built
+def test_bodies_at_rest_and_signals_alone() -> None:
+    rng = np.random.default_rng(0)
+    window = models(50, 1, 4, False)
+    samples = signals(rng, 50, 3)
+    samples[..., 1] = 0.0
+    found = _fast.derive(*window, samples, 50.0)
+    same(found, _evidence.derive(*window, samples, 50.0))
+    for k in range(3):
+        alone = _fast.derive(*window, samples[..., k : k + 1], 50.0)
+        for part, whole in zip(alone, found, strict=True):
+            assert (part[..., 0] == whole[..., k]).all()
+
+
+@built
+def test_what_is_not_a_number_stays_apart() -> None:
+    window = models(50, 1, 4, False)
+    samples = signals(np.random.default_rng(0), 50, 3)
+    expected = _fast.derive(*window, samples, 50.0)
+    samples[20, :, 1] = np.nan
+    found = _fast.derive(*window, samples, 50.0)
+    for part, whole in zip(found, expected, strict=True):
+        assert np.isnan(part[..., 1]).all()
+        assert (part[..., ::2] == whole[..., ::2]).all()
+
+
+@built
+def test_arrays_that_do_not_fit() -> None:
+    """Are refused: the kernel never reads beyond what it is given."""
+    modes, stencils = models(50, 1, 4, False)
+    samples = signals(np.random.default_rng(0), 50, 3)
+    weight = np.zeros((1, 2, 3))
+    cases: list[tuple[Any, ...]] = [
+        (samples[1:], 50.0),
+        (samples[:, :2], 50.0),
+        (samples, np.full((2, 2), 50.0)),
+        (samples, 50.0, Lacking(np.full((1, 3), 50), weight)),
+        (samples, 50.0, Lacking(np.full((1, 3), -1), weight)),
+        (samples, 50.0, Lacking(np.zeros((1, 3), int), weight[..., :2])),
+    ]
+    for case in cases:
+        with pytest.raises(ValueError, match='do not fit'):
+            _fast.derive(modes, stencils, *case)
+    slopes, off = slopes_of(50), np.zeros((50, 3))
+    with pytest.raises(ValueError, match='do not fit'):
+        _fast.move(modes, slopes, samples, samples, off[1:], np.full((2, 3), 50.0), None, 1.0)
+    other = stencils_of(60, 0.0, 1, 4)
+    with pytest.raises(ValueError, match=r'do not fit|index|size'):
+        _fast.derive(modes, other, samples, 50.0)
+
+
+def test_without_the_kernel(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Numpy does it, to the last digit, where the extension cannot be imported."""
+    window = models(50, 1, 4, False)
+    samples = signals(np.random.default_rng(0), 50, 3)
+    try:
+        with monkeypatch.context() as without:
+            without.setitem(sys.modules, 'kinpole_ros.derivatives._kernel', None)
+            module = reload(import_module('kinpole_ros.derivatives._fast'))
+            assert module._kernel is None
+            assert module.move(*[None] * 8) is None
+            found, expected = (f(*window, samples, 50.0) for f in (module.derive, _evidence.derive))
+    finally:
+        reload(import_module('kinpole_ros.derivatives._fast'))
+    for part, whole in zip(found, expected, strict=True):
+        assert (part == whole).all()
