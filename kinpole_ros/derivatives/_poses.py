@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from kinpole_ros.derivatives._changes import derive_parts
 from kinpole_ros.derivatives._evidence import Found
 from kinpole_ros.derivatives._fast import derive
 from kinpole_ros.derivatives._models import FEWEST_SAMPLES, MOST_EXACT, modes_of, stencils_of
@@ -356,9 +357,7 @@ def _derive(cells: _Cells, group: _Group, orders: int) -> tuple[Found, Real]:
     window = size, at, block, orders, bool(exact)
     samples = np.ascontiguousarray(samples)
     if even:
-        found = derive(
-            modes_of(size, block, bool(exact)), stencils_of(*window), samples, float(size)
-        )
+        found = derive_parts(window, samples)
     else:
         found = derive_incomplete(window, samples, weight, off)
     scale = interval ** -np.arange(float(orders))[:, None]
