@@ -38,7 +38,7 @@ STAMP := .venv/ready-$(VERSION)-$(KIND)
 endif
 
 demo: $(STAMP)  ## track a four-bar live over DDS; a table, and a picture under out/
-	@$(RUN) -m kinpole_ros.cli demo --output out
+	@$(RUN) -m kinpole_ros.tools.cli demo --output out
 
 test: lint  ## lint, types and all tests; PYTEST_ARGS='-k wheel' for some of them
 	@PYTEST_DISABLE_PLUGIN_AUTOLOAD=1 OPENBLAS_NUM_THREADS=1 \
@@ -51,7 +51,7 @@ lint: $(STAMP)  ## style and types
 
 bags: $(STAMP)  ## simulate the bags in bags/ again
 	@for scene in four_bar rolling_wheel cardan; do \
-	  $(RUN) -m kinpole_ros.cli simulate $$scene --noise 0.0002 --rate 100 --duration 4 \
+	  $(RUN) -m kinpole_ros.tools.cli simulate $$scene --noise 0.0002 --rate 100 --duration 4 \
 	    --output bags/$$scene.mcap || exit 1; \
 	done
 

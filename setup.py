@@ -64,8 +64,8 @@ setup(
     license='Apache-2.0',
     entry_points={
         'console_scripts': [
-            'kinpole = kinpole_ros.cli:main',
-            'kinpole_node = kinpole_ros.cli:node',
+            'kinpole = kinpole_ros.tools.cli:main',
+            'kinpole_node = kinpole_ros.tools.cli:node',
         ],
     },
 )

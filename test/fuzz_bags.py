@@ -30,7 +30,7 @@ from rclpy.serialization import serialize_message
 
 from kinpole_ros.bags import BagError, definition, read_blocks, replay, topics, type_name
 from kinpole_ros.messages import to_message
-from kinpole_ros.parameters import Settings
+from kinpole_ros.pipeline.parameters import Settings
 
 _HEAD = struct.Struct('<BQ')
 

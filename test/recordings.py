@@ -8,11 +8,11 @@ import pytest
 from stretches import instants, one_frame, stretches
 
 from kinpole_ros import planar
-from kinpole_ros.estimate import POLE_NAMES, Estimate
-from kinpole_ros.frame import MarkerFrames
 from kinpole_ros.mechanism import BodyMotion, load_scene, marker_positions
-from kinpole_ros.parameters import settings_from
-from kinpole_ros.tracker import Tracker
+from kinpole_ros.pipeline.estimate import POLE_NAMES, Estimate
+from kinpole_ros.pipeline.frame import MarkerFrames
+from kinpole_ros.pipeline.parameters import settings_from
+from kinpole_ros.pipeline.tracker import Tracker
 
 START, STEP = 10**18, 5_000_000
 # Right-handed: the normal completes the two axes of the plane.

@@ -5,10 +5,10 @@ from itertools import groupby
 
 import numpy as np
 
-from kinpole_ros.estimate import Estimate
-from kinpole_ros.frame import MarkerFrames
+from kinpole_ros.pipeline.estimate import Estimate
+from kinpole_ros.pipeline.frame import MarkerFrames
 from kinpole_ros.planar import Fit
-from kinpole_ros.window import Noise, Shapes
+from kinpole_ros.rigid import Noise, Shapes
 
 
 def fit_frames(

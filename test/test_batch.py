@@ -20,13 +20,13 @@ from unittest import mock
 import pytest
 from conftest import bodies_of, decoded, write_config
 
-import kinpole_ros.batch as module
+import kinpole_ros.bags.batch as module
 from kinpole_ros.bags import BagError
 from kinpole_ros.bags import replay as replay_one
-from kinpole_ros.batch import _cluster, _results, batch
-from kinpole_ros.batch._results import finished, replay_bag
-from kinpole_ros.cli import main
-from kinpole_ros.parameters import Settings
+from kinpole_ros.bags.batch import _cluster, _results, batch
+from kinpole_ros.bags.batch._results import finished, replay_bag
+from kinpole_ros.pipeline.parameters import Settings
+from kinpole_ros.tools.cli import main
 
 pytest.importorskip('distributed')
 
@@ -63,7 +63,7 @@ def until(condition: Callable[[], bool], seconds: float = 90.0) -> None:
 
 def run(*words: object, seconds: float = 120) -> tuple[int, str, str]:
     """Exit status and output of kinpole batch in a process of its own."""
-    with process('-m', 'kinpole_ros.cli', 'batch', *map(str, words)) as started:
+    with process('-m', 'kinpole_ros.tools.cli', 'batch', *map(str, words)) as started:
         out, complaints = started.communicate(timeout=seconds)
         return started.returncode, out, complaints
 
@@ -140,7 +140,9 @@ def test_a_run_that_was_stopped_keeps_what_is_finished_and_goes_on(
     bags = link(bag, *(tmp_path / f'run_{k}.mcap' for k in range(4)))
     out = tmp_path / 'out'
     words = [*bags, '--output', out, '--csv']
-    with process('-m', 'kinpole_ros.cli', 'batch', *map(str, words), '--workers', '1') as started:
+    with process(
+        '-m', 'kinpole_ros.tools.cli', 'batch', *map(str, words), '--workers', '1'
+    ) as started:
         until(lambda: bool(list(out.glob('*.json'))))
         if sent == signal.SIGINT:  # as a terminal does it, to all of them
             os.killpg(started.pid, sent)

@@ -8,16 +8,15 @@ from typing import Any
 import numpy as np
 import pytest
 
-from kinpole_ros import cli, planar
-from kinpole_ros.bench import _long, hindsight_table, motions
-from kinpole_ros.bench._bounds import propagated
-from kinpole_ros.bench._hindsight import LEVELS, apply_weights, coverage, fixed_weights, visible
-from kinpole_ros.bench._motions import cusped, other_motions, swinging
-from kinpole_ros.bench._page_accuracy import _beyond
-from kinpole_ros.bench._page_limits import long_part
-from kinpole_ros.bench._peers import OURS, make_kalman, run_kalman
-from kinpole_ros.bench._pendulum import _fixed, _poles
-from kinpole_ros.bench._record import (
+from bench import _long, hindsight_table, motions
+from bench._bounds import propagated
+from bench._hindsight import LEVELS, apply_weights, coverage, fixed_weights, visible
+from bench._motions import cusped, other_motions, swinging
+from bench._page_accuracy import _beyond
+from bench._page_limits import long_part
+from bench._peers import OURS, make_kalman, run_kalman
+from bench._pendulum import _fixed, _poles
+from bench._record import (
     POLES,
     QUANTITIES,
     Figures,
@@ -26,9 +25,11 @@ from kinpole_ros.bench._record import (
     quantities,
     rms,
 )
-from kinpole_ros.bench._report import _SECONDS, _read_csv, _write_csv, progress_of_parts
-from kinpole_ros.frame import MarkerFrames
-from kinpole_ros.tracker import Tracker
+from bench._report import _SECONDS, _read_csv, _write_csv, progress_of_parts
+from kinpole_ros import planar
+from kinpole_ros.pipeline.frame import MarkerFrames
+from kinpole_ros.pipeline.tracker import Tracker
+from kinpole_ros.tools import cli
 
 STEP = 1e-5
 MOTIONS: dict[str, Callable[[np.ndarray], Any]] = {

@@ -16,11 +16,11 @@ from conftest import bodies_of, decoded, figures, stamp_of, write_config
 from geometry_msgs.msg import PoseArray
 from mcap.writer import Writer
 
-from kinpole_ros import cli
 from kinpole_ros.bags import RECORDER, BagWriter, Truncated, read_messages
 from kinpole_ros.mechanism import scene_names, scenes_folder
 from kinpole_ros.messages import to_message
-from kinpole_ros.parameters import Settings
+from kinpole_ros.pipeline.parameters import Settings
+from kinpole_ros.tools import cli
 
 Bag = Callable[..., Path]
 COMMANDS = ['node', 'replay', 'simulate', 'plot', 'import', 'play', 'record', 'demo']
@@ -51,7 +51,7 @@ def kinpole(capsys: pytest.CaptureFixture[str]) -> Callable[..., Said]:
 def process(*words: str | Path, **options: Any) -> Said:
     """Run a command as a user does."""
     done = subprocess.run(
-        [sys.executable, '-m', 'kinpole_ros.cli', *map(str, words)],
+        [sys.executable, '-m', 'kinpole_ros.tools.cli', *map(str, words)],
         capture_output=True,
         text=True,
         timeout=60,
@@ -773,7 +773,7 @@ def test_a_pipe_shows_no_progress_and_a_terminal_does(
 
 def test_without_stderr_all_is_done_as_with_it(rod: Path, tmp_path: Path) -> None:
     output = tmp_path / 'out.mcap'
-    words = f"'{sys.executable}' -m kinpole_ros.cli replay '{rod}' --output '{output}' 2>&-"
+    words = f"'{sys.executable}' -m kinpole_ros.tools.cli replay '{rod}' --output '{output}' 2>&-"
     assert subprocess.run(words, shell=True, stdout=subprocess.DEVNULL, timeout=60).returncode == 0
     assert decoded(output)['/kinpole/body/odom']
 
@@ -847,7 +847,7 @@ def test_a_package_that_is_not_there_is_told_with_the_mend(
 def test_a_reader_that_goes_away_is_no_error(rod: Path) -> None:
     reading, writing = os.pipe()
     os.close(reading)
-    words = [sys.executable, '-m', 'kinpole_ros.cli', 'replay', str(rod)]
+    words = [sys.executable, '-m', 'kinpole_ros.tools.cli', 'replay', str(rod)]
     with os.fdopen(writing, 'wb') as out:
         done = subprocess.run(words, stdout=out, stderr=subprocess.PIPE, text=True, timeout=60)
     assert 'Traceback' not in done.stderr

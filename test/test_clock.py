@@ -5,13 +5,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from kinpole_ros.clock import Clock, FrameCounter, find_clock
-from kinpole_ros.frame import MarkerFrames
 from kinpole_ros.mechanism import marker_positions
 from kinpole_ros.mechanism._motions import ORDERS, BodyMotion
 from kinpole_ros.messages import DiagnosticsMaker
-from kinpole_ros.parameters import settings_from
-from kinpole_ros.tracker import Tracker
+from kinpole_ros.pipeline.clock import Clock, FrameCounter, find_clock
+from kinpole_ros.pipeline.frame import MarkerFrames
+from kinpole_ros.pipeline.parameters import settings_from
+from kinpole_ros.pipeline.tracker import Tracker
 
 START = 10**18
 NAMES = ('a', 'b', 'c', 'd')

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from kinpole_ros.bench._polynomial import derivative_weights
+from bench._polynomial import derivative_weights
 from kinpole_ros.derivatives import (
     FEWEST_SAMPLES,
     Derivatives,

@@ -7,9 +7,6 @@ import numpy as np
 import pytest
 
 from kinpole_ros.bags import BagError, BagWriter
-from kinpole_ros.cli import main
-from kinpole_ros.discover import discover_rig
-from kinpole_ros.frame import MarkerFrames
 from kinpole_ros.linkage import (
     Linkage,
     UndiscoveredError,
@@ -20,6 +17,9 @@ from kinpole_ros.linkage import (
 )
 from kinpole_ros.mechanism import load_scene, marker_positions
 from kinpole_ros.messages import to_message
+from kinpole_ros.pipeline.frame import MarkerFrames
+from kinpole_ros.tools.cli import main
+from kinpole_ros.tools.discover import discover_rig
 
 START = 10**18
 NOISE = 2e-4

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from kinpole_ros import planar
-from kinpole_ros.estimate import Estimate
+from kinpole_ros.pipeline.estimate import Estimate
 
 COUNT, ORDER = 7, 3
 

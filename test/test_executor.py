@@ -10,7 +10,7 @@ import rclpy
 from rcl_interfaces.srv import ListParameters
 from rclpy.node import Node
 
-from kinpole_ros.executor import MessagesFirst
+from kinpole_ros.ros.executor import MessagesFirst
 
 
 class Flood:

@@ -34,9 +34,9 @@ from rosgraph_msgs.msg import Clock
 from test_node import LIMIT, RELIABLE, Peer, complaints, node_words, process
 from visualization_msgs.msg import MarkerArray
 
-import kinpole_ros.node as node_module
+import kinpole_ros.ros.node as node_module
 from kinpole_ros.messages import MARKER_TYPES, result_outputs, to_message
-from kinpole_ros.parameters import Settings
+from kinpole_ros.pipeline.parameters import Settings
 
 OK, WARN = DiagnosticStatus.OK, DiagnosticStatus.WARN
 ERROR, STALE = DiagnosticStatus.ERROR, DiagnosticStatus.STALE
@@ -611,8 +611,8 @@ def test_a_simulated_clock_may_tell_any_time(tmp_path: FilePath) -> None:
 
 FAILING = """
 import sys
-from kinpole_ros.node import main
-from kinpole_ros.tracker import Tracker
+from kinpole_ros.ros.node import main
+from kinpole_ros.pipeline.tracker import Tracker
 add = Tracker.add
 def failing(self, frames, *rest):
     if int(frames.stamps[0]) % 1000 == 7:
@@ -770,7 +770,7 @@ def test_told_to_stop_again_and_again_amid_markers_the_node_ends_well(
 
 AMID = """
 import os, signal, sys
-from kinpole_ros.node import KinpoleNode, main
+from kinpole_ros.ros.node import KinpoleNode, main
 from rclpy.signals import get_current_signal_handlers_options
 activate = KinpoleNode.on_activate
 def interrupted(self, state):

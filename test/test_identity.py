@@ -9,8 +9,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from rclpy.serialization import serialize_message
 
-from kinpole_ros.frame import MarkerFrames
-from kinpole_ros.identity import Expected, Match, match
 from kinpole_ros.mechanism import load_scene, marker_positions
 from kinpole_ros.messages import (
     DiagnosticsMaker,
@@ -19,8 +17,10 @@ from kinpole_ros.messages import (
     read_markers,
     to_message,
 )
-from kinpole_ros.parameters import ParameterError, settings_from
-from kinpole_ros.tracker import Tracker
+from kinpole_ros.pipeline.frame import MarkerFrames
+from kinpole_ros.pipeline.parameters import ParameterError, settings_from
+from kinpole_ros.pipeline.tracker import Tracker
+from kinpole_ros.rigid.identity import Expected, Match, match
 
 SCENE = load_scene('four_bar')
 RATE, COUNT, NOISE = 200, 300, 2e-4

@@ -9,14 +9,14 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from kinpole_ros.estimate import Estimate
-from kinpole_ros.frame import MarkerFrames
 from kinpole_ros.mechanism import load_scene
 from kinpole_ros.messages import SMOOTHED, DiagnosticsMaker
-from kinpole_ros.parameters import Settings
+from kinpole_ros.pipeline.estimate import Estimate
+from kinpole_ros.pipeline.frame import MarkerFrames
+from kinpole_ros.pipeline.parameters import Settings
+from kinpole_ros.pipeline.tracker import Tracker
 from kinpole_ros.planar import fit_pose
-from kinpole_ros.tracker import Tracker
-from kinpole_ros.window import LastingNoise, Noise
+from kinpole_ros.rigid import LastingNoise, Noise
 
 RATE = 200
 SIGMA = 1e-4

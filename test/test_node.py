@@ -29,14 +29,14 @@ from rclpy.qos import QoSProfile
 from visualization_msgs.msg import Marker, MarkerArray
 
 from kinpole_ros.bags import BagError, BagWriter, read_messages, replay
-from kinpole_ros.demo import live_run
-from kinpole_ros.estimate import Estimate
-from kinpole_ros.frame import MarkerFrames
-from kinpole_ros.live import play
 from kinpole_ros.messages import MARKER_TYPES, read_markers, to_message
-from kinpole_ros.node import KinpoleNode
-from kinpole_ros.parameters import PARAMETERS, Settings
-from kinpole_ros.tracker import Tracker
+from kinpole_ros.pipeline.estimate import Estimate
+from kinpole_ros.pipeline.frame import MarkerFrames
+from kinpole_ros.pipeline.parameters import PARAMETERS, Settings
+from kinpole_ros.pipeline.tracker import Tracker
+from kinpole_ros.ros.live import play
+from kinpole_ros.ros.node import KinpoleNode
+from kinpole_ros.tools.demo import live_run
 
 Bag = Callable[..., Path]
 ROD = Settings(bodies=bodies_of('cardan'))
@@ -155,7 +155,7 @@ def peer() -> Iterator[Peer]:
 @contextmanager
 def process(*words: str | Path, log: Path, limit: int = 60) -> Iterator['subprocess.Popen[bytes]']:
     """A `kinpole` command beside the test, which ends with it at the latest."""
-    command = [sys.executable, '-m', 'kinpole_ros.cli', *map(str, words)]
+    command = [sys.executable, '-m', 'kinpole_ros.tools.cli', *map(str, words)]
     with open(log, 'wb') as err:
         started = subprocess.Popen(
             ['timeout', '--foreground', '-k', '2', str(limit), *command], stderr=err
@@ -644,7 +644,7 @@ def test_a_node_that_cannot_start_as_told_says_why_in_one_line(
     tmp_path: Path, words: list[str], complaint: str
 ) -> None:
     (tmp_path / 'broken.yaml').write_text('/**: {ros__parameters: {lag: 0.1')
-    command = [sys.executable, '-m', 'kinpole_ros.cli', 'node', '--ros-args', *words]
+    command = [sys.executable, '-m', 'kinpole_ros.tools.cli', 'node', '--ros-args', *words]
     done = subprocess.run(
         ['timeout', '-k', '2', '30', *command], cwd=tmp_path, capture_output=True, text=True
     )
@@ -693,7 +693,7 @@ def test_nothing_is_computed_that_nobody_subscribes_to(
             asked.append(order)
             return super().add(frames, order)
 
-    monkeypatch.setattr('kinpole_ros.node.Tracker', Watched)
+    monkeypatch.setattr('kinpole_ros.ros.node.Tracker', Watched)
     context = rclpy.get_default_context()
     rclpy.init(args=['kinpole', '--ros-args', '-p', 'marker_type:=marker_array'])
     node = KinpoleNode()

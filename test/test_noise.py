@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from stretches import fit_frames
 
 from kinpole_ros.planar import fit_pose
-from kinpole_ros.window import Noise, Shapes
+from kinpole_ros.rigid import Noise, Shapes
 
 SHAPE = np.array([14 + 2j, -3 + 10j, 6 - 15j, 13 + 1j, -20 - 10j, 5 + 5j, -10 + 12j, 20 - 3j])
 SHAPE = np.concatenate((SHAPE, [-17 + 4j, 2 - 20j])) / 100

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 from conftest import decoded, figures, write_config
 
-from kinpole_ros import cli
 from kinpole_ros.bags import BagWriter, read_messages
-from kinpole_ros.demo import live_run
-from kinpole_ros.parameters import Settings
+from kinpole_ros.pipeline.parameters import Settings
+from kinpole_ros.tools import cli
+from kinpole_ros.tools.demo import live_run
 
 # The data stay where they are: see the README beside them for what they are and their license.
 TABLE = Path(__file__).parents[2] / 'shared' / 'data' / 'double_pendulum' / 'run16.csv'

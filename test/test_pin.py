@@ -10,13 +10,13 @@ from hypothesis import strategies as st
 from recordings import PINNED, START, STEP, follow, record
 from stretches import instants, joined, one_frame
 
-from kinpole_ros.bench._motions import motions, still_turning
-from kinpole_ros.estimate import Estimate
-from kinpole_ros.frame import MarkerFrames
+from bench._motions import motions, still_turning
 from kinpole_ros.mechanism import BodyMotion, marker_positions
-from kinpole_ros.parameters import settings_from
-from kinpole_ros.tracker import Tracker
-from kinpole_ros.window import Pins
+from kinpole_ros.pipeline.estimate import Estimate
+from kinpole_ros.pipeline.frame import MarkerFrames
+from kinpole_ros.pipeline.parameters import settings_from
+from kinpole_ros.pipeline.tracker import Tracker
+from kinpole_ros.rigid import Pins
 
 pytestmark = pytest.mark.filterwarnings('error')
 

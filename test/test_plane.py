@@ -14,14 +14,14 @@ from recordings import START
 
 from kinpole_ros.bags import BagWriter, warnings_of
 from kinpole_ros.bags import replay as replay_bag
-from kinpole_ros.estimate import Estimate
-from kinpole_ros.frame import MarkerFrames, part_of
 from kinpole_ros.mechanism import load_scene, marker_positions
 from kinpole_ros.messages import DiagnosticsMaker, result_outputs, unit_fault
-from kinpole_ros.parameters import settings_from
-from kinpole_ros.plane import AXES, Plane, plane_along, plane_of
-from kinpole_ros.plot import read_results
-from kinpole_ros.tracker import Tracker
+from kinpole_ros.pipeline.estimate import Estimate
+from kinpole_ros.pipeline.frame import MarkerFrames, part_of
+from kinpole_ros.pipeline.parameters import settings_from
+from kinpole_ros.pipeline.tracker import Tracker
+from kinpole_ros.rigid.plane import AXES, Plane, plane_along, plane_of
+from kinpole_ros.tools.plot import read_results
 
 KITE = np.array([(0.09, 0.02), (-0.03, 0.1), (-0.08, -0.05), (0.05, -0.06)])
 NAMES = ('0', '1', '2', '3')
@@ -385,7 +385,7 @@ def test_a_body_of_an_odd_size_is_likely_in_another_unit(
 
 
 def test_a_scene_is_held_against_bodies_in_any_plane() -> None:
-    from kinpole_ros.theory import Comparison, load_theory
+    from kinpole_ros.linkage.theory import Comparison, load_theory
 
     scene = load_scene('four_bar')
     t = np.arange(400) / 200

@@ -24,8 +24,8 @@ from kinpole_ros.bags import (
 )
 from kinpole_ros.mechanism import load_scene
 from kinpole_ros.messages import ns_to_stamp, stamp_to_ns
-from kinpole_ros.parameters import Settings
-from kinpole_ros.plot import Centrodes, _draw, centrodes, plot, read_results
+from kinpole_ros.pipeline.parameters import Settings
+from kinpole_ros.tools.plot import Centrodes, _draw, centrodes, plot, read_results
 
 pytest.importorskip('matplotlib')
 
@@ -437,7 +437,7 @@ def test_missing_matplotlib_is_told_with_the_mend(monkeypatch, bags, tmp_path) -
 
 def test_pyplot_is_left_alone(bags, tmp_path) -> None:
     script = (
-        'import sys; from kinpole_ros.plot import plot; '
+        'import sys; from kinpole_ros.tools.plot import plot; '
         "assert 'matplotlib' not in sys.modules; plot(*sys.argv[1:]); "
         "assert 'matplotlib.pyplot' not in sys.modules"
     )

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from stretches import instants
 
-from kinpole_ros.bench import _hindsight, _record
-from kinpole_ros.estimate import Estimate
-from kinpole_ros.frame import MarkerFrames, part_of
-from kinpole_ros.parameters import settings_from
-from kinpole_ros.tracker import Tracker
+from bench import _hindsight, _record
+from kinpole_ros.pipeline.estimate import Estimate
+from kinpole_ros.pipeline.frame import MarkerFrames, part_of
+from kinpole_ros.pipeline.parameters import settings_from
+from kinpole_ros.pipeline.tracker import Tracker
 
 pytestmark = pytest.mark.filterwarnings('error')
 

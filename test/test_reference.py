@@ -4,14 +4,14 @@ import numpy as np
 import pytest
 from stretches import instants
 
+from bench import _record
 from kinpole_ros import planar
-from kinpole_ros.bench import _record
-from kinpole_ros.estimate import Estimate
-from kinpole_ros.frame import MarkerFrames, part_of
 from kinpole_ros.messages import result_outputs
-from kinpole_ros.parameters import settings_from
-from kinpole_ros.tracker import Tracker
-from kinpole_ros.window import References, _reference
+from kinpole_ros.pipeline.estimate import Estimate
+from kinpole_ros.pipeline.frame import MarkerFrames, part_of
+from kinpole_ros.pipeline.parameters import settings_from
+from kinpole_ros.pipeline.tracker import Tracker
+from kinpole_ros.rigid import References, _reference
 
 pytestmark = pytest.mark.filterwarnings('error')
 

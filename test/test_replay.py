@@ -25,10 +25,10 @@ from kinpole_ros.bags import (
     type_name,
 )
 from kinpole_ros.bags import topics as topics_of
-from kinpole_ros.estimate import POLE_NAMES, RATE_NAMES
 from kinpole_ros.messages import MARKER_TYPES, read_markers, result_outputs, to_message
-from kinpole_ros.parameters import Settings
-from kinpole_ros.plane import AXES
+from kinpole_ros.pipeline.estimate import POLE_NAMES, RATE_NAMES
+from kinpole_ros.pipeline.parameters import Settings
+from kinpole_ros.rigid.plane import AXES
 
 Bag = Callable[..., Path]
 Figures = dict[str, dict[int, np.ndarray]]

@@ -13,8 +13,6 @@ from nav_msgs.msg import Odometry, Path
 from rclpy.serialization import deserialize_message, serialize_message
 from visualization_msgs.msg import Marker, MarkerArray
 
-from kinpole_ros.estimate import POLE_NAMES, RATE_NAMES, Estimate
-from kinpole_ros.frame import MarkerFrames
 from kinpole_ros.messages import (
     DiagnosticsMaker,
     Output,
@@ -22,8 +20,10 @@ from kinpole_ros.messages import (
     nothing_drawn,
     result_outputs,
 )
-from kinpole_ros.parameters import Settings
-from kinpole_ros.tracker import Tracker
+from kinpole_ros.pipeline.estimate import POLE_NAMES, RATE_NAMES, Estimate
+from kinpole_ros.pipeline.frame import MarkerFrames
+from kinpole_ros.pipeline.parameters import Settings
+from kinpole_ros.pipeline.tracker import Tracker
 
 # Along the two axes of each plane, and its normal.
 PLANES = {plane: np.roll(np.eye(3), shift, axis=0) for plane, shift in (('xy', 0), ('yz', -1))}

@@ -6,14 +6,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from kinpole_ros import cli
-from kinpole_ros.bench import _report, _spoil, bench_rigs
-from kinpole_ros.bench._outcome import FIGURES, rig_rows, run
-from kinpole_ros.bench._page_rigs import rigs_part
-from kinpole_ros.bench._rigs import NOISE, Recording, record, rigs
-from kinpole_ros.bench._spoil import CASES, Case, Sent, ideal
-from kinpole_ros.parameters import settings_from
+from bench import _report, _spoil, bench_rigs
+from bench._outcome import FIGURES, rig_rows, run
+from bench._page_rigs import rigs_part
+from bench._rigs import NOISE, Recording, record, rigs
+from bench._spoil import CASES, Case, Sent, ideal
+from kinpole_ros.pipeline.parameters import settings_from
 from kinpole_ros.planar import to_complex
+from kinpole_ros.tools import cli
 
 RIG = next(iter(rigs()))
 
@@ -229,7 +229,7 @@ def test_the_section_is_put_in_the_place_of_the_old_one(
     assert (tmp_path / 'charts' / 'rigs.png').read_bytes().startswith(b'\x89PNG')
     assert len((tmp_path / 'charts' / 'rigs.csv').read_text().splitlines()) == 1 + len(made_up())
     # Again it is the same. It comes last where there was none, and no page is begun.
-    monkeypatch.setattr('kinpole_ros.bench._charts.rigs', lambda rows, path: None)
+    monkeypatch.setattr('bench._charts.rigs', lambda rows, path: None)
     bench_rigs(tmp_path)
     assert page.read_text() == f'{around[0]}{rigs_part(made_up())}\n\n{around[1]}'
     page.write_text(around[0])

@@ -9,8 +9,8 @@ from xml.etree import ElementTree
 import pytest
 from test_node import Peer, node_words, process
 
-from kinpole_ros.parameters import ParameterError, load_settings, settings_from
-from kinpole_ros.security import main, permitted, policy
+from kinpole_ros.pipeline.parameters import ParameterError, load_settings, settings_from
+from kinpole_ros.ros.security import main, permitted, policy
 
 ROOT = Path(__file__).parents[1]
 FOUR_BAR = ROOT / 'config' / 'four_bar.yaml'
@@ -68,7 +68,7 @@ def test_the_policy_names_all_that_the_running_node_uses(tmp_path: Path, namespa
 def test_keys_that_are_not_there_are_told_in_one_line(tmp_path: Path) -> None:
     asked = {'ENABLE': 'true', 'STRATEGY': 'Enforce', 'KEYSTORE': str(tmp_path)}
     done = subprocess.run(
-        ['timeout', '-k', '2', '30', sys.executable, '-m', 'kinpole_ros.cli', 'node'],
+        ['timeout', '-k', '2', '30', sys.executable, '-m', 'kinpole_ros.tools.cli', 'node'],
         env={**os.environ, **{f'ROS_SECURITY_{key}': value for key, value in asked.items()}},
         capture_output=True,
         text=True,

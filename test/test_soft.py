@@ -10,12 +10,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from kinpole_ros import planar
-from kinpole_ros.estimate import Estimate
-from kinpole_ros.frame import MarkerFrames
 from kinpole_ros.messages import DiagnosticsMaker
-from kinpole_ros.parameters import settings_from
-from kinpole_ros.tracker import Tracker
-from kinpole_ros.window import LENS, SLANT, TISSUE, Deformation
+from kinpole_ros.pipeline.estimate import Estimate
+from kinpole_ros.pipeline.frame import MarkerFrames
+from kinpole_ros.pipeline.parameters import settings_from
+from kinpole_ros.pipeline.tracker import Tracker
+from kinpole_ros.rigid import LENS, SLANT, TISSUE, Deformation
 
 # Measured walks stay where they are: see the README beside them for what they are.
 WALK = Path(__file__).parents[2] / 'shared' / 'data' / 'gait' / 'walk1.trc'

@@ -8,10 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from kinpole_ros import cli
 from kinpole_ros.mechanism import load_scene, scene_names, scenes_folder
-from kinpole_ros.solve import _picture, solve_scene
-from kinpole_ros.solve._solved import solve_positions
+from kinpole_ros.tools import cli
+from kinpole_ros.tools.solve import _picture, solve_scene
+from kinpole_ros.tools.solve._solved import solve_positions
 
 
 def told(capsys: pytest.CaptureFixture[str], *words: str) -> list[str]:

@@ -21,8 +21,8 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from std_msgs.msg import Int32, String
 
 from kinpole_ros.bags import RECORDER, BagError, BagMessage, BagWriter, read_messages, recorder_of
-from kinpole_ros.live import Recorder
 from kinpole_ros.messages import to_message
+from kinpole_ros.ros.live import Recorder
 
 ROOT = Path(__file__).parents[1]
 TOPIC = '/kinpole/test_stopped'
@@ -52,7 +52,7 @@ def kinpole(*words: object, most: int | None = None) -> Iterator['subprocess.Pop
             resource.setrlimit(resource.RLIMIT_FSIZE, (most, most))
 
     started = subprocess.Popen(
-        [sys.executable, '-m', 'kinpole_ros.cli', *map(str, words)],
+        [sys.executable, '-m', 'kinpole_ros.tools.cli', *map(str, words)],
         cwd=ROOT,
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
@@ -177,8 +177,8 @@ def test_a_recorder_names_what_it_cannot_record_and_what_nobody_publishes(
     def unknown(name: str) -> type:
         raise BagError(f'message type {name} is not installed')
 
-    monkeypatch.setattr('kinpole_ros.live.message_class', unknown)
-    monkeypatch.setattr('kinpole_ros.live._PATIENCE', 0.3)
+    monkeypatch.setattr('kinpole_ros.ros.live.message_class', unknown)
+    monkeypatch.setattr('kinpole_ros.ros.live._PATIENCE', 0.3)
     told = ''
     rclpy.init(args=[])
     executor = SingleThreadedExecutor()
@@ -217,7 +217,7 @@ def test_where_ros_cannot_start_no_recording_is_begun(tmp_path: Path) -> None:
     path.touch()
     os.utime(path, ns=(7, 7))
     done = subprocess.run(
-        [sys.executable, '-m', 'kinpole_ros.cli', 'record', '--output', str(path)],
+        [sys.executable, '-m', 'kinpole_ros.tools.cli', 'record', '--output', str(path)],
         cwd=ROOT,
         env={**os.environ, 'ROS_DOMAIN_ID': 'none'},
         capture_output=True,

@@ -19,11 +19,11 @@ from recordings import (
 )
 from stretches import instants
 
-from kinpole_ros.estimate import Estimate
-from kinpole_ros.frame import MarkerFrames, part_of
-from kinpole_ros.parameters import settings_from
-from kinpole_ros.roster import find_marker
-from kinpole_ros.tracker import Tracker
+from kinpole_ros.pipeline.estimate import Estimate
+from kinpole_ros.pipeline.frame import MarkerFrames, part_of
+from kinpole_ros.pipeline.parameters import settings_from
+from kinpole_ros.pipeline.roster import find_marker
+from kinpole_ros.pipeline.tracker import Tracker
 
 pytestmark = pytest.mark.filterwarnings('error')
 

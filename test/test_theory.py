@@ -8,13 +8,14 @@ import pytest
 from conftest import bodies_of, decoded, figures
 from recordings import follow, record
 
-from kinpole_ros import cli, planar
-from kinpole_ros.demo import live_run
+from kinpole_ros import planar
+from kinpole_ros.linkage.theory import Comparison, Difference, load_theory, rate_differences
 from kinpole_ros.mechanism import efforts, load_scene, scene_names, scenes_folder
 from kinpole_ros.messages import stamp_to_ns
-from kinpole_ros.parameters import ParameterError, Settings, load_settings, settings_from
-from kinpole_ros.theory import Comparison, Difference, load_theory, rate_differences
-from kinpole_ros.window import References
+from kinpole_ros.pipeline.parameters import ParameterError, Settings, load_settings, settings_from
+from kinpole_ros.rigid import References
+from kinpole_ros.tools import cli
+from kinpole_ros.tools.demo import live_run
 
 LOADS = """
 loads:
@@ -196,8 +197,8 @@ def test_replay_says_where_a_scene_cannot_be_put_on_the_rig(
     def nowhere(*_: Any) -> list[Any]:
         return []
 
-    monkeypatch.setattr('kinpole_ros.theory.rate_differences', nowhere)
-    monkeypatch.setattr('kinpole_ros.theory.joint_offsets', nowhere)
+    monkeypatch.setattr('kinpole_ros.linkage.theory.rate_differences', nowhere)
+    monkeypatch.setattr('kinpole_ros.linkage.theory.joint_offsets', nowhere)
     assert cli.main(['replay', str(bag), '--config', str(config(tmp_path, scene(tmp_path)))]) == 0
     said = capsys.readouterr()
     assert 'rms of' not in said.out
@@ -251,8 +252,8 @@ def test_some_instants_of_a_recording_are_compared_whatever_the_pieces_it_comes_
         value = 1.0 + 2 * len(looked)
         return [Difference('rod', 'rate', 'rad/s', value, 2), Difference('A', 'off', 'm', 1, 0)]
 
-    monkeypatch.setattr('kinpole_ros.theory.rate_differences', differ)
-    monkeypatch.setattr('kinpole_ros.theory.joint_offsets', lambda *_: [])
+    monkeypatch.setattr('kinpole_ros.linkage.theory.rate_differences', differ)
+    monkeypatch.setattr('kinpole_ros.linkage.theory.joint_offsets', lambda *_: [])
     theory = load_theory(load_settings(config(tmp_path, 'four_bar')))
     assert theory is not None
     comparison = Comparison(theory)

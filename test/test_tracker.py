@@ -10,11 +10,11 @@ from recordings import SCENES, START, STEP, Record, check, follow, record, two_b
 from stretches import instants, one_frame
 
 from kinpole_ros import planar
-from kinpole_ros.estimate import POLE_NAMES, Estimate
-from kinpole_ros.frame import MarkerFrames
-from kinpole_ros.parameters import settings_from
-from kinpole_ros.roster import MOST_MARKERS
-from kinpole_ros.tracker import Tracker
+from kinpole_ros.pipeline.estimate import POLE_NAMES, Estimate
+from kinpole_ros.pipeline.frame import MarkerFrames
+from kinpole_ros.pipeline.parameters import settings_from
+from kinpole_ros.pipeline.roster import MOST_MARKERS
+from kinpole_ros.pipeline.tracker import Tracker
 
 pytestmark = pytest.mark.filterwarnings('error')
 

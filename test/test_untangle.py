@@ -10,14 +10,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from stretches import fit_frames, instants, one_frame
 
-from kinpole_ros.estimate import Estimate
-from kinpole_ros.frame import MarkerFrames, part_of
 from kinpole_ros.mechanism import load_scene, marker_positions
-from kinpole_ros.parameters import settings_from
+from kinpole_ros.pipeline.estimate import Estimate
+from kinpole_ros.pipeline.frame import MarkerFrames, part_of
+from kinpole_ros.pipeline.parameters import settings_from
+from kinpole_ros.pipeline.tracker import Tracker
 from kinpole_ros.planar import Fit
-from kinpole_ros.tracker import Tracker
-from kinpole_ros.window import Noise, Shapes
-from kinpole_ros.window._untangle import agreed
+from kinpole_ros.rigid import Noise, Shapes
+from kinpole_ros.rigid._untangle import agreed
 
 SCENE = load_scene('four_bar')
 NAMES = tuple(name for body in SCENE.markers for name in SCENE.marker_names[body])

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from stretches import fit_frames
 
 from kinpole_ros.planar import Fit, fit_pose
-from kinpole_ros.window import Noise, Samples, Shapes
+from kinpole_ros.rigid import Noise, Samples, Shapes
 
 pytestmark = pytest.mark.filterwarnings('error')
 

@@ -5,10 +5,10 @@ import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
 from recordings import KITE
 
-from kinpole_ros.frame import MarkerFrames, part_of
 from kinpole_ros.messages import DiagnosticsMaker
-from kinpole_ros.parameters import settings_from
-from kinpole_ros.tracker import Tracker
+from kinpole_ros.pipeline.frame import MarkerFrames, part_of
+from kinpole_ros.pipeline.parameters import settings_from
+from kinpole_ros.pipeline.tracker import Tracker
 
 START, STEP, RATE = 10**18, 5_000_000, 200
 NAMES = tuple('abcd')

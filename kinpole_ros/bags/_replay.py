@@ -12,9 +12,7 @@ from diagnostic_msgs.msg import DiagnosticArray
 from kinpole_ros.bags._reader import BagError, Truncated, bag_files, read_blocks, topics
 from kinpole_ros.bags._table import CsvTable, ParquetTable
 from kinpole_ros.bags._writer import BagWriter
-from kinpole_ros.bodies import Outage
-from kinpole_ros.estimate import POLE_NAMES, Estimate
-from kinpole_ros.frame import MarkerFrames, part_of
+from kinpole_ros.linkage.theory import Beside, Comparison, load_theory
 from kinpole_ros.messages import (
     ROS_TYPE_NAMES,
     DiagnosticsMaker,
@@ -25,12 +23,14 @@ from kinpole_ros.messages import (
     identity_lines,
     result_outputs,
 )
-from kinpole_ros.parameters import Settings
-from kinpole_ros.roster import find_marker
-from kinpole_ros.space import SpaceReport, updated
-from kinpole_ros.theory import Beside, Comparison, load_theory
-from kinpole_ros.ticks import StampState
-from kinpole_ros.tracker import Tracker
+from kinpole_ros.pipeline.bodies import Outage
+from kinpole_ros.pipeline.estimate import POLE_NAMES, Estimate
+from kinpole_ros.pipeline.frame import MarkerFrames, part_of
+from kinpole_ros.pipeline.parameters import Settings
+from kinpole_ros.pipeline.roster import find_marker
+from kinpole_ros.pipeline.ticks import StampState
+from kinpole_ros.pipeline.tracker import Tracker
+from kinpole_ros.rigid.space import SpaceReport, updated
 
 NODE_NAME = 'kinpole'
 _SECOND = 1_000_000_000

@@ -17,9 +17,9 @@ from rclpy.serialization import serialize_message
 from kinpole_ros.bags._reader import BagError
 from kinpole_ros.bags._replay import NODE_NAME, result_columns
 from kinpole_ros.bags._writer import BagWriter
-from kinpole_ros.estimate import Estimate
 from kinpole_ros.mechanism import Scene, marker_positions
 from kinpole_ros.messages import MARKER_TYPES, result_outputs, to_message
+from kinpole_ros.pipeline.estimate import Estimate
 
 # Exact to so many digits: below it the answers themselves are noise (a pinned body's centrode).
 _EXACT = 1e-12

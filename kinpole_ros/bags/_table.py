@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 
 from kinpole_ros.bags._reader import BagError
-from kinpole_ros.estimate import POLE_NAMES, RATE_NAMES, Estimate, Numbers, Vectors
-from kinpole_ros.parameters import Settings
+from kinpole_ros.pipeline.estimate import POLE_NAMES, RATE_NAMES, Estimate, Numbers, Vectors
+from kinpole_ros.pipeline.parameters import Settings
 
 # Rows in a group of a Parquet file, which are held in memory.
 _GROUP = 8192

@@ -15,7 +15,7 @@ from kinpole_ros.messages import (
     unit_fault,
     unseen,
 )
-from kinpole_ros.parameters import Settings
+from kinpole_ros.pipeline.parameters import Settings
 
 # What can be done about the reasons that the tracker gives.
 _MENDS = {

@@ -10,8 +10,7 @@ import numpy as np
 
 from kinpole_ros.derivatives._changes import derive_parts
 from kinpole_ros.derivatives._evidence import Found
-from kinpole_ros.derivatives._fast import derive
-from kinpole_ros.derivatives._models import FEWEST_SAMPLES, MOST_EXACT, modes_of, stencils_of
+from kinpole_ros.derivatives._models import FEWEST_SAMPLES, MOST_EXACT
 from kinpole_ros.derivatives._samples import derive_incomplete
 from kinpole_ros.planar._plane import Complex, Real
 

@@ -5,7 +5,6 @@ from itertools import combinations
 
 import numpy as np
 
-from kinpole_ros.frame import MarkerFrames
 from kinpole_ros.linkage._identify import Bodies, identify
 from kinpole_ros.linkage._joints import Joint, fit_pin, fit_slide
 from kinpole_ros.linkage._model import GROUND_NUMBER, Linkage
@@ -15,6 +14,7 @@ from kinpole_ros.linkage._plane import scale_of
 from kinpole_ros.linkage._poses import Pose, ground
 from kinpole_ros.linkage._record import Record, Stamps, gather
 from kinpole_ros.linkage._rolling import Rolling, fit_gear, fit_wheel
+from kinpole_ros.pipeline.frame import MarkerFrames
 
 # Times the noise a pin may leave over without doubt.
 _DOUBTFUL = 1.5

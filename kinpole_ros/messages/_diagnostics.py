@@ -6,9 +6,8 @@ from collections.abc import Callable, Mapping, Sequence
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 
-from kinpole_ros.bodies import Outage
 from kinpole_ros.derivatives import FEWEST_SAMPLES
-from kinpole_ros.estimate import Estimate
+from kinpole_ros.linkage.theory import Theory, joint_offsets, rate_differences
 from kinpole_ros.messages._identities import identity_lines
 from kinpole_ros.messages._markers import ns_to_stamp
 from kinpole_ros.messages._space import (
@@ -19,8 +18,9 @@ from kinpole_ros.messages._space import (
     unit_fault,
 )
 from kinpole_ros.messages._stamps import jitter_costs, stamp_faults, stamp_values
-from kinpole_ros.theory import Theory, joint_offsets, rate_differences
-from kinpole_ros.tracker import Tracker
+from kinpole_ros.pipeline.bodies import Outage
+from kinpole_ros.pipeline.estimate import Estimate
+from kinpole_ros.pipeline.tracker import Tracker
 
 # Of the names of markers in a message, which may be anything.
 _MOST_NAMES, _MOST_TOLD = 12, 80

@@ -7,9 +7,9 @@ from typing import TypeAlias
 import numpy as np
 from visualization_msgs.msg import Marker
 
-from kinpole_ros.estimate import POLE_NAMES, Estimate
 from kinpole_ros.messages._cdr import Writer, path
-from kinpole_ros.plane import Plane
+from kinpole_ros.pipeline.estimate import POLE_NAMES, Estimate
+from kinpole_ros.rigid.plane import Plane
 
 # Instants as indices, in order, and the messages of these.
 Built: TypeAlias = tuple[list[int], list[bytes]]

@@ -15,8 +15,8 @@ from sensor_msgs.msg import PointCloud2
 from std_msgs.msg import ColorRGBA, Header
 from visualization_msgs.msg import Marker, MarkerArray
 
-from kinpole_ros.frame import MarkerFrames
 from kinpole_ros.messages._cloud import MessageError, cloud_ids, cloud_places, make_cloud
+from kinpole_ros.pipeline.frame import MarkerFrames
 
 MARKER_TYPES: dict[str, type] = {
     'marker_array': MarkerArray,

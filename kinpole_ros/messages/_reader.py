@@ -17,7 +17,6 @@ import numpy as np
 from rclpy.serialization import deserialize_message
 from visualization_msgs.msg import Marker
 
-from kinpole_ros.frame import MarkerFrames, part_of
 from kinpole_ros.messages._cloud import MessageError, cloud_places, id_column
 from kinpole_ros.messages._markers import (
     END_OF_TIME,
@@ -30,6 +29,7 @@ from kinpole_ros.messages._markers import (
     remaining,
 )
 from kinpole_ros.messages._walk import LITTLE, MarkerPlaces, Walk
+from kinpole_ros.pipeline.frame import MarkerFrames, part_of
 
 # Markers that come and go make many layouts; more than these, or larger ones, are not remembered.
 _MOST_LAYOUTS = 64

@@ -19,11 +19,11 @@ from geometry_msgs.msg import (
 from nav_msgs.msg import Odometry, Path
 from visualization_msgs.msg import MarkerArray
 
-from kinpole_ros.estimate import POLE_NAMES, RATE_NAMES, Estimate, Numbers, Vectors
+from kinpole_ros.linkage.theory import Theory, balance
 from kinpole_ros.messages._cdr import stamped_doubles
 from kinpole_ros.messages._loci import Build, Built, Trail, centrode, scene
-from kinpole_ros.plane import XY, Plane, PlaneSetting, plane_of
-from kinpole_ros.theory import Theory, balance
+from kinpole_ros.pipeline.estimate import POLE_NAMES, RATE_NAMES, Estimate, Numbers, Vectors
+from kinpole_ros.rigid.plane import XY, Plane, PlaneSetting, plane_of
 
 # The topic of what is drawn.
 DRAWING = 'visualization'

@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from kinpole_ros.plane import FIT, Plane, PlaneSetting, as_parameter
-from kinpole_ros.space import KEEPS, SpaceReport
-from kinpole_ros.window import LENS, SLANT, TISSUE
+from kinpole_ros.rigid import LENS, SLANT, TISSUE
+from kinpole_ros.rigid.plane import FIT, Plane, PlaneSetting, as_parameter
+from kinpole_ros.rigid.space import KEEPS, SpaceReport
 
 # m. Bodies that are larger or smaller are likely given in another unit.
 _LARGEST, _SMALLEST = 20.0, 1e-3

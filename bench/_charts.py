@@ -1,0 +1,190 @@
+"""The charts, readable in black and white: methods differ by mark and line, not by color."""
+
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from bench._record import QUANTITIES
+
+Rows = list[dict[str, Any]]
+_MARKS = 'osD^v<>PXhp*'
+_LINES = ('-', '--', ':', '-.')
+_TICKS = (0.3, 0.5, 1, 1.5, 2, 3, 5, 10)
+_GRAYS = ('0.0', '0.45', '0.65')
+# Errors on real rigs beyond these, over the ideal ones, are drawn at them.
+_RATIOS = (0.5, 1e3)
+
+
+def error_over_time(rows: Rows, path: Path) -> None:
+    """Chart (a): error over ours against CPU time per frame, one panel by quantity."""
+    figure, panels = _panels()
+    methods = list(dict.fromkeys(row['method'] for row in rows))
+    for name, panel in zip(QUANTITIES, panels, strict=False):
+        for k, method in enumerate(methods):
+            for row in rows:
+                if row['method'] == method and np.isfinite(row[name]):
+                    panel.plot(
+                        1e6 * row['cpu'],
+                        row[name],
+                        _MARKS[k % len(_MARKS)],
+                        color=_GRAYS[k % 3],
+                        label=method,
+                        markersize=9 if method == 'ours' else 6,
+                        markerfacecolor='black' if method == 'ours' else 'white',
+                    )
+        _scaled(panel, name, 'CPU time per frame, µs', 'error over ours')
+        panel.set_xlim(1, 1e4)
+        panel.axhline(1.0, color='0.7', linewidth=0.8)
+    _finish(figure, panels, path)
+
+
+def error_over_lag(rows: Rows, path: Path) -> None:
+    """Chart (b): error against lag, one panel by quantity."""
+    figure, panels = _panels()
+    methods = list(dict.fromkeys(row['method'] for row in rows))
+    for name, panel in zip(QUANTITIES, panels, strict=False):
+        for k, method in enumerate(methods):
+            mine = [row for row in rows if row['method'] == method]
+            panel.plot(
+                [row['lag'] for row in mine],
+                [row[name] for row in mine],
+                _LINES[k % len(_LINES)],
+                marker=_MARKS[k % len(_MARKS)],
+                color=_GRAYS[k % 3],
+                label=method,
+                linewidth=2.2 if method == 'ours' else 1.0,
+                markerfacecolor='black' if method == 'ours' else 'white',
+            )
+        _scaled(panel, name, 'lag, s', 'error over ours at 0.1 s')
+        panel.set_xscale('linear')
+    _finish(figure, panels, path)
+
+
+def hindsight(rows: Rows, path: Path) -> None:
+    """Error over the best in hindsight, one panel by quantity, one row of marks by noise level."""
+    figure, panels = _panels()
+    names = list(dict.fromkeys(row['motion'] for row in rows))
+    noises = sorted({row['noise'] for row in rows})
+    for name, panel in zip(QUANTITIES, panels, strict=False):
+        for k, noise in enumerate(noises):
+            found = {
+                r['motion']: r['ratio']
+                for r in rows
+                if (r['quantity'], r['noise']) == (name, noise)
+            }
+            panel.plot(
+                range(len(names)),
+                [max(found.get(motion, np.nan), 0.3) for motion in names],
+                linestyle='none',
+                marker=_MARKS[k],
+                color=_GRAYS[k % 3],
+                markerfacecolor='white' if k else 'black',
+                label=f'noise {noise:g} of the body',
+            )
+        panel.axhline(1.5, color='0.3', linestyle='--', linewidth=0.8)
+        panel.axhline(1.0, color='0.7', linewidth=0.8)
+        panel.set_yscale('log')
+        panel.set_ylim(0.25, max(15.0, 1.2 * np.nanmax([row['ratio'] for row in rows])))
+        panel.set_yticks(_TICKS, [f'{tick:g}' for tick in _TICKS])
+        panel.minorticks_off()
+        panel.set_title(name)
+        panel.set_xticks(range(len(names)), names, rotation=50, ha='right', fontsize=7)
+        panel.set_ylabel('error over the best in hindsight', fontsize=8)
+    _finish(figure, panels, path)
+
+
+def atlas(rows: Rows, path: Path, names: tuple[str, ...] = ('ω', 'ICR')) -> None:
+    """Chart (c): error (above) and share determined (below) as each thing goes to its limit."""
+    from matplotlib.figure import Figure
+
+    limits = list(dict.fromkeys(row['limit'] for row in rows))
+    figure = Figure(figsize=(12, 4.6 * ((len(limits) + 2) // 3)), layout='constrained')
+    outer = figure.subfigures((len(limits) + 2) // 3, 3, squeeze=False).ravel()
+    methods = {'ours': '-', 'fixed 41/4': ':'}
+    for part, limit in zip(outer, limits, strict=False):
+        above, below = part.subplots(2, 1, sharex=True, height_ratios=(2, 1))
+        above.set_yscale('log')
+        for method, line in methods.items():
+            mine = [r for r in rows if r['limit'] == limit and r['method'] == method]
+            mine.sort(key=lambda row: float(row['value']))
+            x = np.arange(len(mine))
+            for name, mark in zip(names, 'os', strict=True):
+                style = {'marker': mark, 'linestyle': line, 'markerfacecolor': 'white'}
+                style |= {'color': '0.0' if line == '-' else '0.5'}
+                errors = np.array([row.get(f'{name}_error', np.nan) for row in mine])
+                errors[errors == 0] = np.nan
+                above.plot(x, errors, label=f'{name}, {method}', **style)
+                below.plot(x, [row.get(f'{name}_determined', 0.0) for row in mine], **style)
+            below.set_xticks(x, [f'{row["value"]:g}' for row in mine], fontsize=7)
+        # What is flat shall look flat.
+        low, high = above.get_ylim()
+        wider = max(1.0, np.sqrt(100 * low / high))
+        above.set_ylim(low / wider, high * wider)
+        above.set_ylabel('median error, relative', fontsize=8)
+        below.set_ylim(-0.05, 1.05)
+        below.set_ylabel('share determined', fontsize=8)
+        unit = next(row['unit'] for row in rows if row['limit'] == limit)
+        below.set_xlabel(f'{limit} ({unit})', fontsize=9)
+    first = outer[0].axes[0]
+    figure.legend(*first.get_legend_handles_labels(), loc='outside upper center', ncols=4)
+    _save(figure, path)
+
+
+def rigs(rows: Rows, path: Path) -> None:
+    """Errors over the ideal ones by way of spoiling the input: median and worst, ω and ICR."""
+    from matplotlib.figure import Figure
+
+    cases = list(dict.fromkeys((row['part'], row['what']) for row in rows))
+    figure = Figure(figsize=(12, 1 + 0.27 * len(cases)), layout='constrained')
+    panels = figure.subplots(1, 2, sharex=True, sharey=True)
+    place = -np.arange(len(cases))
+    for panel, name in zip(panels, ('ω', 'ICR'), strict=True):
+        found = {(row['part'], row['what']): row for row in rows if row['quantity'] == name}
+        middle, worst = (
+            np.clip([found[case][what] for case in cases], *_RATIOS) for what in ('ratio', 'worst')
+        )
+        panel.hlines(place, middle, worst, color='0.7', linewidth=0.8)
+        panel.plot(worst, place, 'o', color='0.3', markerfacecolor='white', label='worst')
+        panel.plot(middle, place, 'o', color='0.0', label='median')
+        panel.axvline(1.1, color='0.3', linestyle='--', linewidth=0.8)
+        for k, (case, after) in enumerate(pairwise(cases)):
+            if case[0] != after[0]:
+                panel.axhline(-k - 0.5, color='0.85', linewidth=0.8)
+        panel.set_xscale('log')
+        panel.set_xlim(0.8 * _RATIOS[0], 1.25 * _RATIOS[1])
+        panel.set_ylim(place[-1] - 0.7, 0.7)
+        panel.set_title(name)
+        panel.set_xlabel('error over that with ideal input', fontsize=8)
+    panels[0].set_yticks(place, [what for _, what in cases], fontsize=8)
+    panels[0].legend(loc='lower right', fontsize=8)
+    _save(figure, path)
+
+
+def _panels() -> tuple[Any, list[Any]]:
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(12, 7.5), layout='constrained')
+    panels = list(figure.subplots(2, 4).ravel())
+    panels[-1].axis('off')
+    return figure, panels
+
+
+def _scaled(panel: Any, title: str, x: str, y: str) -> None:
+    panel.set_xscale('log')
+    panel.set_yscale('log')
+    panel.set_title(title)
+    panel.set_xlabel(x, fontsize=8)
+    panel.set_ylabel(y, fontsize=8)
+
+
+def _finish(figure: Any, panels: list[Any], path: Path) -> None:
+    handles, labels = panels[0].get_legend_handles_labels()
+    panels[-1].legend(handles, labels, loc='center', fontsize=9, frameon=False)
+    _save(figure, path)
+
+
+def _save(figure: Any, path: Path) -> None:
+    # Without the version of the program the same figures give the same file.
+    figure.savefig(path, dpi=110, metadata={'Software': None})

@@ -1,0 +1,229 @@
+"""
+The results of one bag: made by one run at a time, and named only when they are whole.
+
+A small file beside them tells what they are made of, so that they are not made twice.
+"""
+
+import csv
+import fcntl
+import hashlib
+import json
+import os
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from io import StringIO
+from pathlib import Path
+from typing import Any
+
+from kinpole_ros import __version__
+from kinpole_ros.bags import BagError, bag_files, replay, warnings_of
+from kinpole_ros.mechanism import LinkageError, SceneError
+from kinpole_ros.pipeline.parameters import ParameterError, Settings
+
+KINDS = ('mcap', 'csv', 'parquet')
+EXPECTED = (BagError, LinkageError, ParameterError, SceneError, OSError)
+_LONGEST_NAME = 200  # bytes
+_FIRST = ('bag', 'error', 'truncated', 'results', 'frames', 'estimates', 'start', 'end', 'seconds')
+
+# What the summary says of one bag: text and numbers by the name of their column.
+Row = dict[str, Any]
+
+
+def replay_bag(
+    bag: str,
+    folder: Path,
+    settings: Settings,
+    topic: str | None,
+    kinds: list[str],
+    progress: Callable[[float], None] | None = None,
+) -> Row:
+    """
+    Replay one bag, in whatever process this is; what is wrong with it is in the row.
+
+    Where another run is at this bag, its end is awaited. `progress` is called with the share done.
+    """
+    try:
+        with alone(bag, folder):
+            row = finished(bag, folder, settings, topic, kinds)
+            return row or _make(bag, folder, settings, topic, kinds, progress)
+    except EXPECTED as error:
+        return {'bag': bag, 'error': ' '.join(str(error).split())}
+
+
+def _make(
+    bag: str,
+    folder: Path,
+    settings: Settings,
+    topic: str | None,
+    kinds: list[str],
+    progress: Callable[[float], None] | None,
+) -> Row:
+    """Replay one bag and give its results their names; raises what replay does, and OSError."""
+    name = _name(bag)
+    parts = {kind: folder / f'{name}.{kind}.part' for kind in kinds}
+    made_of = _made_of(bag, settings, topic)
+    result = replay(
+        bag,
+        settings,
+        output=parts.get('mcap'),
+        csv=parts.get('csv'),
+        topic=topic,
+        progress=progress,
+        parquet=parts.get('parquet'),
+    )
+    before = _told(bag, folder, made_of)
+    there = [kind for kind in KINDS if kind in kinds or _has(before, bag, folder, kind)]
+    row: Row = {
+        'bag': bag,
+        'error': '',
+        'truncated': str(result.truncated or ''),
+        'results': ' '.join(f'{name}.{kind}' for kind in there),
+        'frames': result.frames,
+        'estimates': result.estimates,
+        'start': result.first / 1e9,
+        'end': result.last / 1e9,
+        'seconds': (result.last - result.first) / 1e9,
+        'repeated': result.repeated,
+        'late': result.late,
+        'lost': result.lost,
+        'resets': result.resets,
+        'frame_changes': result.frame_changes,
+        'unreadable': result.unreadable,
+        'problem': result.problem,
+        'unknown': ' '.join(result.unknown),
+        'warnings': '; '.join(warnings_of(result, settings)),
+    }
+    for body, poles in result.determined.items():
+        row[f'{body}_noise'] = result.noise[body] if result.noise[body] >= 0 else None
+        row |= {f'{body}_{pole}_determined': share for pole, share in poles.items()}
+    # Stopped from here on, nothing tells what the results are made of, and they are made anew.
+    about = folder / f'{name}.json'
+    about.unlink(missing_ok=True)
+    for kind, part in parts.items():
+        part.replace(folder / f'{name}.{kind}')
+    _write_whole(about, json.dumps({'made_of': made_of, 'row': row}))
+    return row
+
+
+@contextmanager
+def alone(bag: str, folder: Path, wait: bool = True) -> Iterator[None]:
+    """
+    Keep other runs, of any process, off the results of a bag; in the end no parts are left of them.
+
+    Raises BlockingIOError when another run is at them and this one is not to `wait`.
+    """
+    place = folder / f'{_name(bag)}.part'
+    while True:
+        with open(place, 'ab') as held:
+            try:
+                fcntl.flock(held, fcntl.LOCK_EX | (0 if wait else fcntl.LOCK_NB))
+            except BlockingIOError:
+                raise
+            except OSError:
+                pass  # a file system without locks
+            # Who was here before removed the file, and somebody else may be at a new one.
+            try:
+                mine = os.path.samestat(os.fstat(held.fileno()), os.stat(place))
+            except FileNotFoundError:
+                mine = False
+            if mine:
+                try:
+                    yield
+                finally:
+                    _remove_parts(bag, folder)
+                    place.unlink(missing_ok=True)
+                return
+
+
+def _remove_parts(bag: str, folder: Path) -> None:
+    """Remove what is left of results that were not finished, of this run or of one before."""
+    for kind in (*KINDS, 'json'):
+        with suppress(OSError):
+            (folder / f'{_name(bag)}.{kind}.part').unlink()
+
+
+def finished(
+    bag: str, folder: Path, settings: Settings, topic: str | None, kinds: list[str]
+) -> Row | None:
+    """The row of a bag whose results are there, made of the same bag with the same settings."""
+    try:
+        row = _told(bag, folder, _made_of(bag, settings, topic))
+    except EXPECTED:
+        return None
+    return row if all(_has(row, bag, folder, kind) for kind in kinds) else None
+
+
+def _told(bag: str, folder: Path, made_of: list[Any]) -> Row | None:
+    """The row of the results of a bag that are there, if they were made of this."""
+    try:
+        told = json.loads((folder / f'{_name(bag)}.json').read_text('utf-8'))
+        row = told['row'] if told['made_of'] == made_of else None
+    except (OSError, ValueError, LookupError, TypeError):
+        return None
+    return row if isinstance(row, dict) and row.get('bag') == bag else None
+
+
+def _has(row: Row | None, bag: str, folder: Path, kind: str) -> bool:
+    """Whether results of this kind are there and the row, if there is one, tells of them."""
+    name = f'{_name(bag)}.{kind}'
+    return row is not None and name in str(row.get('results')) and (folder / name).is_file()
+
+
+def is_result(path: str, folder: Path) -> bool:
+    """Whether it is a result of an earlier run into the folder of its bags, and no bag of these."""
+    result = Path(path)
+    if result.parent != folder:
+        return False
+    try:
+        told = json.loads(result.with_suffix('.json').read_text('utf-8'))
+        return _name(told['row']['bag']) == result.stem
+    except (OSError, ValueError, LookupError, TypeError):
+        return False
+
+
+def _name(bag: str) -> str:
+    """What the results of a bag are called: its own name, and a number that only its path has."""
+    short = Path(bag).name.removesuffix('.zstd').removesuffix('.mcap')
+    # A name of a file has 255 bytes, and there are endings to come.
+    short = os.fsdecode(os.fsencode(short)[:_LONGEST_NAME])
+    return f'{short}-{hashlib.sha256(os.fsencode(bag)).hexdigest()[:10]}'
+
+
+def _made_of(bag: str, settings: Settings, topic: str | None) -> list[Any]:
+    """All that the results depend on, such that equal is unchanged."""
+    files = [(file.name, file.stat().st_size, file.stat().st_mtime_ns) for file in bag_files(bag)]
+    scene = Path(settings.scene)
+    told = repr((__version__, topic, settings, files)).encode()
+    if settings.scene and scene.is_file():
+        told += scene.read_bytes()
+    return [__version__, hashlib.sha256(told).hexdigest()]
+
+
+def write_summary(path: Path, rows: list[Row]) -> None:
+    """One line a bag; a column for all that any of them has."""
+    columns = dict.fromkeys(_FIRST) | dict.fromkeys(name for row in rows for name in row)
+    text = StringIO(newline='')
+    table = csv.DictWriter(text, list(columns))
+    table.writeheader()
+    table.writerows(rows)
+    try:
+        _write_whole(path, text.getvalue())
+    except OSError as error:
+        raise unwritable(path, error) from None
+
+
+def _write_whole(path: Path, text: str) -> None:
+    part = path.with_name(f'{path.name}.part')
+    try:
+        # A file name need not be text.
+        part.write_bytes(text.encode('utf-8', 'backslashreplace'))
+        part.replace(path)
+    finally:
+        part.unlink(missing_ok=True)
+
+
+def unwritable(path: Path, error: OSError) -> BagError:
+    return BagError(
+        f'{path} cannot be written: {error.strerror}; '
+        'mend: check the path, its rights and the space on the disk'
+    )

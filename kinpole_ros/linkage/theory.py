@@ -1,0 +1,275 @@
+"""
+A scene beside the measurement: what the linkage's theory says of the bodies that are tracked.
+
+The scene's markers tell how its body frames lie in the measured bodies; its driver is a body that
+is tracked, so the scene can be put where the rig is, at its rates, and held against all else.
+"""
+
+from typing import NamedTuple, TypeAlias
+
+import numpy as np
+
+from kinpole_ros.mechanism import (
+    Force,
+    LinkageError,
+    Load,
+    Mechanism,
+    Motion,
+    Revolute,
+    Scene,
+    SceneError,
+    load_scene,
+)
+from kinpole_ros.pipeline.estimate import SIGNIFICANT, Estimate, Numbers
+from kinpole_ros.pipeline.parameters import ParameterError, Settings
+from kinpole_ros.planar import (
+    Port,
+    center_offset,
+    fit_pose,
+    measured_balance,
+    to_complex,
+)
+
+# ns. A recording is looked at as often: never at one place of the turn, whatever the rate is like.
+_EVERY = 618_033_989
+
+
+class Difference(NamedTuple):
+    """
+    A measured figure less the theory's, or the distance of the two, and its deviation.
+
+    `subject` is the body or joint, `what` the figure, both in `unit`.
+    """
+
+    subject: str
+    what: str
+    unit: str
+    value: float
+    deviation: float
+
+
+class Beside(NamedTuple):
+    """A difference over a recording: its rms, and that of it in deviations, of some instants."""
+
+    subject: str
+    what: str
+    unit: str
+    rms: float
+    deviations: float
+    instants: int
+
+
+class Theory(NamedTuple):
+    """
+    A scene and how it goes with the tracked bodies.
+
+    `places` gives each body of both its number among the tracked, its number in the scene, which
+    of its tracked markers are the scene's (k,), and where those are in the scene's frame, complex,
+    m. `driver` is the body that the scene's one driver turns.
+    """
+
+    scene: Scene
+    places: dict[str, tuple[int, int, np.ndarray, np.ndarray]]
+    driver: str
+
+    @property
+    def balances(self) -> bool:
+        """Whether the scene has loads for the driver to balance."""
+        return bool(self.scene.loads)
+
+
+def load_theory(settings: Settings) -> Theory | None:
+    """
+    The theory that the parameter `scene` names, None for none.
+
+    Raises ParameterError where the scene cannot be used, or does not go with the bodies.
+    """
+    if not settings.scene:
+        return None
+    try:
+        scene = load_scene(settings.scene)
+    except SceneError as error:
+        raise ParameterError(f'parameter scene: {error}') from None
+
+    def refuse(why: str) -> ParameterError:
+        return ParameterError(f'parameter scene is {settings.scene}: {why}')
+
+    places = {}
+    for b, (body, markers) in enumerate(settings.bodies.items()):
+        if body not in scene.marker_names:
+            continue
+        names = scene.marker_names[body]
+        here = [k for k, marker in enumerate(markers) if marker in names]
+        if len(here) < 2:
+            raise refuse(
+                f'its {body} has the markers {", ".join(names)}; parameter {body}.markers must '
+                'name two of them at least'
+            )
+        known = to_complex(scene.markers[body])[[names.index(markers[k]) for k in here]]
+        number = scene.mechanism.bodies.index(body)
+        places[body] = (b, number, np.array(here), known)
+    if len(scene.mechanism.drivers) != 1:
+        raise refuse(f'it has {len(scene.mechanism.drivers)} drivers; it must have one')
+    turns, row = scene.mechanism.assembly.turns, scene.mechanism.drivers[0].row
+    driven = [body for body, place in places.items() if np.array_equal(turns[place[1]], row)]
+    if not driven:
+        raise refuse('its driver must be the angle of a body that is tracked, with its markers')
+    for load in scene.loads:
+        if load.body not in places:
+            raise refuse(f'it has a load on {load.body}, which is not tracked')
+    return Theory(scene, places, driven[0])
+
+
+# Origin (complex, m) and angle of the scene's body frames in those of the tracked bodies, (T,).
+Frames: TypeAlias = dict[str, tuple[np.ndarray, np.ndarray]]
+
+
+def rate_differences(theory: Theory, estimate: Estimate) -> list[Difference]:
+    """
+    Of bodies, their angular velocity (rad/s) less what the scene says, the driver being as seen.
+
+    Only for bodies of which enough is known; empty where the scene cannot be put where the rig is.
+    """
+    b, _, _, _ = theory.places[theory.driver]
+    frames = _frames(theory, estimate)
+    if theory.driver not in frames or estimate.missing[b]:
+        return []
+    mechanism = theory.scene.mechanism
+    start = float(mechanism.drivers[0].motion(np.zeros(1))[0, 0])
+    turned = estimate.angle[0, b] + frames[theory.driver][1] - start
+    swept = _swept(mechanism, start, (turned + np.pi) % (2 * np.pi) - np.pi)
+    if swept is None:
+        return []
+    # Per rad of the driver: the ratio of the rates, and how it changes.
+    ratio, bend = swept.angle[1, :, 0], swept.angle[2, :, 0]
+    rate, noise = estimate.angle[1, b], estimate.angle_covariance[:2, :2, b]
+    found = []
+    for body, (own, number, _, _) in theory.places.items():
+        if body == theory.driver or estimate.missing[own] or not np.isfinite(ratio[number]):
+            continue
+        by = np.array([bend[number] * rate, ratio[number]])
+        variance = estimate.angle_covariance[1, 1, own] + by @ noise @ by
+        value = estimate.angle[1, own] - ratio[number] * rate
+        what = 'angular velocity less theory'
+        found.append(Difference(body, what, 'rad/s', float(value), float(np.sqrt(variance))))
+    return found
+
+
+def _swept(mechanism: Mechanism, start: float, ahead: float) -> Motion | None:
+    """With the driver `ahead` of its start, or the other way round if it cannot go there so."""
+    for way in (ahead, ahead - np.copysign(2 * np.pi, ahead)):
+        try:
+            return mechanism.sweep(np.array([start + way]))
+        except LinkageError:
+            continue
+    return None
+
+
+def joint_offsets(theory: Theory, estimate: Estimate) -> list[Difference]:
+    """
+    Of pins between two tracked bodies, how far off them the relative instant centers are (m).
+
+    The pin is where the scene has it on the bodies, as they are seen; `deviation` is the distance
+    that is one of Mahalanobis'. Only where the center is determined.
+    """
+    frames = _frames(theory, estimate)
+    pairs = {(int(j), int(i)): k for k, (j, i) in enumerate(zip(*estimate.pairs, strict=True))}
+    found = []
+    for joint in theory.scene.mechanism.assembly.joints:
+        if not isinstance(joint, Revolute) or not {joint.one, joint.other} <= set(frames):
+            continue
+        one, other = theory.places[joint.one][0], theory.places[joint.other][0]
+        k = pairs[max(one, other), min(one, other)]
+        center = estimate.relative_icr
+        if not center.determined[k]:
+            continue
+        place, turn = frames[joint.one]
+        point = place + joint.a * np.exp(1j * turn)
+        at = estimate.origin(0)[one] + point * np.exp(1j * estimate.angle[0, one])
+        distance, deviations = center_offset(center.value[k], at, center.covariance[k])
+        if deviations > 0:
+            off = float(distance), float(distance / deviations)
+            found.append(Difference(joint.name, 'relative center off the pin', 'm', *off))
+    return found
+
+
+class Comparison:
+    """How far bodies are from a scene over a recording."""
+
+    def __init__(self, theory: Theory) -> None:
+        self._theory = theory
+        self._latest: Estimate | None = None
+        # By subject, figure and unit: instants, and sums of squares of values and of deviations.
+        self._sums: dict[tuple[str, str, str], np.ndarray] = {}
+
+    def add(self, estimate: Estimate) -> None:
+        """Take estimates (T, B), and look at some of their instants."""
+        part = estimate.stamp // _EVERY
+        # The very first is known worst.
+        last = part[0] if self._latest is None else self._latest.stamp[-1] // _EVERY
+        for k in (part != np.append(last, part[:-1])).nonzero()[0]:
+            self._look(estimate[int(k)])
+        self._latest = estimate
+
+    def _look(self, now: Estimate) -> None:
+        for off in (*rate_differences(self._theory, now), *joint_offsets(self._theory, now)):
+            if off.deviation > 0:
+                sums = self._sums.setdefault(off[:3], np.zeros(3))
+                sums += 1, off.value**2, (off.value / off.deviation) ** 2
+
+    def found(self) -> list[Beside]:
+        """All differences; empty where the scene could not be put where the rig is."""
+        if not self._sums and self._latest is not None:
+            self._look(self._latest[-1])
+        result = []
+        for names, (instants, *squares) in self._sums.items():
+            rms, deviations = np.sqrt(squares / instants).tolist()
+            result.append(Beside(*names, rms, deviations, int(instants)))
+        return result
+
+
+def balance(theory: Theory, estimate: Estimate) -> Numbers:
+    """
+    Torque on the driven body that balances the scene's loads at the velocities seen, N m, (T,).
+
+    Determined where all the bodies are known and the driver turns by more than its noise.
+    """
+    frames = _frames(theory, estimate)
+    needed = {theory.driver, *(load.body for load in theory.scene.loads)}
+    if not needed <= set(frames):
+        unknown = np.full(np.shape(estimate.stamp), np.nan)
+        return Numbers(unknown, unknown, np.isfinite(unknown))
+    ports = [_port(theory, load, frames, estimate) for load in theory.scene.loads]
+    value, variance, determined = measured_balance(
+        Port(theory.places[theory.driver][0], 1.0),
+        ports,
+        np.moveaxis(estimate.position, -1, 1),
+        np.moveaxis(estimate.angle, -1, 1),
+        np.moveaxis(estimate.position_covariance, -1, 2),
+        np.moveaxis(estimate.angle_covariance, -1, 2),
+        SIGNIFICANT,
+    )
+    known = [estimate.missing[..., theory.places[body][0]] == '' for body in needed]
+    return Numbers(
+        np.asarray(value), np.asarray(variance), np.asarray(determined) & np.all(known, axis=0)
+    )
+
+
+def _port(theory: Theory, load: Load, frames: Frames, estimate: Estimate) -> Port:
+    b = theory.places[load.body][0]
+    if isinstance(load, Force):
+        place, turn = frames[load.body]
+        # From the point whose velocity is known.
+        arm = place + load.point * np.exp(1j * turn) - estimate.reference[..., b]
+        return Port(b, complex(load.force), arm)  # type: ignore[arg-type]
+    return Port(b, complex(load.torque))  # type: ignore[arg-type]
+
+
+def _frames(theory: Theory, estimate: Estimate) -> Frames:
+    found = {}
+    for body, (b, _, markers, known) in theory.places.items():
+        shape = estimate.shape[..., b, markers]
+        fit = fit_pose(shape, known, np.isfinite(shape).astype(float))
+        if np.isfinite(fit.angle).any():
+            found[body] = (fit.position, fit.angle)
+    return found

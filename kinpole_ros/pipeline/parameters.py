@@ -1,0 +1,458 @@
+"""
+The parameters, once: names, defaults, ranges and what they mean.
+
+The node declares them and replay reads the same ROS 2 parameter file, so both accept and refuse
+the same things in the same words.
+"""
+
+import math
+import re
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from kinpole_ros.rigid.plane import AXES, FIT, PlaneSetting
+
+
+class ParameterError(ValueError):
+    """A parameter that is not known, or whose value cannot be used; says which and the mend."""
+
+
+@dataclass(frozen=True)
+class Settings:
+    """Parameters as the pipeline uses them. `bodies` maps a name to its markers, () for all."""
+
+    marker_topic: str = 'markers'
+    marker_type: str = 'auto'
+    marker_identity: str = 'auto'
+    plane: PlaneSetting = 'xy'
+    scale: float = 1.0
+    bodies: Mapping[str, tuple[str, ...]] = field(default_factory=lambda: {'body': ()})
+    window: float = 0.3
+    lag: float = 0.1
+    derivative_order: int | None = None
+    noise: float = 0.0
+    stamps: str = 'auto'
+    method: str = 'pose'
+    scene: str = ''
+    # Of the bodies that have one given: places of their markers, complex, m.
+    shapes: Mapping[str, tuple[complex, ...]] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """One row of the table: default, what it means, how a value is checked, and its range."""
+
+    default: Any
+    description: str
+    check: Callable[[Any], Any]
+    allowed: str
+    lowest: float | None = None
+    highest: float | None = None
+    fixed: bool = False
+
+
+# As ROS 2 has it: names of letters, digits and _ between slashes.
+_TOPIC = re.compile(r'(~/|/)?[A-Za-z_]\w*(/[A-Za-z_]\w*)*', re.ASCII)
+
+
+def _topic(value: Any) -> str:
+    if not isinstance(value, str) or not _TOPIC.fullmatch(value):
+        raise ValueError
+    return value
+
+
+def _text(value: Any) -> str:
+    if not isinstance(value, str):
+        raise ValueError
+    return value
+
+
+def _flag(value: Any) -> bool:
+    if not isinstance(value, bool):
+        raise ValueError
+    return value
+
+
+def _one_of(*names: str) -> Callable[[Any], str]:
+    def check(value: Any) -> str:
+        if value not in names:
+            raise ValueError
+        return str(value)
+
+    return check
+
+
+def _number(lowest: float, highest: float) -> Callable[[Any], float]:
+    def check(value: Any) -> float:
+        if isinstance(value, bool) or not isinstance(value, int | float):
+            raise ValueError
+        if not (math.isfinite(value) and lowest <= value <= highest):
+            raise ValueError
+        return float(value)
+
+    return check
+
+
+def _plane(value: Any) -> PlaneSetting:
+    if isinstance(value, str):
+        return _one_of(*AXES, FIT)(value)
+    number = _number(-1e300, 1e300)
+    x, y, z = (number(component) for component in value)
+    if not (x or y or z):
+        raise ValueError
+    return x, y, z
+
+
+def _order(value: Any) -> int | None:
+    if value == 'auto':
+        return None
+    if isinstance(value, str) and value.isdigit():
+        value = int(value)
+    if isinstance(value, bool) or not isinstance(value, int) or not 1 <= value <= 4:
+        raise ValueError
+    return value
+
+
+def _names(value: Any) -> tuple[str, ...]:
+    if isinstance(value, str) or any(not isinstance(name, str) or not name for name in value):
+        raise ValueError
+    if len(set(value)) != len(value):
+        raise ValueError
+    return tuple(value)
+
+
+def _body_names(value: Any) -> tuple[str, ...]:
+    names = _names(value)
+    if not names or not all(
+        name.isascii() and name.replace('_', 'a').isalnum() and not name[0].isdigit()
+        for name in names
+    ):
+        raise ValueError
+    return names
+
+
+def _shape(value: Any) -> tuple[complex, ...]:
+    if isinstance(value, str) or len(value) % 2:
+        raise ValueError
+    numbers = [_number(-1e6, 1e6)(number) for number in value]
+    shape = tuple(map(complex, numbers[::2], numbers[1::2]))
+    if shape and len(set(shape)) < max(2, len(shape)):
+        raise ValueError
+    return shape
+
+
+def _choices(default: str, description: str, *names: str, fixed: bool = False) -> Parameter:
+    return Parameter(
+        default, description, _one_of(*names), 'one of ' + ', '.join(names), fixed=fixed
+    )
+
+
+def _range(default: float, description: str, lowest: float, highest: float, unit: str) -> Parameter:
+    check = _number(lowest, highest)
+    allowed = f'a number from {lowest:g} to {highest:g} {unit}'
+    return Parameter(default, description, check, allowed, lowest, highest)
+
+
+PARAMETERS: Mapping[str, Parameter] = {
+    'marker_topic': Parameter(
+        'markers',
+        'Topic the markers come on.',
+        _topic,
+        'the name of a topic, such as markers or /rig/markers',
+        fixed=True,
+    ),
+    'marker_type': _choices(
+        'auto',
+        'Type of the marker messages; auto looks at what is published.',
+        'auto',
+        'marker_array',
+        'marker',
+        'pose_array',
+        'point_cloud2',
+        fixed=True,
+    ),
+    'marker_identity': _choices(
+        'auto',
+        'What tells markers apart: their place in the message, their id, their namespace, or '
+        'both; auto takes namespace and id where there are any, else the place. shape: nothing but '
+        'where they are on their bodies, as of points that come in any order.',
+        'auto',
+        'index',
+        'id',
+        'ns',
+        'ns_id',
+        'shape',
+    ),
+    'plane': Parameter(
+        'xy',
+        'Plane of the motion, in the frame of the markers: by name, as its normal [x, y, z] of any '
+        'length, or fit, to find it from the motion.',
+        _plane,
+        'one of xy, yz, zx, fit, or a normal [x, y, z] of three numbers, not all 0',
+    ),
+    'scale': _range(
+        1.0,
+        'Length of one unit of the markers: 0.001 for markers in mm.',
+        1e-9,
+        1e9,
+        'm',
+    ),
+    'bodies': Parameter(
+        ['body'],
+        'Names of the bodies. Each has a parameter <body>.markers.',
+        _body_names,
+        'a list of different names of letters, digits and _',
+        fixed=True,
+    ),
+    'window': _range(0.3, 'The most past data used.', 1e-6, 3600.0, 's'),
+    'lag': _range(
+        0.1,
+        'How far the output may trail the newest sample; half a window of it buys the most '
+        'accurate derivatives.',
+        0.0,
+        3600.0,
+        's',
+    ),
+    'derivative_order': Parameter(
+        'auto',
+        'Highest derivative computed; auto: what the subscribed topics need.',
+        _order,
+        'auto, 1, 2, 3 or 4',
+    ),
+    'noise': _range(
+        0.0, 'Noise of the markers per axis, one standard deviation; 0: measure it.', 0.0, 1e6, 'm'
+    ),
+    'stamps': _choices(
+        'auto',
+        'What header stamps are: the times of capture, or of arrival, late by a random time, where '
+        'the even clock of the camera is found behind them; auto: what stamps and motion say.',
+        'auto',
+        'capture',
+        'arrival',
+    ),
+    'method': _choices(
+        'pose',
+        'What is differentiated: the pose fitted to each frame, or each landmark by itself.',
+        'pose',
+        'landmarks',
+    ),
+    'scene': Parameter(
+        '',
+        'Scene of the mechanism, by name or path: diagnostics then tell how far the bodies are '
+        'from its theory, and ~/balance what effort its loads ask for. Empty: none.',
+        _text,
+        'the name of a scene, such as four_bar, or the path of one',
+        # Whoever is on the network must not name files of this machine.
+        fixed=True,
+    ),
+}
+MARKERS = Parameter(
+    [],
+    'Markers on this body, as their identities; empty, where there is one body: all markers.',
+    _names,
+    "a list of different marker identities, as text, such as ['0', '1', '2']",
+    fixed=True,
+)
+SHAPE = Parameter(
+    [],
+    'Where the markers are on this body: x and y of each, in the order of <body>.markers where '
+    'that is given, in a frame of its own. Empty: learned.',
+    _shape,
+    'a flat list of x, y of two or more markers at different places, m, such as '
+    '[0.0, 0.0, 0.1, 0.0, 0.05, 0.08]',
+    fixed=True,
+)
+AUTOSTART = Parameter(
+    True,
+    'Whether the node configures and activates itself.',
+    _flag,
+    'true or false',
+    fixed=True,
+)
+# Characters of a value or name.
+_MOST_TOLD = 80
+# Not YAML; the others are what PyYAML lets through of a malformed date or number, or !!bool of what
+# is none.
+_MALFORMED = (
+    yaml.YAMLError,
+    ValueError,
+    LookupError,
+    TypeError,
+    AttributeError,
+    RecursionError,
+)
+# What ROS itself, or the node alone, understands in the same file.
+_NODE_ONLY = ('use_sim_time', 'autostart', 'start_type_description_service')
+
+
+def settings_from(values: Mapping[str, Any]) -> Settings:
+    """
+    Check parameters given by their ROS names, 'lag' or 'coupler.markers', and fill in the rest.
+
+    Raises ParameterError for a name that is not known and for a value out of its range.
+    """
+    names = _checked('bodies', PARAMETERS['bodies'], values)
+    known = {**PARAMETERS, **body_parameters(names)}
+    for name in values:
+        if name not in known and name not in _NODE_ONLY and not name.startswith('qos_overrides.'):
+            hint = ''
+            body, _, last = name.rpartition('.')
+            if last in ('markers', 'shape'):
+                hint = f'; {_cut(body)} is not among the bodies {", ".join(names)}'
+            raise ParameterError(
+                f'unknown parameter {_cut(name)}{hint}; known are {", ".join(sorted(known))}'
+            )
+    _checked('autostart', AUTOSTART, values)
+    checked = {name: _checked(name, row, values) for name, row in known.items()}
+    bodies = {name: checked.pop(f'{name}.markers') for name in names}
+    checked['bodies'] = bodies
+    shapes = {name: checked.pop(f'{name}.shape') for name in names}
+    checked['shapes'] = shapes = {name: shape for name, shape in shapes.items() if shape}
+    by_shape = checked['marker_identity'] == 'shape'
+    for name, shape in shapes.items():
+        if bodies[name] and len(bodies[name]) != len(shape):
+            raise ParameterError(
+                f'parameter {name}.shape has x and y of {len(shape)} markers, and {name}.markers '
+                f'names {len(bodies[name])}; give both of each marker, in the same order'
+            )
+    if by_shape:
+        if checked['plane'] == FIT:
+            raise ParameterError(
+                'parameter plane is fit; with marker_identity shape give its normal, as kinpole '
+                'discover finds it'
+            )
+        for name, markers in bodies.items():
+            if not markers and name not in shapes:
+                raise ParameterError(
+                    f'parameter {name}.shape is missing: with marker_identity shape give the shape '
+                    'of each body, as kinpole discover finds it'
+                )
+    elif len(bodies) > 1 or shapes:
+        for name, markers in bodies.items():
+            if not markers:
+                raise ParameterError(
+                    f'parameter {name}.markers is missing: with several bodies, or shapes, list '
+                    'the markers of each, or set marker_identity to shape and give all shapes'
+                )
+    for name, markers in bodies.items():
+        if len(markers) == 1:
+            raise ParameterError(
+                f'parameter {name}.markers names one marker; a body needs at least two'
+            )
+    settings = Settings(**checked)
+    if settings.lag >= settings.window:
+        raise ParameterError(
+            f'parameter lag is {settings.lag:g} s; it must be less than window, '
+            f'{settings.window:g} s'
+        )
+    return settings
+
+
+def body_parameters(bodies: Iterable[str]) -> dict[str, Parameter]:
+    """The rows of the parameters that each body has."""
+    rows = {'markers': MARKERS, 'shape': SHAPE}
+    return {f'{body}.{name}': row for body in bodies for name, row in rows.items()}
+
+
+def _checked(name: str, row: Parameter, values: Mapping[str, Any]) -> Any:
+    value = values.get(name, row.default)
+    try:
+        return row.check(value)
+    except (TypeError, ValueError, OverflowError):
+        told = _cut(repr(value))
+        raise ParameterError(f'parameter {name} is {told}; it must be {row.allowed}') from None
+
+
+def _cut(text: str) -> str:
+    """As much as there is room for in a line: anyone on the network may set any name and value."""
+    text = text if text.isprintable() else repr(text)
+    return text if len(text) <= _MOST_TOLD else f'{text[:_MOST_TOLD]}...'
+
+
+class _Loader(yaml.SafeLoader):
+    """YAML as ROS reads it, where 1e-3 is a number although it has no point."""
+
+
+_Loader.add_implicit_resolver(
+    'tag:yaml.org,2002:float', re.compile(r'[-+]?\d+(\.\d*)?[eE][-+]?\d+$'), list('-+0123456789')
+)
+
+
+def load_settings(
+    path: str | Path, node_name: str = 'kinpole', changes: Mapping[str, Any] | None = None
+) -> Settings:
+    """
+    Read a ROS 2 parameter file: the sections '/**' and that of the node.
+
+    `changes`, by ROS names, override what it says. Raises ParameterError naming the file for
+    anything that cannot be used.
+    """
+    try:
+        document = _parse(Path(path).read_text(encoding='utf-8'))
+    except OSError as error:
+        raise ParameterError(f'{path}: {error.strerror}; name a readable parameter file') from None
+    except _MALFORMED as error:
+        reason = ' '.join(str(error).split())
+        raise ParameterError(f'{path}: not YAML ({reason})') from None
+    wanted = {'/**', node_name, f'/{node_name}'}
+    sections = document if isinstance(document, dict) else {}
+    values: dict[str, Any] = {}
+    found = False
+    for key, section in sections.items():
+        if key not in wanted:
+            continue
+        if not isinstance(section, dict) or not isinstance(section.get('ros__parameters'), dict):
+            raise ParameterError(
+                f'{path}: {key} must hold the key ros__parameters, and that the parameters'
+            )
+        found = True
+        values.update(_flat(section['ros__parameters']))
+    if not found:
+        raise ParameterError(
+            f'{path}: no section for this node; write {node_name}: or /**: and under it '
+            'ros__parameters:'
+        )
+    try:
+        return settings_from(values | dict(changes or {}))
+    except ParameterError as error:
+        source = f'{path} and --set' if changes else path
+        raise ParameterError(f'{source}: {error}') from None
+
+
+def assignments(words: Iterable[str]) -> dict[str, Any]:
+    """
+    Parameters by their ROS names from words as of `ros2 run ... -p`: NAME:=VALUE, VALUE in YAML.
+
+    The last of several of one name holds. Raises ParameterError for a word that is none.
+    """
+    values: dict[str, Any] = {}
+    for word in words:
+        name, sign, text = word.partition(':=')
+        if not sign or not name:
+            raise ParameterError(f'{_cut(word)} is not NAME:=VALUE, such as lag:=0.05')
+        try:
+            values.update(_flat({name: _parse(text)}))
+        except _MALFORMED as error:
+            reason = ' '.join(str(error).split())
+            raise ParameterError(f'{_cut(word)}: the value is not YAML ({reason})') from None
+    return values
+
+
+def _parse(text: str) -> Any:
+    """What YAML says, as ROS reads it; raises one of _MALFORMED."""
+    return yaml.load(text, _Loader)
+
+
+def _flat(section: Mapping[str, Any], prefix: str = '') -> dict[str, Any]:
+    """Names as ROS has them: nested keys joined by dots."""
+    values: dict[str, Any] = {}
+    for key, value in section.items():
+        if isinstance(value, dict):
+            values.update(_flat(value, f'{prefix}{key}.'))
+        else:
+            values[f'{prefix}{key}'] = value
+    return values

@@ -1,0 +1,264 @@
+"""
+Which markers of a message belong to which body, and where they are, in m.
+
+Messages name their markers in their own order, and markers come and go; bodies want theirs always
+in the same places. Most layouts come again and again, so each is looked up once.
+"""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from kinpole_ros.pipeline.frame import MarkerFrames
+from kinpole_ros.pipeline.parameters import Settings
+from kinpole_ros.rigid.plane import Plane
+
+# A body of all markers takes new ones up to this many: a driver that numbers its markers anew in
+# every frame must not fill the memory.
+MOST_MARKERS = 1024
+_MOST_LAYOUTS = 64
+# m. No marker is that far, and the squares of what is nearer do not overflow.
+FARTHEST_MARKER = 1e15
+
+
+class Layout(NamedTuple):
+    """
+    Where the markers are in messages with the same identities.
+
+    `place` (B, n) is the row of each, the number of rows for none, and `named` the same by the
+    names alone; `complete` says whether there are n of each body, and `absent` which are not named.
+    `others` markers have the name of another body's, and `renamed` one that no body has; `extras`
+    are the rows that are no marker, and `indexed` says whether the names are those of places.
+    """
+
+    place: np.ndarray
+    named: np.ndarray
+    complete: bool
+    absent: list[list[str]]
+    others: int
+    renamed: int
+    extras: np.ndarray
+    indexed: bool
+
+
+class Roster:
+    """
+    The markers of the bodies of `settings`.
+
+    `markers` are the names of each body's, `width` is for how many markers a body there is room,
+    `wanted` how many there are of all bodies, and `unknown` how many of the last new layout no body
+    names. `absent` are the markers of each body that the last message lacks, and `identities` those
+    it has.
+    """
+
+    def __init__(self, settings: Settings) -> None:
+        self.scale = settings.scale
+        # The plane that points are matched in; None while it is not known.
+        self.plane: Plane | None = None
+        # Of a body that is known by its shape alone markers have names in words to the user only.
+        self.markers = [
+            list(markers) or [f'{body}_{k}' for k in range(len(settings.shapes.get(body, ())))]
+            for body, markers in settings.bodies.items()
+        ]
+        self._by_shape = settings.marker_identity == 'shape'
+        self.all_markers = not any(self.markers)
+        self._places: dict[tuple[str, ...], Layout] = {}
+        self.width = max(2, *(len(markers) for markers in self.markers))
+        self.wanted = sum(map(len, self.markers))
+        self.unknown = 0
+        self.absent: list[list[str]] = []
+        self.identities: tuple[str, ...] = ()
+        # What names stand for as far as that is not what the parameters say, and which slot of the
+        # bodies, counted through, takes the place of which.
+        self._aliases: dict[str, tuple[int, int]] = {}
+        self._order: np.ndarray | None = None
+        self._frames = np.zeros((0, 0, 3))
+        self.layout: Layout | None = None
+        # Whether names in the last message say anything.
+        self.in_order = True
+
+    def sort(self, frames: MarkerFrames) -> np.ndarray:
+        """
+        The markers (T, B, width, 3) of each body, m, NaN for none.
+
+        A body of all markers takes those not met before; it may be wider afterwards.
+        """
+        self.identities = frames.identities
+        self.layout = self._place(frames.identities)
+        self.absent = self.layout.absent
+        self._frames = frames.points
+        return self.sorted(0)
+
+    def sorted(self, first: int) -> np.ndarray:
+        """The same of the frames sorted last, from `first` on, as their names are known now."""
+        assert self.layout is not None
+        place, rows = self.layout.place, self._frames[first:]
+        if not self.layout.complete:
+            # One more row of NaN stands for every marker that is not in the message.
+            padded = np.full((len(rows), rows.shape[1] + 1, 3), np.nan)
+            padded[:, :-1] = rows
+            rows = padded
+        return self._in_meters(rows.take(place, axis=1))
+
+    def flat(self, solid: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """
+        Points (..., 3) in the plane, complex (...), and their heights, m.
+
+        NaN while the plane is not known.
+        """
+        if self.plane is None:
+            nowhere = np.full(solid.shape[:-1], complex(np.nan, np.nan))
+            return nowhere, nowhere.real
+        return self.plane.project(solid)
+
+    def all_points(self, frame: int) -> tuple[np.ndarray, np.ndarray]:
+        """All points (m,) of a frame sorted last, complex, and their heights, m."""
+        return self.flat(self._in_meters(np.array(self._frames[frame])))
+
+    def extras(self, first: int, count: int) -> np.ndarray:
+        """The points (T, e) that are no markers, of `count` frames sorted last from `first` on."""
+        assert self.layout is not None
+        rows = self._frames[first : first + count].take(self.layout.extras, axis=1)
+        return self.flat(self._in_meters(rows))[0]
+
+    def _in_meters(self, points: np.ndarray) -> np.ndarray:
+        """Points (..., 3) scaled in place; NaN where they cannot be of a marker."""
+        if self.scale != 1.0:
+            with np.errstate(over='ignore'):
+                points *= self.scale
+        near = np.abs(points) < FARTHEST_MARKER
+        if np.count_nonzero(near) < near.size:
+            points[~near.all(axis=-1)] = np.nan
+        return points
+
+    def correct(self, place: np.ndarray, for_all: bool) -> None:
+        """
+        The messages of the last layout have the markers at `place` (B, n), -1 for none.
+
+        With `for_all` the names in them stand for the same markers in other layouts too.
+        """
+        layout = self.layout
+        assert layout is not None
+        nowhere = len(self.identities)
+        place = np.where(place < 0, nowhere, place)
+        self._places[self.identities] = self.layout = _layout(
+            self.identities, place, layout.named, layout.absent
+        )
+        if not for_all:
+            return
+        for b, k in zip(*np.nonzero(place < nowhere), strict=True):
+            name = self.identities[place[b, k]]
+            self._aliases.pop(name, None)
+            if place[b, k] != layout.named[b, k]:
+                self._aliases[name] = int(b), int(k)
+        while len(self._aliases) > MOST_MARKERS:
+            del self._aliases[next(iter(self._aliases))]
+
+    def permute(self, order: np.ndarray) -> None:
+        """From now on slots of bodies stand for others: `order` (B, n), counted through."""
+        self._order = order if self._order is None else self._order.ravel()[order]
+        self._places.clear()
+        self._aliases.clear()
+        if self.identities:
+            self.layout = self._place(self.identities)
+
+    def lacking(self) -> list[list[str]]:
+        """Markers of each body that the last message lacks, where less than two are there."""
+        if self.layout is None or self._by_shape:
+            return []
+        there = (self.layout.place < len(self.identities)).sum(axis=1).tolist()
+        return [names if n < 2 else [] for n, names in zip(there, self.absent, strict=True)]
+
+    def places(self) -> list[list[int]]:
+        """Where each body's markers are in the last message; none if that is not known of all."""
+        if not self.in_order:
+            return []
+        place = self._place(self.identities).place
+        both = zip(place.tolist(), self.markers, strict=True)
+        found = [row[: len(markers)] for row, markers in both]
+        return [] if any(len(self.identities) in row for row in found) else found
+
+    def _place(self, identities: tuple[str, ...]) -> Layout:
+        """Where each body's markers are in a message; what is not there has the last place + 1."""
+        found = self._places.get(identities)
+        if found is None:
+            if self.all_markers:
+                self._take_new(identities)
+            nowhere = len(identities)
+            place = np.full((len(self.markers), self.width), nowhere)
+            for body, markers in enumerate(self.markers):
+                place[body, : len(markers)] = [find_marker(name, identities) for name in markers]
+            absent = [
+                [name for name, where in zip(markers, places, strict=False) if where == nowhere]
+                for markers, places in zip(self.markers, place.tolist(), strict=True)
+            ]
+            if self._order is not None:
+                place = place.ravel()[self._order]
+            self.unknown = len(set(range(nowhere)) - set(place.ravel().tolist()))
+            if self._by_shape:
+                self.unknown = 0
+            if len(self._places) > _MOST_LAYOUTS:
+                self._places.clear()
+            named, place = place, self._with_aliases(identities, place)
+            self._places[identities] = found = _layout(identities, place, named, absent)
+        return found
+
+    def _with_aliases(self, identities: tuple[str, ...], named: np.ndarray) -> np.ndarray:
+        """Where markers are, that have other names for now; a name of its own goes first."""
+        here = [name for name in self._aliases if name in identities]
+        if not here:
+            return named
+        nowhere, place = len(identities), named.copy()
+        for b, k in zip(*np.nonzero(named < nowhere), strict=True):
+            if identities[named[b, k]] in self._aliases:
+                place[b, k] = nowhere
+        for name in here:
+            slot = self._aliases[name]
+            if place[slot] == nowhere:
+                place[slot] = identities.index(name)
+        return place
+
+    def _take_new(self, identities: tuple[str, ...]) -> None:
+        """A body of all markers: add those not met before."""
+        markers = self.markers[0]
+        known = set(markers)
+        new = [name for name in dict.fromkeys(identities) if name not in known]
+        markers += new[: MOST_MARKERS - len(markers)]
+        self.wanted = len(markers)
+        if len(markers) > self.width:
+            self.width = len(markers)
+            self._places.clear()
+
+
+def _layout(
+    identities: tuple[str, ...], place: np.ndarray, named: np.ndarray, absent: list[list[str]]
+) -> Layout:
+    nowhere = len(identities)
+    other = (place != named) & (place < nowhere)
+    others = int(np.isin(place[other], named).sum())
+    extras = np.setdiff1d(np.arange(nowhere), place)
+    indexed = identities == tuple(map(str, range(nowhere)))
+    complete = bool((place < nowhere).all())
+    renamed = int(other.sum()) - others
+    return Layout(place, named, complete, absent, others, renamed, extras, indexed)
+
+
+def find_marker(marker: str, identities: Sequence[str]) -> int:
+    """
+    Place of a marker in a message, len(identities) if it is not there.
+
+    A name stands for the full identity, else for the one marker of that namespace, else for the
+    one of that id: 'tip/3', 'tip' or '3'.
+    """
+    if marker in identities:
+        return list(identities).index(marker)
+    for part in (0, 2):
+        found = [
+            k
+            for k, name in enumerate(identities)
+            if '/' in name and name.rpartition('/')[part] == marker
+        ]
+        if len(found) == 1:
+            return found[0]
+    return len(identities)

@@ -1,0 +1,413 @@
+"""
+Whether frames are at their stamps or at the ticks of a clock, and when they are taken to be.
+
+Stamps alone cannot tell a camera with an even clock from frames that really come unevenly: motion
+can. Each pose is predicted from its neighbors on both sides, once by the stamps and once by the
+ticks, and what is the better prediction by a clear margin is what frames are taken to be at.
+"""
+
+import math
+from collections.abc import Iterable
+from typing import NamedTuple
+
+import numpy as np
+
+from kinpole_ros.pipeline.clock import FEWEST_FRAMES, Clock, find_clock, follow_clock
+from kinpole_ros.planar._plane import Real
+
+# Windows that the clock is found from, and frames at least and at most: 10 s of 0.3 s each.
+_MEMORY, _LEAST, _MOST = 33, 128, 4096
+# Looks at the clock come after a quarter more frames each time, and at least so often, windows.
+_GROWTH, _SELDOM = 4, 1.7
+# Evidence in nats decides from so many on; half of it is forgotten in so many windows.
+_DECIDES, _HALF_LIFE = 6.0, 3.3
+# No more than so many nats are kept: a driver may be changed.
+_MOST_NATS = 50.0
+# Neighbors on each side that predict a pose, and frames for the first evidence.
+_SIDE = 3
+_FEWEST_EVIDENCE = 16
+# Only losses since so many frames may have been none.
+_TAKEN_BACK = 32
+# Newest frames whose ticks are not sure enough to say anything.
+_UNSURE = 8
+# One prediction does not count for more than so many mean squares.
+_OUTLIER = 9.0
+# Of the polynomial that places a lost frame.
+_DEGREE = 3
+# Frames on each side that tell how long a gap is, nats that contradict what it was taken for, and
+# mean squares up to which a polynomial follows the motion. So many gaps are mended at once.
+_BESIDE, _CONTRADICTS, _FOLLOWED, _MOST_MENDED = 4, 20.0, 4.0, 16
+# What neighbors predict is correlated: there is half as much evidence as predictions.
+_INDEPENDENT = 0.5
+
+
+# Stamps in such steps, ns, or longer ones are rounded if no tick is off by more than one of them.
+_COARSE, _ROUNDED = 10_000, 1.05
+
+
+class StampState(NamedTuple):
+    """
+    How stamps are beside the clock found behind them.
+
+    `interval`, `jitter` (rms) and `largest` are in s; `regularized` is whether frames are taken to
+    be at the ticks of the clock. `nats` is how much likelier motion makes that, negative where the
+    stamps are right; `costs` is whether jitter moves the markers by more than their noise.
+    """
+
+    interval: float
+    jitter: float
+    largest: float
+    regularized: bool
+    nats: float
+    costs: bool
+
+
+class Ticks:
+    """
+    The clock behind stamps, and whether motion says that frames are at its ticks.
+
+    `window`, ns, is as long as the estimates'; `mode` is the parameter `stamps`; `regular` is
+    whether frames are taken to be at ticks.
+    """
+
+    def __init__(self, mode: str, window: int) -> None:
+        self.mode = mode
+        self._window = window
+        self.regular = mode == 'arrival'
+        self.clock: Clock | None = None
+        self.lost = 0
+        # Frames until the next look.
+        self.room = FEWEST_FRAMES
+        self.seen = 0
+        self.nats = 0.0
+        self._stamps = np.zeros(0, np.int64)
+        # Where frames are counted as they come, of the newest when they are sure.
+        self.counts = np.zeros(0, np.int64)
+        # Whether frames are regular only since stamps are rounded.
+        self._rounded = False
+        # Only frames after so many can still be mended.
+        self._mended = 0
+        self._taken = np.zeros(0, bool)
+        self._new: list[tuple[np.ndarray, np.ndarray]] = []
+        # Poses of frames taken, with what they are known by, that are still to be looked at.
+        self._poses: list[tuple[np.ndarray, np.ndarray]] = []
+        self._speed = 0.0
+        self._latest = 0
+
+    def add(self, stamps: np.ndarray, taken: np.ndarray) -> None:
+        """Frames that have come with `stamps` (T,), ns, of which some are `taken`."""
+        if not len(stamps):
+            return
+        self._new.append((stamps.copy(), taken.copy()))
+        self._latest = int(stamps[-1])
+        self.room -= len(stamps)
+        self.seen += len(stamps)
+
+    def add_poses(self, poses: Real, information: Real) -> None:
+        """Poses (T, 2 B, 2) of the frames taken, as in `RigidBodies`."""
+        self._poses.append((poses.copy(), information.copy()))
+
+    def count(self, counts: np.ndarray) -> None:
+        """The next of the frames have these `counts` (T,)."""
+        self.counts = np.concatenate((self.counts, counts))
+
+    def uncount(self, number: int) -> None:
+        """The counts of so many of the newest frames are to be found."""
+        self.counts = self.counts[: len(self.counts) - number]
+
+    def take_back(self, early: int) -> None:
+        """So many fewer frames were lost than it seemed, if any were of late."""
+        # If that is wrong the next look mends it.
+        begin = max(len(self.counts) - _TAKEN_BACK, self._mended, 1)
+        more = np.diff(self.counts[begin - 1 :]) - 1
+        lost = more.nonzero()[0]
+        if len(lost):
+            self.counts[: begin + lost[-1]] += min(early, int(more[lost[-1]]))
+
+    def look(self, noise: Real, newest: np.ndarray | None) -> bool:
+        """
+        Find the clock, and decide; whether it is still the one that frames are counted by.
+
+        `noise` (B,), m, is that of a marker of each body, NaN while not known; `newest` are the
+        counts of the newest frames as far as none is sure, None where frames are not counted.
+        """
+        news = [np.concatenate(parts) for parts in zip(*self._new, strict=True)]
+        self._new = []
+        before = len(self._stamps)
+        self._stamps = np.concatenate((self._stamps, news[0]))
+        self._taken = np.concatenate((self._taken, news[1]))
+        latest = int(self._stamps[-1])
+        old = int((self._stamps > latest - _MEMORY * self._window).argmax())
+        # Of a slow camera as many as are looked at alike.
+        old = max(min(old, len(self._stamps) - _LEAST), len(self._stamps) - _MOST, 0)
+        self._forget(old)
+        before = max(before - old, 0)
+        if newest is None:
+            same = False
+            clock, counts = find_clock(self._stamps, self.clock)
+        else:
+            known = np.concatenate((self.counts, newest))
+            poses, information = (np.concatenate(parts) for parts in zip(*self._poses, strict=True))
+            mend(known, poses, information, noise)
+            clock, counts, same = follow_clock(self._stamps, known)
+        dropped = len(self._stamps) - len(counts)
+        self._forget(dropped)
+        before = max(before - dropped, 0)
+        steps = np.diff(counts)[max(before - _UNSURE, 0) : len(counts) - _UNSURE]
+        # Stamps that are out of order, say, are of no clock that could miss any.
+        if len(steps) and (self.regular or clock.largest < clock.interval / 2):
+            self.lost += int((steps - 1).clip(0).sum())
+        self.clock = clock
+        seldom = max(FEWEST_FRAMES, int(_SELDOM * self._window / max(clock.interval, 1.0)))
+        self.room = min(max(1, self.seen // _GROWTH), seldom)
+        self._weigh(counts[self._taken], noise)
+        late = self._stamps - clock.origin - counts * clock.interval
+        step = clock.resolution
+        rounded = step / 2 < float(np.ptp(late)) <= _ROUNDED * step and self._may_be_rounded(step)
+        if rounded and not self.regular:
+            self._rounded = self.regular = True
+        if self._rounded and self.nats > _DECIDES:
+            self._rounded = False
+        elif self._rounded and step < _COARSE:
+            # Stamps are in finer steps now, and the motion does not tell.
+            self._rounded = self.regular = False
+        if self.regular:
+            # The others are of no use any more, nor do more of them come.
+            self._stamps, counts = self._stamps[self._taken], counts[self._taken]
+            self._taken = np.ones(len(counts), bool)
+        self.counts = counts
+        self._mended = len(counts) - (2 * _SIDE + _UNSURE) + _BESIDE
+        return same
+
+    def _may_be_rounded(self, step: float) -> bool:
+        """Whether stamps that are off their ticks may be so since they are in such steps, ns."""
+        usual = self.mode == 'auto' and self.seen >= _FEWEST_EVIDENCE
+        assert self.clock is not None
+        likely = _COARSE <= step <= self.clock.interval
+        return usual and likely and self.nats > -_DECIDES
+
+    def until_slip(self, stamps: np.ndarray) -> int:
+        """
+        How many frames come before one that slips by a step of rounded stamps (T,) that were even.
+
+        From there on frames are taken to be at ticks.
+        """
+        clock = self.clock
+        if self.regular or clock is None or clock.largest > 1.0 or clock.resolution < _COARSE:
+            return len(stamps)
+        before = np.concatenate(((self._latest,), stamps))
+        ticks = (before - clock.origin - clock.phase) / clock.interval
+        counts = np.rint(ticks)
+        off = np.abs(ticks - counts)[1:] * clock.interval
+        slips = (off > _COARSE / 2).nonzero()[0]
+        if not len(slips):
+            return len(stamps)
+        first = int(slips[0])
+        step = math.gcd(round(clock.resolution), int(stamps[first]) - clock.origin)
+        # Frames that come sooner than the clock ticks are of another rate.
+        rounded = off[first] <= _ROUNDED * step and counts[first + 1] > counts[first]
+        rounded = rounded and self._may_be_rounded(step)
+        return first if rounded else len(stamps)
+
+    @property
+    def is_up_to_date(self) -> bool:
+        """Whether no frames have come since the last look."""
+        return not self._new
+
+    def round(self) -> None:
+        """Take frames to be at ticks, as their stamps are rounded."""
+        self.regular = self._rounded = True
+
+    def _forget(self, count: int) -> None:
+        if count > 0:
+            self._stamps, self._taken = self._stamps[count:], self._taken[count:]
+            self.counts = self.counts[count:]
+
+    def _weigh(self, counts: np.ndarray, noise: Real) -> None:
+        """Add up what the motion of late says, and decide by it."""
+        poses, information = (np.concatenate(parts) for parts in zip(*self._poses, strict=True))
+        held = min(len(poses), len(counts))
+        # What is not looked at now is looked at next time.
+        kept = min(held, 2 * _SIDE + _UNSURE)
+        self._poses = [(poses[len(poses) - kept :], information[len(poses) - kept :])]
+        usable = held - _UNSURE
+        if self.seen < _FEWEST_EVIDENCE or usable < 2 * _SIDE + 1:
+            self._poses = [(poses, information)]
+            return
+        assert self.clock is not None
+        interval = self.clock.interval
+        part = slice(len(poses) - held, len(poses) - _UNSURE)
+        at = slice(len(counts) - held, len(counts) - _UNSURE)
+        stamps = self._stamps[self._taken][at]
+        times = np.stack(((stamps - stamps[0]) / interval, (counts[at] - counts[at][0]) * 1.0))
+        signals, variance = _signals(poses[part], information[part], noise)
+        nats, speed = evidence(times, signals, variance)
+        fading = 0.5 ** ((usable - 2 * _SIDE) * interval / (_HALF_LIFE * self._window))
+        self.nats = float(np.clip(fading * self.nats + nats, -_MOST_NATS, _MOST_NATS))
+        self._speed = max(speed, fading * self._speed)
+        if self.mode == 'auto' and abs(self.nats) > _DECIDES:
+            # Frames are not late by windows: then it is no clock.
+            self.regular = self.nats > 0 and self.clock.largest < self._window
+
+    def state(self) -> StampState | None:
+        """How the stamps are; None while too few have come."""
+        clock = self.clock
+        if clock is None:
+            return None
+        jitter = clock.jitter / clock.interval
+        costs = not self.regular and self.nats > -_DECIDES and jitter * self._speed > 1.0
+        scale = 1e-9
+        return StampState(
+            clock.interval * scale,
+            clock.jitter * scale,
+            clock.largest * scale,
+            self.regular,
+            self.nats,
+            costs,
+        )
+
+
+def _signals(poses: Real, information: Real, noise: Real) -> tuple[Real, Real]:
+    """Angles without turns, and coordinates (T, 3 B), with their variances."""
+    count = len(noise)
+    angle = poses[:, :count, 0] + 2 * np.pi * (poses[:, :count, 1] - poses[0, :count, 1])
+    signals = np.concatenate((angle, poses[:, count:, 0], poses[:, count:, 1]), axis=1)
+    level = np.where(np.isfinite(noise), noise, 0.0)
+    with np.errstate(divide='ignore'):
+        inverse = np.where(information > 0, 1 / information, np.nan)
+    # Where noise is not known yet it is what predictions leave.
+    square = np.maximum(level, 1e-9) ** 2
+    of_angle, even = inverse[:, :count] * square, inverse[:, count:] * square
+    return signals, np.concatenate((of_angle, even, even), axis=1)
+
+
+def evidence(times: Real, signals: Real, variance: Real) -> tuple[float, float]:
+    """
+    By how many nats signals make the second of two sequences of times likelier than the first.
+
+    `times` (2, N) are in intervals, `signals` (N, S) have the `variance` (N, S), NaN where not
+    known: `times` are stamps and ticks. Each signal is predicted by the polynomial through its
+    neighbors on both sides. Also the largest rms rate of a signal by interval, in its deviations.
+    """
+    count = len(signals)
+    offsets = np.array([k for k in range(-_SIDE, _SIDE + 1) if k])
+    here = np.arange(_SIDE, count - _SIDE)
+    there = here[:, None] + offsets
+    stamps, ticks = times
+    steps = ticks[there] - ticks[here, None]  # (M, 2 side)
+    weights = np.ones_like(steps)
+    for k, m in _pairs(len(offsets)):
+        weights[:, k] *= steps[:, m] / (steps[:, m] - steps[:, k])
+    # What a stamp that is right moves a signal by, off where it is at its tick. By slopes, which
+    # hardly have noise: what does not move says nothing.
+    nearby = here[:, None] + np.arange(-_SIDE, _SIDE + 1)
+    around = ticks[nearby] - ticks[nearby].mean(axis=1, keepdims=True)
+    slopes = np.einsum('mk,mks->ms', around, signals[nearby])
+    slopes /= (around**2).sum(axis=1, keepdims=True)
+    early = ticks - stamps
+    early = early - np.median(early)
+    moved = -slopes * (early[here] - (weights * early[there]).sum(axis=1))[:, None]
+    off = signals[here] - np.einsum('mk,mks->ms', weights, signals[there])
+    off = np.stack((off - moved, off))
+    spread = variance[here] + np.einsum('mk,mks->ms', weights**2, variance[there])
+    squares = off**2 / spread
+    known = np.isfinite(squares).all(axis=0)
+    number = np.maximum(known.sum(axis=0), 1)
+    squares = np.where(known, squares, 0.0)
+    # By the better of the two, for no polynomial follows every motion.
+    scale = np.maximum((squares.sum(axis=1) / number).min(axis=0), 1.0)
+    cost = np.minimum(squares / scale, _OUTLIER)
+    nats = float((cost[0] - cost[1]).sum() / 2) * _INDEPENDENT
+    rate = np.diff(signals, axis=0) ** 2 / np.where(variance[1:] > 0, variance[1:], np.nan)
+    rate = rate[np.isfinite(rate).all(axis=1)]
+    speed = float(np.sqrt(rate.mean(axis=0).max())) if rate.size else 0.0
+    return nats, speed
+
+
+def _pairs(count: int) -> Iterable[tuple[int, int]]:
+    return ((k, m) for k in range(count) for m in range(count) if k != m)
+
+
+def mend(counts: np.ndarray, poses: Real, information: Real, noise: Real) -> None:
+    """
+    Put `counts` (N,) right where the motion contradicts them, whatever they were found by.
+
+    The newest frames have `poses` (T, 2 B, 2), as in `RigidBodies`; the newest count stays.
+    """
+    held = min(len(poses), len(counts))
+    signals, variance = _signals(poses[len(poses) - held :], information[-held:], noise)
+    for _ in range(_MOST_MENDED):
+        here, more = gap_to_mend(counts[len(counts) - held :], signals, variance)
+        if not more:
+            break
+        counts[: len(counts) - held + here] -= more
+
+
+def gap_to_mend(counts: np.ndarray, signals: Real, variance: Real) -> tuple[int, int]:
+    """
+    Before which frame one more or one fewer was lost than `counts` (N,) say, by the motion alone.
+
+    Also which, 1 or -1; 0 if none. It is the gap that contradicts most how poses go before and
+    after it; `signals` (N, S) have the `variance` (N, S), NaN where not known.
+    """
+    number = len(counts) - 2 * _BESIDE + 1
+    if number < 1:
+        return 0, 0
+    around = np.arange(2 * _BESIDE)
+    there = np.arange(number)[:, None] + around
+    more = np.array([0, 1, -1])
+    at = counts[there] + more[:, None, None] * (around >= _BESIDE)
+    fewest = np.diff(at, axis=-1).min(axis=-1)
+    at = (at - at.mean(axis=-1, keepdims=True)) / np.ptp(at, axis=-1).clip(1)[..., None]
+    basis, _ = np.linalg.qr(at[..., None] ** np.arange(_DEGREE + 1))
+    values = signals[there] / np.sqrt(variance[there].mean(axis=1, keepdims=True))
+    known = np.isfinite(values).all(axis=1)
+    values = np.where(known[:, None], values - values[:, :1], 0.0)
+    rest = values - basis @ (basis.swapaxes(-1, -2) @ values)
+    left = (rest**2).sum(axis=-2)  # (3, M, S)
+    least = left.min(axis=0) / (2 * _BESIDE - _DEGREE - 1)
+    cost = (left / np.maximum(least, 1.0)).sum(axis=-1) / 2
+    cost[fewest < 1] = np.inf
+    gain = cost[0] - cost
+    gain[:, (np.where(known, least, 0.0) > _FOLLOWED).any(axis=-1)] = 0.0
+    which, gap = np.unravel_index(gain.argmax(), gain.shape)
+    if gain[which, gap] < _CONTRADICTS:
+        return 0, 0
+    return int(gap) + _BESIDE, int(more[which])
+
+
+def course_costs(frames: np.ndarray, begin: int, counts: np.ndarray, noise: Real) -> Real:
+    """
+    How unlikely (H,), nats, the motion makes `counts` (H, n) of `frames` from the `begin`-th on.
+
+    The frames are rows of a `Timeline`; `noise` (B,), m, is that of a marker of each body.
+    """
+    signals, variance = _signals(frames['poses'], frames['information'], noise)
+    before = np.broadcast_to(frames['count'][:begin], (len(counts), begin))
+    at = np.concatenate((before, counts), axis=1) - counts[0, -1]
+    cost = np.zeros(len(counts))
+    # Signals that are known in the same frames go together.
+    known = np.isfinite(variance)
+    while known.any():
+        first = known.any(axis=0).argmax()
+        rows = known[:, first].copy()
+        alike = (known == rows[:, None]).all(axis=0)
+        known[:, alike] = False
+        deviation = np.sqrt(variance[np.ix_(rows, alike)].mean(axis=0))
+        cost += _misfit(at[:, rows], signals[np.ix_(rows, alike)] / deviation)
+    return cost
+
+
+def _misfit(times: np.ndarray, values: Real) -> Real:
+    """Half the squares (H,) that polynomials in `times` (H, N) leave of `values` (N, S)."""
+    degree = min(_DEGREE, len(values) - 3)
+    if degree < 1:
+        return np.zeros(len(times))
+    scaled = times / max(np.ptp(times), 1)
+    basis, _ = np.linalg.qr(scaled[..., None] ** np.arange(degree + 1))
+    values = values - values.mean(axis=0)
+    rest = values - basis @ (basis.swapaxes(1, 2) @ values)
+    left = (rest**2).sum(axis=1)
+    # Where no polynomial follows the motion, or the noise is not known.
+    scale = np.maximum(left.min(axis=0) / (len(values) - degree - 1), 1.0)
+    return np.asarray((left / scale).sum(axis=1) / 2)

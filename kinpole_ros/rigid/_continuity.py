@@ -1,0 +1,412 @@
+"""
+Frames in which a body as a whole is wrong: its markers agree, but not with the frames around.
+
+A tracker that takes a body for another, or sees it mirrored in a window, gives a pose that fits its
+shape and is far from where the body can be. So each pose is predicted from those before it, by the
+polynomial that predicts best of late, and its innovation is held against those of late (an
+innovation test, Bar-Shalom 2001). One of a higher degree may do as well: a body at rest may begin
+to move. A pose that is far off is suspect until the next ones come: they
+go back to where the body was to be, and it was wrong, or they do not, and the body did jump.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from kinpole_ros.planar._plane import Complex, Real
+from kinpole_ros.rigid._noise import tame_part
+
+# Highest degree of the polynomials that predict: through so many samples and one more.
+_DEGREE = 3
+_POINTS = _DEGREE + 1
+# An innovation is far that is so many times what all but the worst three tenths of late stay below.
+# Those of late are so many, and none is far while there are fewer than the other.
+_FAR, _LATE, _FEWEST = 7.0, 128, 12
+# rad, and share of the body's size: what is nearer is no jump, however smooth the motion.
+_LEAST_TURN, _LEAST_SHIFT = 0.02, 0.01
+# So many frames running may be wrong. A body that has not gone back after them has jumped.
+MOST_SUSPECT = 3
+# A pose has gone back that is off by no more than this share of what the suspect ones were off.
+_BACK = 0.5
+# Steps that differ by less than this share are even.
+_EVEN = 0.01
+# Samples predict a frame that were seen so many frames ago at most.
+_RECENT = 8
+# Weights of the samples before, oldest first, by degree, where they are even.
+_WEIGHTS = np.array([(0, 0, 0, 1), (0, 0, -1, 2), (0, 1, -3, 3), (-1, 4, -6, 4)], float)
+# Variances of their innovations, by degree, where there is nothing but noise.
+_GAINS = 1 + (_WEIGHTS**2).sum(axis=1)
+_REACHES = np.abs(_WEIGHTS).sum(axis=1)
+_TURN = 2 * np.pi
+_NOTHING = complex(np.nan, np.nan)
+# What is predicted from nothing comes out as NaN.
+_UNDEFINED = np.errstate(divide='ignore', invalid='ignore', over='ignore')
+
+
+class Verdict(NamedTuple):
+    """
+    What frames say of bodies (T, B): how often they have turned round, how many of the newest
+    frames are `suspect` then, and how many before this one were `wrong`, as it shows.
+    """
+
+    turns: Real
+    suspect: np.ndarray
+    wrong: np.ndarray
+
+
+class Continuity:
+    """
+    Whether the poses of B bodies go on as those before; angles are in (-pi, pi].
+
+    Signals (2 B,) are angles with whole turns, and then positions; NaN where nothing is known.
+    No pose is far off while frames are not `timed` well enough to be predicted.
+    """
+
+    def __init__(self, bodies: int) -> None:
+        self._bodies = bodies
+        self.timed = True
+        # The last samples of each body that are right, oldest first: stamps, ns, numbers of their
+        # frames, signals.
+        self._stamps = np.zeros((_POINTS, bodies))
+        self._numbers = np.zeros((_POINTS, bodies), int)
+        self._signals = np.full((_POINTS, 2 * bodies), _NOTHING)
+        # How many frames came, and the step, ns, if these samples are of the same even frames.
+        self._number, self._step = 0, 0.0
+        self._last_angle = np.zeros(bodies)
+        self._last_turn = np.zeros(bodies)
+        # What `odd` found of the next frames.
+        self._next: tuple[np.ndarray, Real, Real, Complex, bool] | None = None
+        # Stamps and signals since a body was off, by body.
+        self._runs: dict[int, list[tuple[float, Complex]]] = {}
+        # Squares of innovations of late, by degree, and the frames since the last beat, of which
+        # the first so many are from before.
+        self._squares = np.full((_LATE, _POINTS, 2 * bodies), np.nan)
+        self._count = self._before = 0
+        self._news: list[tuple[Real, Complex]] = []
+        self._degree = np.zeros(2 * bodies, int)
+        self._weights = _WEIGHTS[self._degree].T
+        self._limit = np.full(2 * bodies, np.inf)
+
+    def forget(self) -> None:
+        """Do not expect the next poses to go on from those before a gap."""
+        self.begin(np.ones(self._bodies, bool))
+
+    def begin(self, which: np.ndarray) -> None:
+        """Forget the poses of the bodies `which` (B,): those to come do not go on from them."""
+        both = np.tile(which, 2)
+        self._signals[:, both] = _NOTHING
+        self._step = 0.0
+        for b in np.flatnonzero(which).tolist():
+            self._runs.pop(b, None)
+        for _, signals in self._news:
+            signals[:, both] = _NOTHING
+
+    def were_at(self, times: np.ndarray) -> None:
+        """The newest frames that were taken turned out to be at `times` (T,), ns."""
+        place = len(times) - (self._number - self._numbers)
+        known = place >= 0
+        self._stamps = np.where(known, times[np.maximum(place, 0)], self._stamps)
+        for run in self._runs.values():
+            for k in range(min(len(run), len(times))):
+                run[-1 - k] = float(times[-1 - k]), run[-1 - k][1]
+        if not self._runs:
+            self._find_step()
+
+    @_UNDEFINED
+    def odd(self, stamps: np.ndarray, angle: Real, position: Complex) -> np.ndarray:
+        """
+        Which of the next frames (T,), by stamps, ns, and poses (T, B), are far off.
+
+        Of these the first is meant: it is to be taken by `step`.
+        """
+        unwrapped, turns = self._unwrapped(angle)
+        signals = np.concatenate((unwrapped, position), axis=-1)
+        evenly = bool(self._step) and self._goes_evenly(stamps, signals)
+        self._next = stamps, angle, turns, signals, evenly
+        if self._runs:
+            return np.ones(len(stamps), bool)
+        if evenly and self.timed:
+            every, count = np.concatenate((self._signals, signals)), len(stamps)
+            off = signals - self._weights[0] * every[:count]
+            for k in range(1, _POINTS):
+                off -= self._weights[k] * every[k : k + count]
+            if not np.count_nonzero(off.real**2 + off.imag**2 > self._limit):
+                return np.zeros(count, bool)
+        return np.logical_or.reduce(self._off(stamps, signals)[2], axis=-1)
+
+    def follow(self, count: int) -> Real:
+        """Take the first frames that were not found odd; the turns (T, B) of the bodies."""
+        assert self._next is not None
+        *given, evenly = self._next
+        stamps, angle, turns, signals = (part[:count] for part in given)
+        times = stamps.astype(float)
+        numbers = self._number + np.arange(count)
+        if np.count_nonzero(np.isnan(signals)):
+            for b in range(self._bodies):
+                kept = np.isfinite(signals[:, b]).nonzero()[0][-_POINTS:]
+                self._append(b, times[kept], numbers[kept], signals[kept])
+        else:
+            some = slice(-_POINTS, None)
+            for kept, new in (
+                (self._stamps, times[some, None]),
+                (self._numbers, numbers[some, None]),
+                (self._signals, signals[some]),
+            ):
+                left = len(kept) - len(new)
+                kept[:left] = kept[len(new) :]
+                kept[left:] = new
+        self._go_on(times, angle, turns, signals)
+        if not evenly:
+            self._find_step()
+        return turns
+
+    @_UNDEFINED
+    def step(self, stamp: int, angle: Real, position: Complex) -> Verdict:
+        """Take the one next frame (1, B), which may be odd."""
+        stamps = np.array([stamp])
+        chain, turns = self._unwrapped(angle)
+        signals = np.concatenate((chain, position), axis=-1)
+        ahead, off, far = (part[0] for part in self._off(stamps, signals))
+        far = far.reshape(2, -1).any(axis=0)
+        wrong = np.zeros(self._bodies, int)
+        held = signals.copy()
+        for b in sorted({*far.nonzero()[0].tolist(), *self._runs}):
+            both = [b, self._bodies + b]
+            run = self._runs.setdefault(b, [])
+            if not far[b] and self._back(off[both], run, b):
+                # The suspect poses may have been taken for so many turns more.
+                more = np.rint((signals[0, b] - off[b] - ahead[b]).real / _TURN)
+                turns[0, b] -= more
+                held[0, b] -= _TURN * more
+                wrong[b] = len(run)
+                del self._runs[b]
+                continue
+            run.append((float(stamp), signals[0, both]))
+            held[0, both] = _NOTHING
+            if len(run) > MOST_SUSPECT:
+                # It has jumped, and what was before says nothing of it.
+                self._signals[:, both] = _NOTHING
+                for k, (time, here) in enumerate(run):
+                    if np.isfinite(here[0]):
+                        number = self._number + k + 1 - len(run)
+                        self._put(b, time, number, here)
+                del self._runs[b]
+        for b in np.isfinite(held[0, : self._bodies]).nonzero()[0].tolist():
+            self._put(b, float(stamp), self._number, held[0, [b, self._bodies + b]])
+        self._go_on(stamps.astype(float), angle, turns, held)
+        suspect = np.zeros(self._bodies, int)
+        for b, run in self._runs.items():
+            suspect[b] = len(run)
+        if not self._runs:
+            self._find_step()
+        return Verdict(turns, suspect[None], wrong[None])
+
+    def expected(self, stamp: int) -> tuple[Complex, Real] | None:
+        """
+        Signals as predicted for a frame at `stamp`, ns, and by what square they may be off.
+
+        None where no simple prediction holds.
+        """
+        if self._runs or not self._step:
+            return None
+        if abs(stamp - float(self._stamps[-1, 0]) - self._step) > _EVEN * self._step:
+            return None
+        return (self._weights * self._signals).sum(axis=0), self._limit
+
+    @_UNDEFINED
+    def learn(self, size: Real) -> None:
+        """A beat: see how well the frames since the last were predicted; `size` (B,), m."""
+        if not self._news:
+            return
+        stamps, signals = (np.concatenate(part) for part in zip(*self._news, strict=True))
+        fresh = _innovations(stamps, signals)[max(self._before, _POINTS) :][-_LATE:]
+        # The next frames are predicted from the last of these.
+        self._news = [(stamps[-_RECENT:], signals[-_RECENT:])]
+        self._before = len(self._news[0][0])
+        if not len(fresh):
+            return
+        self._squares[(self._count + np.arange(len(fresh))) % _LATE] = fresh
+        self._count += len(fresh)
+        filled = self._squares[: min(self._count, _LATE)]
+        enough = np.isfinite(filled).sum(axis=0) >= _FEWEST
+        usual = tame_part(filled.reshape(len(filled), -1).T).reshape(enough.shape)
+        usual = np.where(enough, usual, np.inf)
+        self._degree = usual.argmin(axis=0)
+        self._weights = _WEIGHTS[self._degree].T
+        least = np.concatenate((np.full(self._bodies, _LEAST_TURN), _LEAST_SHIFT * size))
+        self._limit = np.maximum(_FAR**2 * usual.min(axis=0), least**2)
+
+    def _off(self, stamps: np.ndarray, signals: Complex) -> tuple[Complex, Complex, np.ndarray]:
+        """
+        Signals of frames (T, 2 B) as predicted at true times, and what they are off that.
+
+        NaN where nothing tells. Also where that is too far.
+        """
+        ahead, off = np.full((2, *signals.shape), _NOTHING)
+        far = np.zeros(signals.shape, bool)
+        if not self.timed or not np.isfinite(self._limit).any():
+            return ahead, off, far
+        numbers = self._number + np.arange(len(stamps))
+        found: dict[bytes, Real] = {}
+        for b in range(self._bodies):
+            kept = np.isfinite(signals[:, b]).nonzero()[0]
+            times = np.concatenate((self._stamps[:, b], stamps[kept]))
+            every = np.concatenate((self._numbers[:, b], numbers[kept]))
+            # As a rule all bodies are seen in the same frames.
+            key = every.tobytes()
+            if key not in found:
+                found[key] = _lagrange(times, every)
+            for signal in (b, self._bodies + b):
+                values = np.concatenate((self._signals[:, signal], signals[kept, signal]))
+                parts = self._predicted(signal, values, found[key])
+                ahead[kept, signal], off[kept, signal], far[kept, signal] = parts
+        return ahead, off, far
+
+    def _predicted(
+        self, signal: int, values: Complex, weights: Real
+    ) -> tuple[Complex, Complex, np.ndarray]:
+        """
+        The same of one signal, `values` (4 + T,), by the best of predictions of `weights`.
+
+        Of degrees from that on which is best as a rule.
+        """
+        rows = np.arange(len(weights))
+        past = values[rows[:, None] + np.arange(_POINTS)]
+        ahead = (weights * past[:, None]).sum(axis=-1)
+        off = values[_POINTS:, None] - ahead
+        if signal < self._bodies:
+            off = _wrapped(off.real) + 0j
+        degree = int(self._degree[signal])
+        # So much more than one step ahead of even samples, and than by the degree that is best.
+        growth = np.fmax(np.abs(weights).sum(axis=-1) / _REACHES, 1.0) ** 2
+        growth *= _GAINS / _GAINS[degree]
+        share = (off.real**2 + off.imag**2) / (self._limit[signal] * growth)
+        best = degree + np.where(np.isnan(share), np.inf, share)[:, degree:].argmin(axis=1)
+        return ahead[rows, best], off[rows, best], share[rows, best] > 1
+
+    def _back(self, off: Complex, run: list[tuple[float, Complex]], b: int) -> bool:
+        """Whether a sample that is `off` (2,) its prediction is back from where the run was."""
+        for stamp, here in run:
+            times = np.append(self._stamps[:, b], stamp)
+            weights = _lagrange(times, np.arange(len(times)))
+            for part, signal in enumerate((b, self._bodies + b)):
+                values = np.append(self._signals[:, signal], here[part])
+                _, away, far = self._predicted(signal, values, weights)
+                if far[0] and not abs(off[part]) <= _BACK * abs(away[0]):
+                    return False
+        return bool(np.isfinite(off).all())
+
+    def _goes_evenly(self, stamps: np.ndarray, signals: Complex) -> bool:
+        """Whether frames of all bodies go on by the even step."""
+        if np.count_nonzero(np.isnan(signals)):
+            return False
+        last, step = float(self._stamps[-1, 0]), self._step
+        if len(stamps) == 1:
+            return abs(float(stamps[0]) - last - step) <= _EVEN * step
+        steps = np.diff(np.concatenate(((last,), stamps)))
+        return bool((np.abs(steps - step) <= _EVEN * step).all())
+
+    def _find_step(self) -> None:
+        """See whether the samples that are held are of the same even frames."""
+        self._step = 0.0
+        steps = np.diff(self._stamps, axis=0)
+        together = (self._numbers == self._number - np.arange(_POINTS, 0, -1)[:, None]).all()
+        if together and np.isfinite(self._signals).all() and _even(steps[:, 0]):
+            self._step = float(steps.mean())
+
+    def _append(self, b: int, times: Real, numbers: np.ndarray, signals: Complex) -> None:
+        for time, number, row in zip(times, numbers, signals, strict=True):
+            self._put(b, time, number, row[[b, self._bodies + b]])
+
+    def _put(self, b: int, time: float, number: int, signals: Complex) -> None:
+        """One more sample (2,) of a body."""
+        both = [b, self._bodies + b]
+        self._stamps[:-1, b], self._stamps[-1, b] = self._stamps[1:, b].copy(), time
+        self._numbers[:-1, b], self._numbers[-1, b] = self._numbers[1:, b].copy(), number
+        self._signals[:-1, both] = self._signals[1:, both]
+        self._signals[-1, both] = signals
+
+    def _go_on(self, times: Real, angle: Real, turns: Real, signals: Complex) -> None:
+        """Count frames, and keep what they tell until a beat."""
+        known = np.isfinite(angle)
+        if np.count_nonzero(known) == known.size:
+            self._last_angle, self._last_turn = angle[-1], turns[-1]
+        else:
+            row = np.where(known, np.arange(len(angle))[:, None], -1).max(axis=0)
+            there, body = row >= 0, np.arange(self._bodies)
+            self._last_angle = np.where(there, angle[row, body], self._last_angle)
+            self._last_turn = np.where(there, turns[row, body], self._last_turn)
+        self._number += len(times)
+        self._news.append((times, signals))
+        self._next = None
+
+    def _unwrapped(self, angle: Real) -> tuple[Real, Real]:
+        """Angles (T, B) with whole turns, as what comes between -pi and pi goes on; the turns."""
+        known, given = np.isfinite(angle), angle
+        if np.count_nonzero(known) < known.size:
+            # Where nothing is known it is as it was.
+            rows = np.where(known, np.arange(1, len(angle) + 1)[:, None], 0)
+            before = np.concatenate((self._last_angle[None], np.where(known, angle, 0.0)))
+            angle = np.take_along_axis(before, np.maximum.accumulate(rows, axis=0), axis=0)
+        steps = angle - np.concatenate((self._last_angle[None], angle[:-1]))
+        turns = self._last_turn - np.add.accumulate(np.rint(steps / _TURN))
+        return given + _TURN * turns, turns
+
+
+def _innovations(stamps: Real, signals: Complex) -> Real:
+    """Squares (T, degrees, S) of what frames are off their predictions, NaN for none."""
+    found = np.full((len(stamps), _POINTS, signals.shape[1]), np.nan)
+    if len(stamps) <= _POINTS:
+        return found
+    if _even(np.diff(stamps)) and not np.isnan(signals).any():
+        off = signals
+        for degree in range(_POINTS):
+            off = off[1:] - off[:-1]
+            found[degree + 1 :, degree] = off.real**2 + off.imag**2
+        return found
+    for b in range(signals.shape[1] // 2):
+        both = [b, signals.shape[1] // 2 + b]
+        kept = np.isfinite(signals[:, b]).nonzero()[0]
+        if len(kept) <= _POINTS:
+            continue
+        weights = _lagrange(stamps[kept], kept)
+        past = kept[np.arange(len(weights))[:, None] + np.arange(_POINTS)]
+        for signal in both:
+            values = signals[:, signal]
+            ahead = (weights * values[past][:, None]).sum(axis=-1)
+            off = values[kept[_POINTS:], None] - ahead
+            found[kept[_POINTS:], :, signal] = off.real**2 + off.imag**2
+    return found
+
+
+def _lagrange(times: Real, numbers: np.ndarray) -> Real:
+    """
+    Weights (T, degree, 4) by which samples predict those after them, at `times` (4 + T,).
+
+    By polynomials through the last of each four, as many as the degree and one more. NaN where they
+    are of frames, by their numbers (4 + T,), too long ago.
+    """
+    count = len(times) - _POINTS
+    rows = np.arange(count)[:, None] + np.arange(_POINTS)
+    past, now = times[rows].T, times[_POINTS:]
+    ahead = now - past
+    weights = np.zeros((count, _POINTS, _POINTS))
+    for degree in range(_POINTS):
+        some = range(_DEGREE - degree, _POINTS)
+        for j in some:
+            each = np.ones(count)
+            for i in some:
+                if i != j:
+                    each = each * ahead[i] / (past[j] - past[i])
+            weights[:, degree, j] = each
+    weights[numbers[_POINTS:] - numbers[:count] > _RECENT] = np.nan
+    return weights
+
+
+def _even(steps: Real) -> bool:
+    return bool(np.ptp(steps) <= _EVEN * steps[0])
+
+
+def _wrapped(angle: Real) -> Real:
+    """Angles in [-pi, pi)."""
+    return np.asarray((angle + np.pi) % _TURN - np.pi)

@@ -1,0 +1,76 @@
+"""The table of parameters as rclpy has it: declared for the node, and read back."""
+
+from typing import Any
+
+from rcl_interfaces.msg import FloatingPointRange, ParameterDescriptor
+from rclpy.node import Node
+from rclpy.qos_overriding_options import QoSOverridingOptions
+
+from kinpole_ros.pipeline.parameters import (
+    AUTOSTART,
+    PARAMETERS,
+    ParameterError,
+    Settings,
+    body_parameters,
+    settings_from,
+)
+
+_POLICIES = [p.name.lower() for p in QoSOverridingOptions.with_default_policies().policy_kinds]
+
+
+def declare(node: Node) -> Settings:
+    """
+    Declare every parameter with its description and range; returns what they are set to.
+
+    Raises ParameterError for what is not known, QoS of the topic of the markers included.
+    """
+    given = given_to(node)
+    settings = settings_from(given)
+    topic = node.resolve_topic_name(settings.marker_topic)
+    known = [f'qos_overrides.{topic}.subscription.{policy}' for policy in _POLICIES]
+    for name in given:
+        if name.startswith(f'qos_overrides.{topic}.') and name not in known:
+            raise ParameterError(f'unknown parameter {name}; known are {", ".join(known)}')
+    # Of others rclpy makes something else, or a complaint of several lines.
+    name = f'qos_overrides.{topic}.subscription.depth'
+    depth = given.get(name, 1)
+    if type(depth) is not int or depth < 1:
+        raise ParameterError(f'parameter {name} is {depth!r}; it must be a whole number from 1 up')
+    rows = {**PARAMETERS, 'autostart': AUTOSTART}
+    rows.update(body_parameters(settings.bodies))
+    for name, row in rows.items():
+        descriptor = ParameterDescriptor(
+            description=row.description,
+            additional_constraints=row.allowed,
+            read_only=row.fixed,
+            dynamic_typing=True,
+        )
+        value = given.get(name, row.default)
+        if row.lowest is not None and row.highest is not None:
+            descriptor.floating_point_range = [
+                FloatingPointRange(from_value=row.lowest, to_value=row.highest)
+            ]
+            value = float(value)
+        if node.has_parameter(name):
+            node.undeclare_parameter(name)
+        node.declare_parameter(name, value, descriptor, ignore_override=True)
+    return settings
+
+
+def given_to(node: Node) -> dict[str, Any]:
+    """Parameters by name, of a node that has declared what it was given."""
+    return {name: p.value for name, p in node.get_parameters_by_prefix('').items()}
+
+
+def values_of(node: Node) -> dict[str, Any]:
+    """The parameters of the table, as they are set now."""
+    names = {*PARAMETERS, *body_parameters(node.get_parameter('bodies').value)}
+    return {name: node.get_parameter(name).value for name in names}
+
+
+def given_in_vain(node: Node, topic: str) -> list[str]:
+    """QoS given for other topics alone, where this node reads `topic`: a slip in the name."""
+    given = [name for name in given_to(node) if name.startswith('qos_overrides.')]
+    # Nodes in several namespaces may share a file with the topics of all.
+    ours = any(name.startswith(f'qos_overrides.{topic}.') for name in given)
+    return [] if ours else given

@@ -1,0 +1,313 @@
+"""
+Bags over DDS: play one into a running node and record what it says.
+
+Small stand-ins for `ros2 bag play` and `ros2 bag record`, for machines that have rclpy and no ROS
+installation, and for the demo and the tests, which must run there.
+"""
+
+import math
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+from typing import Any
+
+import rclpy
+from rclpy.clock import Clock
+from rclpy.clock_type import ClockType
+from rclpy.duration import Duration
+from rclpy.event_handler import SubscriptionEventCallbacks
+from rclpy.exceptions import NameValidationException
+from rclpy.impl.implementation_singleton import rclpy_implementation
+from rclpy.node import Node
+from rclpy.qos import (
+    DurabilityPolicy,
+    QoSCompatibility,
+    QoSProfile,
+    ReliabilityPolicy,
+    qos_check_compatible,
+)
+from rclpy.subscription import Subscription
+
+from kinpole_ros.bags import (
+    RECORDER,
+    BagError,
+    BagWriter,
+    message_class,
+    read_messages,
+    topics,
+    type_name,
+)
+from kinpole_ros.ros.executor import Apart, MessagesFirst
+from kinpole_ros.ros.process import check_domain, reason_of, start_ros
+
+# What a kill may lose of a recording.
+_FLUSH_EVERY = 1.0
+_LOOK_EVERY = 0.1
+_DEEP = 1000
+# A recorder without a topic for so long (s) says so.
+_PATIENCE = 5.0
+
+
+def play(
+    bag: str | Path,
+    only: list[str] | None = None,
+    speed: float = 1.0,
+    wait: float = 10.0,
+    progress: Callable[[float], None] | None = None,
+) -> int:
+    """
+    Publish a bag's messages at the pace they were recorded, times `speed`.
+
+    `only` names the topics, None for all but the exact answers that simulate puts beside the
+    markers. Waits up to `wait` s for a subscriber of each, and at the end until reliable ones have
+    everything. Returns the number of messages. Raises BagError as reading does, and for a speed
+    that is not more than 0.
+    """
+    if not (math.isfinite(speed) and speed > 0):
+        raise BagError(f'--speed is {speed}; it must be more than 0')
+    there = topics(bag)
+    only = [_whole(name) for name in only or []]
+    ordinary = [name for name in there if '/truth/' not in name]
+    for name in only:
+        if name not in there:
+            raise BagError(f'{bag}: no topic {name}; it holds {", ".join(sorted(ordinary))}')
+    chosen = only or ordinary
+    context = own_context()
+    node = Node('kinpole_player', context=context)
+    count = 0
+    try:
+        qos = QoSProfile(depth=_DEEP)
+        try:
+            publishers = {
+                name: node.create_publisher(message_class(there[name]), name, qos)
+                for name in chosen
+            }
+        except NameValidationException as error:
+            told = ' '.join(str(error).rstrip(' ^\n').split())
+            raise BagError(f'{bag}: {told}; name other topics with --topic') from None
+        deadline = time.monotonic() + wait
+        while time.monotonic() < deadline and context.ok():
+            if all(p.get_subscription_count() for p in publishers.values()):
+                break
+            time.sleep(_LOOK_EVERY / 10)
+        if context.ok():
+            counts = {name: p.get_subscription_count() for name, p in publishers.items()}
+            if unheard := [name for name, count in counts.items() if not count]:
+                node.get_logger().warning(f'nobody listens to {", ".join(unheard)}')
+        start, first = time.monotonic(), None
+        for message in read_messages(bag, chosen, progress):
+            first = message.log_time if first is None else first
+            late = start + (message.log_time - first) * 1e-9 / speed - time.monotonic()
+            if late > 0:
+                time.sleep(late)
+            if not context.ok():
+                break
+            publishers[message.topic].publish(message.data)
+            count += 1
+        for publisher in publishers.values():
+            # Step by step, so that Ctrl-C ends it: who reads may have stopped to.
+            while not publisher.wait_for_all_acked(Duration(seconds=_LOOK_EVERY)):
+                pass
+    finally:
+        node.destroy_node()
+        context.try_shutdown()
+    return count
+
+
+def _whole(topic: str) -> str:
+    """A topic, or the beginning of one, that may lack its slash."""
+    return topic if topic.startswith('/') else f'/{topic}'
+
+
+def own_context() -> rclpy.Context:
+    """Start ROS beside whatever else there is of it; raises BagError where it cannot."""
+    context = rclpy.Context()
+    with _starting():
+        check_domain()
+        rclpy.init(args=[], context=context)
+    return context
+
+
+@contextmanager
+def _starting() -> Iterator[None]:
+    """What is wrong with ROS_DOMAIN_ID and its like is no fault of ours."""
+    try:
+        yield
+    except rclpy_implementation.RCLError as error:
+        raise BagError(f'ROS cannot start in this environment: {reason_of(error)}') from None
+
+
+def _least_of(offers: Sequence[QoSProfile]) -> QoSProfile:
+    """Reliable, and what was sent before, where all of them are."""
+    qos = QoSProfile(depth=_DEEP)
+    if any(o.reliability == ReliabilityPolicy.BEST_EFFORT for o in offers):
+        qos.reliability = ReliabilityPolicy.BEST_EFFORT
+    if all(o.durability == DurabilityPolicy.TRANSIENT_LOCAL for o in offers):
+        qos.durability = DurabilityPolicy.TRANSIENT_LOCAL
+    return qos
+
+
+class Recorder(Node):
+    """Records every topic under some prefixes, from when it appears."""
+
+    def __init__(self, writer: BagWriter, prefixes: list[str]) -> None:
+        super().__init__('kinpole_recorder')
+        self._writer = writer
+        self._prefixes = tuple(map(_whole, prefixes))
+        # The type a topic is recorded as, and others it was published as.
+        self._seen: dict[str, set[str]] = {}
+        self._recorded: list[tuple[Subscription, Callable[[bytes], None]]] = []
+        # Those with a publisher that offers less than was asked for.
+        self._unheard: set[Subscription] = set()
+        self._group = Apart()
+        # For the subscriptions alone, as many as there are.
+        self._wait_set: Any = None
+        self.messages = 0
+        steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self.create_timer(_LOOK_EVERY, self._look, clock=steady)
+        self.create_timer(_FLUSH_EVERY, writer.flush, clock=steady)
+        self._waiting = self.create_timer(_PATIENCE, self._complain, clock=steady)
+        self._look()
+
+    @property
+    def found(self) -> bool:
+        """Whether there is anything to record."""
+        return bool(self._recorded)
+
+    def wait(self, seconds: float) -> bool:
+        """Wait so long for messages, which are left to this from now on; whether any came."""
+        self._group.apart = True
+        if self._wait_set is None:
+            context = self.context.handle
+            self._wait_set = rclpy_implementation.WaitSet(
+                len(self._recorded), 0, 0, 0, 0, 0, context
+            )
+        self._wait_set.clear_entities()
+        with ExitStack() as stack:
+            for subscription, _ in self._recorded:
+                stack.enter_context(subscription.handle)
+                self._wait_set.add_subscription(subscription.handle)
+            self._wait_set.wait(round(seconds * 1e9))
+        return self.take() > 0
+
+    def take(self) -> int:
+        """Record all that waits; how many messages it was."""
+        before = self.messages
+        for subscription, save in self._recorded:
+            handle = subscription.handle
+            with handle:
+                # No more than wait at most, lest a flood keeps all others waiting.
+                for _ in range(_DEEP):
+                    taken = handle.take_message(subscription.msg_type, True)
+                    if taken is None:
+                        break
+                    save(taken[0])
+        return self.messages - before
+
+    def _complain(self) -> None:
+        self._waiting.cancel()
+        lacking = [p for p in self._prefixes if not any(name.startswith(p) for name in self._seen)]
+        if lacking:
+            names = ' or '.join(lacking)
+            self.get_logger().warning(f'nobody publishes on a topic that begins with {names} yet')
+
+    def _look(self) -> None:
+        for name, types in self.get_topic_names_and_types():
+            # Of those who listen too, and so of ourselves.
+            known = name in self._seen and len(types) == 1
+            if known or not name.startswith(self._prefixes):
+                continue
+            published = self.get_publishers_info_by_topic(name)
+            if not published:
+                continue
+            if name in self._seen:
+                self._note_other_types(name, {o.topic_type for o in published})
+                continue
+            # A topic has one type in a bag.
+            kind = published[0].topic_type
+            self._seen[name] = {kind}
+            try:
+                cls = message_class(kind)
+            except BagError as error:
+                self.get_logger().warning(f'{name} is not recorded: {error}')
+                continue
+            offers = [o.qos_profile for o in published if o.topic_type == kind]
+            self._subscribe(name, cls, _least_of(offers))
+        # Word of one that is no more may come late.
+        for subscription, _ in list(self._recorded):
+            if subscription in self._unheard:
+                self._ask_for_less(subscription)
+
+    def _subscribe(self, name: str, cls: type, qos: QoSProfile) -> None:
+        save = self._saver(name, cls)
+        events = SubscriptionEventCallbacks(
+            incompatible_qos=lambda _: self._unheard.add(subscription)
+        )
+        subscription: Subscription = self.create_subscription(
+            cls, name, save, qos, callback_group=self._group, event_callbacks=events, raw=True
+        )
+        self._recorded.append((subscription, save))
+        self._wait_set = None
+
+    def _ask_for_less(self, subscription: Subscription) -> None:
+        """Subscribe anew where a publisher has come that offers less than those before."""
+        name, cls, asked = subscription.topic_name, subscription.msg_type, subscription.qos_profile
+        published, kind = self.get_publishers_info_by_topic(name), type_name(cls)
+        offers = [o.qos_profile for o in published if o.topic_type == kind]
+        less = [o for o in offers if qos_check_compatible(o, asked)[0] == QoSCompatibility.ERROR]
+        if not less:  # not listed yet, or gone again
+            return
+        self.get_logger().info(f'{name} is recorded with less QoS from now on, as offered')
+        self.take()
+        self._unheard.remove(subscription)
+        self._recorded = [row for row in self._recorded if row[0] is not subscription]
+        self.destroy_subscription(subscription)
+        self._subscribe(name, cls, _least_of([asked, *less]))
+
+    def _note_other_types(self, name: str, types: set[str]) -> None:
+        if others := types - self._seen[name]:
+            self._seen[name] |= others
+            told = ', '.join(sorted(others))
+            self.get_logger().warning(
+                f'{name} is published as {told} too, and that is not recorded: one bag has one '
+                'type for a topic; record anew'
+            )
+
+    def _saver(self, name: str, cls: type) -> Callable[[bytes], None]:
+        def save(data: bytes) -> None:
+            self._writer.write_raw(name, cls, data, self.get_clock().now().nanoseconds)
+            self.messages += 1
+
+        return save
+
+
+def record(output: str | Path, prefixes: list[str]) -> int:
+    """
+    Record all topics that begin with one of `prefixes` until told to stop (SIGINT or SIGTERM).
+
+    Returns the number of messages. What was recorded is readable even if the process is killed,
+    but for the last second. Raises BagError when the output cannot be written, or holds something
+    already: what was recorded before cannot be made again.
+    """
+    there = Path(output)
+    if there.is_file() and there.stat().st_size:
+        raise BagError(f'{output} is there already; name another file, or remove that one first')
+    with _starting():
+        told_to_stop = start_ros([])
+    try:
+        with BagWriter(output, RECORDER) as writer:
+            recorder = Recorder(writer, prefixes)
+            executor = MessagesFirst(recorder)
+            executor.add_node(recorder)
+            try:
+                while not told_to_stop():
+                    executor.spin_once()
+                # What has come is recorded, however far behind this is.
+                recorder.take()
+            finally:
+                executor.shutdown()
+                recorder.destroy_node()
+            return recorder.messages
+    finally:
+        rclpy.try_shutdown()

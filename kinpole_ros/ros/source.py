@@ -1,0 +1,231 @@
+"""Where the markers come from: a topic that is found, subscribed to, taken from and watched."""
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from typing import Any
+
+from rclpy.event_handler import SubscriptionEventCallbacks
+from rclpy.impl.implementation_singleton import rclpy_implementation
+from rclpy.node import Node
+from rclpy.qos import QoSCompatibility, QoSProfile, ReliabilityPolicy, qos_check_compatible
+from rclpy.qos_overriding_options import QoSOverridingOptions
+from rclpy.topic_endpoint_info import TopicEndpointInfo
+
+from kinpole_ros.messages import MARKER_TYPES, ROS_TYPE_NAMES, MarkerReader, MessageError
+from kinpole_ros.pipeline.frame import MarkerFrames
+from kinpole_ros.pipeline.parameters import ParameterError, Settings
+from kinpole_ros.ros.executor import Apart
+
+# Messages that wait while others are worked on; beyond, the newest push out the oldest. A stretch
+# of 50 takes up to 10 ms, in which 50 more may come.
+_DEPTH = 200
+
+
+class MarkerSource:
+    """
+    The topic of the markers.
+
+    `on_markers` is called with a message and its info, by rclpy or by `wait`, and has them and all
+    that waits read by `take`. `note` is told what is wrong, by a word for it, and '' when that is
+    over.
+    """
+
+    def __init__(
+        self,
+        node: Node,
+        settings: Settings,
+        on_markers: Callable[[bytes, Mapping[str, Any]], None],
+        note: Callable[[str, str], None],
+    ) -> None:
+        self._node, self._settings = node, settings
+        self._on_markers, self._note = on_markers, note
+        self.topic = node.resolve_topic_name(settings.marker_topic)
+        self._subscription: Any = None
+        self._group = Apart()
+        # For the subscription alone.
+        self._wait_set: Any = None
+        self._kind = ''
+        # Whether the markers were asked for reliably.
+        self.lossless = False
+        self._publishers: set[bytes] = set()
+        # Of the last message, as its publisher numbers them.
+        self._number: int | None = None
+        # How often, of late, the number was no higher: another publisher took its turn.
+        self._turns = 0
+
+    @property
+    def found(self) -> bool:
+        """Whether the topic is subscribed to."""
+        return self._subscription is not None
+
+    def wait(self, seconds: float) -> bool:
+        """Wait so long for markers, which are left to this from now on; whether any came."""
+        self._group.apart = True
+        subscription = self._subscription
+        handle = subscription.handle
+        with handle:
+            self._wait_set.clear_entities()
+            self._wait_set.add_subscription(handle)
+            self._wait_set.wait(round(seconds * 1e9))
+            message = handle.take_message(subscription.msg_type, True)
+        if message is None:
+            return False
+        self._on_markers(*message)
+        return True
+
+    def close(self) -> None:
+        """Listen no more; to look again begins again."""
+        if self._subscription is not None:
+            self._node.destroy_subscription(self._subscription)
+        self._subscription = None
+        self._kind = ''
+        self._number = None
+        self._publishers = set()
+
+    def start_anew(self, settings: Settings) -> None:
+        """Forget what came, and tell markers apart as these settings say."""
+        self._settings = settings
+        self._number = None
+        if self._kind:
+            self._reader = MarkerReader(self._kind, settings.marker_identity)
+
+    def look(self) -> bool:
+        """
+        Subscribe as soon as the type of the markers is known; note it where none can be read.
+
+        Returns whether another publisher has taken over, whose markers may be other ones. Raises
+        ParameterError for a QoS that cannot be used.
+        """
+        offers = self._node.get_publishers_info_by_topic(self.topic)
+        replaced = self._note_publishers({bytes(offer.endpoint_gid) for offer in offers})
+        published = {offer.topic_type for offer in offers}
+        wanted = self._settings.marker_type
+        readable = [wanted] if wanted != 'auto' else list(MARKER_TYPES)
+        found = [kind for kind in readable if ROS_TYPE_NAMES[kind] in published]
+        unreadable = ''
+        if published and not found:
+            unreadable = (
+                f'{self.topic} is published as {", ".join(sorted(published))}; it must be '
+                f'one of {", ".join(ROS_TYPE_NAMES[kind] for kind in readable)}'
+            )
+        self._note('type', unreadable)
+        kinds = found if wanted == 'auto' else readable
+        if kinds and self._kind not in kinds:
+            self.close()
+            self._subscribe(kinds[0])
+        self._note_other_types(published)
+        self._note_unheard(offers)
+        return replaced
+
+    def _subscribe(self, kind: str) -> None:
+        # Drivers mostly send as sensors do; what is late is not worth waiting for.
+        qos = QoSProfile(depth=_DEPTH, reliability=ReliabilityPolicy.BEST_EFFORT)
+        overrides = f'qos_overrides.{self.topic}.subscription'
+        try:
+            self._subscription = self._node.create_subscription(
+                MARKER_TYPES[kind],
+                self._settings.marker_topic,
+                self._on_markers,
+                qos,
+                callback_group=self._group,
+                event_callbacks=SubscriptionEventCallbacks(use_default_callbacks=False),
+                qos_overriding_options=QoSOverridingOptions.with_default_policies(),
+                raw=True,
+            )
+            reliability = self._node.get_parameter(f'{overrides}.reliability').value
+        except Exception as error:  # rclpy raises many things, some without words
+            raise ParameterError(
+                f'parameters {overrides} cannot be used '
+                f'({str(error) or type(error).__name__}); correct them or leave them out'
+            ) from None
+        context = self._node.context.handle
+        self._wait_set = rclpy_implementation.WaitSet(1, 0, 0, 0, 0, 0, context)
+        self.lossless = reliability == 'reliable'
+        self._kind = kind
+        self._reader = MarkerReader(kind, self._settings.marker_identity)
+        bodies = ', '.join(self._settings.bodies)
+        self._node.get_logger().info(f'follows {bodies} on {self.topic} ({ROS_TYPE_NAMES[kind]})')
+
+    def _note_unheard(self, offers: Sequence[TopicEndpointInfo]) -> None:
+        """Note a publisher whose QoS is less than is asked for; rclpy tells only when it comes."""
+        text = ''
+        for offer in offers:
+            if offer.topic_type != ROS_TYPE_NAMES.get(self._kind):
+                continue
+            match, reason = qos_check_compatible(offer.qos_profile, self._subscription.qos_profile)
+            if match == QoSCompatibility.ERROR:
+                why = reason.replace('ERROR: ', '').rstrip(';')
+                text = (
+                    f'a publisher of {self.topic} offers less QoS than this node asks for, and '
+                    f'nothing is received from it ({why}): set the parameters '
+                    f'qos_overrides.{self.topic}.subscription... to what it offers'
+                )
+        self._note('qos', text)
+
+    def _note_other_types(self, published: set[str]) -> None:
+        followed = ROS_TYPE_NAMES.get(self._kind)
+        text = ''
+        if followed in published and len(published) > 1:
+            others = ', '.join(sorted(published - {followed}))
+            text = (
+                f'{self.topic} is published as {others} too, and that is not read: {followed} is '
+                'followed; set the parameter marker_type, or publish only one of them'
+            )
+        self._note('other types', text)
+
+    def _note_publishers(self, seen: set[bytes]) -> bool:
+        """Whether none is left of those that were there."""
+        if not seen or seen == self._publishers:
+            return False
+        replaced = bool(self._publishers) and not seen & self._publishers
+        self._publishers, self._number = seen, None
+        return replaced
+
+    def take(
+        self, message: bytes, info: Mapping[str, Any]
+    ) -> tuple[list[MarkerFrames | MessageError], int, int]:
+        """
+        Read this message and all that wait.
+
+        Returns what was read, of how many messages, and how many more were dropped on the way.
+        """
+        kind = MARKER_TYPES[self._kind]
+        waiting = [(message, info)]
+        with self._subscription.handle:
+            take = self._subscription.handle.take_message
+            while len(waiting) < _DEPTH and (more := take(kind, True)) is not None:
+                waiting.append(more)
+        dropped = self._dropped(info.get('publication_sequence_number') for _, info in waiting)
+        return self._reader.read(data for data, _ in waiting), len(waiting), dropped
+
+    def _dropped(self, numbers: Iterable[int | None]) -> int:
+        """Count what is missing between messages, where they have numbers and one publisher."""
+        dropped = 0
+        for number in numbers:
+            if number and self._number is not None:
+                if len(self._publishers) == 1:
+                    dropped += max(0, number - self._number - 1)
+                elif number <= self._number:
+                    self._turns += 1
+            self._number = number
+        return dropped
+
+    def note_turns(self) -> None:
+        """Note whether several publishers have sent in turn since this was asked before."""
+        text = ''
+        # Once may be a driver that was killed and is back, before its end was noticed.
+        if self._turns > 1:
+            names = ', '.join(publishers_of(self._node, self.topic))
+            text = (
+                f'several publishers send markers on {self.topic} in turn ({names}), and results '
+                'are of all of them mixed: stop all but one'
+            )
+        self._note('sources', text)
+        self._turns = 0
+
+
+def publishers_of(node: Node, topic: str) -> list[str]:
+    """Full names of the nodes that publish a topic, as far as known; once for each publisher."""
+    offers = node.get_publishers_info_by_topic(topic)
+    # A publisher is known a little before its node.
+    known = [o for o in offers if o.node_name != '_NODE_NAME_UNKNOWN_']
+    return sorted(f'{o.node_namespace.rstrip("/")}/{o.node_name}' for o in known)

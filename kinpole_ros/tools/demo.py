@@ -1,0 +1,175 @@
+"""
+The main job, shown on any machine: a real node, a bag played into it over DDS, a recording.
+
+Every process is its own, as on a rig: node, recorder, and the player in this one. What is recorded
+is then compared with the exact answer that the bag carries.
+"""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import rclpy
+from nav_msgs.msg import Odometry
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.serialization import deserialize_message
+
+from kinpole_ros.bags import BagError, message_class, read_messages
+from kinpole_ros.mechanism import share_folder
+from kinpole_ros.pipeline.estimate import POLE_NAMES
+from kinpole_ros.pipeline.parameters import load_settings
+from kinpole_ros.ros.live import own_context, play
+
+_START = 20.0
+_STOP = 10.0
+# No result for so long after the last marker: all have come, to a recorder too that lost some on
+# its way while its cores were busy, for Fast DDS sends those again every 3 s.
+_QUIET = 3.5
+
+
+def demo(output: str | Path) -> int:
+    """Run the demo, writing into the folder `output`; returns the exit status."""
+    folder = Path(output)
+    folder.mkdir(parents=True, exist_ok=True)
+    share = share_folder()
+    bag, config = share / 'bags' / 'four_bar.mcap', share / 'config' / 'four_bar.yaml'
+    if not bag.exists():
+        raise BagError(f'{bag} is missing; make it with make bags')
+    recording, picture = folder / 'demo.mcap', folder / 'demo.png'
+    # Nobody else's nodes in our demo, and ours in nobody else's network.
+    os.environ.setdefault('ROS_DOMAIN_ID', str(100 + os.getpid() % 100))
+    os.environ.setdefault('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
+
+    # As a shell tells it; at once, SIGTERM would leave node and recorder running.
+    signal.signal(signal.SIGTERM, lambda number, _: sys.exit(128 + number))
+    recording.unlink(missing_ok=True)
+    print(f'node:     kinpole node --ros-args --params-file {config}')
+    print(f'recorder: kinpole record --output {recording}')
+    print(f'player:   kinpole play {bag}')
+    count = live_run(bag, config, recording)
+    print(f'{count} frames of markers played over DDS; what the node said is in {recording}\n')
+    for line in _comparison(bag, recording, tuple(load_settings(config).bodies)):
+        print(line)
+
+    from kinpole_ros.tools.plot import plot
+
+    plot(recording, picture)
+    print(f'\nthe picture: {picture}')
+    return 0
+
+
+def live_run(bag: Path, config: Path, recording: Path) -> int:
+    """
+    Play the markers of `bag` into a node of its own and record everything it publishes.
+
+    The node is told to lose no marker. Returns the number of messages played.
+    Raises BagError when the node or the recorder does not come up.
+    """
+    settings = load_settings(config)
+    topic = settings.marker_topic
+    name = topic if topic.startswith('/') else f'/{topic}'
+    node_words = ['node', '--ros-args', '--params-file', str(config)]
+    prefix = f'qos_overrides.{name}.subscription'
+    node_words += ['-p', f'{prefix}.reliability:=reliable', '-p', f'{prefix}.depth:=1000']
+    context = own_context()
+    executor = SingleThreadedExecutor(context=context)
+    watcher = rclpy.create_node('kinpole_demo', context=context)
+    executor.add_node(watcher)
+    heard: list[float] = []
+    first = f'/kinpole/{next(iter(settings.bodies))}/odom'
+    watcher.create_subscription(Odometry, first, lambda _: heard.append(time.monotonic()), 1)
+    try:
+        with (
+            _process(node_words) as node,
+            _process(['record', '--output', str(recording)]) as recorder,
+        ):
+            # Play only when every topic of the node is being recorded.
+            _await(lambda: _all_recorded(watcher), node, recorder)
+            count = play(bag, [name], wait=_START)
+            _await_quiet(executor, heard)
+            if node.poll() is not None or recorder.poll() is not None:
+                raise BagError('the node or its recorder ended on the way; see what it printed')
+            return count
+    finally:
+        watcher.destroy_node()
+        context.try_shutdown()
+
+
+def _all_recorded(watcher: Any) -> bool:
+    names = [n for n, _ in watcher.get_topic_names_and_types() if n.startswith('/kinpole/')]
+    results = [n for n in names if n.endswith(('/odom', '/visualization', '/icr'))]
+    if not any(n.endswith('/visualization') for n in results):
+        return False
+    return all(watcher.count_subscribers(n) for n in names if 'transition_event' not in n)
+
+
+def _await(condition: Callable[[], bool], *processes: 'subprocess.Popen[bytes]') -> None:
+    deadline = time.monotonic() + _START
+    while not condition():
+        ended = any(process.poll() is not None for process in processes)
+        if ended or time.monotonic() > deadline:
+            raise BagError(
+                f'the node and its recorder did not come up within {_START:g} s; see what they '
+                'printed, and whether ROS_DOMAIN_ID or a firewall keeps processes apart'
+            )
+        time.sleep(0.02)
+
+
+def _await_quiet(executor: SingleThreadedExecutor, heard: list[float]) -> None:
+    """Until the node has said nothing for a while."""
+    heard.append(time.monotonic())
+    while time.monotonic() - heard[-1] < _QUIET:
+        executor.spin_once(timeout_sec=_QUIET)
+
+
+@contextmanager
+def _process(words: list[str]) -> 'Iterator[subprocess.Popen[bytes]]':
+    """A `kinpole` command that runs beside us, and is told to stop at the end."""
+    process = subprocess.Popen([sys.executable, '-m', 'kinpole_ros.tools.cli', *words])
+    try:
+        yield process
+    finally:
+        process.send_signal(signal.SIGINT)
+        try:
+            process.wait(_STOP)
+        except subprocess.TimeoutExpired:
+            process.kill()
+            process.wait()
+
+
+def _comparison(bag: Path, recording: Path, bodies: tuple[str, ...]) -> Iterator[str]:
+    """A table of what was measured against the exact answer, line by line."""
+    wanted = ['angular_velocity', 'angular_acceleration', *POLE_NAMES[:3], 'centrode_curvature']
+    units = ['rad/s', 'rad/s^2', 'm', 'm', 'm', '1/m']
+    yield f'{"body":10} {"quantity":22} {"instants":>9} {"median |error|":>15}  unit'
+    truth = _values(bag, [f'/kinpole/truth/{b}/{q}' for b in bodies for q in wanted])
+    found = _values(recording, [f'/kinpole/{b}/{q}' for b in bodies for q in wanted])
+    for body in bodies:
+        for quantity, unit in zip(wanted, units, strict=True):
+            exact = truth.get(f'/kinpole/truth/{body}/{quantity}', {})
+            measured = found.get(f'/kinpole/{body}/{quantity}', {})
+            both = [stamp for stamp in measured if stamp in exact]
+            if not both:
+                told = 'undetermined, as it should be' if not exact else 'undetermined'
+                yield f'{body:10} {quantity:22} {len(measured):9} {told}'
+                continue
+            error = [float(np.linalg.norm(measured[s] - exact[s])) for s in both]
+            yield f'{body:10} {quantity:22} {len(measured):9} {np.median(error):15.3g}  {unit}'
+
+
+def _values(bag: Path, topics: list[str]) -> dict[str, dict[int, np.ndarray]]:
+    """The vectors of some topics by stamp."""
+    values: dict[str, dict[int, np.ndarray]] = {}
+    for message in read_messages(bag, topics):
+        decoded: Any = deserialize_message(message.data, message_class(message.type_name))
+        vector = decoded.vector if hasattr(decoded, 'vector') else decoded.point
+        stamp = decoded.header.stamp.sec * 1_000_000_000 + decoded.header.stamp.nanosec
+        values.setdefault(message.topic, {})[stamp] = np.array([vector.x, vector.y, vector.z])
+    return values

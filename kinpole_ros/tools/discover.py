@@ -1,0 +1,95 @@
+"""
+`kinpole discover`: a rig that nobody has described, from its markers alone.
+
+Reads a bag or listens to a topic, has `linkage` find what there is, and writes it down.
+"""
+
+from collections.abc import Callable
+from pathlib import Path
+
+from kinpole_ros.bags import BagError, read_frames
+from kinpole_ros.linkage import UndiscoveredError, discover, draft, parameter_file, table
+from kinpole_ros.pipeline.frame import MarkerFrames
+
+# s of data, where nobody says.
+_OF_A_BAG = 60.0
+_LIVE = 20.0
+# Share of the time that reading takes.
+_READING = 0.2
+
+
+def discover_rig(
+    source: str,
+    topic: str | None = None,
+    seconds: float | None = None,
+    output: str | Path | None = None,
+    scene: str | Path | None = None,
+    picture: str | Path | None = None,
+    progress: Callable[[float], None] | None = None,
+) -> list[str]:
+    """
+    What the markers of a bag or topic show, as lines to print; also writes the files named.
+
+    `output` is the parameter file, `scene` the draft scene, `picture` what was found, drawn. Raises
+    BagError for what cannot be read, found or written, with the fix.
+    """
+    if seconds is not None and not 0 < seconds < float('inf'):
+        raise BagError(f'--seconds is {seconds}; it must be more than 0')
+
+    def part(first: float, share: float) -> Callable[[float], None] | None:
+        return None if progress is None else (lambda done: progress(first + share * done))
+
+    parts, name, live = _read(source, topic, seconds, part(0.0, _READING))
+    try:
+        found = discover(parts, part(_READING, 0.9 - _READING))
+    except UndiscoveredError as error:
+        raise BagError(f'{source}: {error}') from None
+    about = f'Found by kinpole discover {source}'
+    drawn = draft(found, f'{about}: a draft, to be checked and named.')
+    if progress is not None:
+        progress(1.0)
+    lines = table(found, drawn[1] if drawn else None)
+    if output is not None:
+        _write(output, parameter_file(found, name, f'{about}.'))
+        lines.append(f'parameters written to {output}')
+    if scene is not None:
+        if drawn is None:
+            raise BagError(
+                f'{scene} is not written: no joint connects a body with the ground; fix: record '
+                'more of the motion, or mark the bodies between'
+            )
+        _write(scene, drawn[0])
+        lines.append(f'draft scene written to {scene}')
+    if picture is not None:
+        from kinpole_ros.tools.plot import draw_linkage
+
+        draw_linkage(found, picture, Path(source).name if not live else name)
+        lines.append(f'drawn to {picture}')
+    return lines
+
+
+def _read(
+    source: str,
+    topic: str | None,
+    seconds: float | None,
+    progress: Callable[[float], None] | None,
+) -> tuple[list[MarkerFrames], str, bool]:
+    """The frames, the topic, and whether it is live."""
+    if Path(source).exists() or source.endswith('.mcap') or topic is not None:
+        parts, name = read_frames(source, topic, seconds or _OF_A_BAG, progress)
+        return parts, name, False
+    from kinpole_ros.ros.listen import listen
+
+    parts, name = listen(source, seconds or _LIVE, progress)
+    return parts, name, True
+
+
+def _write(path: str | Path, text: str) -> None:
+    try:
+        Path(path).parent.mkdir(parents=True, exist_ok=True)
+        Path(path).write_text(text, encoding='utf-8')
+    except OSError as error:
+        raise BagError(
+            f'{path} cannot be written: {error.strerror}; fix: check the path, its rights and the '
+            'space on the disk'
+        ) from error

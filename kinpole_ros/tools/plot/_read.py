@@ -1,0 +1,278 @@
+"""
+The results in a bag, as series over time: all that a picture is drawn of.
+
+Read from the messages alone, so a recording of the live node is as good as a replay.
+"""
+
+import shlex
+from collections.abc import Callable, Collection
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from rclpy.serialization import deserialize_message
+
+from kinpole_ros.bags import BagError, Truncated, message_class, read_messages, topics
+from kinpole_ros.messages import stamp_to_ns
+from kinpole_ros.rigid.plane import AXES, Plane, as_parameter, plane_along, plane_of, upward
+
+POLES = ('icr', 'iap', 'ijp')
+
+
+class Series(NamedTuple):
+    """
+    One topic: `stamp` (T,) in ns, rising, and `value` (T,), complex where it is of the plane.
+
+    `covariance` (T, 2, 2), NaN where not published.
+    """
+
+    stamp: np.ndarray
+    value: np.ndarray
+    covariance: np.ndarray
+
+
+class Body(NamedTuple):
+    """
+    What a bag tells of one body: from odom at `stamp` (T,) in ns, the rest by topic in `series`.
+
+    `position` (T,) complex, m; `angle` (T,), rad; `rate` and its standard deviation `rate_sigma`
+    (T,), rad/s; `size`, m, is twice the root mean square distance of the markers from their mean,
+    NaN when it cannot be told.
+    """
+
+    name: str
+    stamp: np.ndarray
+    position: np.ndarray
+    angle: np.ndarray
+    rate: np.ndarray
+    rate_sigma: np.ndarray
+    size: float
+    series: dict[str, Series]
+
+
+class Results(NamedTuple):
+    """
+    A result bag: its plane, the bodies, and relative instant centers by names (j, i).
+
+    `along` says what x and y of the plane are in the frame of the markers.
+    """
+
+    plane: str
+    bodies: list[Body]
+    relative: dict[tuple[str, str], Series]
+    cut: bool
+    along: tuple[str, str]
+
+
+class Centrodes(NamedTuple):
+    """
+    Loci of the ICR, both complex (K,) in m: `fixed` in the plane, `moving` in the body's frame.
+
+    Taken at `stamp` (K,) in ns, where the body turned at `rate` (K,), rad/s; `sigma` (K,), m, is
+    how well the ICR is known, NaN where not published.
+    """
+
+    stamp: np.ndarray
+    fixed: np.ndarray
+    moving: np.ndarray
+    rate: np.ndarray
+    sigma: np.ndarray
+
+
+def read_results(bag: str | Path, progress: Callable[[float], None] | None = None) -> Results:
+    """
+    The results of a bag, whatever node published them; exact answers of simulate are left out.
+
+    `progress` is called with the fraction of bytes read. Raises BagError when there are none.
+    """
+    kinds = topics(bag)
+    prefixes = [
+        topic.removesuffix('/odom')
+        for topic, kind in kinds.items()
+        if topic.endswith('/odom') and topic.count('/') > 2 and kind == 'nav_msgs/msg/Odometry'
+    ]
+    prefixes = [name for name in prefixes if not name.rpartition('/')[0].endswith('/truth')]
+    # The order in which the node has them: each one is related to all before it.
+    prefixes.sort(key=lambda prefix: sum(t.startswith(f'{prefix}/wrt/') for t in kinds))
+    relative = {
+        topic: (prefix, f'{prefix.rpartition("/")[0]}/{topic.split("/")[-2]}')
+        for prefix in prefixes
+        for topic in kinds
+        if topic.startswith(f'{prefix}/wrt/') and topic.endswith('/icr')
+    }
+    if not prefixes:
+        raise BagError(
+            f'{bag} holds no results (no odometry of a body); make them first: '
+            f'kinpole replay {shlex.quote(str(bag))} --output RESULT.mcap'
+        )
+    wanted = {f'{prefix}/{part}' for prefix in prefixes for part in ('odom', *_PARTS)}
+    # Of a pole that comes with its covariance the plain one says nothing more.
+    wanted -= {
+        t.removesuffix('/with_covariance')
+        for t in wanted & set(kinds)
+        if t.endswith('/with_covariance')
+    }
+    rows, cut = _read(bag, wanted | set(relative), progress)
+    bodies_there = [prefix for prefix in prefixes if f'{prefix}/odom' in rows]
+    if not bodies_there:
+        raise BagError(
+            f'{bag} holds no pose of {", ".join(prefixes)}; see in its /diagnostics why, and '
+            'whether the parameters name the markers as they are published'
+        )
+    prefixes = bodies_there
+    odometry = {prefix: rows[f'{prefix}/odom'] for prefix in prefixes}
+    plane = _plane(np.concatenate([values for _, values in odometry.values()]))
+    nodes = {prefix.rpartition('/')[0] for prefix in prefixes}
+    names = {
+        prefix: prefix.rpartition('/')[2] if len(nodes) == 1 else prefix for prefix in prefixes
+    }
+    bodies = []
+    for prefix, (stamp, values) in odometry.items():
+        parts = {part: rows[name] for part in _PARTS if (name := f'{prefix}/{part}') in rows}
+        for pole in POLES:
+            if f'{pole}/with_covariance' in parts:
+                parts[pole] = parts.pop(f'{pole}/with_covariance')
+        series = {part: _series(*found, plane, part in _NUMBERS) for part, found in parts.items()}
+        if f'{prefix}/{_CURVATURE}' in kinds:
+            # Known at no instant: the ICR was not seen to move, which is more than not recorded.
+            series.setdefault(_CURVATURE, _series(np.empty(0, int), np.empty((0, 3)), plane, True))
+        bodies.append(_body(names[prefix], stamp, values, plane, series))
+    between = {
+        (names[j], names[i]): _series(*rows[topic], plane, False)
+        for topic, (j, i) in relative.items()
+        if topic in rows and j in names and i in names
+    }
+    along = (plane.name[0], plane.name[1])
+    if plane.axes is None:
+        along = (f'along {as_parameter(plane.basis[0])}', f'along {as_parameter(plane.basis[1])}')
+    return Results(plane.name, bodies, between, cut, along)
+
+
+def centrodes(body: Body) -> Centrodes:
+    """Both centrodes of a body, at the instants at which its pose and its ICR are known."""
+    if 'icr' not in body.series:
+        none = np.empty(0)
+        return Centrodes(none.astype(np.int64), none + 0j, none + 0j, none, none)
+    icr = body.series['icr']
+    stamp, own, other = np.intersect1d(body.stamp, icr.stamp, return_indices=True)
+    fixed = icr.value[other]
+    moving = (fixed - body.position[own]) * np.exp(-1j * body.angle[own])
+    sigma = np.sqrt(np.trace(icr.covariance[other], axis1=1, axis2=2))
+    return Centrodes(stamp, fixed, moving, body.rate[own], sigma)
+
+
+# A normal so near to an axis is along it; more than so much about other axes is of no one plane.
+_ROUNDING, _ELSEWHERE = 1e-9, 1e-3
+_CURVATURE = 'centrode_curvature'
+_NUMBERS = ('angular_acceleration', 'angular_jerk', _CURVATURE)
+_PARTS = (*_NUMBERS, *POLES, *(f'{pole}/with_covariance' for pole in POLES), 'icr_velocity')
+
+
+def _xyz(part: Any) -> list[float]:
+    return [part.x, part.y, part.z]
+
+
+def _odometry_row(message: Any) -> list[float]:
+    """Place, turn and rate, and the covariances of the three: 3 + 4 + 3 + 3 * 9 numbers."""
+    pose, twist = message.pose, message.twist
+    turn = pose.pose.orientation
+    return [
+        *_xyz(pose.pose.position),
+        *_xyz(turn),
+        turn.w,
+        *_xyz(twist.twist.angular),
+        *(pose.covariance[6 * row + column] for row in range(3) for column in range(3)),
+        *(pose.covariance[6 * row + column] for row in range(3, 6) for column in range(3, 6)),
+        *(twist.covariance[6 * row + column] for row in range(3, 6) for column in range(3, 6)),
+    ]
+
+
+_ROWS: dict[str, Callable[[Any], list[float]]] = {
+    'nav_msgs/msg/Odometry': _odometry_row,
+    'geometry_msgs/msg/PointStamped': lambda message: _xyz(message.point),
+    'geometry_msgs/msg/Vector3Stamped': lambda message: _xyz(message.vector),
+    'geometry_msgs/msg/PoseWithCovarianceStamped': lambda message: [
+        *_xyz(message.pose.pose.position),
+        *message.pose.covariance,
+    ],
+}
+
+
+def _read(
+    bag: str | Path, wanted: Collection[str], progress: Callable[[float], None] | None
+) -> tuple[dict[str, tuple[np.ndarray, np.ndarray]], bool]:
+    """Stamps (T,) and numbers (T, ...) of each topic with messages, and if the bag is cut off."""
+    found: dict[str, dict[int, list[float]]] = {}
+    cut = False
+    try:
+        for message in read_messages(bag, wanted, progress):
+            row = _ROWS.get(message.type_name)
+            if row is None:
+                continue
+            decoded: Any = deserialize_message(message.data, message_class(message.type_name))
+            # A bag played in a loop says the same of an instant again: the last word counts.
+            found.setdefault(message.topic, {})[stamp_to_ns(decoded.header.stamp)] = row(decoded)
+    except Truncated:
+        cut = True
+    arrays = {}
+    for topic, rows in found.items():
+        stamp = np.fromiter(rows, np.int64, len(rows))
+        order = np.argsort(stamp)
+        arrays[topic] = stamp[order], np.array(list(rows.values()), float)[order]
+    return arrays, cut
+
+
+def _plane(odometry: np.ndarray) -> Plane:
+    """The plane whose normal the bodies turn about; where none turns, the one that was measured."""
+    turns = np.concatenate((odometry[:, 3:6], odometry[:, 7:10]))
+    squares = turns.T @ turns
+    if not turns.any():
+        # What is measured of turns is that about the normal.
+        squares = np.linalg.pinv(odometry[:, 19:28].reshape(-1, 3, 3).sum(axis=0), hermitian=True)
+    values, vectors = np.linalg.eigh(squares)
+    normal = upward(vectors[:, -1])
+    oblique = np.abs(normal).max() < 1 - _ROUNDING
+    if oblique and values[1] < _ELSEWHERE * values[2]:
+        return plane_along(normal)
+    # From z on, so that a tie is the plane xy.
+    z_first = [2, 0, 1]
+    measure = np.abs(turns).sum(axis=0) if turns.any() else squares.diagonal()
+    column = max(z_first, key=lambda axis: measure[axis])
+    plane = plane_of(next(name for name, axes in AXES.items() if axes[2] == column))
+    assert plane is not None
+    return plane
+
+
+def _series(stamp: np.ndarray, values: np.ndarray, plane: Plane, number: bool) -> Series:
+    covariance = np.full((len(stamp), 2, 2), np.nan)
+    across = plane.basis[:2]
+    if values.shape[1] > 3:
+        matrix = values[:, 3:].reshape(-1, 6, 6)[:, :3, :3]
+        covariance = across @ matrix @ across.T
+    flat, along = plane.project(values[:, :3])
+    return Series(stamp, along if number else flat, covariance)
+
+
+def _body(
+    name: str,
+    stamp: np.ndarray,
+    values: np.ndarray,
+    plane: Plane,
+    series: dict[str, Series],
+) -> Body:
+    first, normal = plane.basis[0], plane.normal
+    place, turn, rate = np.moveaxis(values[:, 10:].reshape(-1, 3, 3, 3), 1, 0)
+    spread, turn_spread = first @ place @ first, normal @ turn @ normal
+    with np.errstate(divide='ignore', invalid='ignore'):
+        # The noise of the markers moves their mean and turns them about it: that ratio is a length.
+        size = 2 * np.sqrt(np.median(spread) / np.median(turn_spread))
+    return Body(
+        name,
+        stamp,
+        plane.project(values[:, :3])[0],
+        2 * np.arctan2(values[:, 3:6] @ normal, values[:, 6]),
+        values[:, 7:10] @ normal,
+        np.sqrt(np.maximum(normal @ rate @ normal, 0)),
+        float(size) if np.isfinite(size) else float('nan'),
+        series,
+    )

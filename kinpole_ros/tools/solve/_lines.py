@@ -1,0 +1,250 @@
+"""The analysis of a scene as lines to print: tables with units."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from kinpole_ros.mechanism import (
+    Load,
+    Scene,
+    SceneError,
+    Torque,
+    center_name,
+    efforts,
+    explain,
+    holding,
+    reactions,
+    undetermined,
+)
+from kinpole_ros.tools.solve._solved import (
+    Solved,
+    centers_of,
+    driver_unit,
+    lengths,
+    point_motions,
+    shown,
+)
+
+# Positions in the table of a range.
+_ROWS = 13
+
+
+def head_lines(scene: Scene) -> list[str]:
+    """What the scene is made of, and what drives it."""
+    mechanism = scene.mechanism
+    counts = {
+        'moving bodies': len(mechanism.bodies),
+        'joints': len(mechanism.assembly.joints),
+        'loops': len(mechanism.linkage.loops.loops),
+    }
+    driven = ', '.join(driver.name for driver in scene.mechanism.drivers)
+    parts = [f'{what}: {count}' for what, count in counts.items() if count]
+    return [f'{scene.name}: {", ".join(parts)}, driven: {driven}']
+
+
+def motion_lines(solved: Solved) -> list[str]:
+    """Bodies and points at one position."""
+    scene, motion = solved.scene, solved.motion
+    at = ', '.join(
+        f'{driver.name} = {shown(scene, k, value)} at {shown(scene, k, rate)}/s'
+        for (k, driver), value, rate in zip(
+            enumerate(scene.mechanism.drivers), solved.inputs[:, 0], solved.rates, strict=True
+        )
+    )
+    lines = [f'at {at}']
+    if not motion.regular[0]:
+        loop = ', '.join(scene.mechanism.dead_loop(motion.values[0, :, 0]))
+        lines.append(f'a dead point of the loop {loop}: the drivers do not tell how it moves on')
+    elif motion.sound[0] < len(motion.values):
+        lines.append('next to a change point, where rounding leaves no digits of what is missing')
+    rows = [
+        [body, np.rad2deg(motion.angle[0, b, 0]), *motion.angle[1:, b, 0]]
+        for b, body in enumerate(scene.mechanism.bodies)
+    ]
+    lines += _table(
+        ['body', 'angle deg', 'ω rad/s', 'α rad/s²', 'jerk rad/s³', 'snap rad/s⁴'], rows
+    )
+    slides = [[name, *motion.values[:, k, 0]] for name, k in lengths(scene).items()]
+    if slides:
+        lines += ['', *_table(['length', 'm', 'm/s', 'm/s²', 'm/s³', 'm/s⁴'], slides)]
+    places = point_motions(solved)
+    rows = []
+    for name, place in places.items():
+        z, v, a = place[:3, 0]
+        rows.append([name, z.real, z.imag, v.real, v.imag, a.real, a.imag])
+    if rows:
+        head = ['point', 'x m', 'y m', 'vx m/s', 'vy m/s', 'ax m/s²', 'ay m/s²']
+        lines += ['', *_table(head, rows)]
+    return lines
+
+
+def range_lines(solved: Solved) -> list[str]:
+    """How far it goes, and the dead points on the way."""
+    scene = solved.scene
+    name = scene.mechanism.drivers[0].name
+    low, high = solved.inputs[0, [0, -1]]
+    ends = []
+    for value, limit in zip((low, high), solved.limits, strict=True):
+        end = value if limit is None else limit
+        ends.append(shown(scene, 0, end) + ('' if limit is None else ' (limit)'))
+    lines = [f'{name} from {ends[0]} to {ends[1]}']
+    if scene.mechanism.linkage.blocks:
+        for dead in scene.mechanism.path(float(low), float(high)).dead_points:
+            what = 'limit: it turns back' if dead.turns_back else 'change point: two ways on'
+            moving, loop = ', '.join(dead.moving), ', '.join(dead.loop)
+            lines.append(
+                f'dead point at {name} = {shown(scene, 0, dead.at, 12)} ({what}; {moving} can '
+                f'move, in the loop {loop})'
+            )
+    return lines
+
+
+def sweep_lines(solved: Solved) -> list[str]:
+    """Bodies and lengths over the range."""
+    scene, motion = solved.scene, solved.motion
+    kept = np.linspace(0, solved.inputs.shape[1] - 1, _ROWS).astype(int)
+    unit, size = driver_unit(scene, 0)
+    head = [f'{scene.mechanism.drivers[0].name} ({unit})']
+    head += [f'{b} {q}' for b in scene.mechanism.bodies for q in ('deg', 'rad/s')]
+    driven = scene.mechanism.drivers[0].name
+    slides = {name: n for name, n in lengths(scene).items() if name != driven}
+    head += [f'{name} {q}' for name in slides for q in ('m', 'm/s')]
+    rows = []
+    for k in kept:
+        row = [float(solved.inputs[0, k]) / size]
+        for b in range(len(scene.mechanism.bodies)):
+            row += [np.rad2deg(motion.angle[0, b, k]), motion.angle[1, b, k]]
+        for n in slides.values():
+            row += [motion.values[0, n, k], motion.values[1, n, k]]
+        rows.append(row)
+    return _table(head, rows)
+
+
+def center_lines(solved: Solved) -> list[str]:
+    """Instant centers at the first position, and how they are deduced."""
+    mechanism = solved.scene.mechanism
+    found = centers_of(solved)
+    several = solved.inputs.shape[1] > 1
+    lines = ['', 'instant centers' + (' at the start of the range' if several else '')]
+    rows: list[list[str | float]] = []
+    for c, (i, j) in enumerate(found.pairs):
+        point, direction = found.points[c, 0], found.directions[c, 0]
+        where: list[str | float]
+        if np.isfinite(direction):
+            where = ['at infinity', f'{np.rad2deg(direction):.6g} deg']
+        elif np.isfinite(point):
+            where = [point.real, point.imag]
+        else:
+            where = ['none', '']
+        rows.append(
+            [center_name(len(found.bodies), i, j), f'{found.bodies[i]}, {found.bodies[j]}', *where]
+        )
+    lines += _table(['center', 'of', 'x m', 'y m'], rows)
+    return [*lines, '', *explain(mechanism, found.steps)]
+
+
+def static_lines(solved: Solved) -> list[str]:
+    """What the drivers and the joints bear, at the first position."""
+    scene = solved.scene
+    if not scene.loads:
+        raise SceneError(
+            f'{scene.name} has no loads: add them, as loads: [{{weight: 10 kg, at: BODY.POINT}}]'
+        )
+    first = solved.values[:, :1]
+    several = solved.inputs.shape[1] > 1
+    lines = ['', 'forces at the start of the range' if several else 'forces']
+    loads = scene.loads
+    if scene.held_by:
+        size, load = holding(scene.mechanism, first, loads, scene.held_by)
+        lines.append(_held_line(scene, float(size[0]), load))
+        loads = (*loads, load)
+    else:
+        lines += _effort_lines(scene, first)
+    if not scene.mechanism.assembly.joints:
+        return [*lines, 'vectors have no joints: for what these bear write bodies and joints']
+    found = reactions(scene.mechanism, first, loads)
+    rows = [
+        [
+            name,
+            found.force[j, 0].real,
+            found.force[j, 0].imag,
+            abs(found.force[j, 0]),
+            found.moment[j, 0],
+        ]
+        for j, name in enumerate(found.joints)
+    ]
+    if rows:
+        lines += ['', *_table(['joint', 'Fx N', 'Fy N', 'F N', 'moment N m'], rows)]
+    for j, name in enumerate(found.joints):
+        # Of a force that is not unique one part may be, as that of teeth along their wheel.
+        for part, turn in ((found.along[j, 0], 1), (found.across[j, 0], 1j)):
+            if np.isfinite(part) and not np.isfinite(found.force[j, 0]):
+                force = part * turn * found.axis[j, 0]
+                way = round(np.degrees(np.angle(force)), 4) % 360
+                size = f'{abs(part):.6g} N'
+                lines.append(f'{name}: of its force the part along {way:g} deg is unique: {size}')
+    return [*lines, *undetermined(scene.mechanism, first[:, 0])]
+
+
+def _effort_lines(scene: Scene, first: np.ndarray) -> list[str]:
+    """What each driver exerts to balance the loads."""
+    lines = []
+    borne = efforts(scene.mechanism, first, scene.loads)
+    for k, driver in enumerate(scene.mechanism.drivers):
+        unit = 'N m' if scene.mechanism.kind(k) == 'angle' else 'N'
+        if not borne.determined[k, 0]:
+            lines.append(f'{driver.name}: a dead point, where no finite effort balances the loads')
+            continue
+        lines.append(f'{driver.name} balances the loads with {borne.effort[k, 0]:.9g} {unit}')
+        if len(scene.loads) > 1:
+            parts = ', '.join(f'{share:.6g}' for share in borne.share[:, k, 0])
+            lines.append(f'  of this, load by load: {parts} {unit}')
+    return lines
+
+
+def _held_line(scene: Scene, size: float, load: Load) -> str:
+    """What holds the loads in place of the driver."""
+    driver = scene.mechanism.drivers[0].name
+    if not np.isfinite(size):
+        return f'on {load.body} nothing balances the loads here: it does not move, or a dead point'
+    if isinstance(load, Torque):
+        return f'{size:.9g} N m on {load.body} balance the loads, with {driver} free'
+    name = next(n for n, place in scene.points.items() if place == (load.body, load.point))
+    force = complex(np.ravel(load.force)[0])
+    way = f'{np.rad2deg(np.angle(force / size)):.6g} deg'
+    return f'{size:.9g} N at {name}, along {way}, balance the loads, with {driver} free'
+
+
+def _number(value: float) -> str:
+    return f'{value:.6g}' if np.isfinite(value) else '-'
+
+
+def _table(head: Sequence[str], rows: Sequence[Sequence[str | float]]) -> list[str]:
+    """Lines of a table, numbers to the right."""
+    columns = []
+    for column in zip(*rows, strict=True):
+        numbers = [abs(c) for c in column if not isinstance(c, str) and np.isfinite(c)]
+        # Rounding of what is zero by itself, or beside the others.
+        least = 1e-12 * max([1.0, *numbers])
+        columns.append(
+            [
+                c if isinstance(c, str) else _number(c if not abs(c) <= least else 0.0)
+                for c in column
+            ]
+        )
+    cells = [list(row) for row in zip(*columns, strict=True)]
+    widths = [max(len(row[k]) for row in [list(head), *cells]) for k in range(len(head))]
+    text = [k == 0 or any(not _is_number(row[k]) for row in cells) for k in range(len(head))]
+    lines = []
+    for row in [list(head), *cells]:
+        placed = zip(row, widths, text, strict=True)
+        lines.append('  '.join(c.ljust(w) if left else c.rjust(w) for c, w, left in placed))
+    return [line.rstrip() for line in lines]
+
+
+def _is_number(cell: str) -> bool:
+    try:
+        float(cell)
+    except ValueError:
+        return cell == '-'
+    return True

@@ -1,0 +1,263 @@
+"""
+The picture of `kinpole solve`: the linkage, its velocities and centers, and rates over the range.
+
+Readable in black and white: lines differ by dashes and markers too.
+"""
+
+import os
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from kinpole_ros.mechanism import Rolling, center_name
+from kinpole_ros.planar import pole
+from kinpole_ros.tools.solve._solved import Solved, centers_of, driver_unit, point_motions
+
+_SIZE, _DPI = (12.5, 6.2), 150  # inches
+_DASHES: tuple[Any, ...] = ('-', '--', '-.', ':', (0, (5, 1, 1, 1, 1, 1)))
+_GRAYS = ('#000000', '#0060a8', '#a83200', '#00785a', '#7a4fa0', '#777777')
+# The longest arrow of a velocity, and how far out a center is still drawn, of the linkage's size.
+_ARROW, _FAR = 0.35, 1.2
+
+
+def draw(path: Path, solved: Solved, here: Solved, centers: bool) -> None:
+    """
+    Draw the range of `solved` with the linkage at the one position `here` to a file.
+
+    Raises OSError where it cannot be written, ValueError for a kind of file that cannot be drawn.
+    """
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=_SIZE, layout='constrained')
+    grid = figure.add_gridspec(2, 2, width_ratios=(1.35, 1))
+    _draw_linkage(figure.add_subplot(grid[:, 0]), solved, here, centers)
+    unit, size = driver_unit(solved.scene, 0)
+    at = solved.inputs[0] / size
+    value = float(here.inputs[0, 0]) / size
+    # In the range, if need be by whole turns.
+    mark = at[0] + (value - at[0]) % 360 if unit == 'deg' and at[-1] - at[0] > 359 else value
+    label = f'{solved.scene.mechanism.drivers[0].name} ({unit})'
+    for row, (order, name) in enumerate(
+        ((1, 'angular velocity (rad/s)'), (2, 'angular acceleration (rad/s²)'))
+    ):
+        axis = figure.add_subplot(grid[row, 1])
+        for b, body in enumerate(solved.scene.mechanism.bodies):
+            values = solved.motion.angle[order, b]
+            style = {'linestyle': _DASHES[b % len(_DASHES)], 'color': _GRAYS[b % len(_GRAYS)]}
+            axis.plot(at, values, label=body, linewidth=1.4, **style)
+        axis.axvline(mark, color='#999999', linewidth=0.8)
+        _tame(axis, solved.motion.angle[order])
+        axis.set_ylabel(name)
+        axis.grid(alpha=0.3)
+        axis.set_xlabel(label if row else '')
+        if not row:
+            axis.legend(fontsize=8, ncols=2)
+    rate = f'{solved.rates[0] / size:.4g} {unit}/s'
+    # A scene is called after its file, whose name may hold what text or formulas must not.
+    scene = os.fsencode(solved.scene.name).decode(errors='replace')
+    figure.suptitle(f'{scene} at {label} = {value:.6g}, driven at {rate}', parse_math=False)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    figure.savefig(path, dpi=_DPI)
+
+
+def _tame(axis: Any, values: np.ndarray) -> None:
+    """Leave out the poles of rates at limits, where nothing else would be seen."""
+    finite = np.abs(values[np.isfinite(values)])
+    if len(finite) and finite.max() > 20 * np.percentile(finite, 90) > 0:
+        reach = 4 * np.percentile(finite, 90)
+        axis.set_ylim(-reach, reach)
+
+
+def _places(solved: Solved) -> dict[str, list[np.ndarray]]:
+    """The points of each body as in `point_motions`, or its origin."""
+    scene, bodies = solved.scene, solved.scene.mechanism.bodies
+    places: dict[str, list[np.ndarray]] = {body: [] for body in bodies}
+    for name, found in point_motions(solved).items():
+        places[scene.points[name][0]].append(found)
+    for b, body in enumerate(bodies):
+        if not places[body]:
+            places[body].append(solved.motion.position[:3, b])
+    return places
+
+
+def _draw_linkage(axis: Any, solved: Solved, at: Solved, centers: bool) -> None:
+    scene, bodies = solved.scene, solved.scene.mechanism.bodies
+    fixed = np.array([p for body, p in scene.points.values() if body not in bodies])
+    ways, places = _places(solved), _places(at)
+    wheels = _wheels(at)
+    everything = np.concatenate(
+        [found[0] for listed in (*ways.values(), *places.values()) for found in listed]
+        + [rim for _, rim in wheels]
+        + [fixed.ravel() + 0j]
+    )
+    everything = everything[np.isfinite(everything)]
+    low = complex(everything.real.min(), everything.imag.min())
+    high = complex(everything.real.max(), everything.imag.max())
+    reach = max(abs(high - low), 1e-9)
+    fastest = max(
+        (np.abs(found[1, 0]) for listed in places.values() for found in listed), default=0.0
+    )
+    moving = [found[:2, 0] for listed in places.values() for found in listed]
+    arrows = [
+        (z, z + v / fastest * _ARROW * reach) for z, v in moving if np.abs(v) > 1e-3 * fastest
+    ]
+    for _, tip in arrows:
+        low = complex(min(low.real, tip.real), min(low.imag, tip.imag))
+        high = complex(max(high.real, tip.real), max(high.imag, tip.imag))
+    for listed in ways.values():
+        for found in listed:
+            axis.plot(found[0].real, found[0].imag, color='#bbbbbb', linewidth=0.8, zorder=1)
+    vectors = _draw_vectors(axis, at)
+    for b, body in enumerate(bodies):
+        here = np.array([found[0, 0] for found in places[body]])
+        color = _GRAYS[b % len(_GRAYS)]
+        closed = np.append(here, here[:1]) if len(here) > 2 else here
+        axis.plot(
+            closed.real,
+            closed.imag,
+            color=color,
+            linewidth=2.4,
+            marker='o',
+            markersize=4,
+            linestyle=_DASHES[b % len(_DASHES)],
+            zorder=3,
+        )
+        middle = vectors.get(b, here.mean())
+        axis.annotate(
+            body,
+            (middle.real, middle.imag),
+            fontsize=9,
+            color=color,
+            xytext=(4, 4),
+            textcoords='offset points',
+            zorder=5,
+            path_effects=_halo(),
+        )
+    for tail, tip in arrows:
+        axis.annotate(
+            '',
+            (tip.real, tip.imag),
+            (tail.real, tail.imag),
+            zorder=4,
+            arrowprops={'arrowstyle': '->', 'color': '#444444', 'linewidth': 1.1},
+        )
+    axis.plot(fixed.real, fixed.imag, 'k^', markersize=8, zorder=4, label='ground')
+    for b, rim in wheels:
+        color = _GRAYS[b % len(_GRAYS)] if b >= 0 else '#000000'
+        axis.plot(rim.real, rim.imag, color=color, linewidth=1.5 if b >= 0 else 1.0, zorder=3)
+    if centers:
+        low, high = _draw_centers(axis, at, low, high, reach)
+    centrode = _draw_centrodes(axis, solved, (low + high) / 2, (0.5 + _FAR) * abs(high - low))
+    margin = 0.08 * max(abs(high - low), reach)
+    axis.set_xlim(low.real - margin, high.real + margin)
+    axis.set_ylim(low.imag - margin, high.imag + margin)
+    axis.set_aspect('equal')
+    axis.set_xlabel('x (m)')
+    axis.set_ylabel('y (m)')
+    axis.set_title(
+        f'arrows: velocities, the longest {fastest:.3g} m/s'
+        + ('; wide: fixed centrodes' if centrode else '')
+        + ('; crosses: instant centers' if centers else ''),
+        fontsize=10,
+    )
+
+
+def _halo() -> list[Any]:
+    """White around letters, which else cannot be read where they lie on a line."""
+    from matplotlib.patheffects import withStroke
+
+    return [withStroke(linewidth=2.5, foreground='white')]
+
+
+def _draw_vectors(axis: Any, at: Solved) -> dict[int, complex]:
+    """The turning vectors of a scene that has no bodies with joints; returns their middles."""
+    assembly = at.scene.mechanism.assembly
+    middles: dict[int, complex] = {}
+    if assembly.joints:
+        return middles
+    loops, values = assembly.loops, at.values[:, 0]
+    # Each of them is a body, in the same order.
+    for b, term in enumerate(np.flatnonzero(loops.angles.any(axis=1))):
+        length = loops.lengths[term] @ values + loops.length0[term]
+        angle = loops.angles[term] @ values + loops.angle0[term]
+        tail = at.motion.position[0, b, 0]
+        ends = np.array([tail, tail + length * np.exp(1j * angle)])
+        style = {'linestyle': _DASHES[b % len(_DASHES)], 'color': _GRAYS[b % len(_GRAYS)]}
+        axis.plot(ends.real, ends.imag, linewidth=2.4, zorder=3, **style)
+        middles[b] = complex(ends.mean())
+    return middles
+
+
+def _wheels(at: Solved) -> list[tuple[int, np.ndarray]]:
+    """
+    Circles that roll, complex, by the numbers of their bodies, -1 for the ground's.
+
+    A wheel with a spoke, and the circle that it rolls on.
+    """
+    mechanism, wheels = at.scene.mechanism, []
+    circle = np.exp(1j * np.linspace(0, 2 * np.pi, 73))
+    for joint in mechanism.assembly.joints:
+        if not isinstance(joint, Rolling):
+            continue
+        for body, hub, rim in (
+            (joint.other, joint.b, joint.radius * np.append(0, circle)),
+            (joint.one, joint.a, abs(joint.circle) * circle),
+        ):
+            b = mechanism.bodies.index(body) if body in mechanism.bodies else -1
+            place, turn = (at.motion.position[0, b, 0], at.motion.angle[0, b, 0])
+            place, turn = (place, np.exp(1j * turn)) if b >= 0 else (0j, 1.0)
+            if rim.any():
+                wheels.append((b, place + (hub + rim) * turn))
+    return wheels
+
+
+def _draw_centrodes(axis: Any, solved: Solved, middle: complex, far: float) -> bool:
+    """The way of each body's ICR over the range, where it is near; whether there was any."""
+    motion, drawn = solved.motion, False
+    for b in range(len(solved.scene.mechanism.bodies)):
+        icr = pole(1, motion.position[:, b], motion.angle[:, b]).value
+        icr = np.where(np.abs(icr - middle) < far, icr, complex(np.nan, np.nan))
+        if np.isfinite(icr).sum() > 2 and np.nanmax(np.abs(icr - np.nanmean(icr))) > 1e-6 * far:
+            axis.plot(icr.real, icr.imag, color='#bcd9f2', linewidth=4, zorder=0)
+            drawn = True
+    return drawn
+
+
+def _draw_centers(
+    axis: Any, at: Solved, low: complex, high: complex, reach: float
+) -> tuple[complex, complex]:
+    """Crosses and numbers of the centers near the linkage, and the lines that lead to them."""
+    found = centers_of(at)
+    middle = (low + high) / 2
+    shown: dict[complex, list[str]] = {}
+    placed: dict[tuple[int, int], complex] = {}
+    for pair, point in zip(found.pairs, found.points[:, 0], strict=True):
+        if np.isfinite(point) and abs(point - middle) < (0.5 + _FAR) * reach:
+            key = next((z for z in shown if abs(z - point) < 1e-3 * reach), complex(point))
+            shown.setdefault(key, []).append(center_name(len(found.bodies), *pair))
+            placed[pair] = complex(point)
+    for step in found.steps:
+        if step.rule != 'lines' or step.pair not in placed:
+            continue
+        for code in step.by:
+            through = [tuple(sorted((one, code))) for one in step.pair] if code >= 0 else []
+            known = [placed[pair] for pair in through if pair in placed]
+            if known:
+                here = placed[step.pair]
+                ends = np.array([known[int(np.abs(np.array(known) - here).argmax())], here])
+                axis.plot(ends.real, ends.imag, color='#999999', linewidth=0.8, linestyle=':')
+    for z, names in shown.items():
+        axis.plot(z.real, z.imag, 'kx', markersize=7, zorder=6)
+        axis.annotate(
+            ', '.join(names),
+            (z.real, z.imag),
+            fontsize=8,
+            zorder=6,
+            xytext=(5, -10),
+            textcoords='offset points',
+            path_effects=_halo(),
+        )
+        low = complex(min(low.real, z.real), min(low.imag, z.imag))
+        high = complex(max(high.real, z.real), max(high.imag, z.imag))
+    return low, high
