@@ -27,12 +27,14 @@ class Found(NamedTuple):
     Of S bodies: derivatives `mean` (K, 3, S) of angle and both coordinates.
 
     `covariance` (K, K, 2, S) is that of the angle and of one coordinate, `freedom` (2, S) how many
-    parameters their motions have.
+    parameters their motions have, and `evidence` (2, S) the logarithm of how probable the samples
+    are by all models, up to a constant for so many samples.
     """
 
     mean: Real
     covariance: Real
     freedom: Real
+    evidence: Real
 
 
 class Evidence(NamedTuple):
@@ -108,7 +110,7 @@ def derive(
     """
     rows, variance, evidence, lacks = evidence_of(modes, samples, seen, lacking)
     orders, bodies = len(stencils.modes), samples.shape[2]
-    likely, weights = _weights(evidence.reshape(len(evidence), -1), modes.kinds)
+    likely, weights, total = _weights(evidence.reshape(len(evidence), -1), modes.kinds)
     noisy = weights * variance.reshape(len(variance), -1)
     # How much of each mode is motion in the mean, and how well that is known.
     mixed = mixture(modes, np.concatenate((likely, noisy), axis=1))
@@ -139,7 +141,7 @@ def derive(
     covariance[:, :, 0] += apart[:, :, 0]
     covariance[:, :, 1] += (apart[:, :, 1] + apart[:, :, 2]) / 2
     freedom = (modes.freedom @ likely).reshape(2, bodies)
-    return Found(result, covariance, freedom)
+    return Found(result, covariance, freedom, total.reshape(2, bodies))
 
 
 def probabilities(modes: Modes, found: Evidence) -> Real:
@@ -181,10 +183,15 @@ def by_models(modes: Modes, weights: Real, stencils: Real, rows: Real) -> tuple[
     return np.concatenate(numbers), np.concatenate(found)
 
 
-def _weights(evidence: Real, kinds: Real) -> tuple[Real, Real]:
-    """Probabilities (M, S) of models of the `evidence` (M, S), and their weights in covariances."""
+def _weights(evidence: Real, kinds: Real) -> tuple[Real, Real, Real]:
+    """
+    Probabilities (M, S) of models of the `evidence` (M, S), and their weights in covariances.
+
+    And the evidence (S,) of all of them together.
+    """
     # For covariances evidence counts to the power of 1/2: the likeliest model is not the only one.
-    weights = np.exp((evidence - evidence.max(axis=0)) / 2)
+    best = evidence.max(axis=0)
+    weights = np.exp((evidence - best) / 2)
     likely = weights * weights
     # Of each spectrum beside the low polynomials and rest, unless it is out of the question.
     total = kinds @ weights
@@ -193,4 +200,5 @@ def _weights(evidence: Real, kinds: Real) -> tuple[Real, Real]:
     weights /= weights.sum(axis=0)
     least = weights < _LEAST
     weights[least] = likely[least] = 0.0
-    return likely / likely.sum(axis=0), weights
+    total = likely.sum(axis=0)
+    return likely / total, weights, best + np.log(total)

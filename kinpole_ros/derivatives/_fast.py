@@ -44,7 +44,7 @@ def derive(
         seen = np.full((2, bodies), float(seen))
     mean = np.empty((orders, 3, bodies))
     covariance = np.empty((orders, orders, 2, bodies))
-    freedom = np.empty((2, bodies))
+    summary = np.empty((2, 2, bodies))
     _kernel.derive(
         _evidence.KNOWN,
         _evidence._LEAST,
@@ -55,9 +55,9 @@ def derive(
         *_cells(lacking),
         mean,
         covariance,
-        freedom,
+        summary,
     )
-    return Found(mean, covariance, freedom)
+    return Found(mean, covariance, *summary)
 
 
 def move(

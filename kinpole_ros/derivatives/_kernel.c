@@ -36,8 +36,9 @@ typedef struct {
     const double *modes, *spread;
 } Stencils;
 
+/* `summary` (2, 2, S) is the freedom and then the evidence of angle and position. */
 typedef struct {
-    double *mean, *covariance, *freedom;
+    double *mean, *covariance, *summary;
 } Result;
 
 /* The cells of one signal that count for less than 1, X of them: their modes (X, rows), `weight`
@@ -50,7 +51,7 @@ typedef struct {
 } Cells;
 
 typedef struct {
-    double total[3];
+    double total[3], whole[2];
     double *modes, *squares, *terms, *evidence, *variance, *likely, *weight, *apart, *mean, *spread;
     double *base, *off, *factors, *errors, *reach, *scaled, *along;
     long *counts;
@@ -106,8 +107,9 @@ line(const Models *m, const double *stencils, long orders, const double *rows, l
         }
 }
 
-/* Probabilities and weights of models of the evidence, all (groups, LANES), as in _evidence.py. */
-static void
+/* Probabilities and weights of models of the evidence, all (groups, LANES), as in _evidence.py, and
+   the evidence of all of them together. */
+static double
 weigh(const Models *m, const double *evidence, double *likely, double *weight)
 {
     long models = m->groups * LANES;
@@ -147,6 +149,7 @@ weigh(const Models *m, const double *evidence, double *likely, double *weight)
     }
     for (long i = 0; i < models; i++)
         likely[i] /= sure;
+    return best + log(sure);
 }
 
 #define WIDTH 2
@@ -319,7 +322,7 @@ run(PyObject *args, int moving)
         long panels = (m.half + LANES - 1) / LANES;
         good = good && b[TABLES].len == 8 * SLOPES * panels * m.rows * LANES;
     } else if (good) {
-        good = b[FIRST].len == 24 * orders * bodies && b[THIRD].len == 16 * bodies;
+        good = b[FIRST].len == 24 * orders * bodies && b[THIRD].len == 32 * bodies;
         good = good && b[SECOND].len == 16 * orders * orders * bodies;
         good = good && b[TABLES].len == 8 * orders * (m.rows + m.groups * orders * LANES);
     }

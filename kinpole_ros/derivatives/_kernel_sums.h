@@ -239,7 +239,8 @@ NAME(judge)(const Models *m, const double *samples, long bodies, const double *s
             }
     }
     for (int c = 0; c < 2; c++)
-        weigh(m, w->evidence + c * lanes, w->likely + c * lanes, w->weight + c * lanes);
+        w->whole[c] = weigh(m, w->evidence + c * lanes, w->likely + c * lanes,
+                            w->weight + c * lanes);
 }
 
 /* What models say of one signal: derive of _evidence.py. */
@@ -328,7 +329,8 @@ NAME(differentiate)(const Models *m, const Stencils *s, const double *samples, l
                                    apart + j * LANES);
             }
     for (int c = 0; c < 2; c++) {
-        out->freedom[c * bodies] = sum_of(parameters + c * LANES);
+        out->summary[c * bodies] = sum_of(parameters + c * LANES);
+        out->summary[(2 + c) * bodies] = w->whole[c];
         for (long k = 0; k < orders; k++)
             for (long j = 0; j <= k; j++) {
                 double sum = sum_of(w->spread + ((c * orders + k) * orders + j) * LANES);

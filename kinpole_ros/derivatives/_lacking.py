@@ -65,7 +65,8 @@ def lacks_of(modes: Modes, rows: Real, samples: Real, lacking: Lacking) -> Lacks
     # Of rest, and then of all, unless modes are as many as samples.
     whole = np.eye(number)[..., None], np.moveaxis(samples[cells, :, np.arange(bodies)], 1, 2)
     for k, end in ((0, models), (1, -1)):
-        whole = tuple(a - b[0] for a, b in zip(whole, _terms(vectors[k : k + 1], rows[k : k + 1])))
+        parts = _terms(vectors[k : k + 1], rows[k : k + 1])
+        whole = whole[0] - parts[0][0], whole[1] - parts[1][0]
         left[:end], off[:end] = whole
     for begin, end, some, share, lost in modes.parts:
         parts = _terms(vectors[begin:end], rows[begin:end])

@@ -31,8 +31,8 @@ _DEGREES = (1, 2, 3, 4)
 # Deviations of processes: the least, and how many, each 10 times the one before; more of them for
 # samples that are all but exact.
 _LEAST, _AMPLITUDES, _MORE = 10.0**0.5, 7, 13
-# Deviation of the slope, by what it makes of all samples, over the largest of the amplitudes.
-_FLAT = 3.0
+FLAT = float(np.log(3 * _LEAST * 10.0 ** (_AMPLITUDES - 1)))
+"""Logarithm of the deviation of mean and slope: three times the largest of the amplitudes."""
 # What of a process is at most this part of the noise is not seen.
 _SEEN = 1e-2
 # The processes have this part of the prior; low polynomials, the line, and rest have the other.
@@ -259,7 +259,7 @@ def modes_of(count: int, block: int = 1, exact: bool = False) -> Modes:
         freedom.append(2 + share.sum(axis=-1).ravel())
     even, odd = (np.concatenate(part) * root / 2 for part in rows)
     # Rest has no slope, and is more probable by all that this might be.
-    occam.append(np.log([_FLAT * amplitudes[-1]]))
+    occam.append(np.log([3 * amplitudes[-1]]))
     prior, less = np.log([*priors, _simple()]), np.concatenate(occam)
     kind = np.array([*kinds, -1])
     return Modes(

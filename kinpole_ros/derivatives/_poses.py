@@ -8,10 +8,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from kinpole_ros.derivatives._changes import derive_parts
 from kinpole_ros.derivatives._evidence import Found
 from kinpole_ros.derivatives._models import FEWEST_SAMPLES, MOST_EXACT
-from kinpole_ros.derivatives._samples import derive_incomplete
+from kinpole_ros.derivatives._parts import derive_parts
+from kinpole_ros.derivatives._samples import Window, place
 from kinpole_ros.planar._plane import Complex, Real
 
 # More samples than this in a window are averaged in blocks.
@@ -29,6 +29,8 @@ _POOR = 0.25
 _OFF = 1e-4
 # Samples that differ by more deviations of their noise are taken for exact.
 _EXACT = 1e7
+# So many pairs of cells that are lacking are treated at once.
+_PAIRS = 1000
 # Instants and bodies that are differentiated at once, as many as fit into the cache.
 _AT_ONCE = 64
 
@@ -353,16 +355,33 @@ def _derive(cells: _Cells, group: _Group, orders: int) -> tuple[Found, Real]:
     if block > 1:
         samples = samples * less[[0, 1, 1]]
     at = (size - 1) / 2 - (ahead - (block - 1) / 2) / block
-    window = size, at, block, orders, bool(exact)
-    samples = np.ascontiguousarray(samples)
+    window = Window(size, at, block, orders, bool(exact))
     if even:
-        found = derive_parts(window, samples)
+        found = derive_parts(window, samples, None)
     else:
-        found = derive_incomplete(window, samples, weight, off)
+        found = _derive_uneven(window, samples, weight, off)
     scale = interval ** -np.arange(float(orders))[:, None]
     unit = cells.unit[:, which] / less * scale[:, None]  # (K, 2, S)
     mean, covariance = found.mean * unit[:, [0, 1, 1]], found.covariance * unit * unit[:, None]
     return found._replace(mean=mean, covariance=covariance), (size - 1) * interval
+
+
+def _derive_uneven(window: Window, samples: Real, weight: Real, off: Real) -> Found:
+    """The same of samples some of which are lacking, or not in their places."""
+    lacking = (weight < 1).any(axis=1).sum(axis=0)
+    signals = np.arange(len(lacking))
+    # What is lacking goes by its square: not too much of it at once.
+    if len(signals) > 1 and len(signals) * int(lacking.max()) ** 2 > _PAIRS:
+        half = len(signals) // 2
+        parts = [
+            _derive_uneven(window, samples[..., some], weight[..., some], off[:, some])
+            for some in (signals[:half], signals[half:])
+        ]
+        return Found(*(np.concatenate(each, axis=-1) for each in zip(*parts, strict=True)))
+    samples, more = place(window, samples, weight, off)
+    found = derive_parts(window, samples, weight)
+    mean, covariance = found.mean * more[[0, 1, 1]], found.covariance * more**2
+    return found._replace(mean=mean, covariance=covariance)
 
 
 def _put(

@@ -5,12 +5,14 @@ Models are of even samples. One that is off its place is moved there along what 
 motion, which is then found again.
 """
 
+from typing import NamedTuple
+
 import numpy as np
 
-from kinpole_ros.derivatives._evidence import KNOWN, Found, evidence_of, mixture, probabilities
-from kinpole_ros.derivatives._fast import derive, move
+from kinpole_ros.derivatives._evidence import KNOWN, evidence_of, mixture, probabilities
+from kinpole_ros.derivatives._fast import move
 from kinpole_ros.derivatives._lacking import Lacking
-from kinpole_ros.derivatives._models import Modes, modes_of, slopes_of, stencils_of
+from kinpole_ros.derivatives._models import Modes, modes_of, slopes_of
 from kinpole_ros.planar._plane import Real
 
 # A sample that is missing is first put on a parabola through so many others.
@@ -18,50 +20,48 @@ _NEAREST = 6
 # How often samples are moved, and those that are all but exact. Meanwhile the noise counts for so
 # many samples: it is more while they are not in their places.
 _ROUNDS, _MORE_ROUNDS, _KNOWN = 8, 20, 1.0
-# So many pairs of cells that are lacking are treated at once.
-_MOST = 1000
 _SIGNAL = [0, 1, 1]
 
 
-def derive_incomplete(
-    window: tuple[int, float, int, int, bool], samples: Real, weights: Real, off: Real
-) -> Found:
+class Window(NamedTuple):
+    """The arguments of `stencils_of`: so many samples, and what is asked of them."""
+
+    size: int
+    at: float
+    block: int
+    orders: int
+    exact: bool
+
+    def part(self, rows: slice, orders: int) -> 'Window':
+        """The same of some of the samples."""
+        first, last, _ = rows.indices(self.size)
+        at = self.at + (self.size - last - first) / 2
+        return Window(last - first, at, self.block, orders, self.exact)
+
+
+class Placed(NamedTuple):
+    """Samples (n, 3, S) in their places, over their noise, and how much larger that is (2, S)."""
+
+    samples: Real
+    scale: Real
+
+
+def place(window: Window, samples: Real, weights: Real, off: Real) -> Placed:
     """
-    The same as `derive`, of `samples` (n, 3, S) with `weights` (n, 2, S), 0 to 1, of angle and
-    position, all of them `off` (n, S) their places by so many samples.
+    Put `samples` (n, 3, S) in their places, of which they are `off` (n, S) by so many samples.
 
-    The arguments of `stencils_of` are the `window`.
+    Those with `weights` (n, 2, S) of 0 are put where the others let one expect them.
     """
-    lacking = (weights < 1).any(axis=1).sum(axis=0)
-    signals = np.arange(len(lacking))
-    # What is lacking goes by its square: not too much of it at once.
-    if len(signals) > 1 and len(signals) * int(lacking.max()) ** 2 > _MOST:
-        half = len(signals) // 2
-        parts = [
-            derive_incomplete(window, samples[..., some], weights[..., some], off[:, some])
-            for some in (signals[:half], signals[half:])
-        ]
-        return Found(*(np.concatenate(each, axis=-1) for each in zip(*parts, strict=True)))
-    return _derive_some(window, samples, weights, off)
-
-
-def _derive_some(
-    window: tuple[int, float, int, int, bool], samples: Real, weights: Real, off: Real
-) -> Found:
-    """The same of a few signals."""
     count, _, block, _, exact = window
-    modes = modes_of(count, block, exact)
-    seen, lacking = weights.sum(axis=0), _lacking(weights)
     samples = _filled(samples, weights[:, 1] <= 0, off)
     if not np.count_nonzero(off):
-        return derive(modes, stencils_of(*window), samples, seen, lacking)
-    slopes = slopes_of(count, block, exact)
+        return Placed(samples, np.ones((2, 1)))
+    modes, slopes = modes_of(count, block, exact), slopes_of(count, block, exact)
+    seen, lacking = weights.sum(axis=0), lacking_of(weights)
     samples, left = _moved(modes, slopes, samples, off, seen, lacking)
     # By how much samples are not in their places yet is noise.
-    more = 1 + left**2
-    scale = np.sqrt(more)
-    found = derive(modes, stencils_of(*window), samples / scale[_SIGNAL], seen, lacking)
-    return found._replace(mean=found.mean * scale[_SIGNAL], covariance=found.covariance * more)
+    scale = np.sqrt(1 + left**2)
+    return Placed(samples / scale[_SIGNAL], scale)
 
 
 def _moved(
@@ -115,7 +115,7 @@ def _moved_once(
     return moved
 
 
-def _lacking(weights: Real) -> Lacking | None:
+def lacking_of(weights: Real) -> Lacking | None:
     """Which cells of windows with `weights` (n, 2, S) count for less than 1."""
     less = (weights < 1).any(axis=1)
     most = int(less.sum(axis=0).max())

@@ -1,0 +1,95 @@
+"""
+Windows in two parts: a motion that stops, sets in, or is another one all at once.
+
+The older part of a window may be of another motion than the newer. How probable that is follows
+from how probable either is by itself, with a mean and a slope of its own; derivatives are then
+those of the part that the instant is in.
+"""
+
+import numpy as np
+
+from kinpole_ros.derivatives._evidence import KNOWN, Found
+from kinpole_ros.derivatives._fast import derive
+from kinpole_ros.derivatives._models import FEWEST_SAMPLES, FLAT, modes_of, stencils_of
+from kinpole_ros.derivatives._samples import Window, lacking_of
+from kinpole_ros.planar._plane import Real
+
+# How much of a window is the newer part, if there are two; and how probable that is.
+_NEWER = (0.3, 0.46, 0.7)
+_PRIOR = 0.5
+# A part of which less is seen, samples, is none.
+_FEWEST = FEWEST_SAMPLES + 1
+_COMPONENTS = np.array((1, 2))[:, None]
+_SIGNAL = [0, 1, 1]
+
+
+def derive_parts(window: Window, samples: Real, weights: Real | None) -> Found:
+    """
+    The derivatives of `samples` (n, 3, S), in one window or in two parts of it.
+
+    With `weights` (n, 2, S) of angle and position unless they are all 1. The arguments of
+    `stencils_of` are the `window`.
+    """
+    whole, chance = _derive(window, samples, weights)
+    if window.exact:
+        return whole
+    # Two lines more have to be worth it: with this much of evidence a whole window needs no parts.
+    some = (whole.evidence < -2 * FLAT * _COMPONENTS).any(axis=0).nonzero()[0]
+    if not len(some):
+        return whole
+    found, chances = [Found(*(part[..., some] for part in whole))], [chance[:, some]]
+    inside = samples[..., some], None if weights is None else weights[..., some]
+    for newer in _NEWER:
+        cut = window.size - round(newer * window.size)
+        if min(cut, window.size - cut) < _FEWEST:
+            continue
+        old, new = (slice(cut), slice(cut, None))
+        later = window.at + (window.size - 1) / 2 >= cut - 0.5
+        halves = [
+            _derive(
+                window.part(part, window.orders if (part == new) == later else 1),
+                *(None if all_ is None else all_[part] for all_ in inside),
+            )
+            for part in (old, new)
+        ]
+        found.append(halves[later][0])
+        chances.append(halves[0][1] + halves[1][1] + np.log(_PRIOR / (1 - _PRIOR) / len(_NEWER)))
+    return _put(whole, some, _mean(found, np.array(chances)))
+
+
+def _derive(window: Window, samples: Real, weights: Real | None) -> tuple[Found, Real]:
+    """Derivatives, and the logarithm (2, S) of how probable the samples are by all models."""
+    count, _, block, _, exact = window
+    modes, stencils = modes_of(count, block, exact), stencils_of(*window)
+    if weights is None:
+        seen, lacking = np.full((2, samples.shape[2]), float(count)), None
+    else:
+        seen, lacking = weights.sum(axis=0), lacking_of(weights)
+    found = derive(modes, stencils, np.ascontiguousarray(samples), seen, lacking)
+    # The evidence is relative to a line with a flat prior, and to so many samples.
+    chance = found.evidence - 2 * FLAT * _COMPONENTS
+    chance -= np.log(KNOWN + seen * _COMPONENTS) / 2 - np.log(KNOWN) / 2
+    return found, np.where(seen < _FEWEST, -np.inf, chance)
+
+
+def _mean(found: list[Found], chances: Real) -> Found:
+    """The mean of what was found in parts, F of them, by their `chances` (F, 2, S)."""
+    share = np.exp(chances - chances.max(axis=0))
+    share /= share.sum(axis=0)
+    by = share[:, _SIGNAL]
+    means = np.stack([one.mean for one in found])  # (F, K, 3, S)
+    mean = np.einsum('fcs,fkcs->kcs', by, means)
+    off = means - mean
+    apart = np.einsum('fcs,fkcs,fjcs->kjcs', by, off, off)
+    covariance = np.einsum('fcs,fkjcs->kjcs', share, np.stack([one.covariance for one in found]))
+    covariance[:, :, 0] += apart[:, :, 0]
+    covariance[:, :, 1] += (apart[:, :, 1] + apart[:, :, 2]) / 2
+    freedom = np.einsum('fcs,fcs->cs', share, np.stack([one.freedom for one in found]))
+    return Found(mean, covariance, freedom, found[0].evidence)
+
+
+def _put(whole: Found, some: np.ndarray, found: Found) -> Found:
+    """The `whole` with what was `found` of some of its signals."""
+    for all_, part in zip(whole, found, strict=True):
+        all_[..., some] = part
+    return whole
