@@ -53,7 +53,7 @@ def derive(
     shape = len(now), angle.shape[1]
     length = count * float(np.median(np.diff(time))) * 1e-9 if window is None else window
     return derive_poses(
-        Poses(time, angle, position, good, good),
+        Poses(time, angle, np.zeros_like(angle), position, good, good),
         frames,
         np.broadcast_to(left_out, shape).astype(int),
         np.broadcast_to(noise, shape).astype(float),
@@ -579,7 +579,7 @@ def test_a_gap_costs_no_more_than_its_samples(gap: slice, noise: float) -> None:
     frames = Windows(np.array([now]), np.array([0]), np.array([len(kept) - 1]))
     ones = np.ones((len(kept), 400))
     found = derive_poses(
-        Poses(time[kept], angle[kept], position[kept], ones, ones),
+        Poses(time[kept], angle[kept], 0 * ones, position[kept], ones, ones),
         frames,
         np.zeros((1, 400), int),
         np.full((1, 400), noise),
@@ -633,7 +633,7 @@ def test_a_body_unseen_is_as_good_as_left_out_of_the_frames() -> None:
     now = int(keep[: -1 - AHEAD].sum())
     ones = np.ones((int(keep.sum()), 4))
     without = derive_poses(
-        Poses(time[keep], angle[keep], position[keep], ones, ones),
+        Poses(time[keep], angle[keep], 0 * ones, position[keep], ones, ones),
         Windows(np.array([now]), np.array([0]), np.array([len(ones) - 1])),
         np.zeros((1, 4), int),
         np.full((1, 4), 1e-3),

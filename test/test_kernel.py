@@ -11,7 +11,7 @@ from kinpole_ros.derivatives import _evidence, _fast, _samples
 from kinpole_ros.derivatives._evidence import Found
 from kinpole_ros.derivatives._lacking import Lacking
 from kinpole_ros.derivatives._models import Modes, Stencils, modes_of, slopes_of, stencils_of
-from kinpole_ros.derivatives._samples import _lacking as lacking_of
+from kinpole_ros.derivatives._samples import lacking_of
 
 built = pytest.mark.skipif(
     _fast._kernel is None, reason='the kernel is not built: setup.py build_ext --inplace'

@@ -11,7 +11,7 @@ import numpy as np
 from kinpole_ros.derivatives._evidence import KNOWN, Found
 from kinpole_ros.derivatives._fast import derive
 from kinpole_ros.derivatives._models import FEWEST_SAMPLES, FLAT, modes_of, stencils_of
-from kinpole_ros.derivatives._samples import Window, lacking_of
+from kinpole_ros.derivatives._samples import Window, lacking_of, total
 from kinpole_ros.planar._plane import Real
 
 # How much of a window is the newer part, if there are two; and how probable that is.
@@ -64,7 +64,7 @@ def _derive(window: Window, samples: Real, weights: Real | None) -> tuple[Found,
     if weights is None:
         seen, lacking = np.full((2, samples.shape[2]), float(count)), None
     else:
-        seen, lacking = weights.sum(axis=0), lacking_of(weights)
+        seen, lacking = total(weights), lacking_of(weights)
     found = derive(modes, stencils, np.ascontiguousarray(samples), seen, lacking)
     # The evidence is relative to a line with a flat prior, and to so many samples.
     chance = found.evidence - 2 * FLAT * _COMPONENTS
@@ -75,16 +75,15 @@ def _derive(window: Window, samples: Real, weights: Real | None) -> tuple[Found,
 def _mean(found: list[Found], chances: Real) -> Found:
     """The mean of what was found in parts, F of them, by their `chances` (F, 2, S)."""
     share = np.exp(chances - chances.max(axis=0))
-    share /= share.sum(axis=0)
-    by = share[:, _SIGNAL]
-    means = np.stack([one.mean for one in found])  # (F, K, 3, S)
-    mean = np.einsum('fcs,fkcs->kcs', by, means)
-    off = means - mean
-    apart = np.einsum('fcs,fkcs,fjcs->kjcs', by, off, off)
-    covariance = np.einsum('fcs,fkjcs->kjcs', share, np.stack([one.covariance for one in found]))
-    covariance[:, :, 0] += apart[:, :, 0]
-    covariance[:, :, 1] += (apart[:, :, 1] + apart[:, :, 2]) / 2
-    freedom = np.einsum('fcs,fcs->cs', share, np.stack([one.freedom for one in found]))
+    share /= total(share)
+    mean = total(np.stack([by[_SIGNAL] * one.mean for by, one in zip(share, found, strict=True)]))
+    covariance, freedom = np.zeros(found[0].covariance.shape), np.zeros(found[0].freedom.shape)
+    for by, one in zip(share, found, strict=True):
+        off = one.mean - mean
+        apart = off[:, None] * off
+        apart = np.stack((apart[:, :, 0], (apart[:, :, 1] + apart[:, :, 2]) / 2), axis=2)
+        covariance += by * (one.covariance + apart)
+        freedom += by * one.freedom
     return Found(mean, covariance, freedom, found[0].evidence)
 
 

@@ -11,7 +11,7 @@ import numpy as np
 from kinpole_ros.derivatives._evidence import Found
 from kinpole_ros.derivatives._models import FEWEST_SAMPLES, MOST_EXACT
 from kinpole_ros.derivatives._parts import derive_parts
-from kinpole_ros.derivatives._samples import Window, place
+from kinpole_ros.derivatives._samples import Window, place, total
 from kinpole_ros.planar._plane import Complex, Real
 
 # More samples than this in a window are averaged in blocks.
@@ -39,13 +39,15 @@ class Poses(NamedTuple):
     """
     Poses of B bodies in N frames at `time` (N,), ns.
 
-    `angle` (N, B), rad, goes on over turns; `position` (N, B) is complex, m. `angle_information`
-    and `position_information` (N, B) are inverse variances of angles and of each coordinate, in
-    units of the noise; 0 where a body is not known.
+    `angle` (N, B), rad, is that beyond so many whole `turns` (N, B): apart, since their sum would
+    be rounded by how many turns it is counted from. `position` (N, B) is complex, m.
+    `angle_information` and `position_information` (N, B) are inverse variances of angles and of
+    each coordinate, in units of the noise; 0 where a body is not known.
     """
 
     time: np.ndarray
     angle: Real
+    turns: Real
     position: Complex
     angle_information: Real
     position_information: Real
@@ -161,12 +163,13 @@ def _even_cells(poses: Poses, windows: Windows, left_out: np.ndarray, noise: Rea
     rows = newest - np.arange(count)[:, None]  # (n, T)
     samples = np.empty((count, 3, len(now), bodies))
     samples[:, 0] = poses.angle[rows] - poses.angle[now]
+    samples[:, 0] += 2 * np.pi * (poses.turns[rows] - poses.turns[now])
     off = poses.position[rows] - poses.position[now]
     samples[:, 1], samples[:, 2] = off.real, off.imag
     unit = np.stack(
         (
-            noise / np.sqrt(poses.angle_information[rows].mean(axis=0)),
-            noise / np.sqrt(poses.position_information[rows].mean(axis=0)),
+            noise / np.sqrt(total(poses.angle_information[rows]) / count),
+            noise / np.sqrt(total(poses.position_information[rows]) / count),
         )
     )
     signals = len(now) * bodies
@@ -195,7 +198,7 @@ def _cells(poses: Poses, windows: Windows, left_out: np.ndarray, noise: Real) ->
     interval = _intervals(time, inside)
     place = time / interval
     # Cells are about where frames are on the mean, or two of them might have the same.
-    phase = np.angle(np.where(inside, np.exp(2j * np.pi * place), 0).sum(axis=0)) / (2 * np.pi)
+    phase = np.angle(total(np.where(inside, np.exp(2j * np.pi * place), 0))) / (2 * np.pi)
     cell = np.rint(place - phase).astype(int) - np.rint(-phase).astype(int)
     late = place - cell
     known = (poses.angle_information[rows] > 0) & (poses.position_information[rows] > 0)
@@ -212,15 +215,18 @@ def _cells(poses: Poses, windows: Windows, left_out: np.ndarray, noise: Real) ->
     information = np.zeros((2, *shape))
     information[0][at] = poses.angle_information[row, body]
     information[1][at] = poses.position_information[row, body]
-    usual = _usual(information, 1)
+    usual = _usual(information.swapaxes(0, 1))
     with np.errstate(divide='ignore', invalid='ignore'):
         weight = np.where(usual[:, None] > 0, information / usual[:, None], 0.0)
         unit = noise / np.sqrt(usual)
     weight[weight >= _ALIKE] = 1.0
     samples = np.zeros((3, *shape))
     # Where the body is not seen at the instant, about nothing.
-    angle, position = (np.nan_to_num(a[now]) for a in (poses.angle, poses.position))
-    samples[0][at] = poses.angle[row, body] - angle[instant, body]
+    angle, turned, position = (
+        np.nan_to_num(a[now]) for a in (poses.angle, poses.turns, poses.position)
+    )
+    turns = poses.turns[row, body] - turned[instant, body]
+    samples[0][at] = poses.angle[row, body] - angle[instant, body] + 2 * np.pi * turns
     off = poses.position[row, body] - position[instant, body]
     samples[1][at], samples[2][at] = off.real, off.imag
     exact = _in_units(samples, unit)
@@ -239,10 +245,10 @@ def _cells(poses: Poses, windows: Windows, left_out: np.ndarray, noise: Real) ->
     )
 
 
-def _usual(information: Real, axis: int) -> Real:
-    """The mean of those that are not much less than the best of them."""
-    alike = information >= _ALIKE * information.max(axis=axis, keepdims=True)
-    return np.asarray((information * alike).sum(axis=axis) / alike.sum(axis=axis))
+def _usual(information: Real) -> Real:
+    """The mean along the first axis of those that are not much less than the best of them."""
+    alike = information >= _ALIKE * information.max(axis=0)
+    return np.asarray(total(information * alike) / alike.sum(axis=0))
 
 
 def _in_units(samples: Real, unit: Real) -> np.ndarray:
@@ -264,7 +270,7 @@ def _intervals(time: Real, inside: np.ndarray) -> Real:
     number = inside[1:].sum(axis=0)
     usual = np.sort(steps, axis=0)[np.maximum(number - 1, 0) // 2, np.arange(len(number))]
     counts = np.where(inside[1:], np.rint(steps / usual), 0.0).sum(axis=0)
-    return np.asarray(np.where(inside[1:], steps, 0.0).sum(axis=0) / np.maximum(counts, 1))
+    return np.asarray(total(np.where(inside[1:], steps, 0.0)) / np.maximum(counts, 1))
 
 
 class _Group(NamedTuple):
@@ -284,7 +290,7 @@ class _Group(NamedTuple):
 def _groups(cells: _Cells, window: float) -> list[_Group]:
     """Signals by their windows, those left out of which there is too little."""
     count = len(cells.samples)
-    whole = np.maximum(np.rint(window / cells.interval).astype(int), FEWEST_SAMPLES)
+    whole = np.maximum(np.rint(window / cells.interval).astype(int) + 1, FEWEST_SAMPLES)
     blocks = -(-whole // _MOST)
     full = whole // blocks
     if len(cells.weight) == 1 and (full * blocks <= count).all():
@@ -320,13 +326,15 @@ def _sizes(cells: _Cells, full: np.ndarray, blocks: np.ndarray) -> np.ndarray:
     # Not beyond the oldest that is there.
     oldest = count - there[::-1].argmax(axis=0)
     sizes = np.zeros(len(full), int)
+    # Where stamps are not even a window has one frame more or less.
+    shorter = full - 1
     while (full >= FEWEST_SAMPLES).any():
         need = np.minimum(full * blocks, count) - 1
         least = np.maximum(_PRESENT * full * blocks, FEWEST_SAMPLES)
         enough = seen[need, np.arange(len(need))] >= least
         enough &= (cells.ahead >= 0) & (cells.ahead < full * blocks) & (full * blocks <= oldest)
         sizes = np.where((sizes == 0) & enough & (full >= FEWEST_SAMPLES), full, sizes)
-        full = (full * _SHORTER).astype(int)
+        full, shorter = shorter, (shorter * _SHORTER).astype(int)
     return sizes
 
 
@@ -424,10 +432,10 @@ def _blocks(
     share = told / np.maximum(number, 1)[:, None]
     samples = (samples * share[:, :, None]).sum(axis=1)
     variance = np.divide(told[:, :, None], weight, out=np.zeros_like(weight), where=weight > 0)
-    total = number[:, None] ** 2 / np.maximum(variance.sum(axis=1), 1e-300) / block
-    total = np.where(number[:, None] > 0, total, 0.0)
-    usual = _usual(total, 0)
-    weight = total / usual
+    good = number[:, None] ** 2 / np.maximum(variance.sum(axis=1), 1e-300) / block
+    good = np.where(number[:, None] > 0, good, 0.0)
+    usual = _usual(good)
+    weight = good / usual
     weight[weight >= _ALIKE] = 1.0
     # What is missing in a block moves its middle.
     offsets = (np.arange(block) - (block - 1) / 2)[:, None]

@@ -57,7 +57,7 @@ def place(window: Window, samples: Real, weights: Real, off: Real) -> Placed:
     if not np.count_nonzero(off):
         return Placed(samples, np.ones((2, 1)))
     modes, slopes = modes_of(count, block, exact), slopes_of(count, block, exact)
-    seen, lacking = weights.sum(axis=0), lacking_of(weights)
+    seen, lacking = total(weights), lacking_of(weights)
     samples, left = _moved(modes, slopes, samples, off, seen, lacking)
     # By how much samples are not in their places yet is noise.
     scale = np.sqrt(1 + left**2)
@@ -79,7 +79,7 @@ def _moved(
         before = samples
         moved = move(modes, slopes, *arrays)
         samples = _moved_once(modes, slopes, *arrays) if moved is None else moved
-    change = ((samples - before) ** 2).mean(axis=0)
+    change = total((samples - before) ** 2) / len(samples)
     return samples, np.sqrt(np.stack((change[0], change[1:].max(axis=0))))
 
 
@@ -113,6 +113,16 @@ def _moved_once(
         missing = (lacking.weight <= 0).all(axis=1)[..., None]
         moved[where] = np.where(missing, samples[where] - wrong, moved[where])
     return moved
+
+
+def total(values: Real) -> Real:
+    """
+    Sums along the first axis, always from first to last.
+
+    Numpy's own order depends on how many columns there are, so that what a signal has alone and
+    among others would not be the same to the last bit.
+    """
+    return np.asarray(np.add.accumulate(values, axis=0)[-1])
 
 
 def lacking_of(weights: Real) -> Lacking | None:

@@ -24,7 +24,7 @@ def derive_landmarks(
     width = points.shape[-1]
     flat = points.reshape(len(points), -1)
     seen = np.where(np.isnan(flat), 0.0, 1.0)
-    poses = Poses(time, np.zeros(flat.shape), flat, seen, seen)
+    poses = Poses(time, np.zeros(flat.shape), np.zeros(flat.shape), flat, seen, seen)
     nothing = np.zeros((instants, bodies * width), int)
     rounding = np.finfo(float).eps * np.abs(flat[windows.now])
     noise = np.maximum(np.repeat(noise, width, axis=1), rounding)

@@ -488,8 +488,7 @@ class Tracker:
         count = len(self.bodies)
         frames = self._timeline.view()
         poses, information, time = frames['poses'], frames['information'], frames['time']
-        angle = poses[:, :count, 0] + 2 * np.pi * (poses[:, :count, 1] - poses[0, :count, 1])
-        whole = angle - poses[:, :count, 0]
+        angle, turns = poses[:, :count, 0], poses[:, :count, 1]
         if suspect is None:
             suspect = np.zeros((len(known), count), int)
         parts = []
@@ -503,14 +502,12 @@ class Tracker:
             if np.count_nonzero(row['reference']):
                 signals, good = seen_at(row['reference'], row['middle'], signals, good)
             position = signals[:, count:, 0] + 1j * signals[:, count:, 1]
-            seen = Poses(time, angle, position, good[:, :count], good[:, count:])
+            seen = Poses(time, angle, turns, position, good[:, :count], good[:, count:])
             instants = windows.part(part)
             noise, window = known['noise'][part], self._timeline.window
             found = derive_poses(seen, instants, suspect[part], noise, window * 1e-9, order)
             parts.append(found)
         found = Derivatives(*(np.concatenate(each, axis=-2) for each in zip(*parts, strict=True)))
-        # Of all turns that are one, as it was measured.
-        found.angle[0] -= whole[windows[0]]
         return (*found[:-1], found.freedom - 1), known['reference']
 
     def _from_landmarks(
