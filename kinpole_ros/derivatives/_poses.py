@@ -327,14 +327,17 @@ def _sizes(cells: _Cells, full: np.ndarray, blocks: np.ndarray) -> np.ndarray:
     oldest = count - there[::-1].argmax(axis=0)
     sizes = np.zeros(len(full), int)
     # Where stamps are not even a window has one frame more or less.
-    shorter = full - 1
-    while (full >= FEWEST_SAMPLES).any():
-        need = np.minimum(full * blocks, count) - 1
-        least = np.maximum(_PRESENT * full * blocks, FEWEST_SAMPLES)
-        enough = seen[need, np.arange(len(need))] >= least
-        enough &= (cells.ahead >= 0) & (cells.ahead < full * blocks) & (full * blocks <= oldest)
-        sizes = np.where((sizes == 0) & enough & (full >= FEWEST_SAMPLES), full, sizes)
-        full, shorter = shorter, (shorter * _SHORTER).astype(int)
+    ladder = [full, full - 1]
+    while (ladder[-1] >= FEWEST_SAMPLES).any():
+        ladder.append((ladder[-1] * _SHORTER).astype(int))
+    # All there is, if the instant is the oldest of it.
+    ladder.append(np.minimum(full, oldest // blocks))
+    for size in ladder:
+        samples = size * blocks
+        need = np.clip(samples, 1, count) - 1
+        enough = seen[need, np.arange(len(need))] >= np.maximum(_PRESENT * samples, FEWEST_SAMPLES)
+        enough &= (cells.ahead >= 0) & (cells.ahead < samples) & (samples <= oldest)
+        sizes = np.where((sizes == 0) & enough & (size >= FEWEST_SAMPLES), size, sizes)
     return sizes
 
 
