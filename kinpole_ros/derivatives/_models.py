@@ -27,7 +27,7 @@ SPECTRA = ((2.0, 1.0), (1.4, 1.0), (1.0, 4.0))
 # The longest length, windows. Each of the others is half as long as the one before.
 _LONGEST = 1.25
 # A line is all there is of degree 1.
-_DEGREES = (1, 2, 3, 4)
+_DEGREES = (1, 2)
 # Deviations of processes: the least, and how many, each 10 times the one before; more of them for
 # samples that are all but exact.
 _LEAST, _AMPLITUDES, _MORE = 10.0**0.5, 7, 13
