@@ -67,7 +67,7 @@ def live_part(rows: Rows) -> str:
         text = number(ratio) if ratio <= bar else f'**{number(ratio)}**'
         return f'{text} ({number(row[name])})'
 
-    told = (
+    lines = (
         (
             row['what'],
             against(row, 'p50', _P50_BAR),
@@ -88,7 +88,7 @@ def live_part(rows: Rows) -> str:
     )
     return f"""## The live node against a relay
 
-{table(head, told)}
+{table(head, lines)}
 
 Bold is above its bar: {_P50_BAR:g} for p50, {_P99_BAR:g} for p99. Latency is from sending a frame
 to the arrival of its last result; a frame without one counts as infinitely late. The relay is a

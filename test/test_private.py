@@ -6,14 +6,17 @@ import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
 import pytest
 import rclpy
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState
+from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.lifecycle import LifecycleNode
 from rclpy.node import Node
 from rclpy.serialization import deserialize_message
+from rclpy.subscription import Subscription
 from std_msgs.msg import String
 
 import kinpole_ros
@@ -40,6 +43,22 @@ def until(condition: Callable[[], object], what: str) -> None:
     while not condition():
         assert time.monotonic() < deadline, f'rclpy has changed: {what}'
         time.sleep(0.01)
+
+
+@pytest.mark.parametrize(
+    ('owner', 'names'),
+    [
+        (rclpy_implementation, ['RCLError', 'WaitSet']),
+        (rclpy_implementation.WaitSet, ['clear_entities', 'add_subscription', 'wait']),
+        (rclpy_implementation.Subscription, ['take_message', '__enter__', '__exit__']),
+        (Subscription, ['handle']),
+        (rclpy.Context, ['handle']),
+        (LifecycleNode, ['services']),
+    ],
+)
+def test_the_names_that_are_relied_on_are_there(owner: Any, names: list[str]) -> None:
+    lacking = [name for name in names if not hasattr(owner, name)]
+    assert not lacking, f'rclpy has changed: {owner} has no {lacking}; see ros/private.py'
 
 
 def test_a_failure_of_rcl_is_an_rcl_error() -> None:
