@@ -2,383 +2,345 @@
 What the live node costs, against a relay: the least that any ROS 2 node in Python can do.
 
 The relay reads the same message the ordinary way and publishes one Vector3Stamped. Both run at the
-same time, each in its own process, and are asked in turn.
+same time, each in its own process, and get each frame in turn, at the pace of its stamps. Whoever
+sends sleeps between frames, as a processor does between those of a tracker.
 """
 
-import math
 import os
 import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager, suppress
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-import rclpy
-from diagnostic_msgs.msg import DiagnosticArray
-from geometry_msgs.msg import PointStamped, Vector3Stamped
-from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
-from rclpy.qos import QoSProfile, ReliabilityPolicy
-from rclpy.serialization import deserialize_message, serialize_message
-from sensor_msgs.msg import PointCloud2
+from geometry_msgs.msg import Vector3Stamped
+from nav_msgs.msg import Path as PathMessage
+from rclpy.qos import QoSProfile
+from visualization_msgs.msg import MarkerArray
 
+from bench._rig import LAG, NODE, RELAY, Asker, Rig, node_words, processes, started, wheels
 from bench._speed import compared
-from kinpole_ros.messages import stamp_to_ns, to_message
+from kinpole_ros.messages import result_outputs
+from kinpole_ros.ros.private import take
 
-RELAY = 'relay'
-NODE = 'kinpole'
-RESULTS = {
-    'angular_velocity': Vector3Stamped,
-    'icr': PointStamped,
-    'centrode_curvature': Vector3Stamped,
-}
-LAG = 100_000_000
-_MARKERS = 20
-_BODY = ['3', '7', '11', '15']
-_BEST_EFFORT = ReliabilityPolicy.BEST_EFFORT
-_WAIT = 20.0
-# As many messages may wait for the relay as for the node.
-_DEPTH = 200
-# Rates tried, each so many times the one before unless asked otherwise, for so long (s), up to so
-# often: whatever else runs on the machine may take a core for a moment.
-_STEP_UP = 1.1
-_TRY = 2.0
-_TRIES = 3
-_LOWEST, _HIGHEST = 500.0, 12000.0
+_FEW = ('angular_velocity', 'icr', 'centrode_curvature')
+_POLES = ('odom', 'icr', 'iap', 'ijp', 'isp')
+# What is published of every frame. Of others, some frames may leave them undetermined.
+_ALWAYS = ('odom', 'angular_velocity')
+# What is read after a run only, must be kept until then. Of paths and drawings one is kept.
+_KEPT = 20_000
+_HEAVY = (PathMessage, MarkerArray)
+# ns.
+_START = 10**12
+# A frame counts as answered within so many periods; a rate is held with such a share of them.
+_PERIODS, _SHARE = 2.0, 0.99
+# s, in which the window fills and the node finds who listens: it does not count.
+_WARM_UP = 1.0
+# Hz. Whatever else runs on the machine may take a core for a moment, so a rate has more than
+# one try.
+_TRIES = 2
+# Of a rate, what must be reached in sending.
+_REACHED = 0.95
+_LOWEST, _HIGHEST = 200.0, 8000.0
 
 
-class Latency(NamedTuple):
-    """Times from sending a message to the arrival of its last result, s."""
+class Case(NamedTuple):
+    """
+    What is sent, and which results of each body are subscribed to; None for all topics.
 
-    times: np.ndarray
-    sent: int
+    `rate` in Hz. Stamps are off the even pace by up to `jitter` s, and whole multiples of `unit`
+    ns. `kind` is one of MARKER_TYPES.
+    """
 
-    def percentile(self, share: float) -> float:
-        """Time that this share (0 to 100) of the messages is answered within, s."""
-        return float(np.percentile(self.times, share))
+    what: str
+    topics: Collection[str] | None = _FEW
+    bodies: int = 1
+    rate: float = 200.0
+    jitter: float = 0.0
+    unit: int = 1
+    kind: str = 'point_cloud2'
+
+
+_THREE = Case('', bodies=3, jitter=5e-5, kind='marker_array')
+CASES = (
+    Case('one body at 200 Hz'),
+    Case('one body, stamps off by up to 50 µs', jitter=5e-5),
+    Case('one body, stamps off by up to 1 ms', jitter=1e-3),
+    Case('one body at 120 Hz, stamps in whole µs', rate=120.0, unit=1000),
+    _THREE._replace(what='3 bodies in a MarkerArray, stamps off by up to 50 µs'),
+    _THREE._replace(what='the same, all topics', topics=None),
+    Case('4 bodies at 200 Hz', bodies=4),
+    Case('16 bodies at 100 Hz, poles and odometry', topics=_POLES, bodies=16, rate=100.0),
+)
+
+
+class Measured(NamedTuple):
+    """
+    Time from sending a frame to its last result (s), by percentile, and what it takes.
+
+    `answered` is the share of the frames answered within two periods, `core` that of a core, and
+    `rate` (Hz) what was reached in sending.
+    """
+
+    p50: float
+    p99: float
+    answered: float
+    core: float
+    rate: float
 
 
 class Live(NamedTuple):
-    """Latency and highest rate (Hz) of node and relay; start and help in s."""
+    """Cases and highest rate (Hz) of node and relay; start and help in s."""
 
-    latency: dict[str, Latency]
+    cases: dict[str, dict[str, Measured]]
     rate: dict[str, float]
     first_answer: float
     help: float
 
 
-def relay() -> None:
-    """The other node: read, publish one vector, count. Runs until told to stop."""
-    rclpy.init()
-    node = rclpy.create_node(RELAY)
-    publisher = node.create_publisher(Vector3Stamped, f'/{RELAY}/answer', 10)
-    counter = node.create_publisher(Vector3Stamped, f'/{RELAY}/count', 1)
-    count = 0
-
-    def answer(cloud: PointCloud2) -> None:
-        nonlocal count
-        count += 1
-        publisher.publish(Vector3Stamped(header=cloud.header))
-
-    def tell() -> None:
-        message = Vector3Stamped()
-        message.vector.x = float(count)
-        counter.publish(message)
-
-    node.create_subscription(
-        PointCloud2, f'/{RELAY}/markers', answer, QoSProfile(depth=_DEPTH, reliability=_BEST_EFFORT)
-    )
-    node.create_timer(0.2, tell)
-    with suppress(KeyboardInterrupt, ExternalShutdownException):
-        rclpy.spin(node)
-
-
-class Cloud:
-    """Clouds of 20 markers, four of them on a wheel that rolls and speeds up and down, as bytes."""
-
-    def __init__(self) -> None:
-        names = [str(k) for k in range(_MARKERS)]
-        still = np.arange(3.0 * _MARKERS).reshape(_MARKERS, 3) / 10 + 2
-        self._data = serialize_message(to_message('point_cloud2', 0, 'world', names, still))
-        self._start = self._data.index(still.tobytes())
-        self._points = still
-        self._noise = np.random.default_rng(1)
-        self._arms = 0.1 * np.exp(2j * np.pi * np.array([0.0, 0.2, 0.45, 0.8]))
-
-    def at(self, stamp: int, hidden: bool = False, off: bool = False) -> bytes:
-        """The message of an instant, ns, maybe with a marker of the body hidden or 0.1 m off."""
-        t = stamp % 10**12 * 1e-9
-        angle = 6 * t + 0.5 * math.sin(3 * t)
-        flat = -0.1 * angle + self._arms * np.exp(1j * angle)
-        body = self._points[[int(name) for name in _BODY]]
-        body[:, 0], body[:, 1] = flat.real, flat.imag
-        body[:, :2] += 2e-4 * self._noise.normal(size=(4, 2))
-        body[:, 2] = 0
-        if hidden:
-            body[self._noise.integers(4)] = np.nan
-        if off:
-            body[self._noise.integers(4)] += 0.1
-        self._points[[int(name) for name in _BODY]] = body
-        made = bytearray(self._data)
-        made[self._start : self._start + self._points.nbytes] = self._points.tobytes()
-        made[4:12] = np.array(divmod(stamp, 10**9), '<u4').tobytes()
-        return bytes(made)
-
-
-class Asker:
-    """A ROS node that sends clouds and hears answers."""
-
-    def __init__(self) -> None:
-        self._context = rclpy.Context()
-        rclpy.init(args=[], context=self._context)
-        self.node = rclpy.create_node('asker', context=self._context)
-        self.executor = SingleThreadedExecutor(context=self._context)
-        self.executor.add_node(self.node)
-        qos = QoSProfile(depth=10, reliability=_BEST_EFFORT)
-        self.publishers = {
-            name: self.node.create_publisher(PointCloud2, f'/{name}/markers', qos)
-            for name in (NODE, RELAY)
-        }
-
-    def close(self) -> None:
-        self.node.destroy_node()
-        self._context.try_shutdown()
-
-    def until(self, condition: Callable[[], Any], what: str) -> None:
-        """Let things happen until the condition holds; TimeoutError if it does not in time."""
-        deadline = time.monotonic() + _WAIT
-        while not condition():
-            if time.monotonic() > deadline:
-                raise TimeoutError(f'live bench: {what}: not within {_WAIT:g} s')
-            self.executor.spin_once(timeout_sec=0.02)
-
-    def hear(self, topic: str, message_type: type, qos: Any = 10) -> list[tuple[Any, int]]:
-        """Messages from now on, as bytes, and when the middleware received them, ns."""
-        heard: list[tuple[Any, int]] = []
-
-        def keep(data: bytes, info: Mapping[str, int]) -> None:
-            heard.append((data, info['received_timestamp']))
-
-        self.node.create_subscription(message_type, topic, keep, qos, raw=True)
-        return heard
-
-
-@contextmanager
-def processes() -> Iterator[dict[str, 'subprocess.Popen[bytes]']]:
-    """Node and relay, each in its process, on a domain of their own."""
-    os.environ.setdefault('ROS_DOMAIN_ID', str(200 + os.getpid() % 32))
-    os.environ.setdefault('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
-    with (
-        tempfile.TemporaryDirectory() as folder,
-        started(node_words(Path(folder))) as node,
-        started(_relay_words()) as other,
-    ):
-        yield {NODE: node, RELAY: other}
-
-
-def node_words(folder: Path) -> list[str]:
-    """The command that starts the node with its one body, with its parameters in `folder`."""
-    config = folder / 'config.yaml'
-    config.write_text(
-        '/**: {ros__parameters: {bodies: [rod], rod: {markers: '
-        f'{_BODY}}}, marker_topic: /{NODE}/markers, marker_type: point_cloud2, '
-        f'lag: {LAG * 1e-9}}}}}\n'
-    )
-    # What it says of itself would run through the bar of progress.
-    quiet = ['--log-level', 'kinpole:=warn']
-    return [
-        '-m',
-        'kinpole_ros.tools.cli',
-        'node',
-        '--ros-args',
-        *quiet,
-        '--params-file',
-        str(config),
-    ]
-
-
-def _relay_words() -> list[str]:
-    return ['-c', 'from bench._live import relay; relay()']
-
-
-@contextmanager
-def started(words: list[str]) -> Iterator['subprocess.Popen[bytes]']:
-    """A Python process that is ended with the block."""
-    process = subprocess.Popen([sys.executable, *words])
-    try:
-        yield process
-    finally:
-        process.terminate()
-        try:
-            process.wait(10)
-        except subprocess.TimeoutExpired:
-            process.kill()
-            process.wait()
-
-
 def measure_live(
-    messages: int = 2000,
-    rate: float = 200.0,
-    step_up: float = _STEP_UP,
+    seconds: float = 5.0,
+    runs: int = 3,
+    step_up: float = 1.1,
     progress: Callable[[float], None] | None = None,
 ) -> Live:
     """
     Measure all of it.
 
-    `messages` are sent to each of the two at `rate` Hz for the latency; of the rates they hold,
-    each tried is `step_up` times the one before. `progress` is called with the share done, by time.
+    Each case takes `seconds` a run and gives the median of some `runs`. The highest rate is found
+    to within a factor of `step_up`, and each try takes half as long. `progress` is called with the
+    share done, by time.
     """
     tell = progress or (lambda share: None)
-    tell(0.0)
-    with processes():
-        asker = Asker()
-        try:
-            for name, publisher in asker.publishers.items():
-                asker.until(publisher.get_subscription_count, f'{name} at its markers')
-            latency = _latency(asker, messages, rate)
-        finally:
-            asker.close()
-    with processes():
-        asker = Asker()
-        try:
-            for name, publisher in asker.publishers.items():
-                asker.until(publisher.get_subscription_count, f'{name} at its markers')
-            rates = _rates(asker, step_up, lambda share: tell(0.05 + 0.9 * share))
-        finally:
-            asker.close()
+    found: dict[str, list[dict[str, Measured]]] = {case.what: [] for case in CASES}
+    for number, case in enumerate(CASES * runs):
+        tell(0.75 * number / len(CASES) / runs)
+        with _asked(case, LAG + 0.25 / case.rate) as ask:
+            found[case.what].append(ask(case, (NODE, RELAY), seconds))
+    cases = {
+        what: {name: median_of([each[name] for each in listed]) for name in (NODE, RELAY)}
+        for what, listed in found.items()
+    }
+    tell(0.75)
+    best = {}
+    with _asked(CASES[0], LAG) as ask:
+        for name in (NODE, RELAY):
+
+            def held(rate: float, name: str = name) -> bool:
+                case = CASES[0]._replace(rate=rate)
+                tries = (ask(case, (name,), seconds / 2)[name] for _ in range(_TRIES))
+                return any(
+                    each.answered >= _SHARE and each.rate >= _REACHED * rate for each in tries
+                )
+
+            best[name] = highest(held, _LOWEST, _HIGHEST, step_up)
     tell(0.95)
     starts = [_first_answer() for _ in range(3)]
     helps = [_help() for _ in range(5)]
-    return Live(latency, rates, float(np.median(starts)), float(np.median(helps)))
+    return Live(cases, best, float(np.median(starts)), float(np.median(helps)))
 
 
-def _latency(asker: Asker, messages: int, rate: float) -> dict[str, Latency]:
-    heard = {
-        NODE: [asker.hear(f'/{NODE}/rod/{topic}', kind) for topic, kind in RESULTS.items()],
-        RELAY: [asker.hear(f'/{RELAY}/answer', Vector3Stamped)],
-    }
-    types = {NODE: list(RESULTS.values()), RELAY: [Vector3Stamped]}
-    sent: dict[str, dict[int, int]] = {NODE: {}, RELAY: {}}
-    cloud = Cloud()
-    step = round(1e9 / rate)
-    stamp = 10**12
-    warm_up = 200
-    due = time.monotonic()
-    for _ in range(messages + warm_up):
-        stamp += step
-        # In turn, so that each has them at even times.
-        for name in (NODE, RELAY):
-            data = cloud.at(stamp)
-            due += 0.5 / rate
-            # What is heard is taken off before the moment to send, and nothing runs after it.
-            while (left := due - time.monotonic()) > 0:
-                asker.executor.spin_once(timeout_sec=max(0, left - 2e-4))
-            sent[name][stamp] = time.time_ns()
-            asker.publishers[name].publish(data)
-    quiet = time.monotonic() + 0.5
-    asker.until(lambda: time.monotonic() > quiet, 'the last answers')
-    found = {}
-    for name, lists in heard.items():
-        lag = LAG if name == NODE else 0
-        arrived: dict[int, list[int]] = {}
-        for listed, kind in zip(lists, types[name], strict=True):
-            for data, received in listed:
-                answered = stamp_to_ns(deserialize_message(data, kind).header.stamp) + lag
-                arrived.setdefault(answered, []).append(received)
-        first = 10**12 + warm_up * step
-        times = [
-            max(received) - sent[name][stamp]
-            for stamp, received in arrived.items()
-            if stamp > first and stamp in sent[name] and len(received) == len(lists)
-        ]
-        found[name] = Latency(np.array(times) * 1e-9, messages)
-    return found
+@contextmanager
+def _asked(
+    case: Case, lag: float
+) -> Iterator[Callable[[Case, Sequence[str], float], dict[str, Measured]]]:
+    """
+    Node and relay for the bodies and topics of a case, with what sends them frames.
+
+    That takes a case, which may differ in rate and stamps, who is sent its frames and for how long
+    (s), and returns the figures of each.
+    """
+    subscriptions: dict[str, dict[str, Any]] = {NODE: {}, RELAY: {}}
+    with processes(case.bodies, case.kind, lag) as running:
+        asker = Asker(case.kind)
+        try:
+            topics = [(RELAY, 'answer', Vector3Stamped)]
+            for topic, kind, *_ in result_outputs(list(wheels(case.bodies)), 'xy'):
+                if case.topics is None or topic.partition('/')[2] in case.topics:
+                    topics.append((NODE, topic, kind))
+            for name, topic, kind in topics:
+                qos = QoSProfile(depth=1 if kind in _HEAVY else _KEPT)
+                subscriptions[name][topic] = asker.node.create_subscription(
+                    kind, f'/{name}/{topic}', lambda _: None, qos, raw=True
+                )
+            asker.until_found()
+            begun = time.monotonic_ns()
+
+            def ask(case: Case, names: Sequence[str], seconds: float) -> dict[str, Measured]:
+                pids = {name: running[name].pid for name in names}
+                # Later than all before by more than a window.
+                begin = _START + time.monotonic_ns() - begun
+                stamps = stamps_of(case, round((_WARM_UP + seconds) * case.rate), begin)
+                first = round(_WARM_UP * case.rate)
+                sent, cores = _send(asker, case, stamps, first, pids)
+                time.sleep(0.5)
+                found = {}
+                for name in names:
+                    answers = {
+                        topic: _arrivals(one)
+                        for topic, one in subscriptions[name].items()
+                        if one.msg_type not in _HEAVY
+                    }
+                    always = answers if name == RELAY else _always(case)
+                    behind = 0 if name == RELAY else round(LAG * case.rate)
+                    times = answer_times(stamps, sent[name], answers, behind, always)
+                    found[name] = summed(times[first:], sent[name][first:], case.rate, cores[name])
+                return found
+
+            yield ask
+        finally:
+            asker.close()
 
 
-def _rates(asker: Asker, step_up: float, tell: Callable[[float], None]) -> dict[str, float]:
-    """The highest rate (Hz) at which each loses nothing, while its answers are subscribed to."""
-    # Subscribed to and never taken: so they are sent, and cost this process next to nothing.
-    sink = rclpy.create_node('sink', context=asker.node.context)
-    for topic, kind in RESULTS.items():
-        sink.create_subscription(kind, f'/{NODE}/rod/{topic}', lambda _: None, 1, raw=True)
-    sink.create_subscription(Vector3Stamped, f'/{RELAY}/answer', lambda _: None, 1, raw=True)
-    told = {
-        NODE: asker.hear('/diagnostics', DiagnosticArray),
-        RELAY: asker.hear(f'/{RELAY}/count', Vector3Stamped),
-    }
-    cloud = Cloud()
-    # Made before: the sender must not be what limits.
-    frames = [cloud.at(10**12 + k * 1_000_000) for k in range(2000)]
-    stamps = {NODE: 2 * 10**12, RELAY: 2 * 10**12}
-
-    def held(name: str, rate: float) -> bool:
-        before = _received(asker, name, told[name])
-        count, achieved = _send(asker.publishers[name], frames, rate, stamps, name)
-        after = _received(asker, name, told[name])
-        return after - before == count and achieved >= 0.95 * rate
-
-    best = {}
-    for number, name in enumerate((NODE, RELAY)):
-        rate = _LOWEST
-        best[name] = 0.0
-        while rate < _HIGHEST:
-            # As if both came to the highest: one that does not is done sooner, not later.
-            tell((number + math.log(rate / _LOWEST) / math.log(_HIGHEST / _LOWEST)) / 2)
-            if not any(held(name, rate) for _ in range(_TRIES)):
-                break
-            best[name] = rate
-            rate *= step_up
-    sink.destroy_node()
-    return best
-
-
-def _received(asker: Asker, name: str, told: list[tuple[Any, int]]) -> int:
-    """How many messages it took so far, once that stands still."""
-    before = -1
-    while True:
-        told.clear()
-        asker.until(lambda: told, f'the count of {name}')
-        data = told[-1][0]
-        if name == RELAY:
-            now = int(deserialize_message(data, Vector3Stamped).vector.x)
-        else:
-            status = deserialize_message(data, DiagnosticArray).status[0]
-            now = int({v.key: v.value for v in status.values}['frames received'])
-        if now == before:
-            return now
-        before = now
+def _always(case: Case) -> list[str]:
+    """Topics of a case with a message for every frame."""
+    chosen = _ALWAYS if case.topics is None else [one for one in _ALWAYS if one in case.topics]
+    return [f'{body}/{topic}' for body in wheels(case.bodies) for topic in chosen]
 
 
 def _send(
-    publisher: Any, frames: list[bytes], rate: float, stamps: dict[str, int], name: str
-) -> tuple[int, float]:
-    """Send for a while; returns how many were sent, and the rate that was reached, Hz."""
-    count = round(_TRY * rate)
-    step = round(1e9 / rate)
-    start = time.monotonic()
-    for k in range(count):
-        stamps[name] += step
-        data = bytearray(frames[round(k * step / 1e6) % len(frames)])
-        data[4:12] = np.array(divmod(stamps[name], 10**9), '<u4').tobytes()
-        left = start + k / rate - time.monotonic()
-        if left > 0:
-            time.sleep(left)
-        publisher.publish(bytes(data))
-    return count, count / (time.monotonic() - start)
+    asker: Asker, case: Case, stamps: np.ndarray, first: int, pids: Mapping[str, int]
+) -> tuple[dict[str, np.ndarray], dict[str, float]]:
+    """
+    Send frames of these stamps (N,), ns, to these processes, each in turn, at the stamps' pace.
+
+    Returns when each was sent them (N,), ns, and the share of a core it takes from the frame
+    `first` on.
+    """
+    rig = Rig(case.bodies, case.kind)
+    # Made before: the sender must not be what limits.
+    frames = [rig.at(stamp) for stamp in stamps.tolist()]
+    due = (stamps - stamps[0]) * 1e-9
+    sent = {name: np.zeros(len(stamps), np.int64) for name in pids}
+    before: dict[str, float] = {}
+    start = begun = time.monotonic()
+    for k, frame in enumerate(frames):
+        if k == first:
+            before, begun = {name: _cpu_time(pid) for name, pid in pids.items()}, time.monotonic()
+        for place, name in enumerate(pids):
+            left = start + due[k] + place / len(pids) / case.rate - time.monotonic()
+            if left > 0:
+                time.sleep(left)
+            sent[name][k] = time.time_ns()
+            asker.publishers[name].publish(frame)
+    wall = time.monotonic() - begun
+    cores = {name: (_cpu_time(pid) - before[name]) / wall for name, pid in pids.items()}
+    return sent, cores
+
+
+def stamps_of(case: Case, count: int, begin: int) -> np.ndarray:
+    """Stamps (count,) of a case from `begin` on, ns."""
+    off = np.random.default_rng(2).uniform(-1e9 * case.jitter, 1e9 * case.jitter, count)
+    times = begin + np.arange(count) * 1e9 / case.rate + off
+    return np.round(times / case.unit).astype(np.int64) * case.unit
+
+
+def _arrivals(subscription: Any) -> np.ndarray:
+    """Stamps and times of arrival (M, 2) of the messages that wait, ns."""
+    rows = [
+        (stamp_in(data), info['received_timestamp']) for data, info in take(subscription, _KEPT)
+    ]
+    return np.array(rows, np.int64).reshape(-1, 2)
+
+
+def stamp_in(data: bytes) -> int:
+    """The stamp of a serialized message that begins with its header, ns."""
+    order = '<u4' if data[1] else '>u4'
+    seconds, nanoseconds = np.frombuffer(data, order, 2, offset=4).tolist()
+    return int(seconds * 10**9 + nanoseconds)
+
+
+def answer_times(
+    stamps: np.ndarray,
+    sent: np.ndarray,
+    answers: Mapping[str, np.ndarray],
+    behind: int,
+    always: Collection[str],
+) -> np.ndarray:
+    """
+    Time (N,) from sending each frame to its last answer, s; inf where one of `always` is missing.
+
+    Frames have `stamps` and were sent at `sent` (N,), ns. `answers` are stamps and times of arrival
+    (M, 2), ns, by topic. An answer has the stamp of one frame, or nearly, and came with the one
+    `behind` frames later.
+    """
+    count = len(stamps)
+    last = np.zeros(count, np.int64)
+    answered = np.ones(count, bool)
+    between = (stamps[1:] + stamps[:-1]) / 2
+    for topic, rows in answers.items():
+        frame = np.searchsorted(between, rows[:, 0]) + behind
+        rows, frame = rows[frame < count], frame[frame < count]
+        np.maximum.at(last, frame, rows[:, 1])
+        if topic in always:
+            answered &= np.bincount(frame, minlength=count) > 0
+    return np.where(answered, (last - sent) * 1e-9, np.inf)
+
+
+def summed(times: np.ndarray, sent: np.ndarray, rate: float, core: float) -> Measured:
+    """
+    Figures of frames (N,) that were to be sent at `rate` Hz.
+
+    They were sent at `sent`, ns, and answered in `times`, s, inf for never.
+    """
+    p50, p99 = np.percentile(times, (50, 99), method='inverted_cdf').tolist()
+    answered = float(np.mean(times <= _PERIODS / rate))
+    return Measured(p50, p99, answered, core, 1e9 / float(np.diff(sent).mean()))
+
+
+def median_of(runs: Sequence[Measured]) -> Measured:
+    """The median of each figure."""
+    return Measured(*np.median(runs, axis=0).tolist())
+
+
+def highest(held: Callable[[float], bool], lowest: float, most: float, step_up: float) -> float:
+    """
+    The highest rate that is held, a multiple of 10 Hz, to within a factor of `step_up`; 0 for none.
+
+    From the lowest on it doubles until one is not held or `most` is reached, and halves the rest.
+    """
+    good, bad = 0.0, lowest
+    while bad <= most and held(bad):
+        good, bad = bad, 2 * bad
+    while 0 < good < bad <= most and bad > step_up * good:
+        middle = 10.0 * round((good * bad) ** 0.5 / 10)
+        if middle in (good, bad):
+            break
+        if held(middle):
+            good = middle
+        else:
+            bad = middle
+    return good
+
+
+def _cpu_time(pid: int) -> float:
+    """CPU time of a process so far, s; NaN where there is no /proc."""
+    try:
+        return cpu_time_in(Path(f'/proc/{pid}/stat').read_text())
+    except OSError:
+        return float('nan')
+
+
+def cpu_time_in(stat: str) -> float:
+    """CPU time (s), user and system, in the text of /proc/PID/stat."""
+    # The name of the command, in brackets, may hold anything.
+    fields = stat.rpartition(')')[2].split()
+    return (int(fields[11]) + int(fields[12])) / os.sysconf('SC_CLK_TCK')
 
 
 def _first_answer() -> float:
     """From the start of the process to the first result, s, with markers there already."""
     asker = Asker()
-    heard = asker.hear(f'/{NODE}/rod/angular_velocity', Vector3Stamped)
-    cloud = Cloud()
+    heard = asker.hear(f'/{NODE}/{next(iter(wheels(1)))}/angular_velocity', Vector3Stamped)
+    rig = Rig()
     begun = time.monotonic_ns()
 
     def send_and_look() -> bool:
-        asker.publishers[NODE].publish(cloud.at(10**12 + time.monotonic_ns() - begun))
+        asker.publishers[NODE].publish(rig.at(_START + time.monotonic_ns() - begun))
         # About 200 Hz.
         until = time.monotonic() + 0.005
         while (left := until - time.monotonic()) > 0:
@@ -405,15 +367,25 @@ def _help() -> float:
 
 
 def live_rows(live: Live) -> list[dict[str, Any]]:
-    """One row by comparison, as of `_speed.speed_rows`; a time alone is compared with 1 s."""
-    node, other = live.latency[NODE], live.latency[RELAY]
-    rows = []
-    for share, bar in ((50, 1.5), (99, 2.0)):
-        ours, theirs = (1e6 * each.percentile(share) for each in (node, other))
-        rows.append(compared(f'latency, p{share}, against a relay', ours, theirs, 'µs', bar))
-    rates = live.rate[NODE], live.rate[RELAY]
-    held = compared('rate held without a drop, against the relay', *rates, 'Hz', 0.5)
-    rows.append(held | {'least': True})
-    rows.append(compared('node from start to first answer', live.first_answer, 1.0, 's', 2.0))
-    rows.append(compared('kinpole --help', live.help, 1.0, 's', 0.3))
-    return rows
+    """One row by case: figures of node and relay, latencies in ms."""
+    return [
+        {'what': what}
+        | {
+            f'{field}{suffix}': value * (1e3 if field in ('p50', 'p99') else 1)
+            for name, suffix in ((NODE, ''), (RELAY, '_relay'))
+            for field, value in both[name]._asdict().items()
+        }
+        for what, both in live.cases.items()
+    ]
+
+
+def start_rows(live: Live) -> list[dict[str, Any]]:
+    """Rate, start and help as rows of `_speed.speed_rows`; a time alone is compared with 1 s."""
+    what = 'rate at which 99% of the frames are answered within two periods, against the relay'
+    # A relay that held none would be 0 Hz.
+    rates = live.rate[NODE], max(live.rate[RELAY], 1.0)
+    return [
+        compared(what, *rates, 'Hz', 0.5) | {'least': True},
+        compared('node from start to first answer', live.first_answer, 1.0, 's', 2.0),
+        compared('kinpole --help', live.help, 1.0, 's', 0.3),
+    ]

@@ -18,6 +18,7 @@ from bench._page_accuracy import (
 from bench._page_limits import (
     atlas_part,
     lag_part,
+    live_part,
     long_part,
     soak_part,
     speed_part,
@@ -46,6 +47,7 @@ class Results(NamedTuple):
     spent: dict[str, float]
     atlas: Rows
     speed: Rows
+    live: Rows
     long: list[dict[str, float]]
     soak: list[dict[str, float]]
 
@@ -64,6 +66,7 @@ def make_page(results: Results) -> str:
         rigs_part(results.rigs),
         time_part(results.spent),
         speed_part(results.speed),
+        live_part(results.live),
         lag_part(),
         atlas_part(results.atlas),
         long_part(results.long),

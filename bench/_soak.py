@@ -12,10 +12,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
-from geometry_msgs.msg import Vector3Stamped
+from geometry_msgs.msg import PointStamped, Vector3Stamped
 from rclpy.serialization import deserialize_message
 
-from bench._live import LAG, NODE, RESULTS, Asker, Cloud, processes
+from bench._rig import LAG, NODE, Asker, Rig, processes, wheels
 from kinpole_ros.messages import stamp_to_ns
 
 _RATE = 500.0
@@ -23,6 +23,11 @@ _RATE = 500.0
 _HIDDEN, _OFF, _LOST = 0.05, 0.002, 0.01
 _JUMP_EVERY = 20.0
 _PERIOD = 60.0
+_RESULTS = {
+    'angular_velocity': Vector3Stamped,
+    'icr': PointStamped,
+    'centrode_curvature': Vector3Stamped,
+}
 
 
 class Minute(NamedTuple):
@@ -50,7 +55,11 @@ def soak(
         asker = Asker()
         try:
             asker.until(asker.publishers[NODE].get_subscription_count, 'the node at its markers')
-            topics = {topic: asker.hear(f'/{NODE}/rod/{topic}', k) for topic, k in RESULTS.items()}
+            (wheel,) = wheels(1)
+            topics = {
+                topic: asker.hear(f'/{NODE}/{wheel}/{topic}', kind)
+                for topic, kind in _RESULTS.items()
+            }
             told = asker.hear('/diagnostics', DiagnosticArray)
             run = _Run(asker, rate)
             found: list[Minute] = []
@@ -63,7 +72,7 @@ def soak(
                     run.step()
                     for data, received in topics['angular_velocity']:
                         stamp = stamp_to_ns(deserialize_message(data, Vector3Stamped).header.stamp)
-                        answers[stamp + LAG] = received
+                        answers[stamp + round(LAG * 1e9)] = received
                     for heard in topics.values():
                         heard.clear()
                     if progress is not None:
@@ -89,7 +98,7 @@ class _Run:
     def __init__(self, asker: Asker, rate: float) -> None:
         self.sent: dict[int, int] = {}
         self._asker = asker
-        self._cloud = Cloud()
+        self._rig = Rig()
         self._generator = np.random.default_rng(4)
         self._step = round(1e9 / rate)
         self._stamp = 10**12
@@ -103,7 +112,7 @@ class _Run:
             self._stamp += self._generator.integers(-(10**11), 10**11)
             self._since_jump = 0
         lots = self._generator.random(3)
-        data = self._cloud.at(self._stamp, hidden=lots[0] < 4 * _HIDDEN, off=lots[1] < 4 * _OFF)
+        data = self._rig.at(self._stamp, hidden=lots[0] < 4 * _HIDDEN, off=lots[1] < 4 * _OFF)
         self._due = max(self._due + self._step * 1e-9, time.monotonic() - 0.05)
         while (left := self._due - time.monotonic()) > 0:
             self._asker.executor.spin_once(timeout_sec=left)

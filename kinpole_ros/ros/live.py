@@ -8,9 +8,8 @@ installation, and for the demo and the tests, which must run there.
 import math
 import time
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import ExitStack, contextmanager
+from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
 
 import rclpy
 from rclpy.clock import Clock
@@ -18,7 +17,6 @@ from rclpy.clock_type import ClockType
 from rclpy.duration import Duration
 from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.exceptions import NameValidationException
-from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
 from rclpy.qos import (
     DurabilityPolicy,
@@ -39,6 +37,7 @@ from kinpole_ros.bags import (
     type_name,
 )
 from kinpole_ros.ros.executor import Apart, MessagesFirst
+from kinpole_ros.ros.private import RCLError, take, wait_for_messages
 from kinpole_ros.ros.process import check_domain, reason_of, start_ros
 
 # What a kill may lose of a recording.
@@ -134,7 +133,7 @@ def _starting() -> Iterator[None]:
     """What is wrong with ROS_DOMAIN_ID and its like is no fault of ours."""
     try:
         yield
-    except rclpy_implementation.RCLError as error:
+    except RCLError as error:
         raise BagError(f'ROS cannot start in this environment: {reason_of(error)}') from None
 
 
@@ -161,8 +160,6 @@ class Recorder(Node):
         # Those with a publisher that offers less than was asked for.
         self._unheard: set[Subscription] = set()
         self._group = Apart()
-        # For the subscriptions alone, as many as there are.
-        self._wait_set: Any = None
         self.messages = 0
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self.create_timer(_LOOK_EVERY, self._look, clock=steady)
@@ -178,31 +175,16 @@ class Recorder(Node):
     def wait(self, seconds: float) -> bool:
         """Wait so long for messages, which are left to this from now on; whether any came."""
         self._group.apart = True
-        if self._wait_set is None:
-            context = self.context.handle
-            self._wait_set = rclpy_implementation.WaitSet(
-                len(self._recorded), 0, 0, 0, 0, 0, context
-            )
-        self._wait_set.clear_entities()
-        with ExitStack() as stack:
-            for subscription, _ in self._recorded:
-                stack.enter_context(subscription.handle)
-                self._wait_set.add_subscription(subscription.handle)
-            self._wait_set.wait(round(seconds * 1e9))
+        wait_for_messages(self, [subscription for subscription, _ in self._recorded], seconds)
         return self.take() > 0
 
     def take(self) -> int:
         """Record all that waits; how many messages it was."""
         before = self.messages
         for subscription, save in self._recorded:
-            handle = subscription.handle
-            with handle:
-                # No more than wait at most, lest a flood keeps all others waiting.
-                for _ in range(_DEEP):
-                    taken = handle.take_message(subscription.msg_type, True)
-                    if taken is None:
-                        break
-                    save(taken[0])
+            # No more than wait at most, lest a flood keeps all others waiting.
+            for data, _ in take(subscription, _DEEP):
+                save(data)
         return self.messages - before
 
     def _complain(self) -> None:
@@ -248,7 +230,6 @@ class Recorder(Node):
             cls, name, save, qos, callback_group=self._group, event_callbacks=events, raw=True
         )
         self._recorded.append((subscription, save))
-        self._wait_set = None
 
     def _ask_for_less(self, subscription: Subscription) -> None:
         """Subscribe anew where a publisher has come that offers less than those before."""

@@ -10,7 +10,6 @@ import sys
 import time
 import warnings
 from collections.abc import Callable, Mapping, Sequence
-from functools import partial
 from typing import Any
 
 import rclpy
@@ -22,7 +21,6 @@ from rclpy.duration import Duration
 from rclpy.event_handler import PublisherEventCallbacks
 from rclpy.exceptions import ParameterException
 from rclpy.executors import Executor
-from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 from rclpy.logging import LoggingSeverity, set_logger_level
 from rclpy.parameter import Parameter as RosParameter
@@ -43,6 +41,7 @@ from kinpole_ros.pipeline.parameters import PARAMETERS, ParameterError, settings
 from kinpole_ros.pipeline.tracker import Tracker
 from kinpole_ros.ros.declare import declare, given_in_vain, given_to, values_of
 from kinpole_ros.ros.executor import MessagesFirst
+from kinpole_ros.ros.private import RCLError, wrap_change_state
 from kinpole_ros.ros.process import reason_of, start_ros
 from kinpole_ros.ros.source import MarkerSource, publishers_of
 
@@ -66,15 +65,7 @@ class KinpoleNode(LifecycleNode):
     """Tracks the bodies its parameters name; managed, and active from the start."""
 
     def __init__(self) -> None:
-        try:
-            super().__init__('kinpole', automatically_declare_parameters_from_overrides=True)
-        except ValueError:
-            # rclpy does not say which, and what was given is not public.
-            given = getattr(self, '_parameter_overrides', {})
-            names = [name for name, p in given.items() if p.type_ == RosParameter.Type.NOT_SET]
-            raise ParameterError(
-                f'parameter {", ".join(names)} has no value; leave it out or give it one'
-            ) from None
+        super().__init__('kinpole', automatically_declare_parameters_from_overrides=True)
         self._steady = Clock(clock_type=ClockType.STEADY_TIME)
         self.given_nothing = not {*PARAMETERS, 'autostart'} & given_to(self).keys()
         self.settings = declare(self)
@@ -101,7 +92,7 @@ class KinpoleNode(LifecycleNode):
         # What of it was noted since the last diagnostics.
         self._noted: set[str] = set()
         self._told = self._steady.now()
-        self._status: Any = None
+        self._status_publisher: Any = None
         self._active = False
         # A steady clock: these beat even where simulated time stands still. The second one does so
         # in every state, for whoever spins.
@@ -111,12 +102,25 @@ class KinpoleNode(LifecycleNode):
         self.create_timer(_LOOK_EVERY, self._look, clock=self._steady)
         self.add_on_set_parameters_callback(self._check_parameters)
         self.add_post_set_parameters_callback(self._take_parameters)
-        service = self._service_change_state
-        service.callback = partial(_change_if_possible, service.callback)
+        wrap_change_state(self, _change_if_possible)
         if self.get_parameter('autostart').value:
             self.trigger_configure()
             if self.trigger_activate() != TransitionCallbackReturn.SUCCESS:
                 raise ParameterError(self._trouble['start'])
+
+    def declare_parameters(
+        self, namespace: str, parameters: Sequence[tuple[Any, ...]], ignore_override: bool = False
+    ) -> list[RosParameter]:
+        """As in rclpy, but name those that were given without a value, where it raises without."""
+        try:
+            return list(super().declare_parameters(namespace, parameters, ignore_override))
+        except ValueError:
+            names = [row[0] for row in parameters if len(row) > 1 and row[1] is None]
+            if not names:
+                raise
+            raise ParameterError(
+                f'parameter {", ".join(names)} has no value; leave it out or give it one'
+            ) from None
 
     def set_parameters_atomically(self, parameter_list: list[RosParameter]) -> SetParametersResult:
         """As in rclpy, but tell the names that are known, where it raises without any."""
@@ -167,7 +171,7 @@ class KinpoleNode(LifecycleNode):
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Make the publishers."""
         self._make_outputs()
-        self._status = self.create_publisher(
+        self._status_publisher = self.create_publisher(
             DiagnosticArray, '/diagnostics', 10, event_callbacks=_NO_EVENTS
         )
         return super().on_configure(state)
@@ -203,9 +207,9 @@ class KinpoleNode(LifecycleNode):
     def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Take the publishers down."""
         self.close_outputs()
-        if self._status is not None:
-            self.destroy_publisher(self._status)
-            self._status = None
+        if self._status_publisher is not None:
+            self.destroy_publisher(self._status_publisher)
+            self._status_publisher = None
         return super().on_cleanup(state)
 
     def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
@@ -344,7 +348,7 @@ class KinpoleNode(LifecycleNode):
             stamp, self._tracker, self._latest, seconds, self._trouble, self._stamps
         )
         self._stamps, self._latest = [], None
-        self._status.publish(array)
+        self._status_publisher.publish(array)
 
     def _note_rivals(self) -> None:
         """Note where others publish results beside this node."""
@@ -389,7 +393,7 @@ def _change_if_possible(change: Callable[..., Any], request: Any, response: Any)
     """Answer a request for a transition; rclpy raises for one that is not possible now."""
     try:
         return change(request, response)
-    except rclpy_implementation.RCLError:
+    except RCLError:
         response.success = False
         return response
 
@@ -444,7 +448,7 @@ def main(args: Sequence[str] | None = None) -> int:
         reason = reason_of(error)
         if told_to_stop is None:
             return _refuse(f'ROS cannot start with these words and this environment: {reason}')
-        if node is None and isinstance(error, rclpy_implementation.RCLError):
+        if node is None and isinstance(error, RCLError):
             return _refuse(f'ROS cannot make the node: {reason}')
         raise
     finally:

@@ -14,8 +14,9 @@ import signal
 from collections.abc import Callable, Sequence
 
 import rclpy
-from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.signals import SignalHandlerOptions
+
+from kinpole_ros.ros.private import RCLError
 
 # Beyond, the ports of DDS are used up.
 _LAST_DOMAIN = 232
@@ -41,7 +42,7 @@ def check_domain() -> None:
     domain = os.environ.get('ROS_DOMAIN_ID', '')
     if domain.isdecimal() and int(domain) > _LAST_DOMAIN:
         told = f'ROS_DOMAIN_ID is {domain}; it must be a number from 0 to {_LAST_DOMAIN}'
-        raise rclpy_implementation.RCLError(told)
+        raise RCLError(told)
 
 
 def _ignore_signals() -> None:

@@ -4,7 +4,6 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
 from rclpy.event_handler import SubscriptionEventCallbacks
-from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
 from rclpy.qos import QoSCompatibility, QoSProfile, ReliabilityPolicy, qos_check_compatible
 from rclpy.qos_overriding_options import QoSOverridingOptions
@@ -14,6 +13,7 @@ from kinpole_ros.messages import MARKER_TYPES, ROS_TYPE_NAMES, MarkerReader, Mes
 from kinpole_ros.pipeline.frame import MarkerFrames
 from kinpole_ros.pipeline.parameters import ParameterError, Settings
 from kinpole_ros.ros.executor import Apart
+from kinpole_ros.ros.private import has_known_node, sequence_number, take, wait_for_messages
 
 # Messages that wait while others are worked on; beyond, the newest push out the oldest. A stretch
 # of 50 takes up to 10 ms, in which 50 more may come.
@@ -41,8 +41,6 @@ class MarkerSource:
         self.topic = node.resolve_topic_name(settings.marker_topic)
         self._subscription: Any = None
         self._group = Apart()
-        # For the subscription alone.
-        self._wait_set: Any = None
         self._kind = ''
         # Whether the markers were asked for reliably.
         self.lossless = False
@@ -60,17 +58,11 @@ class MarkerSource:
     def wait(self, seconds: float) -> bool:
         """Wait so long for markers, which are left to this from now on; whether any came."""
         self._group.apart = True
-        subscription = self._subscription
-        handle = subscription.handle
-        with handle:
-            self._wait_set.clear_entities()
-            self._wait_set.add_subscription(handle)
-            self._wait_set.wait(round(seconds * 1e9))
-            message = handle.take_message(subscription.msg_type, True)
-        if message is None:
-            return False
-        self._on_markers(*message)
-        return True
+        wait_for_messages(self._node, [self._subscription], seconds)
+        taken = [*take(self._subscription, 1)]
+        if taken:
+            self._on_markers(*taken[0])
+        return bool(taken)
 
     def close(self) -> None:
         """Listen no more; to look again begins again."""
@@ -137,8 +129,6 @@ class MarkerSource:
                 f'parameters {overrides} cannot be used '
                 f'({str(error) or type(error).__name__}); correct them or leave them out'
             ) from None
-        context = self._node.context.handle
-        self._wait_set = rclpy_implementation.WaitSet(1, 0, 0, 0, 0, 0, context)
         self.lossless = reliability == 'reliable'
         self._kind = kind
         self._reader = MarkerReader(kind, self._settings.marker_identity)
@@ -188,13 +178,8 @@ class MarkerSource:
 
         Returns what was read, of how many messages, and how many more were dropped on the way.
         """
-        kind = MARKER_TYPES[self._kind]
-        waiting = [(message, info)]
-        with self._subscription.handle:
-            take = self._subscription.handle.take_message
-            while len(waiting) < _DEPTH and (more := take(kind, True)) is not None:
-                waiting.append(more)
-        dropped = self._dropped(info.get('publication_sequence_number') for _, info in waiting)
+        waiting = [(message, info), *take(self._subscription, _DEPTH - 1)]
+        dropped = self._dropped(sequence_number(info) for _, info in waiting)
         return self._reader.read(data for data, _ in waiting), len(waiting), dropped
 
     def _dropped(self, numbers: Iterable[int | None]) -> int:
@@ -226,6 +211,5 @@ class MarkerSource:
 def publishers_of(node: Node, topic: str) -> list[str]:
     """Full names of the nodes that publish a topic, as far as known; once for each publisher."""
     offers = node.get_publishers_info_by_topic(topic)
-    # A publisher is known a little before its node.
-    known = [o for o in offers if o.node_name != '_NODE_NAME_UNKNOWN_']
+    known = [offer for offer in offers if has_known_node(offer)]
     return sorted(f'{o.node_namespace.rstrip("/")}/{o.node_name}' for o in known)
