@@ -27,6 +27,8 @@ _LACKING = 24
 _POOR = 0.25
 # Samples are in their places if they are off by no more than this part of the interval.
 _OFF = 1e-4
+# Of intervals between frames, by which they are none of a whole number; how many may be miscounted.
+_DOUBTFUL, _COUNTED = 0.2, 4
 # Samples that differ by more deviations of their noise are taken for exact.
 _EXACT = 1e7
 # So many pairs of cells that are lacking are treated at once.
@@ -269,8 +271,30 @@ def _intervals(time: Real, inside: np.ndarray) -> Real:
     steps = np.where(inside[1:], time[:-1] - time[1:], np.inf)
     number = inside[1:].sum(axis=0)
     usual = np.sort(steps, axis=0)[np.maximum(number - 1, 0) // 2, np.arange(len(number))]
-    counts = np.where(inside[1:], np.rint(steps / usual), 0.0).sum(axis=0)
-    return np.asarray(total(np.where(inside[1:], steps, 0.0)) / np.maximum(counts, 1))
+    steps = np.where(inside[1:], steps, 0.0)
+    counts = np.rint(steps / usual)
+    span, all_ = total(steps), np.maximum(counts.sum(axis=0), 1)
+    doubtful = (np.abs(steps / usual - counts) > _DOUBTFUL).any(axis=0).nonzero()[0]
+    interval = span / all_
+    if len(doubtful):
+        parts = time[:, doubtful], inside[:, doubtful], span[doubtful], all_[doubtful]
+        interval[doubtful] = _clearest(*parts)
+    return np.asarray(interval)
+
+
+def _clearest(time: Real, inside: np.ndarray, span: Real, counts: Real) -> Real:
+    """The interval by which frames are nearest to even places, with about so many in the `span`."""
+    number = np.maximum(counts + np.arange(-_COUNTED, _COUNTED + 1)[:, None], 1)
+    turns = np.exp(2j * np.pi * time[:, None] / span * number) * inside[:, None]  # (n, tries, T)
+    best = np.abs(total(turns)).argmax(axis=0)
+    each = np.arange(len(span))
+    interval = span / number[best, each]
+    # The ends of the span are as late as any other frame.
+    phase = np.angle(total(turns)[best, each]) / (2 * np.pi)
+    off = time / interval - phase
+    off = (off - np.rint(off)) * inside
+    apart = (time / interval - total(time / interval * inside) / total(inside * 1.0)) * inside
+    return np.asarray(interval * (1 + total(apart * off) / np.maximum(total(apart**2), 1e-300)))
 
 
 class _Group(NamedTuple):

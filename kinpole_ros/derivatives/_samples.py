@@ -19,7 +19,7 @@ from kinpole_ros.planar._plane import Real
 _NEAREST = 6
 # How often samples are moved, and those that are all but exact. Meanwhile the noise counts for so
 # many samples: it is more while they are not in their places.
-_ROUNDS, _MORE_ROUNDS, _KNOWN = 8, 20, 1.0
+_ROUNDS, _MORE_ROUNDS, _KNOWN = 8, 40, 1.0
 _SIGNAL = [0, 1, 1]
 
 
