@@ -24,6 +24,8 @@ PACKAGE_XML = ET.parse(ROOT / 'package.xml').getroot()
 # Imports that are no ROS packages, and what package.xml calls them; None: no rosdep key, or comes
 # with mcap, or an extra, as the README says.
 PYTHON_PACKAGES = {
+    # Ours, beside the package.
+    'bench': None,
     'distributed': None,
     'lz4': None,
     'matplotlib': None,

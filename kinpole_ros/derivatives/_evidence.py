@@ -112,13 +112,15 @@ def derive(
     orders, bodies = len(stencils.modes), samples.shape[2]
     likely, weights, total = _weights(evidence.reshape(len(evidence), -1), modes.kinds)
     noisy = weights * variance.reshape(len(variance), -1)
-    # How much of each mode is motion in the mean, and how well that is known.
-    mixed = mixture(modes, np.concatenate((likely, noisy), axis=1))
-    # That it rests is not known better than a slope is.
-    mixed[1, 2 * bodies :] += noisy[-1]
+    # How much of each mode is motion in the mean, and how well that is known. That it rests is known
+    # no better than that it moves the least and the slowest there is.
+    spread = noisy.copy()
+    spread[0] += spread[-1]
+    spread[-1] = 0.0
+    mixed = mixture(modes, np.concatenate((likely, spread), axis=1))
     known = mixed[:, : 2 * bodies].reshape(-1, 2, bodies)[:, _SIGNAL]
     result = stencils.modes @ (rows.reshape(known.shape) * known).reshape(rows.shape)
-    covariance = stencils.products @ mixed[:, 2 * bodies :] + stencils.unseen @ noisy
+    covariance = stencils.products @ mixed[:, 2 * bodies :] + stencils.unseen @ spread
     covariance = covariance.reshape(orders, orders, 2, bodies)
     # What the models disagree about.
     counting, off = by_models(modes, weights, stencils.modes, rows)

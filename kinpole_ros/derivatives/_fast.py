@@ -236,8 +236,8 @@ def _pack_stencils(modes: Modes, stencils: Stencils) -> Real:
     """
     Stencils (K, rows) of the kernel, and then how uncertain models are.
 
-    That is the covariance of derivatives (G, K, K, _LANES) over that of the noise. That it rests is
-    not known better than a slope is.
+    That is the covariance of derivatives (G, K, K, _LANES) over that of the noise, of rest that of
+    the first model.
     """
     spread = stencils.unseen + stencils.products[:, :2].sum(axis=1)[:, None]
     for part in modes.parts:
@@ -245,6 +245,7 @@ def _pack_stencils(modes: Modes, stencils: Stencils) -> Real:
         products = products.reshape(len(products), len(part.share), -1, 1)
         own = part.share @ products  # (K K, P, A, 1)
         spread[:, part.models] += own.reshape(len(spread), -1)
+    spread[:, -1] = spread[:, 0]
     lanes = _lanes(modes, spread.T, 0.0).swapaxes(1, 2)
     rows = _scattered(modes, stencils.modes.T).T
     return np.concatenate((rows.ravel(), lanes.ravel()))

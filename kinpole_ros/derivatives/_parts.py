@@ -19,6 +19,8 @@ _NEWER = (0.3, 0.46, 0.7)
 _PRIOR = 0.5
 # A part of which less is seen, samples, is none.
 _FEWEST = FEWEST_SAMPLES + 1
+# The logarithm of no chance at all.
+_NEVER = -1e9
 _COMPONENTS = np.array((1, 2))[:, None]
 _SIGNAL = [0, 1, 1]
 
@@ -69,7 +71,7 @@ def _derive(window: Window, samples: Real, weights: Real | None) -> tuple[Found,
     # The evidence is relative to a line with a flat prior, and to so many samples.
     chance = found.evidence - 2 * FLAT * _COMPONENTS
     chance -= np.log(KNOWN + seen * _COMPONENTS) / 2 - np.log(KNOWN) / 2
-    return found, np.where(seen < _FEWEST, -np.inf, chance)
+    return found, np.where(seen < _FEWEST, _NEVER, chance)
 
 
 def _mean(found: list[Found], chances: Real) -> Found:
