@@ -110,9 +110,11 @@ class References:
         middle: Complex,
     ) -> None:
         """See what turning explains of one window of poses, and of those before."""
-        seen = np.isfinite(angle) & np.isfinite(variance).all(axis=1)
+        seen = np.isfinite(angle)
         number = seen.sum(axis=0)
-        known = number >= np.maximum(_FEWEST, _PRESENT * len(seen))
+        # The first frames of all come before their noise is known.
+        sure = seen & np.isfinite(variance).all(axis=1)
+        known = sure.any(axis=0) & (number >= np.maximum(_FEWEST, _PRESENT * len(seen)))
         if not np.count_nonzero(known):
             return
         seen &= known
@@ -122,7 +124,7 @@ class References:
         moves, turns, both = _rests((stamps - stamps[0]) / self._span, both, seen)
         count = number - 1 - _DEGREES
         # The noise in both.
-        mean = np.where(seen[:, None], variance, 0.0).sum(axis=0) / np.maximum(number, 1)
+        mean = np.where(sure[:, None], variance, 0.0).sum(axis=0) / np.maximum(sure.sum(axis=0), 1)
         even, still = 2 * count * mean[0], count * mean[1]
         new = np.stack((moves, turns, even, still, np.where(known, count, 0)))
         usual = new[4] * self._sums[:2] / np.maximum(self._sums[4], 1)
