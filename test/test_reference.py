@@ -50,6 +50,25 @@ def test_the_hub_of_a_wheel_stands_for_it() -> None:
     assert found[-1].reference[0] == pytest.approx(HUB, abs=1e-4)
 
 
+@pytest.mark.parametrize('late', [5e-4, 1e-3, 3e-3])
+@pytest.mark.parametrize('seed', [0, 1])
+def test_the_hub_is_found_as_soon_by_stamps_that_are_late(late: float, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    # Three windows, one before the clock is known, and until what was learned is made use of.
+    seen = rolling(500)
+    kept = rng.random(500) > 0.02
+    stamps = seen.stamps[kept] + np.rint(1e9 * rng.exponential(late, kept.sum())).astype(np.int64)
+    stamps = np.maximum.accumulate(stamps) + np.arange(len(stamps))
+    found = followed(seen._replace(stamps=stamps, points=seen.points[kept]))
+    assert found[-1].reference[0] == pytest.approx(HUB, abs=5e-4)
+
+
+def test_the_hub_is_found_where_the_body_is_often_not_seen() -> None:
+    seen = rolling(460)
+    seen.points[np.random.default_rng(1).random(460) < 0.2] = np.nan
+    assert followed(seen)[-1].reference[0] == pytest.approx(HUB, abs=2e-4)
+
+
 @pytest.mark.parametrize('count', [1, 3, None])
 def test_a_wheel_that_is_elsewhere_for_a_frame_or_from_now_on_keeps_its_hub(
     count: int | None,

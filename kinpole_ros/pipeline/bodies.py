@@ -276,6 +276,7 @@ class RigidBodies:
             here = min(len(news.stamps), len(times))
             news.stamps[len(news.stamps) - here :] = times[len(times) - here :]
             times = times[: len(times) - here]
+        self._references.were_at(times)
 
     def take_unseen(self, rows: np.ndarray) -> None:
         """Fill rows (T,) of frames that nothing can be made of: the plane is not known."""

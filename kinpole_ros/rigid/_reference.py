@@ -14,18 +14,23 @@ import numpy as np
 
 from kinpole_ros.planar._plane import Complex, Real
 
-# Poses looked at in one window, and the fewest.
-_KEPT, _FEWEST = 32, 8
-# Of polynomials whose rests are looked at: the first says whether, the one that tells best where.
-_DEGREES = np.arange(2, 6)[:, None]
+# The fewest poses in a window that it is judged by, and the least share of its frames.
+_FEWEST, _PRESENT = 8, 0.5
+# It is judged so many frames after its end: of stamps that are late the newest frames may turn out
+# to have been at other times.
+_SETTLED = 16
+# Of polynomials whose rests are looked at: one says whether, the one that tells best where. That
+# may be a line, as the hub of a wheel goes, of which a parabola takes half away.
+_DEGREES = np.arange(1, 6)[:, None]
+_WHETHER = 1
 # A point is taken when turning about it explains this share of what moves, and so many times what
 # the noise would have it explain; the angle must turn by as many times its noise.
 _SHARE, _CLEAR = 0.9, 25.0
 # It is no farther from the middle of the markers than so many body sizes.
 _FARTHEST = 30.0
 # So many windows must tell so, reckoned as many that turn alike; one counts for this share of the
-# next. A point is put right when it is off by so many deviations.
-_WINDOWS, _FADING, _OFF = 3.0, 0.95, 3.0
+# next, which makes 2.99 of three.
+_WINDOWS, _FADING = 2.9, 0.95
 # A window of which so many times more is left than of those before, as where a pose jumps, tells
 # nothing unless the next is like it.
 _OUT = 50.0
@@ -42,10 +47,8 @@ class References:
     def __init__(self, bodies: int, span: int) -> None:
         self.point, self.middle = np.zeros((2, bodies), complex)
         self._span = span
-        # Where the window begins, its part of the last frame, and what is kept of its frames.
-        self._start: int | None = None
-        self._part = -1
-        self._kept: list[tuple[np.ndarray, Complex, Real]] = []
+        # The frames from the begin of the window on, as they are added.
+        self._kept: list[tuple[np.ndarray, Complex, Real, Real]] = []
         # Sums over windows, by degree, of what polynomials leave of the origin's path z and of the
         # turns e = exp(i angle): conj(e) z; |z|^2, |e|^2, the noise in both, and how many.
         self._both = np.zeros((len(_DEGREES), bodies), complex)
@@ -71,56 +74,73 @@ class References:
         `size` (B,), m, is that of the bodies, and `middle` (B,) the mean of their markers now, in
         their frames.
         """
+        self._kept.append((stamps, position, angle, variance))
+        stamps, position, angle, variance = map(np.concatenate, zip(*self._kept, strict=True))
         first = 0
-        while first < len(stamps):
-            if self._start is None:
-                self._start, self._part = int(stamps[first]), -1
-            since = stamps[first:] - self._start
-            # Up to the frame that ends the window, if it is there.
-            count = int(since.searchsorted(self._span)) + 1
-            part = since[:count] * _KEPT // self._span
-            rows = first + (part > np.concatenate(((self._part,), part[:-1]))).nonzero()[0]
-            self._kept.append((stamps[rows], position[rows], angle[rows]))
-            self._part = int(part[-1])
-            first += len(part)
-            if len(part) == count:
-                last = first - 1
-                self._judge(variance[last, 0], variance[last, 1], size, middle)
-                self._start, self._kept = None, []
+        while True:
+            # With the frame that ends the window.
+            end = int(stamps.searchsorted(stamps[first] + self._span)) + 1
+            if end + _SETTLED > len(stamps):
+                break
+            rows = slice(first, end)
+            self._judge(stamps[rows], position[rows], angle[rows], variance[rows], size, middle)
+            first = end
+        self._kept = [(stamps[first:], position[first:], angle[first:], variance[first:])]
+
+    def were_at(self, times: np.ndarray) -> None:
+        """The newest frames that were taken turned out to be at `times` (T,), ns."""
+        for stamps, *_ in self._kept:
+            here = min(len(stamps), len(times))
+            stamps[len(stamps) - here :] = times[len(times) - here :]
 
     def forget(self, which: np.ndarray) -> None:
         """Look at the bodies `which` (B,) afresh."""
         for kept in (self.point, self.middle, self._both, self._sums, self._squares):
             kept[..., which] = 0.0
-        for _, _, angle in self._kept:
+        for _, _, angle, _ in self._kept:
             angle[:, which] = np.nan
 
-    def _judge(self, variance: Real, of_angle: Real, size: Real, middle: Complex) -> None:
+    def _judge(
+        self,
+        stamps: np.ndarray,
+        position: Complex,
+        angle: Real,
+        variance: Real,
+        size: Real,
+        middle: Complex,
+    ) -> None:
         """See what turning explains of one window of poses, and of those before."""
-        stamps, z, angle = map(np.concatenate, zip(*self._kept, strict=True))
-        if len(stamps) < _FEWEST:
+        seen = np.isfinite(angle)
+        number = seen.sum(axis=0)
+        # The first frames of all come before their noise is known.
+        sure = seen & np.isfinite(variance).all(axis=1)
+        known = sure.any(axis=0) & (number >= np.maximum(_FEWEST, _PRESENT * len(seen)))
+        if not np.count_nonzero(known):
             return
-        known = np.isfinite(angle).all(axis=0) & np.isfinite(variance) & np.isfinite(of_angle)
-        both = np.where(known, (z - z[0], np.exp(1j * angle)), 0.0)
-        path, turn = _rests((stamps - stamps[0]) / self._span, both)
-        count = len(z) - 1 - _DEGREES
-        even, still = (count * np.where(known, part, 0.0) for part in (2 * variance, of_angle))
-        counts = np.broadcast_to(count, even.shape)
-        new = np.stack((_energy(path), _energy(turn), even, still, counts))
+        seen &= known
+        # About the first, lest far ones lose digits.
+        start = position[seen.argmax(axis=0), np.arange(len(known))]
+        both = np.where(seen, (position - start, np.exp(1j * angle)), 0.0)
+        moves, turns, both = _rests((stamps - stamps[0]) / self._span, both, seen)
+        count = number - 1 - _DEGREES
+        # The noise in both.
+        mean = np.where(sure[:, None], variance, 0.0).sum(axis=0) / np.maximum(sure.sum(axis=0), 1)
+        even, still = 2 * count * mean[0], count * mean[1]
+        new = np.stack((moves, turns, even, still, np.where(known, count, 0)))
         usual = new[4] * self._sums[:2] / np.maximum(self._sums[4], 1)
-        out = known & (self._sums[4] > new[4]).all(axis=0) & (new[:2] > _OUT * usual).any((0, 1))
+        out = (new[:2] > _OUT * usual) & (self._sums[4] > new[4])
+        out = known & out[:, _WHETHER:].any((0, 1))
         known &= ~out | self._out
         self._out = out
-        both = (turn.conj() * path).sum(axis=1)
         # One that is no better than the origin now is left, and all begins anew.
-        wrong = np.abs(both + self.point * new[1]) ** 2 > np.abs(both) ** 2
-        wrong = wrong[0] & known & (new[1] > _CLEAR * new[3])[0] & (self.point != 0)
+        wrong = np.abs(both + self.point * turns) ** 2 > np.abs(both) ** 2
+        wrong = (wrong & (turns > _CLEAR * still))[_WHETHER] & known & (self.point != 0)
         self.point = np.where(wrong, 0.0, self.point)
         kept = np.where(wrong, 0.0, _FADING)
         for sums, one, share in (
             (self._both, both, kept),
             (self._sums, new, kept),
-            (self._squares, new[1, 0] ** 2, kept**2),
+            (self._squares, turns[_WHETHER] ** 2, kept**2),
         ):
             sums[..., known] = (share * sums + one)[..., known]
         moves, turns, even, still, counts = self._sums
@@ -131,28 +151,40 @@ class References:
         best = np.where(clear, -self._both / turns, 0.0)
         gained = np.abs(self._both * best)
         left = np.maximum(moves - gained, 0.0) / counts
-        enough = np.maximum(_SHARE * (moves - even), _CLEAR * even / counts)[0]
-        taken = (gained[0] > enough) & (turns[0] ** 2 > _WINDOWS * self._squares)
+        enough = np.maximum(_SHARE * (moves - even), _CLEAR * even / counts)
+        taken = (gained > enough) & (turns**2 > _WINDOWS * self._squares)
 
-        square = np.where(clear, left / turns, np.inf)
-        degree = square.argmin(axis=0), np.arange(len(known))
-        clear, best, square = clear[degree], best[degree], _OFF**2 * square[degree]
+        degree = np.where(clear, left / turns, np.inf).argmin(axis=0), np.arange(len(known))
+        clear, best = clear[degree], best[degree]
         near = np.abs(best - middle) < _FARTHEST * size
-        moved = clear & taken & near & (np.abs(self.point - best) ** 2 > square)
+        moved = clear & taken[_WHETHER] & near
         self.point = np.where(moved, best, self.point)
         self.middle = np.where(moved, middle, self.middle)
 
 
-def _rests(times: Real, values: Complex) -> Complex:
-    """What polynomials of each degree leave (S, D, N, B) of values (S, N, B) at times (N,)."""
-    basis, _ = np.linalg.qr(np.vander(times - 0.5, int(_DEGREES[-1, 0]) + 1, increasing=True))
-    some = (basis[:, : degree + 1] for degree in _DEGREES[:, 0])
-    return np.stack([values - part @ (part.T @ values) for part in some], axis=1)
+def _rests(times: Real, values: Complex, seen: np.ndarray) -> tuple[Real, Real, Complex]:
+    """
+    Sums (D, B) over what polynomials of each degree leave of paths and turns (2, N, B).
 
-
-def _energy(values: Complex) -> Real:
-    """Sums (D, B) of the squares of values (D, N, B)."""
-    return np.asarray((values.real**2 + values.imag**2).sum(axis=1))
+    Of |path|^2, of |turn|^2 and of conj(turn) path; they are at times (N,) and 0 where they are not
+    `seen` (N, B).
+    """
+    powers = np.vander(times - 0.5, int(_DEGREES[-1, 0]) + 1, increasing=True)[None]
+    if not seen.all():
+        powers = powers * seen.T[..., None]
+    basis, _ = np.linalg.qr(powers)  # (1 or B, N, P)
+    columns = values.swapaxes(1, 2)[..., None]
+    part = basis.swapaxes(1, 2) @ columns
+    rest = (columns - basis @ part)[..., 0].swapaxes(1, 2)
+    part = part[..., 0].swapaxes(1, 2)  # (2, P, B)
+    # What the highest leaves, and what each lower one leaves beside that.
+    found = []
+    for one, other in ((0, 0), (1, 1), (1, 0)):
+        beside = part[one].conj() * part[other]
+        sums = np.cumsum(beside[:1:-1], axis=0)[::-1]
+        sums = np.concatenate((sums, np.zeros_like(sums[:1])))
+        found.append(sums + (rest[one].conj() * rest[other]).sum(axis=0))
+    return found[0].real, found[1].real, found[2]
 
 
 def alike(*known: np.ndarray) -> list[slice]:

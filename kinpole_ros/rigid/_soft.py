@@ -29,6 +29,9 @@ _SURE = 4.0
 _INDEPENDENT = 1 / 2
 # Stencils are looked at that start this share of their length apart: closer ones tell no more.
 _APART = 1 / 8
+# And so many windows before this one: it has no room for two independent stencils of its length,
+# and a variance of one degree of freedom is hardly known. Longer ago the motion may be another one.
+_BEFORE = 1 / 2
 # Lengths of stencils are rounded to powers of this: what is found hardly changes in between.
 _LADDER = 1.15
 _DEGREES = 2, 8
@@ -164,13 +167,14 @@ class Deformation:
         Covariances (order + 1, order + 1, T, B) of derivatives of the slow residuals, (m/s^k)^2.
 
         They are those of one coordinate, per degree of freedom, at the frames `windows[0]` (T,), by
-        those from `windows[1]` to before `windows[2]`, which may be yet to come; all are counted
-        from the first that was added. `interval` (T,) is that between frames, s; `span`, s,
-        and `degree` (T, B) are those of the stencils; `noise` (T, B) is that of a coordinate;
-        `freedom` (T, B) as above, 0 for what is not asked for and comes out 0.
+        those from half a window before `windows[1]` to before `windows[2]`, which may be yet to
+        come; all are counted from the first that was added. `interval` (T,) is that between frames,
+        s; `span`, s, and `degree` (T, B) are those of the stencils; `noise` (T, B) is that of a
+        coordinate; `freedom` (T, B) as above, 0 for what is not asked for and comes out 0.
         """
         _, oldest, newest = windows
         held = newest - oldest
+        begin = np.maximum(oldest - np.rint(_BEFORE * held).astype(int), 0)
         found = np.zeros((order + 1, order + 1, *span.shape))
         asked = (freedom > 0) & np.isfinite(span) & (held[:, None] > _DEGREES[0] + 1)
         if not np.count_nonzero(asked):
@@ -186,7 +190,7 @@ class Deformation:
             step = max(1, round(_APART * count))
             end = newest[instants] - count + 1
             last = -(-end // step)
-            first = np.minimum(-(-oldest[instants] // step), last - 1)
+            first = np.minimum(-(-begin[instants] // step), last - 1)
             products = self._products(first.min() * step, end.max(), step, who, rows)
             bounds = np.stack((first, last), axis=1).reshape(-1) - first.min()
             sums = np.add.reduceat(products, bounds, axis=0)[::2]
@@ -231,8 +235,11 @@ def _keys(
     now, oldest, newest = windows
     least, most = _DEGREES
     each = np.where(asked, span, 0.0) / interval[:, None] + 1
+    degree = np.maximum(np.where(asked, degree, 0.0), least)
+    degrees = np.minimum(np.rint(degree), most)
+    # One of a lower degree that is shorter by as much follows as fast a motion.
+    each *= (degrees + 1) / (degree + 1)
     each = _LADDER ** np.rint(np.log(each) / np.log(_LADDER))
-    degrees = np.clip(np.rint(np.where(asked, degree, 0.0)), least, most)
     degrees = np.minimum(degrees, (newest - oldest - 2)[:, None])
     counts = np.clip(np.rint(each), degrees + 2, (newest - oldest)[:, None])
     ahead = np.minimum((counts - 1) // 2, (newest - now)[:, None])
