@@ -96,6 +96,7 @@ WRONG = [
     ('derivative_order', [0, 5, 2.0, 'all', True, None, -1, '²'], 'auto, 1, 2, 3 or 4'),
     ('noise', [-1e-9, 'low', float('nan'), float('-inf')], '0 to 1e+06 m'),
     ('stamps', ['arrivals', 0, None, True], 'auto, capture, arrival'),
+    ('effort', ['lots', 0, None], 'low, normal, high'),
     ('method', ['poses', 0, None], 'pose, landmarks'),
     ('scene', [0, None, ['four_bar'], True], 'the name of a scene'),
     ('autostart', ['no', 0, 1, None], 'true or false'),

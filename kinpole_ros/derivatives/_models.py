@@ -24,7 +24,8 @@ MOST_EXACT = 1e13
 """Samples differ by no more deviations of their noise, or the noise is taken for larger."""
 # Powers of the spectra, and the shortest length of each, samples.
 SPECTRA = ((2.0, 1.0), (1.4, 1.0), (1.0, 4.0))
-# The longest length, windows. Each of the others is half as long as the one before.
+# The longest length, windows. The next one is half as long, or shorter by the root of 2 if lengths
+# are dense.
 _LONGEST = 1.25
 # A line is all there is of degree 1.
 _DEGREES = (1, 2)
@@ -122,12 +123,14 @@ class _Functions(NamedTuple):
     along: Real
 
 
-def _processes(count: int) -> list[Process]:
+def _processes(count: int, dense: bool) -> list[Process]:
     """All processes on a window of so many samples."""
+    octaves = 0.5 if dense else 1.0
     found = []
     for k, (_, shortest) in enumerate(SPECTRA):
         longest = _LONGEST * count
-        lengths = longest / 2.0 ** np.arange(max(1, int(np.log2(longest / shortest)) + 1))
+        number = max(1, int(np.log2(longest / shortest) / octaves) + 1)
+        lengths = longest / 2.0 ** (octaves * np.arange(number))
         prior = _PROCESSES / len(SPECTRA) / len(lengths)
         found += [Process(k, float(length), prior) for length in lengths]
     return found + [Process(-1, degree, _simple()) for degree in _DEGREES]
@@ -207,11 +210,13 @@ def _functions(process: Process, count: int, block: int) -> tuple[_Functions, _F
     return found[0], found[1]
 
 
-def _layout(count: int, block: int, exact: bool) -> list[tuple[int, list[Process]]]:
+def _layout(
+    count: int, block: int, exact: bool, dense: bool = False
+) -> list[tuple[int, list[Process]]]:
     """Processes by how many pairs of modes they have at most."""
     whole = (count + 1) // 2 - 1
     found: dict[int, list[Process]] = {}
-    for process in _processes(count):
+    for process in _processes(count, dense):
         widths = [_seen(one, exact) for one in _functions(process, count, block)]
         limits = [max(int(part * whole), 1) for part in _WIDTHS]
         limits = [width for width in limits if width >= max(widths)]
@@ -226,18 +231,19 @@ def _seen(functions: _Functions, exact: bool) -> int:
 
 
 @lru_cache(maxsize=64)
-def modes_of(count: int, block: int = 1, exact: bool = False) -> Modes:
+def modes_of(count: int, block: int = 1, exact: bool = False, dense: bool = False) -> Modes:
     """
     The models of a window of `count` samples, a few or more, each the mean of `block`.
 
     The largest motion is 1e7 deviations of the noise, and `MOST_EXACT` if the samples are `exact`.
+    Lengths of processes are twice as many if they are `dense`.
     """
     _, root, lines = _half_window(count)
     amplitudes = _amplitudes(exact)
     rows: tuple[list[Real], list[Real]] = ([lines[0][None]], [lines[1][None]])
     parts, kinds, priors, occam, freedom = [], [], [], [], []
     first = models = 0
-    for width, processes in _layout(count, block, exact):
+    for width, processes in _layout(count, block, exact, dense):
         sizes = np.zeros((len(processes), width, 2))
         for p, process in enumerate(processes):
             for parity, functions in enumerate(_functions(process, count, block)):
@@ -299,11 +305,11 @@ def _whole(count: int, even: Real, odd: Real) -> Real:
     return vectors
 
 
-def _derivatives(count: int, block: int, exact: bool, time: Real, order: int) -> Real:
+def _derivatives(count: int, block: int, exact: bool, dense: bool, time: Real, order: int) -> Real:
     """Derivatives (T, R) of the modes at times (T,)."""
     lines = _lines(count, time, order)
     found = [lines]
-    for width, processes in _layout(count, block, exact):
+    for width, processes in _layout(count, block, exact, dense):
         for process in processes:
             values = _values(process, count, time, order)
             rows = np.zeros((len(time), width, 2))
@@ -316,17 +322,21 @@ def _derivatives(count: int, block: int, exact: bool, time: Real, order: int) ->
 
 
 @lru_cache(maxsize=256)
-def stencils_of(count: int, at: float, block: int, orders: int, exact: bool = False) -> Stencils:
+def stencils_of(
+    count: int, at: float, block: int, orders: int, exact: bool = False, dense: bool = False
+) -> Stencils:
     """
     Those of a window, as in `modes_of`, at an instant so many samples from its middle.
 
     Of so many `orders`, from 0.
     """
     time = np.array([at])
-    modes = np.concatenate([_derivatives(count, block, exact, time, k) for k in range(orders)])
+    modes = np.concatenate(
+        [_derivatives(count, block, exact, dense, time, k) for k in range(orders)]
+    )
     lines = np.concatenate([_lines(count, time, k) for k in range(orders)])
     unseen = []
-    for _, processes in _layout(count, block, exact):
+    for _, processes in _layout(count, block, exact, dense):
         for process in processes:
             values = [_values(process, count, time, k) for k in range(orders)]
             total = np.zeros((orders, orders))
@@ -342,7 +352,9 @@ def stencils_of(count: int, at: float, block: int, orders: int, exact: bool = Fa
 
 
 @lru_cache(maxsize=8)
-def slopes_of(count: int, block: int = 1, exact: bool = False) -> Real:
+def slopes_of(count: int, block: int = 1, exact: bool = False, dense: bool = False) -> Real:
     """Derivatives (orders, R, n) of the modes of a window at its samples, the first four."""
     time = np.arange(count) - (count - 1) / 2
-    return np.stack([_derivatives(count, block, exact, time, order).T for order in range(1, 5)])
+    return np.stack(
+        [_derivatives(count, block, exact, dense, time, order).T for order in range(1, 5)]
+    )

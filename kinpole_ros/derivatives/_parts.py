@@ -29,11 +29,10 @@ def derive_parts(window: Window, samples: Real, weights: Real | None) -> Found:
     """
     The derivatives of `samples` (n, 3, S), in one window or in two parts of it.
 
-    With `weights` (n, 2, S) of angle and position unless they are all 1. The arguments of
-    `stencils_of` are the `window`.
+    With `weights` (n, 2, S) of angle and position unless they are all 1.
     """
     whole, chance = _derive(window, samples, weights)
-    if window.exact:
+    if window.exact or not window.parts:
         return whole
     # Two lines more have to be worth it: with this much of evidence a whole window needs no parts.
     some = (whole.evidence < -2 * FLAT * _COMPONENTS).any(axis=0).nonzero()[0]
@@ -61,10 +60,9 @@ def derive_parts(window: Window, samples: Real, weights: Real | None) -> Found:
 
 def _derive(window: Window, samples: Real, weights: Real | None) -> tuple[Found, Real]:
     """Derivatives, and the logarithm (2, S) of how probable the samples are by all models."""
-    count, _, block, _, exact = window
-    modes, stencils = modes_of(count, block, exact), stencils_of(*window)
+    modes, stencils = modes_of(*window.models), stencils_of(*window[:-1])
     if weights is None:
-        seen, lacking = np.full((2, samples.shape[2]), float(count)), None
+        seen, lacking = np.full((2, samples.shape[2]), float(window.size)), None
     else:
         seen, lacking = total(weights), lacking_of(weights)
     found = derive(modes, stencils, np.ascontiguousarray(samples), seen, lacking)

@@ -109,12 +109,14 @@ def derive_poses(
     noise: Real,
     window: float,
     order: int,
+    effort: str = 'normal',
 ) -> Derivatives:
     """
     Differentiate poses at the instants of `windows`, up to `order`.
 
     `left_out` (T, B) is how many of the newest frames of each window do not count, `noise` (T, B)
-    the deviation of a sample with information of 1, and `window`, s, the longest there is.
+    the deviation of a sample with information of 1, and `window`, s, the longest there is. With low
+    `effort` no window is taken for two parts, with high effort there are twice as many processes.
     """
     instants, bodies = noise.shape
     result = _nothing(order + 1, instants, bodies)
@@ -125,7 +127,7 @@ def derive_poses(
         some = windows.part(part)
         cells = (_even_cells if even else _cells)(poses, some, left_out[part], noise[part])
         for group in _groups(cells, window):
-            _put(result, part, group.which, *_derive(cells, group, order + 1))
+            _put(result, part, group.which, *_derive(cells, group, order + 1, effort))
     # What was found is about the poses at the instants.
     result.angle[0] += poses.angle[windows.now]
     result.position[0] += poses.position[windows.now]
@@ -365,7 +367,7 @@ def _sizes(cells: _Cells, full: np.ndarray, blocks: np.ndarray) -> np.ndarray:
     return sizes
 
 
-def _derive(cells: _Cells, group: _Group, orders: int) -> tuple[Found, Real]:
+def _derive(cells: _Cells, group: _Group, orders: int, effort: str) -> tuple[Found, Real]:
     """Derivatives of a group, per s, and how long its windows are (S,), s."""
     which, size, block, ahead, exact = group
     count = size * block
@@ -390,7 +392,7 @@ def _derive(cells: _Cells, group: _Group, orders: int) -> tuple[Found, Real]:
     if block > 1:
         samples = samples * less[[0, 1, 1]]
     at = (size - 1) / 2 - (ahead - (block - 1) / 2) / block
-    window = Window(size, at, block, orders, bool(exact))
+    window = Window(size, at, block, orders, bool(exact), effort == 'high', effort != 'low')
     if even:
         found = derive_parts(window, samples, None)
     else:

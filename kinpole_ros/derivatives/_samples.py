@@ -24,19 +24,26 @@ _SIGNAL = [0, 1, 1]
 
 
 class Window(NamedTuple):
-    """The arguments of `stencils_of`: so many samples, and what is asked of them."""
+    """The arguments of `stencils_of`, and whether the window may be in two `parts`."""
 
     size: int
     at: float
     block: int
     orders: int
     exact: bool
+    dense: bool
+    parts: bool
 
     def part(self, rows: slice, orders: int) -> 'Window':
         """The same of some of the samples."""
         first, last, _ = rows.indices(self.size)
         at = self.at + (self.size - last - first) / 2
-        return Window(last - first, at, self.block, orders, self.exact)
+        return self._replace(size=last - first, at=at, orders=orders)
+
+    @property
+    def models(self) -> tuple[int, int, bool, bool]:
+        """The arguments of `modes_of`."""
+        return self.size, self.block, self.exact, self.dense
 
 
 class Placed(NamedTuple):
@@ -52,11 +59,10 @@ def place(window: Window, samples: Real, weights: Real, off: Real) -> Placed:
 
     Those with `weights` (n, 2, S) of 0 are put where the others let one expect them.
     """
-    count, _, block, _, exact = window
     samples = _filled(samples, weights[:, 1] <= 0, off)
     if not np.count_nonzero(off):
         return Placed(samples, np.ones((2, 1)))
-    modes, slopes = modes_of(count, block, exact), slopes_of(count, block, exact)
+    modes, slopes = modes_of(*window.models), slopes_of(*window.models)
     seen, lacking = total(weights), lacking_of(weights)
     samples, left = _moved(modes, slopes, samples, off, seen, lacking)
     # By how much samples are not in their places yet is noise.

@@ -12,7 +12,13 @@ from kinpole_ros.planar._plane import Complex, Real
 
 
 def derive_landmarks(
-    time: np.ndarray, points: Complex, windows: Windows, noise: Real, window: float, order: int
+    time: np.ndarray,
+    points: Complex,
+    windows: Windows,
+    noise: Real,
+    window: float,
+    order: int,
+    effort: str = 'normal',
 ) -> Derivatives:
     """
     Derivatives of bodies at T instants, by their `points` (N, B, n), complex, m, NaN if not seen.
@@ -28,7 +34,7 @@ def derive_landmarks(
     nothing = np.zeros((instants, bodies * width), int)
     rounding = np.finfo(float).eps * np.abs(flat[windows.now])
     noise = np.maximum(np.repeat(noise, width, axis=1), rounding)
-    found = derive_poses(poses, windows, nothing, noise, window, order)
+    found = derive_poses(poses, windows, nothing, noise, window, order, effort)
     shape = instants, bodies, width
     position = found.position.reshape(-1, *shape)
     here = np.isfinite(position).all(axis=0) & (seen[windows.now] > 0).reshape(shape)

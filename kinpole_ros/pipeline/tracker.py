@@ -504,8 +504,8 @@ class Tracker:
             position = signals[:, count:, 0] + 1j * signals[:, count:, 1]
             seen = Poses(time, angle, turns, position, good[:, :count], good[:, count:])
             instants = windows.part(part)
-            noise, window = known['noise'][part], self._timeline.window
-            found = derive_poses(seen, instants, suspect[part], noise, window * 1e-9, order)
+            how = known['noise'][part], self._timeline.window * 1e-9, order, self.settings.effort
+            found = derive_poses(seen, instants, suspect[part], *how)
             parts.append(found)
         found = Derivatives(*(np.concatenate(each, axis=-2) for each in zip(*parts, strict=True)))
         return (*found[:-1], found.freedom - 1), known['reference']
@@ -517,7 +517,7 @@ class Tracker:
         assert self._points is not None
         frames = self._timeline.view()
         window = self._timeline.window * 1e-9
-        points, noise = self._points.view(), known['noise']
-        found = derive_landmarks(frames['time'], points, windows, noise, window, order)
+        how = known['noise'], window, order, self.settings.effort
+        found = derive_landmarks(frames['time'], self._points.view(), windows, *how)
         found.angle[0] = frames['poses'][windows[0], : len(self.bodies), 0]
         return *found[:-1], found.freedom - 1
