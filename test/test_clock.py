@@ -214,7 +214,9 @@ def test_bunches_are_spread_over_the_clock_and_named_where_they_are_not():
         status = DiagnosticsMaker('kinpole').make(START, tracker, None, 3.0, {}, stamps.tolist())
         late = off[np.concatenate(seen) > START + 2 * 10**9]
         found[mode] = np.sqrt((late**2).mean()), status.status[0].message
-    assert found['auto'][0] < 0.05 < found['capture'][0]
+    # By the stamps there are ten frames a window for each that there are places for: no figures.
+    assert found['auto'][0] < 0.05
+    assert not found['capture'][0] < 0.05
     assert 'bunches' not in found['auto'][1]
     assert 'the stamps come in bunches' in found['capture'][1]
 

@@ -112,8 +112,8 @@ def derive(
     orders, bodies = len(stencils.modes), samples.shape[2]
     likely, weights, total = _weights(evidence.reshape(len(evidence), -1), modes.kinds)
     noisy = weights * variance.reshape(len(variance), -1)
-    # How much of each mode is motion in the mean, and how well that is known. That it rests is known
-    # no better than that it moves the least and the slowest there is.
+    # How much of each mode is motion in the mean, and how well that is known. That it rests is
+    # known no better than that it moves the least and the slowest there is.
     spread = noisy.copy()
     spread[0] += spread[-1]
     spread[-1] = 0.0
