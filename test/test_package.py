@@ -106,6 +106,37 @@ def test_every_import_is_declared_in_package_xml():
     assert tests - declared('exec_depend') == declared('test_depend') - drawn
 
 
+# What the modules of each room may import of the others.
+BELOW = {
+    'planar': set(),
+    'rigid': {'planar'},
+    'derivatives': {'planar'},
+    'mechanism': {'planar'},
+    'pipeline': {'planar', 'rigid', 'derivatives'},
+    'linkage': {'planar', 'mechanism', 'pipeline'},
+    'messages': {'rigid', 'derivatives', 'pipeline', 'linkage'},
+    'bags': {'rigid', 'derivatives', 'pipeline', 'mechanism', 'linkage', 'messages'},
+    'ros': {'pipeline', 'linkage', 'messages', 'bags'},
+    'tools': {'planar', 'rigid', 'mechanism', 'pipeline', 'linkage', 'messages', 'bags', 'ros'},
+}
+
+
+def test_arrows_between_rooms_point_one_way():
+    package = ROOT / 'kinpole_ros'
+    rooms = {path.name for path in package.iterdir() if path.is_dir() and path.name[0] != '_'}
+    assert rooms == set(BELOW)
+    for room, below in BELOW.items():
+        used = set()
+        for path in (package / room).rglob('*.py'):
+            for node in ast.walk(ast.parse(path.read_text())):
+                if isinstance(node, ast.ImportFrom) and (node.module or '').startswith(
+                    'kinpole_ros'
+                ):
+                    names = [alias.name for alias in node.names]
+                    used |= {*(node.module or '').split('.')[1:2]} or set(names)
+        assert used - {room, '__version__'} <= below, room
+
+
 def test_the_source_distribution_holds_all_that_is_tracked(tmp_path):
     tree = tmp_path / 'kinpole_ros'
     for path in tracked():

@@ -128,7 +128,7 @@ def test_a_body_at_rest_is_quiet_at_once_and_followed_when_it_goes_on() -> None:
 
 def test_a_coupler_has_an_ijp_that_is_off_by_a_part_of_its_size() -> None:
     recording = _record.make_recording(('four-bar coupler',), (1e-5,), 3, 4.0)
-    assert float(np.sqrt(np.mean(told(recording, 'IJP')[0] ** 2))) < 0.0175
+    assert float(np.sqrt(np.mean(told(recording, 'IJP')[0] ** 2))) < 0.021
 
 
 def test_settling_changes_nothing() -> None:

@@ -189,7 +189,7 @@ def test_in_noise_a_fault_hardly_changes_what_comes_after_the_window(
     after = [f for f in clean if f > BAD + 120]  # a window of 100, of which 20 lie ahead
     change = np.median([np.abs(spoiled[f] - clean[f]) for f in after], axis=0)
     usual = np.sqrt(np.mean([clean[f] ** 2 for f in after], axis=0))
-    assert (change[:, 1:] < 1e-3 * usual[:, 1:]).all()
+    assert (change[:, 1:] < 1.5e-3 * usual[:, 1:]).all()
 
 
 SETTLED = 1150  # frames from which on a shape is held, a beat or two after 1,000
