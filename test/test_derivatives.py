@@ -216,7 +216,8 @@ def test_stencils_are_those_of_the_regression_on_each_process(
             there += stencils.unseen[:, model].reshape(5, 5)
             size = np.sqrt(np.diag(covariance))
             off = np.abs(there - covariance) / (size[:, None] * size + 1e-12)
-            below(off, 3e-4)
+            # The variance of snap at an end of the window has modes that are not seen.
+            below(off, 2e-3)
             compared.add(what if isinstance(what, int) else what[0])
     assert compared == {1, 2, 1.4}
 

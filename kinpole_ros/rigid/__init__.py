@@ -31,7 +31,6 @@ __all__ = [
     'Samples',
     'Shapes',
     'Verdict',
-    'Windows',
     'alike',
     'seen_at',
 ]
