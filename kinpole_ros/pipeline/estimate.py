@@ -57,8 +57,9 @@ class Estimate:
     (order + 1, order + 1, T, B) between orders, of one axis; `size` (T, B) is the diameter of
     each body and `height` (T, B) where its markers are along the normal, m; `span` (T, B) in s and
     `degree` (T, B) tell on how much time the angular velocity was found, and by how many parameters
-    less one. NaN marks a body of which nothing is known, for the reason in `missing` (T, B). `run` is another
-    number each time that a tracker starts anew: poses from before it are in other body frames.
+    less one. NaN marks a body of which nothing is known, for the reason in `missing` (T, B). `run`
+    is another number each time that a tracker starts anew: poses from before it are in other body
+    frames.
     `pin` (T, B) is the fixed point a body was found to turn about, complex, m, with
     `pin_variance` (T, B), m^2, of one coordinate; NaN for a body on no pin. `shape` (T, B, n) are
     the markers in the bodies' frames, complex, m. `due` (T,) is which frame, of those the tracker
