@@ -60,7 +60,7 @@ class Channels:
         elif asked_for:
             self._refused[record.id] = (
                 f"{self._path}: topic '{record.topic}' has messages in "
-                f"{record.message_encoding!r} of type '{name}'; mend: give a topic of ROS 2 "
+                f"{record.message_encoding!r} of type '{name}'; fix: give a topic of ROS 2 "
                 'messages (cdr)'
             )
         else:

@@ -208,7 +208,7 @@ def records(file: BinaryIO, span: Span, layout: Layout) -> bytes:
     else:
         raise BagError(
             f'{file.name}: chunks are compressed with {chunk.compression!r}; '
-            f'mend: `mcap compress {file.name} -o NEW.mcap`'
+            f'fix: `mcap compress {file.name} -o NEW.mcap`'
         )
     if len(record) == span.length:
         if len(content) != claimed:

@@ -172,7 +172,7 @@ def write_pitch_curves(path: str | Path, curves: Centrodes) -> None:
     except OSError as error:
         raise LinkageError(
             f'{path} cannot be written: {error.strerror}; '
-            'mend: check the path, its rights and the space on the disk'
+            'fix: check the path, its rights and the space on the disk'
         ) from error
 
 

@@ -110,9 +110,9 @@ def _line(error: object) -> str:
     if isinstance(error, OSError) and error.strerror:
         # From wherever nobody had words of his own for it.
         mend = 'check the path, its rights and the space on the disk'
-        return f'{error.filename or "a file"} cannot be used: {error.strerror}; mend: {mend}'
+        return f'{error.filename or "a file"} cannot be used: {error.strerror}; fix: {mend}'
     if isinstance(error, MemoryError):
-        return f'the memory is too small for this ({text or "full"}); mend: do it in shorter parts'
+        return f'the memory is too small for this ({text or "full"}); fix: do it in shorter parts'
     return text
 
 

@@ -225,5 +225,5 @@ def _write_whole(path: Path, text: str) -> None:
 def unwritable(path: Path, error: OSError) -> BagError:
     return BagError(
         f'{path} cannot be written: {error.strerror}; '
-        'mend: check the path, its rights and the space on the disk'
+        'fix: check the path, its rights and the space on the disk'
     )

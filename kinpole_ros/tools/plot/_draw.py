@@ -76,7 +76,7 @@ def plot(
     except OSError as error:
         raise BagError(
             f'{output} cannot be written: {error.strerror}; '
-            'mend: check the path, its rights and the space on the disk'
+            'fix: check the path, its rights and the space on the disk'
         ) from error
     if progress is not None:
         progress(1.0)

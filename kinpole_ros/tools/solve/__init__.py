@@ -88,7 +88,7 @@ def _writing(path: str | Path) -> Iterator[None]:
     except OSError as error:
         raise SceneError(
             f'{path} cannot be written: {error.strerror}; '
-            'mend: check the path, its rights and the space on the disk'
+            'fix: check the path, its rights and the space on the disk'
         ) from None
 
 
