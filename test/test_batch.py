@@ -399,9 +399,7 @@ def test_a_body_known_at_no_instant_is_status_2_and_in_the_summary(
     for _ in range(2):  # made, and found there
         status, said, complaints = run(bag, '--config', config, '--output', out)
         assert status == 2
-        assert said.startswith(
-            '1 bags, 0 failed, 0 cut off, 1 know a body at no instant; 60 frames'
-        )
+        assert said.startswith('1 bags, 0 failed, 0 cut off, 1 never estimated a body; 60 frames')
         assert "messages lack 'rokcer_1', 'rokcer_2' of rocker" in complaints
         (row,) = summary(out)
         assert (row['error'], row['unknown']) == ('', 'rocker')

@@ -546,7 +546,7 @@ def test_a_body_known_at_no_instant_is_told_with_status_2(
             message = to_message('point_cloud2', stamp, 'world', names, points[: len(names)])
             writer.write('/markers', message, stamp)
     line = refusal(kinpole('replay', bag))
-    assert 'body is known at no instant: too few markers seen, or all at one place; see' in line
+    assert 'body was never estimated: too few markers seen, or all at one place; see' in line
 
 
 def test_files_of_a_folder_that_do_not_run_on_are_told_to_be_read_as_one(

@@ -34,7 +34,7 @@ _CONVERT = 'fix: `rosbags-convert --src {} --dst NEW --dst-storage mcap` (pip in
 
 
 class BagError(ValueError):
-    """A bag or table that cannot be read or written: one line that names it and the mend."""
+    """A bag or table that cannot be read or written: one line that names it and the fix."""
 
 
 class Truncated(BagError):

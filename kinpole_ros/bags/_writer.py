@@ -1,6 +1,6 @@
 """Bags as rosbag2 writes them, so that `ros2 bag`, Foxglove and other tools read ours.
 
-The records are mcap's; they are put together here, since mcap's own writer takes four times as
+The records are mcap's; they are assembled here, since mcap's own writer takes four times as
 long for a message, which is half of what a replay with all topics costs.
 """
 

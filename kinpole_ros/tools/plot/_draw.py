@@ -63,8 +63,8 @@ def plot(
     formats = sorted(figure.canvas.get_supported_filetypes())
     if Path(output).suffix[1:].lower() not in formats:
         raise BagError(f'{output} is no picture; end its name in one of {", ".join(formats)}')
-    told = None if progress is None else lambda share: progress(_READING * share)
-    results = read_results(bag, told)
+    reading = None if progress is None else lambda share: progress(_READING * share)
+    results = read_results(bag, reading)
     # A file name need not be text.
     _draw(figure, os.fsencode(Path(bag).name).decode(errors='replace'), results)
     try:
