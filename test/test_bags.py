@@ -80,7 +80,7 @@ def read_all(path, **options) -> tuple[list[BagMessage], str]:
 def one_line(error: pytest.ExceptionInfo) -> str:
     text = str(error.value)
     assert '\n' not in text
-    assert 'mend: ' in text
+    assert 'fix: ' in text
     return text
 
 
@@ -293,7 +293,7 @@ def test_any_damage_gives_messages_or_a_bag_error_and_nothing_else(
     try:
         assert len(list(read_messages(path))) <= 20
     except BagError as error:
-        assert 'mend: ' in str(error)
+        assert 'fix: ' in str(error)
 
 
 @given(st.binary(max_size=200))

@@ -192,7 +192,7 @@ def test_a_dask_cluster_is_used_by_its_address(
         with monkeypatch.context() as patience:
             patience.setattr(_cluster, '_PATIENCE', 0.5)
             assert main([*words, address]) == 2
-        assert f'the Dask scheduler at {address} has no workers; mend' in capsys.readouterr().err
+        assert f'the Dask scheduler at {address} has no workers; fix' in capsys.readouterr().err
         worker = ['-m', 'dask', 'worker', '--scheduler-file', str(where), '--nthreads', '1']
         with process(*worker, '--no-dashboard', '--no-nanny'):
             # A worker has a folder of its own to work in, and finds the scene all the same.
@@ -358,7 +358,7 @@ def test_what_cannot_be_used_is_one_line(
         read_only.setattr(module, 'TemporaryFile', mock.Mock(side_effect=refused))
         assert main(['batch', bag, '--output', 'out']) == 2
     line = capsys.readouterr().err
-    assert f'{tmp_path}/out cannot be written: Read-only file system; mend: ' in line
+    assert f'{tmp_path}/out cannot be written: Read-only file system; fix: ' in line
     assert line.count('\n') == 1
     (tmp_path / 'summary.csv').mkdir()
     with pytest.raises(BagError, match=r'summary\.csv cannot be written: Is a directory'):
@@ -369,11 +369,11 @@ def test_what_cannot_be_used_is_one_line(
         crowded.setattr('distributed.LocalCluster', mock.Mock(side_effect=failed))
         assert main(['batch', bag]) == 2
         line = capsys.readouterr().err
-        assert 'no worker processes can be started (Nanny failed to start.); mend: ' in line
+        assert 'no worker processes can be started (Nanny failed to start.); fix: ' in line
         assert line.count('\n') == 1
     monkeypatch.setitem(sys.modules, 'distributed', None)
     with pytest.raises(
-        BagError, match=r"^many bags need Dask; mend: pip install 'kinpole_ros\[batch\]'"
+        BagError, match=r"^many bags need Dask; fix: pip install 'kinpole_ros\[batch\]'"
     ):
         batch([bag], tmp_path / 'out', SETTINGS)
 
@@ -399,9 +399,7 @@ def test_a_body_known_at_no_instant_is_status_2_and_in_the_summary(
     for _ in range(2):  # made, and found there
         status, said, complaints = run(bag, '--config', config, '--output', out)
         assert status == 2
-        assert said.startswith(
-            '1 bags, 0 failed, 0 cut off, 1 know a body at no instant; 60 frames'
-        )
+        assert said.startswith('1 bags, 0 failed, 0 cut off, 1 never estimated a body; 60 frames')
         assert "messages lack 'rokcer_1', 'rokcer_2' of rocker" in complaints
         (row,) = summary(out)
         assert (row['error'], row['unknown']) == ('', 'rocker')
@@ -472,7 +470,7 @@ def test_a_summary_that_does_not_fit_the_disk_leaves_the_one_before(tmp_path: Pa
     _results.write_summary(path, [{'bag': 'a', 'error': ''}])
     before = path.read_bytes()
     (tmp_path / 'summary.csv.part').symlink_to('/dev/full')
-    with pytest.raises(BagError, match='cannot be written: No space left on device; mend'):
+    with pytest.raises(BagError, match='cannot be written: No space left on device; fix'):
         _results.write_summary(path, [{'bag': 'b', 'error': ''}])
     assert [(file.name, file.read_bytes()) for file in tmp_path.iterdir()] == [
         ('summary.csv', before)

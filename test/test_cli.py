@@ -376,7 +376,7 @@ def test_an_output_that_cannot_be_written_is_named(kinpole: Any, rod: Path, tmp_
             assert 'yyy cannot be written: File name too long; ' in line
     for words in ['record'], ['demo'], ['bench', '--quick'], ['simulate', wrong.name * 30]:
         line = refusal(kinpole(*words, '--output', tmp_path / ('y' * 300)))
-        assert ' cannot be used: File name too long; mend: check the path' in line
+        assert ' cannot be used: File name too long; fix: check the path' in line
 
 
 @pytest.mark.skipif(not Path('/dev/full').exists(), reason='needs /dev/full')
@@ -430,7 +430,7 @@ def test_what_does_not_fit_the_memory_is_one_line(
     full = mock.Mock(side_effect=MemoryError('Unable to allocate 3.73 GiB'))
     monkeypatch.setattr('kinpole_ros.bags.simulate', full)
     line = refusal(kinpole('simulate', 'four_bar', '--output', tmp_path / 'run.mcap'))
-    assert 'the memory is too small for this (Unable to allocate 3.73 GiB); mend: ' in line
+    assert 'the memory is too small for this (Unable to allocate 3.73 GiB); fix: ' in line
 
 
 @pytest.mark.parametrize('command', ['node', 'play', 'record', 'demo'])
@@ -546,7 +546,7 @@ def test_a_body_known_at_no_instant_is_told_with_status_2(
             message = to_message('point_cloud2', stamp, 'world', names, points[: len(names)])
             writer.write('/markers', message, stamp)
     line = refusal(kinpole('replay', bag))
-    assert 'body is known at no instant: too few markers seen, or all at one place; see' in line
+    assert 'body was never estimated: too few markers seen, or all at one place; see' in line
 
 
 def test_files_of_a_folder_that_do_not_run_on_are_told_to_be_read_as_one(

@@ -806,7 +806,7 @@ class Failing:
     def spin_once(self) -> None:
         raise ValueError('again')
 
-    def survive(self, error: Exception) -> None:
+    def recover(self, error: Exception) -> None:
         self.survived += 1
 
 

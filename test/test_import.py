@@ -134,7 +134,7 @@ def test_bad_table_is_one_line_and_leaves_the_output_alone(tmp_path, text, rate,
     with pytest.raises(BagError, match=complaint) as error:
         import_text(tmp_path, text, rate=rate)
     assert '\n' not in str(error.value)
-    assert 'mend: ' in str(error.value)
+    assert 'fix: ' in str(error.value)
     if rate is None:
         assert 'table.csv' in str(error.value)
     assert (tmp_path / 'out.mcap').read_text() == 'precious'
@@ -158,7 +158,7 @@ def test_missing_table_and_table_as_output(tmp_path):
 
 @pytest.mark.skipif(not Path('/dev/zero').exists(), reason='needs /dev/zero')
 def test_table_without_end_is_refused(tmp_path):
-    with pytest.raises(BagError, match='larger than 256 MiB; mend: cut it into parts'):
+    with pytest.raises(BagError, match='larger than 256 MiB; fix: cut it into parts'):
         import_csv('/dev/zero', tmp_path / 'out.mcap')
     assert not list(tmp_path.iterdir())
 

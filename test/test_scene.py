@@ -712,7 +712,7 @@ BAD = [
     ('loader_loop', put(0, 'vectors', 'r1', 'length'), 'length is 0: give one greater than 0'),
     ('loader_loop', put('long', 'vectors', 'r1', 'length'), "is 'long': give a finite number"),
     ('loader_loop', put('r9 + 1', 'vectors', 'r1', 'angle'), "that of 'r9', which is no vector"),
-    ('loader_loop', put('r3p', 'vectors', 'r3', 'angle'), 'is told by itself'),
+    ('loader_loop', put('r3p', 'vectors', 'r3', 'angle'), 'is defined by itself'),
     ('loader_loop', put('r1', 'points', 'Q'), "'points: Q' lies on no body"),
     ('loader_loop', pop('points'), "'vectors: r3p' is in no loop and no point"),
     ('loader_loop', put('10 m', 'vectors', 'r1', 'length'), 'the loops do not close'),

@@ -285,7 +285,7 @@ def test_a_full_disk_ends_a_recording_in_one_line(tmp_path: Path) -> None:
     assert process.returncode == 2
     assert said == ''
     assert complaints.count('\n') == 1
-    assert f'{path} cannot be written: File too large; mend: ' in complaints
+    assert f'{path} cannot be written: File too large; fix: ' in complaints
     assert 20 <= len(readable(path)) < sent
 
 

@@ -1,4 +1,4 @@
-"""The messages in a run of MCAP records, told apart by the channels described there."""
+"""The messages in a run of MCAP records, identified by the channels described there."""
 
 import struct
 from collections.abc import Collection
@@ -60,7 +60,7 @@ class Channels:
         elif asked_for:
             self._refused[record.id] = (
                 f"{self._path}: topic '{record.topic}' has messages in "
-                f"{record.message_encoding!r} of type '{name}'; mend: give a topic of ROS 2 "
+                f"{record.message_encoding!r} of type '{name}'; fix: give a topic of ROS 2 "
                 'messages (cdr)'
             )
         else:
@@ -72,7 +72,7 @@ class Channels:
     def read(self, records: bytes, found: list[BagMessage]) -> None:
         """Add the chosen messages in a run of records; raises where the last one is cut."""
         # By hand, since this is the hot loop: mcap's own takes three times as long, and copies
-        # also what nobody asked for, such as the images beside the markers.
+        # also what nobody asked for, such as images recorded with the markers.
         end, size = 0, len(records)
         room = largest(size)
         while end < size:

@@ -30,11 +30,11 @@ _FOREIGN = {
     b'SQLite f': 'is a bag in sqlite3',
     b'#ROSBAG ': 'is a ROS 1 bag',
 }
-_CONVERT = 'mend: `rosbags-convert --src {} --dst NEW --dst-storage mcap` (pip install rosbags)'
+_CONVERT = 'fix: `rosbags-convert --src {} --dst NEW --dst-storage mcap` (pip install rosbags)'
 
 
 class BagError(ValueError):
-    """A bag or table that cannot be read or written: one line that names it and the mend."""
+    """A bag or table that cannot be read or written: one line that names it and the fix."""
 
 
 class Truncated(BagError):
@@ -58,10 +58,10 @@ def bag_files(path: str | Path) -> list[Path]:
         elif path.exists():
             raise BagError(
                 f'{path} is neither a file nor a folder, and a bag is not read from front to back; '
-                'mend: save what it gives as a file'
+                'fix: save what it gives as a file'
             )
         else:
-            raise BagError(f'no such bag: {path}; mend: give an .mcap file or a rosbag2 folder')
+            raise BagError(f'no such bag: {path}; fix: give an .mcap file or a rosbag2 folder')
         # A recorder that was killed leaves empty files among others.
         check_magic(next((file for file in files if file.stat().st_size), files[0]))
     except OSError as error:
@@ -82,7 +82,7 @@ def _folder_files(folder: Path) -> list[Path]:
                 raise BagError(f'{folder} is a bag in sqlite3; {_CONVERT.format(folder)}')
             raise BagError(
                 f'{folder} has neither metadata.yaml nor .mcap files; '
-                'mend: give an .mcap file or a rosbag2 folder'
+                'fix: give an .mcap file or a rosbag2 folder'
             )
         return files
     try:
@@ -93,23 +93,23 @@ def _folder_files(folder: Path) -> list[Path]:
     except (yaml.YAMLError, *_MALFORMED) as error:
         raise BagError(
             f'{metadata} is not the metadata of a rosbag2 bag; '
-            f'mend: `ros2 bag reindex {folder}`, or remove it to read all .mcap files there'
+            f'fix: `ros2 bag reindex {folder}`, or remove it to read all .mcap files there'
         ) from error
     if storage != 'mcap' or compressed not in (None, '', 'zstd'):
         wrong = f'compressed by rosbag2 ({compressed})' if compressed else f'in {storage}'
         raise BagError(f'{folder} is a bag {wrong}; {_CONVERT.format(folder)}')
     if not paths:
-        raise BagError(f'{metadata} names no files; mend: `ros2 bag reindex {folder}`')
+        raise BagError(f'{metadata} names no files; fix: `ros2 bag reindex {folder}`')
     for name in paths:
         # A bag from elsewhere must not make us read other files of this machine.
         if name.is_absolute() or '..' in name.parts:
             raise BagError(
                 f"{metadata}: '{name}' in relative_file_paths is outside of the folder; "
-                'mend: name files in the folder only'
+                'fix: name files in the folder only'
             )
         if not (folder / name).is_file():
             raise BagError(
-                f'{folder / name}, named by metadata.yaml, is not there; mend: put it back, '
+                f'{folder / name}, named by metadata.yaml, is not there; fix: put it back, '
                 'or `ros2 bag reindex`'
             )
     return [folder / name for name in paths]
@@ -123,7 +123,7 @@ def check_magic(path: Path) -> None:
     with open(path, 'rb') as file:
         magic = file.read(len(MCAP0_MAGIC))
     if not magic:
-        raise Truncated(f'{path} is empty (0 bytes); mend: record again')
+        raise Truncated(f'{path} is empty (0 bytes); fix: record again')
     if magic in _FOREIGN:
         raise BagError(f'{path} {_FOREIGN[magic]}; {_CONVERT.format(path)}')
     if magic.startswith(ZSTD_MAGIC):
@@ -132,12 +132,12 @@ def check_magic(path: Path) -> None:
                 return
         raise BagError(
             f'{path} is compressed, and what is in it is not an MCAP file; '
-            f'mend: see what `zstd -d {path}` gives'
+            f'fix: see what `zstd -d {path}` gives'
         )
     if not MCAP0_MAGIC.startswith(magic):
         raise BagError(
             f'{path} is not an MCAP file: it starts otherwise; '
-            'mend: give an .mcap file or a rosbag2 folder'
+            'fix: give an .mcap file or a rosbag2 folder'
         )
 
 
@@ -156,7 +156,7 @@ def recorder_of(path: str | Path) -> str:
 
 
 def unreadable(path: Path, error: OSError) -> BagError:
-    return BagError(f'{path} cannot be read: {error.strerror}; mend: check the path and its rights')
+    return BagError(f'{path} cannot be read: {error.strerror}; fix: check the path and its rights')
 
 
 def open_file(path: Path) -> BinaryIO:

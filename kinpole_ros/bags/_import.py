@@ -47,16 +47,16 @@ def import_csv(
     csv_path, output = Path(csv_path), Path(output)
     for name, value in (('rate', rate), ('scale', scale)):
         if value is not None and not (math.isfinite(value) and value > 0):
-            raise BagError(f'{name} is {value}; mend: give a number greater than 0')
+            raise BagError(f'{name} is {value}; fix: give a number greater than 0')
     if os.path.exists(output) and os.path.exists(csv_path) and output.samefile(csv_path):
-        raise BagError(f'{output} is the table itself; mend: give another file for the bag')
+        raise BagError(f'{output} is the table itself; fix: give another file for the bag')
 
     columns, lines = _read_columns(csv_path)
     names, points = _markers(csv_path, columns, lines)
     with np.errstate(over='ignore'):
         points *= [scale, -scale if y_down else scale, scale]
     if np.isinf(points).any():
-        raise BagError(f'scale is {scale}; mend: give the length of the unit of {csv_path} in m')
+        raise BagError(f'scale is {scale}; fix: give the length of the unit of {csv_path} in m')
     stamps = _stamps(csv_path, columns, lines, rate)
     step = math.ceil(len(stamps) / 200)
     with BagWriter(output) as bag:
@@ -73,15 +73,15 @@ def _read_columns(path: Path) -> tuple[dict[str, Sequence[str]], list[int]]:
         with path.open('rb') as table:
             content = table.read(_MOST + 1)
         if len(content) > _MOST:
-            raise BagError(f'{path} is larger than {_MOST >> 20} MiB; mend: cut it into parts')
+            raise BagError(f'{path} is larger than {_MOST >> 20} MiB; fix: cut it into parts')
         text = content.decode('utf-8-sig')
     except OSError as error:
         raise BagError(
-            f'{path} cannot be read: {error.strerror}; mend: check the path and its rights'
+            f'{path} cannot be read: {error.strerror}; fix: check the path and its rights'
         ) from error
     except UnicodeDecodeError as error:
         line = content.count(b'\n', 0, error.start) + 1
-        raise BagError(f'{path}, line {line}: not UTF-8; mend: save it as CSV UTF-8') from error
+        raise BagError(f'{path}, line {line}: not UTF-8; fix: save it as CSV UTF-8') from error
 
     reader = csv.reader(StringIO(text, newline=''), strict=True)
     rows: list[list[str]] = []
@@ -93,28 +93,28 @@ def _read_columns(path: Path) -> tuple[dict[str, Sequence[str]], list[int]]:
                 lines.append(reader.line_num)
     except csv.Error as error:
         raise BagError(
-            f'{path}, line {reader.line_num}: {error}; mend: save it as plain CSV, with commas'
+            f'{path}, line {reader.line_num}: {error}; fix: save it as plain CSV, with commas'
         ) from error
     if len(rows) < 2:
         has = 'has no frames, only a line of names' if rows else 'is empty'
-        raise BagError(f'{path} {has}; mend: give a line of names and a line for each frame')
+        raise BagError(f'{path} {has}; fix: give a line of names and a line for each frame')
     header = [name.strip() for name in rows.pop(0)]
     head_line = lines.pop(0)
     if len(header) == 1 and any(mark in header[0] for mark in ';\t'):
         raise BagError(
-            f'{path}, line {head_line}: cells are not separated by commas; mend: save it as CSV '
+            f'{path}, line {head_line}: cells are not separated by commas; fix: save it as CSV '
             'with commas, and numbers with decimal points'
         )
     for name in header:
         if name and header.count(name) > 1:
             raise BagError(
-                f"{path}, line {head_line}: column '{name}' is there twice; mend: rename one"
+                f"{path}, line {head_line}: column '{name}' is there twice; fix: rename one"
             )
     for row, line in zip(rows, lines, strict=True):
         if len(row) != len(header):
             raise BagError(
                 f'{path}, line {line}: {len(row)} cells under {len(header)} names; '
-                'mend: as many commas in each line'
+                'fix: as many commas in each line'
             )
     return dict(zip(header, zip(*rows, strict=True), strict=True)), lines
 
@@ -127,7 +127,7 @@ def _markers(
     names = list(dict.fromkeys(c[:-2] for c in columns if c[:-2] and c[-2:] in ('_x', '_y', '_z')))
     if not names:
         raise BagError(
-            f'{path}, line 1: no column is named NAME_x; mend: name the columns of each marker '
+            f'{path}, line 1: no column is named NAME_x; fix: name the columns of each marker '
             'NAME_x and NAME_y, with commas between them'
         )
     points = np.zeros((len(lines), len(names), 3))
@@ -138,7 +138,7 @@ def _markers(
                 points[:, index, axis] = _numbers(path, column, columns[column], lines)
             elif letter != 'z':
                 raise BagError(
-                    f"{path}, line 1: marker '{name}' has no column {column}; mend: add it"
+                    f"{path}, line 1: marker '{name}' has no column {column}; fix: add it"
                 )
     return names, points
 
@@ -154,7 +154,7 @@ def _numbers(path: Path, column: str, cells: Sequence[str], lines: Sequence[int]
         row = int(bad.argmax())
         raise BagError(
             f"{path}, line {lines[row]}, column {column}: '{cells[row][:40]}' is not a number; "
-            'mend: write it with a decimal point, and nothing where a marker was not seen'
+            'fix: write it with a decimal point, and nothing where a marker was not seen'
         )
     return numbers
 
@@ -172,10 +172,10 @@ def _stamps(
     """A stamp for each frame, int64, in ns; from 1 s on where the table starts at 0 or before."""
     if rate is not None:
         if not 1.001 * len(lines) / _LONGEST < rate <= 1e9:
-            raise BagError(f'rate is {rate:g} for {len(lines)} frames; mend: give it in Hz')
+            raise BagError(f'rate is {rate:g} for {len(lines)} frames; fix: give it in Hz')
         return _SECOND + np.rint(np.arange(len(lines)) * 1e9 / rate).astype(np.int64)
     if 't' not in columns:
-        raise BagError(f'{path} has no column t; mend: add one, in seconds, or give --rate')
+        raise BagError(f'{path} has no column t; fix: add one, in seconds, or give --rate')
     seconds = _numbers(path, 't', columns['t'], lines)
     if seconds[0] <= 0:
         seconds = seconds - seconds[0] + 1
@@ -183,13 +183,13 @@ def _stamps(
         row = int(bad.argmax())
         raise BagError(
             f"{path}, line {lines[row]}, column t: '{columns['t'][row]}' is not a time in "
-            'seconds; mend: give each frame its time, or the table a --rate'
+            'seconds; fix: give each frame its time, or the table a --rate'
         )
     stamps = np.rint(seconds * 1e9).astype(np.int64)
     if (bad := np.diff(stamps) <= 0).any():
         row = int(bad.argmax()) + 1
         raise BagError(
             f"{path}, line {lines[row]}, column t: '{columns['t'][row]}' is not later than the "
-            'line before; mend: sort the lines by t, or give --rate'
+            'line before; fix: sort the lines by t, or give --rate'
         )
     return stamps

@@ -140,7 +140,7 @@ def _scan(file: BinaryIO, size: int, farthest: int) -> Layout:
     """
     spans: list[Span] = []
     offset = len(MCAP0_MAGIC)
-    # Plain records in a row are read together, but not so many that no progress could be seen.
+    # Plain records in a row are read at once, but not so many that no progress could be seen.
     longest = min(_RUN, size // 200)
     while offset <= farthest:
         file.seek(offset)
@@ -177,8 +177,8 @@ def _scan(file: BinaryIO, size: int, farthest: int) -> Layout:
             if file.read(len(MCAP0_MAGIC)) == MCAP0_MAGIC:
                 end = offset + len(MCAP0_MAGIC)
                 more = file.read(len(MCAP0_MAGIC)) == MCAP0_MAGIC
-                told = f'holds another bag from byte {end} on, which needs a file of its own'
-                return Layout(spans, told if more else '', offset)
+                problem = f'holds another bag from byte {end} on, which needs a file of its own'
+                return Layout(spans, problem if more else '', offset)
             break
     end = file.seek(0, io.SEEK_END)
     return Layout(spans, f'is cut off at byte {end}', end)
@@ -208,7 +208,7 @@ def records(file: BinaryIO, span: Span, layout: Layout) -> bytes:
     else:
         raise BagError(
             f'{file.name}: chunks are compressed with {chunk.compression!r}; '
-            f'mend: `mcap compress {file.name} -o NEW.mcap`'
+            f'fix: `mcap compress {file.name} -o NEW.mcap`'
         )
     if len(record) == span.length:
         if len(content) != claimed:

@@ -182,14 +182,14 @@ def _read_file(
         if waiting.size > most:
             raise BagError(
                 f'{path}: messages are so far out of order that more than {most >> 20} MiB of '
-                f'them would have to be held; mend: `mcap sort {path} -o NEW.mcap`'
+                f'them would have to be held; fix: `mcap sort {path} -o NEW.mcap`'
             )
         report(span.end / layout.size)
     if trouble:
         read = f'{count} messages up to stamp {last / 1e9:.3f} s (log time) were read'
         raise Truncated(
             f'{path} {trouble}: {read if count else "there is no message before that"}; '
-            f'mend: record again, or `mcap recover {path} -o NEW.mcap`'
+            f'fix: record again, or `mcap recover {path} -o NEW.mcap`'
         )
 
 

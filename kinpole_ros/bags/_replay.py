@@ -12,7 +12,7 @@ from diagnostic_msgs.msg import DiagnosticArray
 from kinpole_ros.bags._reader import BagError, Truncated, bag_files, read_blocks, topics
 from kinpole_ros.bags._table import CsvTable, ParquetTable
 from kinpole_ros.bags._writer import BagWriter
-from kinpole_ros.linkage.theory import Beside, Comparison, load_theory
+from kinpole_ros.linkage.theory import Comparison, DeviationSummary, load_theory
 from kinpole_ros.messages import (
     ROS_TYPE_NAMES,
     DiagnosticsMaker,
@@ -46,17 +46,17 @@ class Replayed(NamedTuple):
     `unreadable` counts messages that could not be read, `problem` is the first one's;
     `truncated` says where a damaged bag ended, None for a sound one. `repeated` and `late` count
     frames left out, `resets` and `frame_changes` starts anew, as the tracker does. `noise` is that
-    of a marker of each body at the end, per axis, m, NaN where it is not known, and `looseness` how
-    far markers are off one rigid body, m, 0 where they may be of one, by what `causes`, '' where
-    that is not known; `underrated` are the bodies
-    whose noise is more than was measured; `first` and `last` are the earliest and the latest stamp,
-    ns, 0 without frames. `absent` are the markers of each body that
-    are in no message, and `identities` those of the last one. `unknown` are the bodies known at no
-    instant, and why not at the last ('' where there is none). `joined` are the files that were read
-    as one recording only because they lie in one folder. `beside` is how far the bodies were from
-    the scene, if any; `space` is how the motion lay in space, as last known. `lost` are frames that
-    never came, by the clock of the stamps, and `stamps` how these are beside it, None where there
-    are too few. `misnamed` says in words which markers are not what their names say. `erring` are
+    of a marker of each body at the end, per axis, m, NaN where it is not known. `rigidity_residual`
+    is how far markers are off one rigid body, m, 0 where they may be of one, by what `causes`, ''
+    where that is not known. `noise_underestimated` are the bodies whose noise is more than was
+    measured. `first` and `last` are the earliest and the latest stamp, ns, 0 without frames.
+    `absent` are the markers of each body that are in no message, and `identities` those of the last
+    one. `unknown` are the bodies that were never estimated, and why not at the last instant (''
+    where there is none). `concatenated` are the files that were read as one recording only because
+    they lie in one folder. `scene_deviations` is how far the bodies were from the scene, if any;
+    `space` is how the motion lay in space, as last known. `lost` are frames that never came, by the
+    clock of the stamps, and `stamps` how these deviate from it, None where there are too few.
+    `misnamed` says in words which markers are not what their names say. `erring` are
     the deviations of markers that count for less than others, m, by body and name; `wrong` is in
     how many frames a body as a whole was wrong and left out, and `outages` when a body, or '' for
     all, was not seen for a window or more.
@@ -73,16 +73,16 @@ class Replayed(NamedTuple):
     frame_changes: int
     truncated: Truncated | None
     noise: dict[str, float]
-    looseness: dict[str, float]
+    rigidity_residual: dict[str, float]
     causes: dict[str, str]
-    underrated: list[str]
+    noise_underestimated: list[str]
     first: int
     last: int
     absent: dict[str, list[str]]
     identities: tuple[str, ...]
     unknown: dict[str, str]
-    joined: list[str]
-    beside: list[Beside]
+    concatenated: list[str]
+    scene_deviations: list[DeviationSummary]
     space: SpaceReport
     lost: int
     stamps: StampState | None
@@ -115,7 +115,7 @@ def replay(
     taken = {_identity(file): 'the bag to be replayed' for file in files}
     # Without metadata all that lies in a folder is the bag.
     folder = None if (Path(bag) / 'metadata.yaml').exists() else Path(bag).resolve()
-    joined = [file.name for file in files] if folder is not None and len(files) > 1 else []
+    concatenated = [file.name for file in files] if folder is not None and len(files) > 1 else []
     for target in (output, csv, parquet):
         if target is None:
             continue
@@ -141,7 +141,7 @@ def replay(
         for row in result_outputs(tuple(settings.bodies), settings.plane, theory)
         if row.order <= order
     ]
-    beat = _Beat(DiagnosticsMaker(NODE_NAME, theory, name))
+    periodic = _PeriodicDiagnostics(DiagnosticsMaker(NODE_NAME, theory, name))
     comparison = Comparison(theory) if theory is not None else None
     found = {body: dict.fromkeys(POLE_NAMES[:order], 0) for body in tracker.bodies}
     unknown = dict.fromkeys(tracker.bodies, '')
@@ -167,7 +167,7 @@ def replay(
             elif error is not None:
                 tracker.counts['unreadable'] += 1
                 problem = problem or str(error)
-                beat.trouble['message'] = str(error)
+                periodic.trouble['message'] = str(error)
             if frames is None:
                 continue
             earliest = int(frames.stamps.min())
@@ -176,7 +176,7 @@ def replay(
             if frames.identities != identities:
                 identities = frames.identities
                 absent = _still_absent(absent, identities)
-            whole = (frames,) if writer is None else beat.parts(frames, tracker)
+            whole = (frames,) if writer is None else periodic.parts(frames, tracker)
             known = tracker.add_parts(whole, order)
             if last - looked >= _SECOND:
                 looked, space = last, updated(space, tracker.space())
@@ -194,7 +194,7 @@ def replay(
                     result_columns(outputs, estimate, f'/{NODE_NAME}', log_times[estimate.due])
                     for estimate in known
                 ]
-                writer.write_many(chain(*columns, beat.columns(known, log_times)))
+                writer.write_many(chain(*columns, periodic.columns(known, log_times)))
         if writer is not None:
             # A topic that never had anything to say is still there to be asked for.
             for row in outputs:
@@ -228,7 +228,7 @@ def replay(
         absent,
         identities,
         unknown,
-        joined,
+        concatenated,
         comparison.found() if comparison is not None else [],
         space,
         counts['lost'],
@@ -282,11 +282,11 @@ def _frames(
         # Bytes of another type may well be read, as markers that are none.
         for message in block:
             if message.type_name != wanted:
-                told = (
+                problem = (
                     f'{topic} has messages of {message.type_name} among those of {wanted}; see '
                     'that each type has a topic of its own'
                 )
-                yield None, nothing, MessageError(told)
+                yield None, nothing, MessageError(problem)
         block = [message for message in block if message.type_name == wanted]
         log_times = np.array([message.log_time for message in block], np.int64)
         done = 0
@@ -300,7 +300,7 @@ def _frames(
             done += count
 
 
-class _Beat:
+class _PeriodicDiagnostics:
     """
     Diagnostics of each second of stamps, as of its last frame, out of long parts of a bag.
 
@@ -310,7 +310,7 @@ class _Beat:
     def __init__(self, maker: DiagnosticsMaker) -> None:
         self.trouble: dict[str, str] = {}
         self._maker = maker
-        self._told: int | None = None
+        self._last: int | None = None
         # Of the frames since the last diagnostics.
         self._latest: Estimate | None = None
         # Number of the frame, and what is to be finished with the estimate of that time.
@@ -320,34 +320,34 @@ class _Beat:
         """The frames in parts that end where a second has passed, for the tracker to take."""
         stamps, first = frames.stamps, 0
         while first < len(stamps):
-            told = stamps[first] - _SECOND if self._told is None else self._told
-            over = np.abs(stamps[first:] - told) >= _SECOND
+            previous = stamps[first] - _SECOND if self._last is None else self._last
+            over = np.abs(stamps[first:] - previous) >= _SECOND
             end = first + int(over.argmax()) + 1 if over.any() else len(stamps)
             yield part_of(frames, slice(first, end))
             if over.any():
                 stamp = int(stamps[end - 1])
-                seconds = 0.0 if self._told is None else (stamp - self._told) / _SECOND
+                seconds = 0.0 if self._last is None else (stamp - self._last) / _SECOND
                 begun = self._maker.begin(stamp, tracker, seconds, self.trouble)
                 self._begun.append((end - 1, begun))
-                self._told, self.trouble = stamp, {}
+                self._last, self.trouble = stamp, {}
             first = end
 
     def columns(self, known: list[Estimate], log_times: np.ndarray) -> Iterator[Column]:
         """What these seconds have to say; `known` are the estimates of the same frames."""
         data = []
-        told = -1
+        published = -1
         for number, finish in self._begun:
             now, self._latest = self._latest, None
             for estimate in known:
                 due = int(np.searchsorted(estimate.due, number, side='right'))
-                if due and estimate.due[due - 1] > told:
+                if due and estimate.due[due - 1] > published:
                     now = estimate[due - 1]
             data.append(diagnostics_data(finish(now)))
-            told = number
+            published = number
         at = [int(log_times[number]) for number, _ in self._begun]
         yield '/diagnostics', DiagnosticArray, at, data
         self._begun = []
-        if known and known[-1].due[-1] > told:
+        if known and known[-1].due[-1] > published:
             self._latest = known[-1][-1]
 
 

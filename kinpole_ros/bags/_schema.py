@@ -34,7 +34,7 @@ def message_class(name: str) -> type:
         found = getattr(import_module(f'{package}.msg'), short)
     except (ImportError, AttributeError, ValueError) as error:
         raise BagError(
-            f"message type '{name}' is not installed; mend: source the workspace that has it"
+            f"message type '{name}' is not installed; fix: source the workspace that has it"
         ) from error
     return found
 

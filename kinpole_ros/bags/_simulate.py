@@ -1,5 +1,5 @@
 """
-Bags with a known answer: the markers of a scene, and beside them the exact motion.
+Bags with a known answer: the markers of a scene, and with them the exact motion.
 
 On request they are as bad as what real rigs send: late stamps, a tilted plane, other units, points
 without names in no order.
@@ -24,7 +24,7 @@ from kinpole_ros.pipeline.estimate import Estimate
 # Exact to so many digits: below it the answers themselves are noise (a pinned body's centrode).
 _EXACT = 1e-12
 _FRAME = 'world'
-# Frames that are written together.
+# Frames that are written at once.
 _AT_ONCE = 1000
 # ROS stamps hold hardly more, in s.
 _LONGEST = 2e9
@@ -55,8 +55,8 @@ def simulate(
 
     `rate` in Hz, `duration` in s; `noise` is the standard deviation (m) of white noise on both
     coordinates of every marker, `dropout` the probability that a marker is missing from a frame,
-    `jitter` the standard deviation (s) by which the instants of the frames leave the even beat (the
-    stamps tell the true instants). The first frame is taken at 1 s.
+    `jitter` the standard deviation (s) of the instants of the frames from even
+    intervals (the stamps give the true instants). The first frame is taken at 1 s.
 
     What follows spoils the bag as real rigs do; the same seed has the same noise with and without.
     `arrival`: stamps are late by an exponential time of this mean (s). Frames come in the order in

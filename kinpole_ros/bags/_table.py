@@ -168,7 +168,7 @@ class ParquetTable(_Table):
             from pyarrow import parquet
         except ImportError:
             raise BagError(
-                f"{self._path} needs pyarrow; mend: pip install 'kinpole_ros[parquet]', "
+                f"{self._path} needs pyarrow; fix: pip install 'kinpole_ros[parquet]', "
                 'or write a CSV table'
             ) from None
         self._arrow: Any = pyarrow

@@ -1,4 +1,4 @@
-"""What a replay warns of: each line says what is wrong and how to mend it."""
+"""What a replay warns of: each line says what is wrong and how to fix it."""
 
 from collections.abc import Iterator
 
@@ -18,12 +18,12 @@ from kinpole_ros.messages import (
 from kinpole_ros.pipeline.parameters import Settings
 
 # What can be done about the reasons that the tracker gives.
-_MENDS = {
+_FIXES = {
     'too few markers seen, or all at one place': (
-        'see that two of them, apart in the plane, are in a frame at once and finite'
+        'see that two of them, at distinct places in the plane, are in a frame at once and finite'
     ),
     'markers too close together for their noise': (
-        'put them farther apart, or set the parameter noise'
+        'move them farther from each other, or set the parameter noise'
     ),
     'plane not known yet': (
         'it is found when bodies have moved in two directions of it, by more than their noise; '
@@ -38,9 +38,10 @@ def warnings_of(result: Replayed, settings: Settings) -> list[str]:
     lines = []
     if result.unreadable:
         lines.append(f'{result.unreadable} messages left out, the first: {result.problem}')
-    if result.joined and (result.resets or result.late):
+    files = result.concatenated
+    if files and (result.resets or result.late):
         lines.append(
-            f'{result.joined[0]} to {result.joined[-1]}, {len(result.joined)} files, were read as '
+            f'{files[0]} to {files[-1]}, {len(files)} files, were read as '
             'one recording, since the folder has no metadata.yaml to tell, but the stamps do not '
             'run on; if they are several, give each file by itself'
         )
@@ -51,16 +52,20 @@ def warnings_of(result: Replayed, settings: Settings) -> list[str]:
         lines += [not_there(body, names, result.identities) for body, names in absent]
     for body, reason in result.unknown.items():
         if reason and body not in result.absent:
-            mend = f'; {_MENDS[reason]}' if reason in _MENDS else ''
-            lines.append(f'{body} is known at no instant: {reason}{mend}')
+            fix = f'; {_FIXES[reason]}' if reason in _FIXES else ''
+            lines.append(f'{body} was never estimated: {reason}{fix}')
     lines += result.misnamed
     if tilt := tilt_fault(result.space, settings.plane):
         lines.append(tilt)
-    for b, (body, off) in enumerate(result.looseness.items()):
+    for b, (body, off) in enumerate(result.rigidity_residual.items()):
         unit = unit_fault(float(result.space.size[b]), settings.scale)
         wrong = unit, shape_fault(b, off, result.causes[body], result.space)
         lines += [f'{body}: {text}' for text in wrong if text]
-    lines += [f'{body}: {SMOOTHED}' for body in result.underrated if not result.looseness[body]]
+    lines += [
+        f'{body}: {SMOOTHED}'
+        for body in result.noise_underestimated
+        if not result.rigidity_residual[body]
+    ]
     for body, erring in result.erring.items():
         lines += [f'{body}: {fault}' for fault in marker_faults(erring, result.noise[body])]
     lines += [f'{body}: {left_out(count)}' for body, count in result.wrong.items() if count]
@@ -69,7 +74,7 @@ def warnings_of(result: Replayed, settings: Settings) -> list[str]:
         name = f'{body}: ' if body else ''
         more = f'; {outage.times} such times, this the longest' if outage.times > 1 else ''
         lines.append(f'{name}{unseen(body, outage.longest)}{more}')
-    if settings.scene and result.estimates and not result.beside:
+    if settings.scene and result.estimates and not result.scene_deviations:
         lines.append(
             f'the scene {settings.scene} could be put where the bodies are seen at none of the '
             'instants looked at; see that it has their sizes and the names of their markers'

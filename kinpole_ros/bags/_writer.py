@@ -1,6 +1,6 @@
 """Bags as rosbag2 writes them, so that `ros2 bag`, Foxglove and other tools read ours.
 
-The records are mcap's; they are put together here, since mcap's own writer takes four times as
+The records are mcap's; they are assembled here, since mcap's own writer takes four times as
 long for a message, which is half of what a replay with all topics costs.
 """
 
@@ -228,17 +228,17 @@ class BagWriter:
     def _channel(self, topic: str, message_type: type | str, log_time: int) -> _Channel:
         """The topic's channel, once it is clear that a message may go there."""
         if self._file.closed:
-            raise BagError(f'{self._path} is closed; mend: write before that')
+            raise BagError(f'{self._path} is closed; fix: write before that')
         if log_time < 0:
             raise BagError(
                 f"{self._path}: a message for '{topic}' has the log time {log_time} ns; "
-                'mend: give stamps from 0 up'
+                'fix: give stamps from 0 up'
             )
         channel = self._channels.get(topic) or self._add_channel(topic, message_type)
         if message_type not in (channel.message_type, channel.type_name):
             raise BagError(
                 f"{self._path}: topic '{topic}' holds {channel.type_name}, so a message of "
-                f'type {message_type} cannot be added; mend: use another topic'
+                f'type {message_type} cannot be added; fix: use another topic'
             )
         return channel
 
@@ -358,7 +358,7 @@ class BagWriter:
                 self._file.close()
         return BagError(
             f'{self._path} cannot be written: {error.strerror}; '
-            'mend: check the path, its rights and the space on the disk'
+            'fix: check the path, its rights and the space on the disk'
         )
 
 

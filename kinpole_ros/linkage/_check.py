@@ -36,7 +36,7 @@ def draft(linkage: Linkage, about: str = '') -> tuple[str, Checked] | None:
     """
     The scene of a linkage as text, by the first drivers with which it moves as measured, and how.
 
-    The best of those tried if none does; None where nothing is joined to the ground.
+    The best of those tried if none does; None where nothing is connected to the ground.
     """
     best: tuple[str, Checked] | None = None
     for text in islice(draft_scenes(linkage, about), _MOST_DRAFTS):

@@ -18,7 +18,7 @@ from kinpole_ros.pipeline.frame import MarkerFrames
 
 # Times the noise a pin may leave over without doubt.
 _DOUBTFUL = 1.5
-# Share of the points that may be of no body: passing others, they cannot always be told apart.
+# Share of the points that may be of no body: passing others, they cannot always be identified.
 _LEFT_OVER = 0.03
 
 
@@ -33,10 +33,10 @@ def discover(
     record, stamps = gather(parts)
     most = None if progress is None else (lambda share: progress(0.8 * share))
     found = identify(record, most)
-    return _joined(record, stamps, found)
+    return _linkage_from(record, stamps, found)
 
 
-def _joined(record: Record, stamps: Stamps, found: Bodies) -> Linkage:
+def _linkage_from(record: Record, stamps: Stamps, found: Bodies) -> Linkage:
     scale = scale_of(max(pose.size for pose in found.poses))
     found = _in_order(found)
     poses = [_scaled(pose, scale) for pose in found.poses]
@@ -141,7 +141,7 @@ def _pins(bodies: dict[int, Pose], names: list[str], notes: list[str]) -> list[J
         elif not turns:
             notes.append(
                 f'{names[one]} and {names[other]} do not turn against each other: whether a pin '
-                'joins them, and where, cannot be told'
+                'joins them, and where, cannot be determined'
             )
     for one in range(len(names)):
         joint, turns = fit_pin(bodies[one], bodies[GROUND_NUMBER], (one, GROUND_NUMBER))

@@ -59,7 +59,7 @@ def draft_scenes(linkage: Linkage, about: str = '') -> Iterator[str]:
     """
     Texts of the scene, which differ in what drives it, the likeliest first.
 
-    No text where nothing is joined to the ground. Not every body can drive a linkage all the way.
+    No text where nothing is connected to the ground. Not every body can drive it all the way.
     """
     if not reached(linkage):
         return
@@ -103,9 +103,9 @@ def _sketch(linkage: Linkage) -> _Sketch:
     for k in bodies:
         there = [place.on[k] for place in linkage.places if k in place.on]
         pose = linkage.poses[k]
-        apart = there[1] - there[0] if len(there) > 1 else 0j
+        between = there[1] - there[0] if len(there) > 1 else 0j
         # Points that are one but for noise give no direction.
-        turn = float(np.angle(apart)) if abs(apart) > 1e-3 * pose.size else 0.0
+        turn = float(np.angle(between)) if abs(between) > 1e-3 * pose.size else 0.0
         frames[k] = Frame(there[0] if there else 0j, turn)
         angles[k] = float(np.nan_to_num(pose.angle[first])) + turn
         points[k] = {}
@@ -181,10 +181,10 @@ def _rolling(linkage: Linkage, sketch: _Sketch, wheel: Rolling, turned: set[int]
         )
     center = _point(linkage, wheel.other, wheel.at)
     ends = [sketch.points[wheel.arm][name] for name in (center, hub)]
-    apart = abs(ends[1] - ends[0])
+    distance = abs(ends[1] - ends[0])
     inside = wheel.circle < 0
     radius = float(_fine(wheel.radius))
-    circle = -(apart + radius) if inside else apart - radius
+    circle = -(distance + radius) if inside else distance - radius
     # From the point of contact to the hub, as the arm has it: inside, to the center.
     value = float(np.angle((ends[1] - ends[0]) * (-1 if inside else 1)))
     if inside and value < 0:
@@ -216,7 +216,7 @@ def _choices(linkage: Linkage, sketch: _Sketch) -> list[str]:
     def add(name: str, values: np.ndarray, offset: float, unit: str, last: tuple[int, ...]) -> None:
         drive = fit_drive(seconds, values, unit == 'deg')
         rank = ('rate', 'sine', 'table').index(drive.kind)
-        # Sines that fit alike are alike.
+        # Sines that fit equally well rank the same.
         fit = round(4 * np.log10(drive.off + 1e-4)) if drive.kind == 'sine' else 0
         found.append(((rank, fit, *last), _drive(name, drive, offset, unit)))
 

@@ -9,7 +9,7 @@ import numpy as np
 
 # Two names are exchanged where their points are so many times nearer to where the other one leads.
 _NEARER = 10.0
-# Frames that are looked at together, and before them, for where markers lead that are not seen.
+# Frames that are examined at once, and before them, for where markers lead that are not seen.
 _BLOCK, _BEFORE = 250, 25
 
 
@@ -68,7 +68,7 @@ def _ahead(points: np.ndarray, steps: np.ndarray) -> np.ndarray:
     one, two = (
         np.take_along_axis(points, np.maximum(k, 0)[..., None], axis=0) for k in (last, before)
     )
-    apart = steps[np.maximum(last, 0)] - steps[np.maximum(before, 0)]
+    interval = steps[np.maximum(last, 0)] - steps[np.maximum(before, 0)]
     gap = steps[:, None] - steps[np.maximum(last, 0)]
-    speed = (one - two) / np.maximum(apart, 1)[..., None]
+    speed = (one - two) / np.maximum(interval, 1)[..., None]
     return np.where((before >= 0)[..., None], one + gap[..., None] * speed, np.nan)

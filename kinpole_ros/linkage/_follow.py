@@ -1,8 +1,8 @@
 """
 Bodies of known shape found again among points in no order, in all other frames of a record.
 
-A body goes on as it did, and its shape tells its markers apart where they pass others: single
-points cannot be told apart there.
+A body goes on as it did, and its shape identifies its markers where they pass others: single
+points cannot be identified there.
 """
 
 from collections.abc import Callable, Sequence
@@ -68,10 +68,10 @@ def follow(
         nonlocal done
         start = _State(position[at], angle[at], int(steps[at]), 0.05 * size)
         near = known[np.abs(known - at).argsort()[:2]]
-        apart = int(steps[near[1]] - steps[near[0]])
-        if apart:
-            start.speed = (position[near[1]] - position[near[0]]) / apart
-            start.turning = (angle[near[1]] - angle[near[0]]) / apart
+        interval = int(steps[near[1]] - steps[near[0]])
+        if interval:
+            start.speed = (position[near[1]] - position[near[0]]) / interval
+            start.turning = (angle[near[1]] - angle[near[0]]) / interval
         for k in frames:
             done += 1
             if progress is not None and done % 500 == 0:
@@ -138,12 +138,12 @@ def _step(
     error = np.zeros(len(size))
     np.maximum.at(error, body[good], best[good])
     some = enough & (gap != 0)
-    apart = np.where(gap == 0, 1, gap)
+    interval = np.where(gap == 0, 1, gap)
     # Rates are smoothed where noise is most of what is new in them, so that gaps are bridged.
     gain = np.maximum(_SMOOTH, error**2 / (error**2 + (4 * noise) ** 2))
-    late = gain * (position - state.position - state.speed * gap) / apart
+    late = gain * (position - state.position - state.speed * gap) / interval
     state.speed = np.where(some, state.speed + late, state.speed)
-    state.turning = np.where(some, state.turning + gain * swing / apart, state.turning)
+    state.turning = np.where(some, state.turning + gain * swing / interval, state.turning)
     state.error = np.where(
         enough, 0.7 * state.error + 0.3 * error / np.maximum(long, 1), state.error
     )

@@ -1,5 +1,5 @@
 """
-What holds two bodies together, from their poses: pins, slides, pins in slots, elliptic trammels.
+What connects two bodies, from their poses: pins, slides, pins in slots, elliptic trammels.
 
 Each is a model of the relative motion, fitted by least squares; what it leaves over is held against
 what the noise of the markers explains.
@@ -67,14 +67,14 @@ def fit_pin(one: Pose, other: Pose, numbers: tuple[int, int]) -> tuple[Joint | N
     turned = float(np.var(a - b))
     if turned < _TURNS**2 * noise or turned < 1e-8:
         return None, False
-    apart = one.position[both] - other.position[both]
+    offset = one.position[both] - other.position[both]
     # Normal equations, per frame, of [e^{iθ_i}, -e^{iθ_j}] [p_i, p_j] = -(z_i - z_j).
     shrunk = np.exp(-one.angle_variance / 2), np.exp(-other.angle_variance / 2)
     cross = -np.mean(np.exp(1j * (b - a))) / (shrunk[0] * shrunk[1])
     right = np.array(
         [
-            -np.mean(np.exp(-1j * a) * apart) / shrunk[0],
-            np.mean(np.exp(-1j * b) * apart) / shrunk[1],
+            -np.mean(np.exp(-1j * a) * offset) / shrunk[0],
+            np.mean(np.exp(-1j * b) * offset) / shrunk[1],
         ]
     )
     left = 1 - abs(cross) ** 2
@@ -82,11 +82,11 @@ def fit_pin(one: Pose, other: Pose, numbers: tuple[int, int]) -> tuple[Joint | N
         return None, False
     inverse = np.array([[1, -cross], [-np.conj(cross), 1]]) / left
     on_one, on_other = inverse @ right
-    rest = apart + np.exp(1j * a) * on_one - np.exp(1j * b) * on_other
+    rest = offset + np.exp(1j * a) * on_one - np.exp(1j * b) * on_other
     residual = float(np.sqrt(np.mean(np.abs(rest) ** 2) / 2))
     expected = _lever(one, other, on_one, on_other)
     deviation = max(residual, expected) * float(np.sqrt(1 / left / both.sum()))
-    relative = np.exp(-1j * b) * apart
+    relative = np.exp(-1j * b) * offset
     moved = float(np.sqrt(np.var(relative))) + float(np.sqrt(turned)) * one.size
     fits = residual < _FITS * expected + _PLAY * moved
     # What is farther than the model can say is parallel motion.

@@ -12,7 +12,7 @@ _DOUBTFUL = 2.0, 100.0
 
 
 def table(linkage: Linkage, checked: Checked | None) -> list[str]:
-    """Lines for a terminal: input, bodies, joints, lengths, and what could not be told."""
+    """Lines for a terminal: input, bodies, joints, lengths, and what could not be determined."""
     lines = [*_input(linkage), '']
     rows: list[tuple[str, ...]] = [('body', 'markers', 'noise', 'seen', 'turns')]
     for name, markers, pose in zip(linkage.names, linkage.markers, linkage.poses, strict=True):
@@ -53,7 +53,7 @@ def table(linkage: Linkage, checked: Checked | None) -> list[str]:
     lines += ['', f'degrees of freedom, by these joints: {linkage.freedom}']
     lines += [f'note: {note}' for note in linkage.notes]
     if checked is not None:
-        lines.append(_told(checked))
+        lines.append(_closing(checked))
     return lines
 
 
@@ -70,14 +70,14 @@ def _input(linkage: Linkage) -> list[str]:
     if stamps.dropped:
         frames += f'; {stamps.dropped} left out, as repeated'
     if not plane.determined:
-        where = 'cannot be told, since all moves along one line: xy is taken'
+        where = 'cannot be determined, since all moves along one line: xy is taken'
     elif plane.name:
         where = f'{plane.name}, to {plane.tilt:.2g} deg'
     else:
         normal = ', '.join(f'{value:.4f}' for value in plane.normal)
         where = f'normal [{normal}], {plane.tilt:.1f} deg off the nearest axis'
     out = f'; markers leave it by {plane.spread * linkage.scale * 1e3:.2g} mm rms'
-    names = 'hold' if linkage.ordered else 'none, or they do not hold: told apart by shape'
+    names = 'hold' if linkage.ordered else 'none, or they do not hold: identified by shape'
     return [
         f'frames:  {frames}',
         f'plane:   {where}{out}',
@@ -91,8 +91,8 @@ def _unit(linkage: Linkage) -> str:
     largest = max(pose.size for pose in linkage.poses)
     if _DOUBTFUL[0] < largest / linkage.scale < _DOUBTFUL[1]:
         unit += (
-            f'; the largest has markers {largest:.3g} m apart: if it is in cm, set scale: 0.01, in '
-            'inches 0.0254'
+            f'; the largest measures {largest:.3g} m between markers: if it is in cm, set scale: '
+            '0.01, in inches 0.0254'
         )
     return unit
 
@@ -148,11 +148,11 @@ def _joints(linkage: Linkage) -> list[str]:
     if len(rows) == 1:
         return ['joints: none that the data show']
     steady = [wheel for wheel in linkage.rolling if wheel.steady]
-    told = [
+    note = [
         'note: these turn at steady rates all the time, as gears do, and as two motors may: vary '
         'the speed to tell'
     ]
-    return _columns(rows) + (told if steady else [])
+    return _columns(rows) + (note if steady else [])
 
 
 def _where(z: complex) -> str:
@@ -163,7 +163,7 @@ def _times(ratio: float) -> str:
     return f'{ratio:.1f} x noise'
 
 
-def _told(checked: Checked) -> str:
+def _closing(checked: Checked) -> str:
     if checked.problem:
         return f'the draft scene does not close: {checked.problem}'
     if not np.isfinite(checked.first):

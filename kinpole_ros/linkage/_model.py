@@ -1,4 +1,4 @@
-"""What was found: bodies, what joins them and where, and what could not be told."""
+"""What was found: bodies, what joins them and where, and what could not be determined."""
 
 from itertools import combinations
 from typing import NamedTuple
@@ -47,7 +47,7 @@ class Linkage(NamedTuple):
     `names` are those of the bodies, `poses` their motion over the record's `seconds` (T,), and
     `markers` their markers' names, `columns` their columns of `tracks` (T, N). `joints` and
     `rolling` are between bodies by number, -1 for the ground. `places` are the points of the
-    joints. `freedom` is Gruebler's count, `notes` what could not be told, and why.
+    joints. `freedom` is Gruebler's count, `notes` what could not be determined, and why.
     """
 
     names: list[str]
@@ -84,20 +84,20 @@ class Linkage(NamedTuple):
             if len(there) == 1 and number != GROUND_NUMBER:
                 found += self._reach(number, there[0])
             for one, other in combinations(there, 2):
-                apart = abs(one.on[number] - other.on[number])
+                distance = abs(one.on[number] - other.on[number])
                 deviation = float(np.hypot(one.deviation, other.deviation))
-                if apart > 3 * deviation:
+                if distance > 3 * deviation:
                     found.append(
-                        Length(self.name(number), one.name, other.name, float(apart), deviation)
+                        Length(self.name(number), one.name, other.name, float(distance), deviation)
                     )
         return found
 
     def _reach(self, number: int, place: Place) -> list[Length]:
         """The distance of a body's one joint to its farthest marker: its length is not known."""
         pose = self.poses[number]
-        apart = np.abs(pose.shape - place.on[number])
-        far = int(apart.argmax())
+        distances = np.abs(pose.shape - place.on[number])
+        far = int(distances.argmax())
         marker = self.markers[number][far]
         known = np.sqrt(pose.noise**2 / max(int(pose.seen.sum()), 1))
         deviation = float(np.hypot(place.deviation, known))
-        return [Length(self.names[number], place.name, marker, float(apart[far]), deviation)]
+        return [Length(self.names[number], place.name, marker, float(distances[far]), deviation)]

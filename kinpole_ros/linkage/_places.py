@@ -72,7 +72,7 @@ def trammel_ends(joint: Joint) -> tuple[complex, complex]:
 
 
 def _pin_groups(pins: Sequence[Joint]) -> list[tuple[dict[int, complex], float]]:
-    """Pins joined where they are at one place of a body: place by body, and the least deviation."""
+    """Pins merged where they are at one place of a body: place by body, and the least deviation."""
     groups: list[tuple[dict[int, complex], float]] = []
     for pin in pins:
         ends = [(pin.one, pin.on_one, pin.other, pin.on_other)]

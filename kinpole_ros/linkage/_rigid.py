@@ -47,8 +47,8 @@ def group(tracks: Complex, noise: Real) -> Groups:
     known = np.maximum(np.nan_to_num(known), floor)
     ratio = np.full((count, count), np.inf)
     for one, other in combinations(range(count), 2):
-        apart = np.abs(some[:, one] - some[:, other])
-        spread = _spread(apart)
+        distances = np.abs(some[:, one] - some[:, other])
+        spread = _spread(distances)
         ratio[one, other] = ratio[other, one] = spread / np.hypot(known[one], known[other])
     still = np.array([_still(some[:, k]) / known[k] for k in range(count)])
     limit = _limit(ratio)
@@ -96,14 +96,14 @@ def _limit(ratio: Real) -> float:
 
 def _linkage(ratio: Real) -> Real:
     """The largest ratios in clusters of markers (n,), merged two by two with it least each time."""
-    apart = ratio.copy()
-    np.fill_diagonal(apart, np.inf)
+    between = ratio.copy()
+    np.fill_diagonal(between, np.inf)
     heights = []
-    while len(apart) > 1:
-        one, other = sorted(np.unravel_index(apart.argmin(), apart.shape))
-        heights.append(apart[one, other])
-        apart[one] = apart[:, one] = np.maximum(apart[one], apart[other])
-        apart = np.delete(np.delete(apart, other, axis=0), other, axis=1)
+    while len(between) > 1:
+        one, other = sorted(np.unravel_index(between.argmin(), between.shape))
+        heights.append(between[one, other])
+        between[one] = between[:, one] = np.maximum(between[one], between[other])
+        between = np.delete(np.delete(between, other, axis=0), other, axis=1)
     return np.array(heights)
 
 
@@ -132,7 +132,7 @@ def _merge(cliques: list[list[int]], ratio: Real, limit: float) -> list[list[int
 
     Unless most of their other distances change: then some marker is near a pin, and is on one of
     them only. Two markers alone are a body if one of them is in no larger one: distances
-    are constant by chance, too, as between markers of two cranks that turn alike. And if both are
+    are constant by chance, too, as between markers of two cranks in step. And if both are
     on bodies by then, only if they are as rigid as these.
     """
     large = [c for c in cliques if len(c) > 2]

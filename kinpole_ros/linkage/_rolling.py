@@ -17,7 +17,7 @@ class Rolling(NamedTuple):
 
     `hub` is its center on `one`, `radius` its radius; `line` (its direction on `other`, rad, the
     wheel to the left of it, and a point that it goes through) or `circle` about a point of `other`,
-    negative where the wheel is inside. `arm` is the body that keeps the centers apart, or -1.
+    negative where the wheel is inside. `arm` is the body that holds both centers, or -1.
     `deviation` is that of the radius; `residual` is left over of the way rolled, `expected` what
     noise explains. `steady`: all turn at constant rates, as gears do, and independent motors.
     """
@@ -105,14 +105,14 @@ def fit_gear(
     expected = float(np.sqrt(variance))
     if residual > _FITS * expected or abs(ratio) > 50:
         return None
-    # R = -ratio r, and the centers are R + r apart, or inside |R| - r. Of a ring that turns about
-    # its wheel the ratio is between 0 and 1: it is found the other way round.
+    # R = -ratio r, and the centers are R + r from each other, or inside |R| - r. Of a ring that
+    # turns about its wheel the ratio is between 0 and 1: it is found the other way round.
     if -0.02 < ratio < 1.02:
         return None
-    apart = abs(pins[1] - pins[3])
-    radius = apart / abs(1 - ratio)
+    distance = abs(pins[1] - pins[3])
+    radius = distance / abs(1 - ratio)
     circle = -ratio * radius
-    deviation = apart / (1 - ratio) ** 2 * max(residual, expected) / (spread[0] * len(x) ** 0.5)
+    deviation = distance / (1 - ratio) ** 2 * max(residual, expected) / (spread[0] * len(x) ** 0.5)
     deviation = np.hypot(deviation, 2**0.5 * of_pins / abs(1 - ratio))
     rate = np.polyfit(np.arange(len(y)), y, 1)
     steady = float(np.std(y - np.polyval(rate, np.arange(len(y))))) < 3 * expected

@@ -43,7 +43,7 @@ class Tracks(NamedTuple):
 
 
 class _Live:
-    """The tracks that go on: where each was last, how it moves, and how well it is foreseen."""
+    """The tracks that go on: where each was last, how it moves, and how well it is predicted."""
 
     def __init__(self) -> None:
         self.number = np.zeros(0, np.int64)
@@ -141,9 +141,9 @@ def _spacing(found: np.ndarray) -> np.ndarray:
     """Distance (m,) of each point to its nearest neighbor."""
     if len(found) == 1:
         return np.ones(1)
-    apart = np.sqrt(((found[:, None] - found) ** 2).sum(axis=-1))
-    np.fill_diagonal(apart, np.inf)
-    return np.asarray(apart.min(axis=1))
+    distances = np.sqrt(((found[:, None] - found) ** 2).sum(axis=-1))
+    np.fill_diagonal(distances, np.inf)
+    return np.asarray(distances.min(axis=1))
 
 
 def best_window(

@@ -1,5 +1,5 @@
 """
-A scene beside the measurement: what the linkage's theory says of the bodies that are tracked.
+A scene compared with the measurement: what the linkage's theory says of the tracked bodies.
 
 The scene's markers tell how its body frames lie in the measured bodies; its driver is a body that
 is tracked, so the scene can be put where the rig is, at its rates, and held against all else.
@@ -48,7 +48,7 @@ class Difference(NamedTuple):
     deviation: float
 
 
-class Beside(NamedTuple):
+class DeviationSummary(NamedTuple):
     """A difference over a recording: its rms, and that of it in deviations, of some instants."""
 
     subject: str
@@ -217,14 +217,14 @@ class Comparison:
                 sums = self._sums.setdefault(off[:3], np.zeros(3))
                 sums += 1, off.value**2, (off.value / off.deviation) ** 2
 
-    def found(self) -> list[Beside]:
+    def found(self) -> list[DeviationSummary]:
         """All differences; empty where the scene could not be put where the rig is."""
         if not self._sums and self._latest is not None:
             self._look(self._latest[-1])
         result = []
         for names, (instants, *squares) in self._sums.items():
             rms, deviations = np.sqrt(squares / instants).tolist()
-            result.append(Beside(*names, rms, deviations, int(instants)))
+            result.append(DeviationSummary(*names, rms, deviations, int(instants)))
         return result
 
 

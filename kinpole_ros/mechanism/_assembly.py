@@ -271,13 +271,13 @@ def _ties(joints: Sequence[Joint], variables: Sequence[str]) -> tuple[Real, Real
 
 def _tie_equal(loops: Loops, near: Real) -> Loops:
     """
-    Loops of two equal lengths, as an arm beside the wheels whose hubs it joins, as ties.
+    Loops of two equal lengths, as of an arm and the wheels whose hubs it joins, as ties.
 
-    They close where the two point alike, one linear equation; as a loop they are two equations that
-    determine one unknown and, at any position, look like a dead point. Two loops may hide such a
-    one, as where the arm is the coupler of a four-bar: their sum or difference. Of angles whole
-    turns apart the tie takes those next to `near` (n,), what the variables are with all angles
-    zero. Raises LinkageError for two lengths that differ.
+    They close where the two point the same way, one linear equation; as a loop they are two
+    equations that determine one unknown and, at any position, look like a dead point. Two loops may
+    hide such a one, as where the arm is the coupler of a four-bar: their sum or difference. Of
+    angles that differ by whole turns the tie takes those next to `near` (n,), what the variables
+    are with all angles zero. Raises LinkageError for two lengths that differ.
     """
     rows, right, kept = [], [], list(range(len(loops.loops)))
     for m in range(len(loops.loops)):
@@ -291,7 +291,7 @@ def _tie_equal(loops: Loops, near: Real) -> Loops:
                 around = ', '.join(dict.fromkeys((*loops.around[m], *loops.around[k])))
                 raise LinkageError(
                     f'the loop {around} never closes: its two lengths are {one:.9g} and '
-                    f'{other:.9g} m: make them alike'
+                    f'{other:.9g} m: make them equal'
                 )
             rows.append(turns)
             right.append(value + 2 * np.pi * np.round((turns @ near - value) / (2 * np.pi)))
@@ -312,7 +312,7 @@ def _equal(loops: Loops, loop: Real) -> tuple[Real, float, tuple[float, float]] 
     Where a sum of terms (terms,) is of two lengths: these, and turns (n,) and value for which
     turns @ variables = value where they point against each other. Else None.
 
-    All that turns alike is one length, as is what stands still.
+    All that turns by the same angle is one length, as is what stands still.
     """
     some = np.flatnonzero(loop)
     if loops.lengths[some].any():
@@ -320,8 +320,8 @@ def _equal(loops: Loops, loop: Real) -> tuple[Real, float, tuple[float, float]] 
     vectors = loop * loops.length0 * np.exp(1j * loops.angle0)
     parts = []
     for turns in np.unique(loops.angles[some], axis=0)[::-1]:
-        alike = some[(loops.angles[some] == turns).all(axis=1)]
-        part = complex(vectors[alike].sum())
+        same = some[(loops.angles[some] == turns).all(axis=1)]
+        part = complex(vectors[same].sum())
         if abs(part) > 1e-9 * np.abs(vectors).max():
             parts.append((part, turns))
     if len(parts) != 2:

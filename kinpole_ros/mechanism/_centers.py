@@ -20,8 +20,8 @@ from kinpole_ros.planar._plane import Complex, Real
 
 # Farther off than so many sizes of the linkage, a center is at infinity but for rounding.
 _INFINITY = 1e9
-# Two bodies whose rates differ by this share of the largest one move alike but for rounding.
-_ALIKE = 1e-9
+# Two bodies whose rates differ by this share of the largest one have equal motions.
+_EQUAL_RATES = 1e-9
 # Lines and points less distinct than this leave fewer than nine digits.
 _SHARP = 1e-6
 # Points nearer to each other than this, in sizes of the linkage, at all positions, are one.
@@ -103,9 +103,9 @@ def centers_by_rates(mechanism: Mechanism, values: Real, rates: Real | None = No
     All instant centers, `places` (3, c, T) as in Centers, from the rates alone.
 
     With velocities c + iωP of the points P of each body, the center is at i (c_j - c_i) /
-    (ω_j - ω_i), so where the rates are alike it is at infinity, at a right angle to the velocity.
-    NaN where two bodies move alike, or the drivers do not determine the motion (a dead point).
-    Arguments and errors as in `instant_centers`.
+    (ω_j - ω_i), so where the rates are equal it is at infinity, at a right angle to the velocity.
+    NaN where two bodies have equal motions, or the drivers do not determine the motion (a dead
+    point). Arguments and errors as in `instant_centers`.
     """
     values = np.asarray(values, float)
     velocity, turning = mechanism.unit_rates(values)
@@ -124,8 +124,8 @@ def centers_by_rates(mechanism: Mechanism, values: Real, rates: Real | None = No
     largest = np.sqrt(np.abs(shift) ** 2 + omega**2).max(axis=0)
     i, j = np.array(_pairs(mechanism)).reshape(-1, 2).T
     toward, w = 1j * (shift[j] - shift[i]), omega[j] - omega[i]
-    vectors, apart = _unit(np.stack((toward.real, toward.imag, w)))
-    return _outward(np.where(apart > _ALIKE * largest, vectors, np.nan), middle, size)
+    vectors, length = _unit(np.stack((toward.real, toward.imag, w)))
+    return _outward(np.where(length > _EQUAL_RATES * largest, vectors, np.nan), middle, size)
 
 
 def deduce(mechanism: Mechanism, values: Real) -> tuple[Step, ...]:
@@ -163,7 +163,7 @@ def kennedy_centers(mechanism: Mechanism, steps: Sequence[Step], values: Real) -
     """
     Centers `places` (3, c, T), as in Centers, at the variables `values` (n, T), by `steps`.
 
-    NaN where they leave it to the rates, and where two lines fall together (within 1e-6).
+    NaN where they leave it to the rates, and where two lines coincide (within 1e-6).
     """
     values = np.asarray(values, float)
     known = _Known(mechanism, values)

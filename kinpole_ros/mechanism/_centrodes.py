@@ -1,7 +1,7 @@
 """
 Centrodes of two bodies of a linkage: the loci of their instant center in the frame of either.
 
-One rolls on the other without slip, so a pair of them, cut out and laid together, moves as the
+One rolls on the other without slip, so a pair of them, cut out and laid on each other, moves as the
 linkage does: pitch curves of non-circular gears.
 """
 
@@ -34,7 +34,7 @@ _STILL = 1e-9
 _ROUNDING = 1e-9
 # Samples keep so far from a change point, in steps: right there nothing is determined, and digits
 # are lost near by.
-_BESIDE = 0.5
+_CLEARANCE = 0.5
 # Nodes of Gauss's rule between two samples, for arc lengths.
 _NODES = 6
 _NOWHERE = complex(np.nan, np.nan)
@@ -172,7 +172,7 @@ def write_pitch_curves(path: str | Path, curves: Centrodes) -> None:
     except OSError as error:
         raise LinkageError(
             f'{path} cannot be written: {error.strerror}; '
-            'mend: check the path, its rights and the space on the disk'
+            'fix: check the path, its rights and the space on the disk'
         ) from error
 
 
@@ -202,15 +202,15 @@ def _range(
 
 
 def _samples(count: int, ends: tuple[bool, bool], crossings: Real) -> Real:
-    """Samples (count,) from 0 to 1, half a step inside of limits, and beside change points."""
+    """Samples (count,) from 0 to 1, half a step inside of limits, and clear of change points."""
     first, last = (0.5 if limit else 0.0 for limit in ends)
     steps = count - 1 + first + last
     samples = (np.arange(count) + first) / steps
     crossings = crossings[(crossings > -_ROUNDING) & (crossings < 1 + _ROUNDING)]
     for at in np.interp(crossings, _warp(samples, ends)[0], samples):
         # All to the same side, so that a whole turn stays one.
-        beside = _BESIDE / steps
-        samples = np.where(np.abs(samples - at) < beside, at + beside, samples)
+        clearance = _CLEARANCE / steps
+        samples = np.where(np.abs(samples - at) < clearance, at + clearance, samples)
     return samples
 
 

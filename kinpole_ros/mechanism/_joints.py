@@ -204,11 +204,11 @@ def _refuse_flat(bodies: dict[str, dict[str, complex]], joints: list[Joint]) -> 
             other = names[bodies[body][name]]
             raise SceneError(
                 f"'bodies: {body}': '{name}' and '{other}' are at the same place, a link of length "
-                '0: put them apart, or give them one name'
+                '0: move one, or give them one name'
             )
         for near, far in combinations(used, 2):
             if abs(near - far) <= 1e-9 * max(map(abs, used)):
                 raise SceneError(
                     f"'bodies: {body}': '{names[near]}' and '{names[far]}' are at the same place "
-                    'but for rounding, a link of length 0: put them apart, or give them one name'
+                    'but for rounding, a link of length 0: move one, or give them one name'
                 )

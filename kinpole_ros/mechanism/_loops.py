@@ -1,8 +1,8 @@
 """
-Linkages as vector loops: sums of terms r e^{iθ} that close, taken apart into what can be solved.
+Linkages as vector loops: sums of terms r e^{iθ} that close, split into what can be solved.
 
 Every planar joint can be written so (seed 003): lengths r and angles θ are affine in a few
-variables, of which linear ties and drivers leave the unknowns. The loops are taken apart into the
+variables, of which linear ties and drivers leave the unknowns. The loops are split into the
 smallest sets that can be solved one after the other: a four-bar's is one loop with two unknowns.
 """
 
@@ -16,7 +16,7 @@ from kinpole_ros.planar._plane import Complex, Real
 
 
 class LinkageError(ValueError):
-    """A linkage that cannot be solved: one line that says which loop or variable, and the mend."""
+    """A linkage that cannot be solved: one line that says which loop or variable, and the fix."""
 
 
 class Loops(NamedTuple):
@@ -45,7 +45,7 @@ class Linkage(NamedTuple):
     """
     Loops reduced to their unknowns: u = free @ w + driven @ inputs + fixed, where w = u[unknown].
 
-    The terms are as in Loops, over w and the inputs together (terms, unknowns + inputs). `blocks`
+    The terms are as in Loops, over both w and the inputs (terms, unknowns + inputs). `blocks`
     are to be solved in order. `turns` (A, unknowns + inputs) are the different angles α of the
     terms, in the order they become known (those that need no unknown first), `slides` (V, ...)
     their different lengths: every sum of terms is one of e^{iα}, see `sums`.
@@ -67,7 +67,7 @@ class Linkage(NamedTuple):
 
 class Block(NamedTuple):
     """
-    Loops (m) that are solved together for their `unknown` (j), and the sums they are made of.
+    Loops (m) that are solved jointly for their `unknown` (j), and the sums they are made of.
 
     With E = e^{iα}: the loops and below them their columns, their derivatives by the unknowns (m
     and m j rows), are constant @ E plus each slide times sliding @ E. `turns` and `slides` are the
@@ -210,8 +210,8 @@ def _dyad(linkage: Linkage, block: Block) -> str:
     if not len(turns):
         return ''
     sliding = block.sliding[block.slides.start, 0, : block.turns.stop]
-    beside, itself = sliding[:-1].any(), sliding[-1] != 0
-    return {(True, False): 'RRP', (False, True): 'RPR'}.get((bool(beside), bool(itself)), '')
+    others, itself = sliding[:-1].any(), sliding[-1] != 0
+    return {(True, False): 'RRP', (False, True): 'RPR'}.get((bool(others), bool(itself)), '')
 
 
 def _eliminate(loops: Loops, rows: Real, right: Real) -> list[int]:

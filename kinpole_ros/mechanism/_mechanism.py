@@ -1,7 +1,7 @@
 """
 A linkage that is driven: where all its bodies are and how they move, at any time or input.
 
-Puts together what bodies and joints say (`_assembly`), the algebra of their loops (`_loops`), the
+Combines what bodies and joints say (`_assembly`), the algebra of their loops (`_loops`), the
 branch they are on (`_path`) and what drives them (`_drive`).
 """
 
@@ -21,7 +21,7 @@ from kinpole_ros.mechanism._path import (
     Path,
     Table,
     flattest,
-    foretell,
+    initial_guess,
     loop_of,
     tabulate,
     trace,
@@ -171,7 +171,7 @@ class Mechanism:
             if table is None or along is None:
                 guess = np.zeros((len(self.start), here.shape[-1]))
             else:
-                guess = foretell(table, along[part])
+                guess = initial_guess(table, along[part])
             found = solve(self.linkage, here, guess, orders, out=values[:, :, part])
             if not found.closed.all():
                 when = None if times is None else times[part]

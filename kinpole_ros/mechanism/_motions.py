@@ -1,4 +1,4 @@
-"""A body's exact motion up to snap, and a four-bar's by closed forms, apart from any solver.
+"""A body's exact motion up to snap, and a four-bar's by closed forms, without any solver.
 
 Points of the plane are complex numbers, z = x + i y. A body turned by θ then carries its point w
 to z + w e^{iθ}, and a vector loop is a sum of terms r e^{iθ}. SI units, rad, counterclockwise
@@ -139,11 +139,11 @@ def _check_crank_rocker(ground: float, crank: float, coupler: float, rocker: flo
     if 2 * lengths[longest] >= flat:
         raise ValueError(
             f'the four-bar cannot be assembled: {longest} ({lengths[longest]:g} m) must be shorter '
-            f'than the other three links together ({total - lengths[longest]:g} m)'
+            f'than the sum of the other three links ({total - lengths[longest]:g} m)'
         )
     if crank > min(lengths.values()) or 2 * (crank + lengths[longest]) >= flat:
         raise ValueError(
             f'the crank does not turn fully while the rocker rocks: crank ({crank:g} m) must be '
             f'the shortest link, and crank + {longest} ({crank + lengths[longest]:g} m) less than '
-            f'the other two together ({total - crank - lengths[longest]:g} m)'
+            f'the sum of the other two ({total - crank - lengths[longest]:g} m)'
         )

@@ -1,7 +1,7 @@
 """
 The way of a linkage through its range of motion: branch by continuation, limits and dead points.
 
-From one position the next is foretold by the Taylor series that `solve` gives, in steps as long as
+From one position the next is predicted by the Taylor series that `solve` gives, in steps as long as
 the foretelling is good, so a branch is followed and never jumped. The few nodes so found start
 Newton's method for any number of positions at once. Where the matrix of the loops loses rank the
 driver cannot turn on (a dead point), or could go on in two ways (a change point): both are located
@@ -19,8 +19,8 @@ from kinpole_ros.mechanism._solution import Solution, solve
 from kinpole_ros.mechanism._start import closing_starts
 from kinpole_ros.planar._plane import Real
 
-# The largest error of a foretold variable, rad or lengths over the largest, and the longest step.
-_FORETOLD, _LONGEST, _SHORTEST = 1e-3, 0.25, 1e-7
+# The largest error of a predicted variable, rad or lengths over the largest, and the longest step.
+_GUESS_ERROR, _LONGEST, _SHORTEST = 1e-3, 0.25, 1e-7
 _MOST_NODES = 20_000
 # Right in a dead point, where a step is a rounding error's root, or next to it.
 _AT_REST = 1e-5
@@ -88,7 +88,7 @@ def trace(
     """
     Follow the branch next to `guess` (n,) from the input `start` down to `low` and up to `high`.
 
-    Stops at limits. `inputs` gives the drivers (5, d, T) over whatever the way is told by, their
+    Stops at limits. `inputs` gives the drivers (5, d, T) over whatever parametrizes the way, their
     one input itself unless said otherwise. Raises LinkageError where the linkage cannot be
     assembled at `start`.
     """
@@ -102,7 +102,7 @@ def trace(
         loop = ', '.join(loop_of(linkage, flattest(first)))
         raise LinkageError(
             f'the start is a dead point of the loop {loop}, from which it is not known where to '
-            'go: start beside it'
+            'go: start next to it'
         )
     scale = _scales(linkage, first.values[0, :, 0])
     period, winding = 0.0, np.zeros(len(guess))
@@ -145,11 +145,11 @@ def _why_open(linkage: Linkage, guess: Real) -> str:
         of = f'{round(np.degrees(value), 2) + 0.0:g} deg' if angles[k] else f'{value:.4g} m'
         return f'{loops.variables[k]}: {of}'
 
-    def told(values: Real, which: Sequence[int]) -> str:
+    def described(values: Real, which: Sequence[int]) -> str:
         return ', '.join(shown(k, float(values[k])) for k in which)
 
     driven = [int(k) for k in np.flatnonzero(loops.drives.any(axis=0))]
-    at = f' with {{{told(guess, driven)}}}' if driven else ''
+    at = f' with {{{described(guess, driven)}}}' if driven else ''
     starts = closing_starts(loops, guess)
     if not starts:
         return (
@@ -158,16 +158,16 @@ def _why_open(linkage: Linkage, guess: Real) -> str:
         )
     # What slides and struts do follows from the angles of the bodies.
     free = [k for k in linkage.unknown if angles[k]] or list(linkage.unknown)
-    ways = ', or '.join(f'{{{told(values, free)}}}' for values in starts)
+    ways = ', or '.join(f'{{{described(values, free)}}}' for values in starts)
     return (
-        f'the loops do not close{at} from {{{told(guess, free)}}}, but they do near {ways}: write '
-        'the one that is meant as start'
+        f'the loops do not close{at} from {{{described(guess, free)}}}, but they do near {ways}: '
+        'write the one that is meant as start'
     )
 
 
 class Table(NamedTuple):
     """
-    Guesses for `solve`: nodes of a path so close together that one step of Newton's method is left.
+    Guesses for `solve`: nodes of a path so dense that one step of Newton's method is left.
 
     `inputs` (K,), `between` the nodes, and in `values` (orders, unknowns, K) the unknowns and their
     derivatives: three, or one where all loops are dyads, which need but a rough guess, and far from
@@ -182,11 +182,11 @@ class Table(NamedTuple):
 
 
 def tabulate(linkage: Linkage, path: Path, inputs: Inputs = unit_input) -> Table:
-    """A table for `foretell` over the whole path, whose steps are split into up to 16 parts."""
+    """A table for `initial_guess` over the whole path, its steps split into up to 16 parts."""
     parts = min(16, max(1, _MOST_NODES // len(path.inputs)))
     share = np.arange(parts) / parts
     at = (path.inputs[:-1, None] + np.diff(path.inputs)[:, None] * share).ravel()
-    # Each step is foretold from the node it was found from: next to a limit only that one reaches.
+    # Each step is predicted from the node it was found from: next to a limit only that one reaches.
     near = np.arange(len(path.inputs) - 1)
     near = np.append(np.repeat(near + (near < path.start), parts), len(path.inputs) - 1)
     at = np.append(at, path.inputs[-1])
@@ -206,7 +206,7 @@ def tabulate(linkage: Linkage, path: Path, inputs: Inputs = unit_input) -> Table
     )
 
 
-def foretell(table: Table, at: Real) -> Real:
+def initial_guess(table: Table, at: Real) -> Real:
     """The unknowns (w, T) near the inputs `at` (T,), by Taylor's series at the nearest node."""
     turns = None
     if table.period:
@@ -225,7 +225,7 @@ def foretell(table: Table, at: Real) -> Real:
 
 
 class _Way(NamedTuple):
-    """A linkage, and its inputs over what the way is told by."""
+    """A linkage, and its inputs over what parametrizes the way."""
 
     linkage: Linkage
     inputs: Inputs
@@ -251,7 +251,7 @@ def _follow(
         ahead = _taylor(here, way * step)
         there = on.at(at + way * step, ahead)
         off = np.abs((there.values[0, :, 0] - ahead) / scale).max() if there.closed[0] else np.inf
-        good = bool(there.regular[0]) and np.isfinite(off) and off < _FORETOLD
+        good = bool(there.regular[0]) and np.isfinite(off) and off < _GUESS_ERROR
         if not good:
             step /= 2
             if step < _SHORTEST:
@@ -262,7 +262,7 @@ def _follow(
             dead.append(_crossing(on, at, here, at + way * step))
         at, here = at + way * step, there
         nodes.append((at, here))
-        step *= min(2.0, 0.9 * (_FORETOLD / max(off, 1e-12)) ** 0.2)
+        step *= min(2.0, 0.9 * (_GUESS_ERROR / max(off, 1e-12)) ** 0.2)
     return nodes, dead
 
 

@@ -58,7 +58,7 @@ class Reactions(NamedTuple):
 
     NaN where `determined` (T,) is not, and where joints share a load in a way that statics alone
     does not tell; `undetermined` says why. A pin's axis is the ground's x, or that of what cannot
-    be told, so that its `across` can.
+    be determined, so that its `across` can.
     """
 
     joints: tuple[str, ...]
@@ -331,7 +331,7 @@ def _reactions(
     effort: Real,
     determined: np.ndarray,
 ) -> Reactions:
-    """Put together what joints bear (3, J, T), and what drivers exert through struts."""
+    """Assemble what joints bear (3, J, T), and what drivers exert through struts."""
     joints = mechanism.assembly.joints
     names, rows = mechanism.assembly.loops.variables, driver_rows(mechanism)
     for k, joint in enumerate(joints):
@@ -364,7 +364,7 @@ def _freed(
     """What joint k bears (T,) along `way` (T,), in the ground's axes, or as a moment for None."""
     old, count, drivers = mechanism.assembly, values.shape[1], len(mechanism.drivers)
     joint, joints, bodies = old.joints[k], list(old.joints), list(old.bodies)
-    # What is driven beside the drivers: at which rate, and variables with their weights.
+    # What is driven besides the drivers: at which rate, and variables with their weights.
     freed: list[tuple[Real, dict[str, float]]]
     slides, carriages = (f'{k} x', f'{k} y'), (f'{k} carriage x', f'{k} carriage y')
     if way is None:

@@ -1,7 +1,7 @@
 """
 Scene files: a mechanism, how it is driven and where its markers sit, in a few lines of YAML.
 
-Whatever is wrong in one is refused in a line that names the file, the key and the mend.
+Whatever is wrong in one is refused in a line that names the file, the key and the fix.
 """
 
 import re
@@ -280,22 +280,22 @@ def _start(said: Any, assembly: Assembly) -> dict[str, float]:
     return {name: quantity(f"'start': {name}", value, kinds[name]) for name, value in read.items()}
 
 
-# Whether it moves as it is told to
+# Whether it moves as it is driven
 
 
 def _check_mobility(assembly: Assembly, start: np.ndarray, drivers: int) -> None:
     """Raise SceneError unless there are as many drivers as degrees of freedom."""
     near, _ = close_near(assembly.loops, start)
     count, by_rank = mobility(assembly, near)
-    told = (
+    counts = (
         f"Gruebler's count gives {count} degrees of freedom, the rank of the loops at the start "
         f'{by_rank}'
     )
     if max(count, by_rank) <= 0:
-        raise SceneError(f'the bodies cannot move: {told}: take a joint away')
+        raise SceneError(f'the bodies cannot move: {counts}: take a joint away')
     if drivers not in (count, by_rank):
-        mend = f'drive {by_rank}' if by_rank > 0 else 'check the joints'
-        raise SceneError(f"'drivers' are {drivers}, but {told}: {mend}")
+        fix = f'drive {by_rank}' if by_rank > 0 else 'check the joints'
+        raise SceneError(f"'drivers' are {drivers}, but {counts}: {fix}")
 
 
 def _check_range(mechanism: Mechanism, driven: list[_Driven]) -> None:
@@ -407,7 +407,7 @@ def _markers(said: Any, bodies: tuple[str, ...]) -> dict[str, dict[str, complex]
         result[body] = {name: vector(f"{where}: '{name}'", z) for name, z in named.items()}
         if len(set(result[body].values())) < 2:
             raise SceneError(
-                f'{where} are all at one place, which shows no turning: put them apart'
+                f'{where} are all at one place, which shows no turning: put them at several places'
             )
     return result
 

@@ -1,7 +1,7 @@
 """
 Linkages solved exactly: positions, and derivatives up to snap, for many inputs at once.
 
-Dyads close at once (`_dyads`), all other loops by Newton's method, for all positions together.
+Dyads close directly (`_dyads`), all other loops by Newton's method, for all positions jointly.
 Differentiated k times, the loops are linear in the unknown k-th derivatives, always with the same
 matrix: no difference quotient comes in.
 """
@@ -205,7 +205,7 @@ def _close(linkage: Linkage, block: Block, known: Real, turn: Complex, slide: Re
 def _newton(
     linkage: Linkage, block: Block, known: Real, turn: Complex, slide: Real, steps: int = 0
 ) -> np.ndarray:
-    """The same step by step, those together that are not there yet."""
+    """The same step by step, jointly for those that are not there yet."""
     m, n = len(block.loops), len(block.unknown)
     lengths = [j for j, k in enumerate(block.unknown) if linkage.slides[:, k].any()]
     _move(linkage, block, known, turn, slide)
@@ -232,7 +232,7 @@ def _newton(
     done = (most * most <= _LEFT * np.abs(determinant)) | (most <= _ROUNDING)
     tight = np.abs(gap).max(axis=0) <= _ROUNDING * scale
     done |= tight
-    # In a change point a step is rounding over nothing: what was foretold is better.
+    # In a change point a step is rounding over nothing: what was predicted is better.
     step[:, tight & (np.abs(determinant) < SINGULAR)] = 0.0
     if n < 2 * m:
         # Loops that others repeat: no step is left, but they may still be open.

@@ -87,8 +87,8 @@ def closing_starts(loops: Loops, values: Real, most: int = 4) -> list[Real]:
         spread = np.where(angles, np.pi, size) * draw.uniform(-1.0, 1.0, len(values))
         near, closed = close_near(held, values + spread)
         turned = np.where(angles, (near + np.pi) % (2 * np.pi) - np.pi, near)
-        apart = [np.abs(np.exp(1j * turned) - np.exp(1j * other)) for other in found]
-        if closed and all(gaps.max() > 1e-6 for gaps in apart):
+        gaps = [np.abs(np.exp(1j * turned) - np.exp(1j * other)) for other in found]
+        if closed and all(gap.max() > 1e-6 for gap in gaps):
             found.append(turned)
             if len(found) == most:
                 break

@@ -1,7 +1,7 @@
 """
 Efforts that balance the loads of a linkage that moves slowly, by virtual work.
 
-No power is made or lost: loads and drivers together do no work in any motion the joints allow (seed
+No power is made or lost: loads and drivers do no net work in any motion the joints allow (seed
 003), which gives the efforts without a word on what the joints bear (`_reactions`).
 """
 
@@ -17,7 +17,7 @@ from kinpole_ros.mechanism._mechanism import Mechanism
 from kinpole_ros.planar._plane import ROUNDING, Complex, Real
 
 # Next to a dead point positions are off by rounding over the least singular value, and so is that
-# value: below the root of rounding it cannot be told from zero.
+# value: below the root of rounding it may as well be zero.
 LOST = np.sqrt(ROUNDING)
 # What could move by less than this share does not.
 _NO_SHARE = 1e-6

@@ -12,7 +12,7 @@ from typing import Any
 
 
 class SceneError(ValueError):
-    """A scene file that cannot be used: one line with the file, the key and the mend."""
+    """A scene file that cannot be used: one line with the file, the key and the fix."""
 
 
 _DEGREE, _TURN = pi / 180, 2 * pi

@@ -108,7 +108,7 @@ def _angle(name: str, vectors: dict[str, Any], seen: tuple[str, ...]) -> tuple[s
     """Which vector's angle it is plus how much, through however many equations."""
     where = f"'vectors: {name}': angle"
     if name in seen:
-        raise SceneError(f'{where} is told by itself: make one of {", ".join(seen)} unknown')
+        raise SceneError(f'{where} is defined by itself: make one of {", ".join(seen)} unknown')
     said = vectors[name].get('angle') if isinstance(vectors[name], dict) else None
     if said == UNKNOWN:
         return name, 0.0

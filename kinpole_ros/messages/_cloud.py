@@ -22,7 +22,7 @@ _INTEGERS = {
 
 
 class MessageError(ValueError):
-    """A message that cannot be read; the text names the field and says how to mend it."""
+    """A message that cannot be read; the text names the field and says how to fix it."""
 
 
 class CloudPlaces(NamedTuple):
@@ -43,7 +43,7 @@ class CloudPlaces(NamedTuple):
         """
         Positions (count, n, 3) in `count` clouds, row after row, as a new array.
 
-        The data of the clouds are `stride` bytes apart in the buffer `data`, from `first` on.
+        The clouds follow every `stride` bytes in the buffer `data`, from `first` on.
         """
         shape, strides = (count, *self.shape), (stride, *self.strides)
         if not self.shape[0]:

@@ -23,7 +23,7 @@ from kinpole_ros.pipeline.estimate import Estimate
 from kinpole_ros.pipeline.tracker import Tracker
 
 # Of the names of markers in a message, which may be anything.
-_MOST_NAMES, _MOST_TOLD = 12, 80
+_MOST_NAMES, _MOST_SHOWN = 12, 80
 _WORDS = {
     'frames': 'frames received',
     'repeated': 'frames with the stamp of the one before, left out',
@@ -52,7 +52,7 @@ _WORDS = {
 
 # Markers are warned of that err so many times as much as the others of their body.
 _ERRS = 3.0
-# Troubles beside which figures still come.
+# Troubles despite which figures still come.
 _MILD = ('other types', 'sources', 'rivals')
 
 
@@ -126,7 +126,7 @@ class DiagnosticsMaker:
         if '' in outages:
             faults.append((DiagnosticStatus.WARN, unseen('', outages[''].latest)))
         array.status = [self._input(tracker, since, seconds, faults, space_values(space))]
-        noise, underrated = tracker.noise(), tracker.underrated()
+        noise, underestimated = tracker.noise(), tracker.underrated()
         loose = [
             shape_fault(b, off, cause, space)
             for b, (off, cause) in enumerate(
@@ -157,10 +157,10 @@ class DiagnosticsMaker:
                 if body in outages:
                     warnings.append(unseen(body, outages[body].latest))
                 fault = '; '.join(filter(None, (units[b], loose[b])))
-                known = float(noise[b]), fault, bool(underrated[b])
+                known = float(noise[b]), fault, bool(underestimated[b])
                 status = self._body(b, body, now, *known, receiving, idle)
                 for marker, deviation in erring[body].items():
-                    key = f'noise of marker {marker[:_MOST_TOLD]!r}, which counts for less (m)'
+                    key = f'noise of marker {marker[:_MOST_SHOWN]!r}, which counts for less (m)'
                     status.values.append(_pair(key, deviation))
                 if wrong[b]:
                     key = 'frames in which its pose was wrong, left out'
@@ -195,7 +195,7 @@ class DiagnosticsMaker:
                 values[f'{pair}: the same in deviations'] = float(deviations)
         if self._theory is None:
             return _status(f'{self._name}: linkage', DiagnosticStatus.OK, 'no scene given', values)
-        message = f'beside the scene {self._theory.scene.name}'
+        message = f'compared with the scene {self._theory.scene.name}'
         found = rate_differences(self._theory, now)
         for off in (*found, *joint_offsets(self._theory, now)):
             values[f'{off.subject}: {off.what} ({off.unit})'] = off.value
@@ -236,7 +236,7 @@ class DiagnosticsMaker:
         now: Estimate | None,
         noise: float,
         wrong: str,
-        underrated: bool,
+        underestimated: bool,
         receiving: bool,
         idle: bool,
     ) -> DiagnosticStatus:
@@ -269,7 +269,7 @@ class DiagnosticsMaker:
         level, message = DiagnosticStatus.OK, 'tracking'
         if wrong:
             level, message = DiagnosticStatus.WARN, wrong
-        elif underrated:
+        elif underestimated:
             level, message = DiagnosticStatus.WARN, SMOOTHED
         if reasons:
             message += '; undetermined: ' + ', '.join(reasons)
@@ -278,16 +278,15 @@ class DiagnosticsMaker:
 
 # What is to be said of a body whose markers have more noise than can be measured.
 SMOOTHED = (
-    'its markers err alike for so long, as smoothed ones do, that their noise is more than is '
-    'measured, and figures are stated too sure: send them unsmoothed, or set noise or a longer '
-    'window'
+    'its markers have time-correlated noise, as after smoothing, that is more than is measured, so '
+    'figures are overconfident; fix: send them unsmoothed, or set noise or a longer window'
 )
 
 
 def marker_faults(erring: Mapping[str, float], noise: float) -> list[str]:
     """What is to be said of markers that err, by name, so much (m) where others have this noise."""
     return [
-        f'marker {marker[:_MOST_TOLD]!r} errs by {deviation:.2g} m, {deviation / noise:.2g} times '
+        f'marker {marker[:_MOST_SHOWN]!r} errs by {deviation:.2g} m, {deviation / noise:.2g} times '
         'as much as the others, and counts for less: see to its fixing and to what reflects near '
         'it, or leave it out'
         for marker, deviation in erring.items()
@@ -322,8 +321,8 @@ def not_there(body: str, names: Sequence[str], identities: Sequence[str]) -> str
 
 
 def _listed(names: Sequence[str]) -> str:
-    told = [repr(name)[:_MOST_TOLD] for name in names[:_MOST_NAMES]]
-    return ', '.join(told + ['...'] * (len(names) > _MOST_NAMES)) or 'none'
+    shown = [repr(name)[:_MOST_SHOWN] for name in names[:_MOST_NAMES]]
+    return ', '.join(shown + ['...'] * (len(names) > _MOST_NAMES)) or 'none'
 
 
 def _faults(

@@ -1,4 +1,4 @@
-"""What is to be said of markers that are not what their names say, by node and replay alike."""
+"""What is to be said of markers that are not what their names say, by both node and replay."""
 
 from collections.abc import Iterator, Mapping
 
@@ -67,10 +67,11 @@ def identity_lines(tracker: Tracker, counts: Mapping[str, int]) -> Iterator[str]
             'names, are matched by shape; fix: see that none are missing or added, or set '
             'marker_identity to shape'
         )
-    if unsure := counts.get(UNSURE):
+    if ambiguous := counts.get(UNSURE):
         yield (
-            f'{unsure} times a body was left out of a frame, since points fit its shape in several '
-            'ways; fix: place its markers so that no other body, and no turn of it, looks alike'
+            f'{ambiguous} times a body was left out of a frame, since points fit its shape in '
+            'several ways; fix: place its markers so that no other body, and no turn of it, looks '
+            'the same'
         )
 
 

@@ -76,7 +76,7 @@ def _spaced(stamps: np.ndarray, step: int) -> list[int]:
     return found
 
 
-class _Beat:
+class _DrawingSchedule:
     """Which instants of a run are due to be drawn, at most every tenth of a second of stamps."""
 
     def __init__(self) -> None:
@@ -102,14 +102,14 @@ class _Beat:
 
 def centrode(b: int, given: Plane, trail: Trail, fixed: bool) -> Build:
     """Paths of the centrode of body `b`, on the ground or on the body."""
-    beat = _Beat()
+    schedule = _DrawingSchedule()
 
     def build(estimate: Estimate) -> Built:
         trail.follow(estimate, b)
-        if beat.rests(estimate) or not len(trail.stamps):
+        if schedule.rests(estimate) or not len(trail.stamps):
             return [], []
         drawn = (estimate.missing[:, b] == '') & (estimate.stamp >= trail.stamps[0])
-        due = beat.due(estimate.stamp, drawn.nonzero()[0])
+        due = schedule.due(estimate.stamp, drawn.nonzero()[0])
         if not due:
             return [], []
         frame_id = estimate.frame_id if fixed else estimate.bodies[b]
@@ -126,14 +126,14 @@ def centrode(b: int, given: Plane, trail: Trail, fixed: bool) -> Build:
 
 def scene(bodies: tuple[str, ...], given: Plane, trails: list[Trail]) -> Build:
     """Poles, both centrodes and the ICR's velocity of every body, for RViz and Foxglove."""
-    beat = _Beat()
+    schedule = _DrawingSchedule()
 
     def build(estimate: Estimate) -> Built:
         for b in range(len(bodies)):
             trails[b].follow(estimate, b)
-        if beat.rests(estimate):
+        if schedule.rests(estimate):
             return [], []
-        due = beat.due(estimate.stamp, np.arange(len(estimate.stamp)))
+        due = schedule.due(estimate.stamp, np.arange(len(estimate.stamp)))
         parts = [trail.until(estimate.stamp[due]) for trail in trails]
         found = []
         for k, t in enumerate(due):

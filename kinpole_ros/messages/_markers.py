@@ -32,8 +32,8 @@ ROS_TYPE_NAMES: dict[str, str] = {
 }
 # Where stamps end, in ns.
 END_OF_TIME = 2**31 * 1_000_000_000
-# Characters of a name that are told: it may be as long as the message.
-_MOST_TOLD = 80
+# Characters of a name that are shown: it may be as long as the message.
+_MOST_SHOWN = 80
 # Types of markers that stand for the points in them.
 _LISTS = (Marker.CUBE_LIST, Marker.SPHERE_LIST, Marker.POINTS)
 # Types that stand for one thing at their pose.
@@ -159,9 +159,9 @@ def _read_marker_array(
     # A frame that is not named is that of the others.
     frame_ids = {markers[k].header.frame_id for k in kept} - {''}
     if len(frame_ids) > 1:
-        told = ', '.join(repr(name)[:_MOST_TOLD] for name in sorted(frame_ids)[:2])
+        shown = ', '.join(repr(name)[:_MOST_SHOWN] for name in sorted(frame_ids)[:2])
         raise MessageError(
-            f'MarkerArray has markers in {len(frame_ids)} frames, as {told}: publish all of them '
+            f'MarkerArray has markers in {len(frame_ids)} frames, as {shown}: publish all of them '
             'in one, such as that of the ground'
         )
     header = Header(stamp=header.stamp, frame_id=''.join(frame_ids) or header.frame_id)
@@ -272,7 +272,7 @@ def _check_unique(identities: tuple[str, ...], kind: str, identity: str) -> None
     if len(set(identities)) < len(identities):
         name, times = Counter(identities).most_common(1)[0]
         raise MessageError(
-            f"{kind} has the identity {name[:_MOST_TOLD]!r} {times} times by '{identity}': "
+            f"{kind} has the identity {name[:_MOST_SHOWN]!r} {times} times by '{identity}': "
             'set another marker_identity (index always works)'
         )
 

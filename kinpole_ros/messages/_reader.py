@@ -1,5 +1,5 @@
 """
-Marker messages straight from their bytes, as many at once as look alike.
+Marker messages straight from their bytes, those of one layout at once.
 
 Making rclpy's objects takes milliseconds for an array of 100 markers, though all that differs from
 one message to the next are stamps and coordinates. So the first message of a layout is read the
@@ -36,10 +36,10 @@ _MOST_LAYOUTS = 64
 # Of those that differ by names alone, which must not push out the others.
 _MOST_NAMES = 8
 _MOST_BYTES = 1 << 25
-# Of messages put together, and of those compared at once, which a cache should hold.
-_MOST_JOINED = 1 << 23
+# Of messages concatenated, and of those compared at once, which a cache should hold.
+_MOST_CONCATENATED = 1 << 23
 _MOST_COMPARED = 1 << 18
-# In a row of joined messages there are so many bytes before each, so that its doubles are aligned.
+# In a row of concatenated messages so many bytes come before each, to align its doubles.
 _LEAD = 4
 _ID = struct.Struct('<i')
 _NS = np.array([1_000_000_000, 1])
@@ -62,18 +62,20 @@ class MarkerReader:
         """
         Frames of serialized messages, in order; in place of one that cannot be read, the error.
 
-        Consecutive messages of one layout are together, so the frames of the first result are of
+        Consecutive messages of one layout are one result, so the frames of the first result are of
         the first len(stamps) messages, and so on. An error stands for one message.
         """
         found: list[MarkerFrames | MessageError] = []
         for size, group in groupby(messages, len):
-            alike = list(group)
-            most = 1 + _MOST_JOINED // (size + 1)
-            for first in range(0, len(alike), most):
-                self._read_alike(alike[first : first + most], found)
+            same_size = list(group)
+            most = 1 + _MOST_CONCATENATED // (size + 1)
+            for first in range(0, len(same_size), most):
+                self._read_same_size(same_size[first : first + most], found)
         return found
 
-    def _read_alike(self, messages: list[bytes], found: list[MarkerFrames | MessageError]) -> None:
+    def _read_same_size(
+        self, messages: list[bytes], found: list[MarkerFrames | MessageError]
+    ) -> None:
         """Read messages of equal size."""
         rows = _rows(messages)
         k = 0
@@ -97,7 +99,7 @@ class MarkerReader:
                 k = end
 
     def _fitting(self, row: np.ndarray, data: bytes) -> '_Layout | None':
-        """The layout of a message (1, words), if it is one of those remembered, or names apart."""
+        """The layout of a message (1, words), if it is one of those remembered, but for names."""
         masked: dict[int, bytes] = {}
         for k, layout in enumerate(self._layouts):
             if layout.size == len(data):
@@ -211,8 +213,8 @@ def _rows(messages: list[bytes]) -> np.ndarray:
     parts[0] = bytes(_LEAD)
     parts[1::2] = messages
     words = (_LEAD + size + fill) // 8
-    joined = np.frombuffer(b''.join(parts), '<u8', len(messages) * words)
-    return joined.reshape(len(messages), words)
+    concatenated = np.frombuffer(b''.join(parts), '<u8', len(messages) * words)
+    return concatenated.reshape(len(messages), words)
 
 
 def _deserialized(kind: str, data: bytes) -> Any:

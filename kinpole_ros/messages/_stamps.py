@@ -1,4 +1,4 @@
-"""What is wrong with the stamps of a driver, told by how they go beside the rate of arrival."""
+"""What is wrong with the stamps of a driver, by their pace against the rate of arrival."""
 
 from collections.abc import Sequence
 
@@ -12,7 +12,7 @@ _ODD_PACE = 100.0
 # Of frames in bunches most follow the one before within this share of the mean step.
 _BUNCHED = 0.25
 _FEWEST = 5
-_MEND = 'see that the driver sets header.stamp to the time of capture, in s and ns'
+_FIX = 'see that the driver sets header.stamp to the time of capture, in s and ns'
 
 
 def stamp_faults(stamps: Sequence[int], seconds: float, window: float) -> list[tuple[bytes, str]]:
@@ -27,7 +27,7 @@ def stamp_faults(stamps: Sequence[int], seconds: float, window: float) -> list[t
     if len(stamps) < _FEWEST or seconds <= 0:
         return []
     if not steps.any():
-        text = f'the stamps stand still at {stamps[-1] * 1e-9:.9g} s: {_MEND}'
+        text = f'the stamps stand still at {stamps[-1] * 1e-9:.9g} s: {_FIX}'
         return [(DiagnosticStatus.ERROR, text)]
     ahead = steps[steps > 0]
     if len(ahead) < _FEWEST - 1:
@@ -36,13 +36,13 @@ def stamp_faults(stamps: Sequence[int], seconds: float, window: float) -> list[t
     fast, slow = np.median(ahead) / arrivals, ahead.mean() / arrivals
     if fast > _ODD_PACE or slow < 1 / _ODD_PACE:
         pace = fast if fast > _ODD_PACE else slow
-        text = f'the stamps advance {pace:.2g} times as fast as the messages come: {_MEND}'
+        text = f'the stamps advance {pace:.2g} times as fast as the messages come: {_FIX}'
         return [(DiagnosticStatus.ERROR, text)]
     regular = ahead[ahead <= window]
     if len(regular) and np.median(regular) < _BUNCHED * regular.mean():
         text = (
-            f'the stamps come in bunches, mostly {np.median(regular):.2g} s apart where the mean '
-            f'is {regular.mean():.2g} s: {_MEND}'
+            f'the stamps come in bunches, mostly in steps of {np.median(regular):.2g} s where the '
+            f'mean is {regular.mean():.2g} s: {_FIX}'
         )
         return [(DiagnosticStatus.WARN, text)]
     return []

@@ -59,7 +59,7 @@ def balancing_effort(
 
     `through` is the body and the rate of the input, `loads` those of each load with its power, as
     `port_power` gives them. Returns E once for each body, as it depends on that body; bodies are
-    measured apart, so their variances add. Not finite where the input stands still.
+    measured separately, so their variances add. Not finite where the input stands still.
     """
     _, rate = through
     with np.errstate(divide='ignore', invalid='ignore', over='ignore'):

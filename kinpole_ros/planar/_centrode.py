@@ -16,7 +16,7 @@ from kinpole_ros.planar._plane import (
     to_plane,
 )
 
-# Numbers or arrays alike: a frame that comes alone is told of in numbers.
+# Numbers or arrays: a frame that comes alone is computed in numbers.
 Number: TypeAlias = Any
 Terms: TypeAlias = tuple[Number, tuple[Number, ...], tuple[Number, ...]]
 
@@ -39,7 +39,7 @@ def velocity_terms(position: Sequence[Number], turn: Sequence[Number]) -> Terms:
 
     `position` are v and acc, complex, `turn` i w and i a; numbers, or arrays of one shape. They
     are complex since a product with a real array takes three times as long, and the signs are
-    alike: u = v + q (acc + n v) with q = -1 / i w and n = q i a.
+    the same: u = v + q (acc + n v) with q = -1 / i w and n = q i a.
     """
     (v, acc), (t1, t2) = position, turn
     q = -1 / t1

@@ -52,8 +52,8 @@ def landmark_kinematics(
 
     All arrays have shape (..., n, 2) and one unit of length; `weights` (..., n) >= 0 tells how far
     a landmark counts, 0 = not available (its numbers may be anything, NaN included). What needs a
-    derivative that is not given, two landmarks apart where there is one, or a turn where there is
-    none within rounding, is NaN. Raises ValueError for shapes that do not fit, negative weights,
+    derivative that is not given, two distinct landmarks where there is one, or a turn where there
+    is none within rounding, is NaN. Raises ValueError for shapes that do not fit, negative weights,
     or a derivative given without the one before it.
 
     >>> still, moving = [0.0, 0.0], [0.0, 2.0]  # a rod that turns about its first end
@@ -158,8 +158,8 @@ def _rates(given: list[Complex], f: Real) -> tuple[Complex, Real, Real]:
         spread = (f * np.abs(c) ** 2).sum(axis=-1)
         size = np.sqrt(spread / total)
         far = np.max(np.abs(means[0]), axis=-1, initial=0.0)
-        apart = size > ROUNDING * far
-        spread = np.where(apart, spread, np.nan)
+        distinct = size > ROUNDING * far
+        spread = np.where(distinct, spread, np.nan)
         for k in range(1, len(given)):
             relative = np.where(seen, given[k] - position[k][..., None], 0)
             angle[k] = (f * (c.conj() * relative).imag).sum(axis=-1) / spread

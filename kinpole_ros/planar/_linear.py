@@ -2,7 +2,7 @@
 Uncertainty of what is computed from a pose and its derivatives, to first order.
 
 Every quantity of this package is a function of the derivatives of a body's reference point z
-(complex, m) and of its angle (rad). A `Linear` carries the quantity together with its partial
+(complex, m) and of its angle (rad). A `Linear` carries the quantity along with its partial
 derivatives by each of these, so one rule serves them all.
 """
 
@@ -35,7 +35,7 @@ def covariance(linear: Linear, position_covariance: Real, angle_covariance: Real
     Covariance (..., 2, 2) of a vector quantity.
 
     `position_covariance` (K, K, ...) holds the covariances between the orders of derivative of one
-    axis of the reference point (both axes alike, and independent); `angle_covariance` (K, K, ...)
+    axis of the reference point (equal for both axes, independent); `angle_covariance` (K, K, ...)
     those of the angle. A circular error stays circular under a complex factor, so the share of the
     position is a multiple of the unit matrix.
     """
@@ -60,7 +60,7 @@ def mean_square(factors: Complex, matrix: Real) -> Real:
     """
     Mean |sum of factors[k] e[k]|^2 (...) of errors e (n) with covariances `matrix` (n, n, ...).
 
-    Of errors of both axes alike it is that of either axis of the sum, and of its real part.
+    Of errors equal on both axes it is that of either axis of the sum, and of its real part.
     """
     by = _axes(factors)
     return np.asarray(np.einsum('km...,xk...,xm...->...', matrix, by, by))

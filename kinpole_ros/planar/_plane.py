@@ -7,8 +7,8 @@ from numpy.typing import ArrayLike, NDArray
 
 Real: TypeAlias = NDArray[np.float64]
 Complex: TypeAlias = NDArray[np.complex128]
-# A sum of n products is off by a few units in the last place; what is to tell apart from it counts
-# as zero below this many of them.
+# A sum of n products is off by a few units in the last place; what should stand out from it
+# counts as zero below this many of them.
 ROUNDING = 64 * np.finfo(float).eps
 
 

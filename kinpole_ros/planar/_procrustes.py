@@ -46,7 +46,7 @@ class Grip(NamedTuple):
     share: Real
     pull: Complex
     mean: Complex
-    apart: np.ndarray
+    distinct: np.ndarray
     freedom: Real
     spread: Real
     weight: Real
@@ -70,7 +70,7 @@ def grip_of(shape: Complex, weights: Real) -> Grip:
         share,
         np.where(seen, weights * arms.conj(), 0),
         mean,
-        _apart(arms, mean, seen),
+        _distinct(arms, mean, seen),
         np.where(seen, np.maximum(2 - taken, 0), 0),
         spread,
         weight,
@@ -96,11 +96,11 @@ def fit_by_grip(points: Complex, grip: Grip) -> Fit:
         arms = points - mean[..., None]
         cross = np.add.reduce(grip.pull * arms, -1)
         length = np.abs(cross)
-        fitted = grip.apart & _apart(arms, mean, grip.seen) & (length > _TINY)
+        fitted = grip.distinct & _distinct(arms, mean, grip.seen) & (length > _TINY)
         turn = np.where(fitted, cross / length, np.nan)
         position = mean - turn * grip.mean
     residual = arms * turn.conj()[..., None] - grip.arms
-    # Of all points, where they are held alike.
+    # For all points, where they are the same for all.
     freedom, spread, weight = np.empty(points.shape), np.empty(mean.shape), np.empty(mean.shape)
     freedom[...], spread[...], weight[...] = grip.freedom, grip.spread, grip.weight
     return Fit(position, np.arctan2(turn.imag, turn.real), residual, freedom, spread, weight)
@@ -147,7 +147,7 @@ def plain_grip(grip: Grip, body: int, erring: Real) -> PlainGrip:
     return PlainGrip(arms, share, pull, complex(grip.mean[body]), erring[seen].tolist())
 
 
-def _apart(arms: Complex, mean: Complex, seen: np.ndarray) -> np.ndarray:
-    """Where points that are seen lie apart from their mean by more than rounding."""
+def _distinct(arms: Complex, mean: Complex, seen: np.ndarray) -> np.ndarray:
+    """Where points that are seen are farther from their mean than rounding."""
     farthest = np.maximum.reduce(np.abs(arms), -1, where=seen, initial=0.0)
     return np.asarray(farthest > ROUNDING * np.abs(mean))

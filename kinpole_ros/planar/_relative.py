@@ -14,7 +14,7 @@ def relative_center(
     Relative instant center of body j with respect to body i, seed 000, 'Relative velocity'.
 
     `omega_j`, `omega_i` (...) in rad/s; `icr_j`, `icr_i` (..., 2) in m, in the ground frame, as is
-    the result (..., 2). NaN where the bodies turn alike within rounding, or where an ICR is NaN.
+    the result (..., 2). NaN where both rates are equal within rounding, or where an ICR is NaN.
     """
     w_j, w_i = np.asarray(omega_j, float), np.asarray(omega_i, float)
     p_j, p_i = check_vectors(icr_j, 'icr_j'), check_vectors(icr_i, 'icr_i')
@@ -34,7 +34,7 @@ def relative_pole(
     Arguments as in `pole`, K > 1. Unlike `relative_center` it does not go through the two ICRs, so
     it holds where one of the bodies does not turn. Returns the center (complex, m) twice: as it
     depends on body j and as it depends on body i; their covariances add. Not finite where both turn
-    alike. With q = i w z - v of each body it is (q_j - q_i) / (i w_ji).
+    at one rate. With q = i w z - v of each body it is (q_j - q_i) / (i w_ji).
     """
     w_j, w_i = angle_j[1], angle_i[1]
     between = position_j[0] - position_i[0]
@@ -88,7 +88,7 @@ def center_offset(center: Complex, joint: Complex, covariance: Real) -> tuple[Re
     """
     Distance (...), m, of a measured relative center from the joint it should be at.
 
-    `center` and `joint` (...) are complex, m, `joint` where a pin is foretold, by a linkage or by
+    `center` and `joint` (...) are complex, m, `joint` where a pin is predicted, by a linkage or by
     its place on a body; `covariance` (..., 2, 2), m^2, is the sum of both. The second result is the
     distance in standard deviations (Mahalanobis'): its square is on average 2 where all is well.
     It sees what `kennedy_residual` does not: a joint elsewhere than described, or one with play.

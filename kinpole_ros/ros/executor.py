@@ -17,13 +17,13 @@ from rclpy.subscription import Subscription
 _EVERY = 0.05
 
 
-class Apart(MutuallyExclusiveCallbackGroup):
-    """What belongs to subscriptions, whose messages an executor leaves where `apart` is set."""
+class SubscriptionGroup(MutuallyExclusiveCallbackGroup):
+    """Callbacks of subscriptions; an executor leaves their messages where `is_polled` is set."""
 
-    apart = False
+    is_polled = False
 
     def can_execute(self, entity: Any) -> bool:
-        if self.apart and isinstance(entity, Subscription):
+        if self.is_polled and isinstance(entity, Subscription):
             return False
         return bool(super().can_execute(entity))
 

@@ -36,7 +36,7 @@ from kinpole_ros.bags import (
     topics,
     type_name,
 )
-from kinpole_ros.ros.executor import Apart, MessagesFirst
+from kinpole_ros.ros.executor import MessagesFirst, SubscriptionGroup
 from kinpole_ros.ros.private import RCLError, take, wait_for_messages
 from kinpole_ros.ros.process import check_domain, reason_of, start_ros
 
@@ -58,7 +58,7 @@ def play(
     """
     Publish a bag's messages at the pace they were recorded, times `speed`.
 
-    `only` names the topics, None for all but the exact answers that simulate puts beside the
+    `only` names the topics, None for all but the exact answers that simulate adds to the
     markers. Waits up to `wait` s for a subscriber of each, and at the end until reliable ones have
     everything. Returns the number of messages. Raises BagError as reading does, and for a speed
     that is not more than 0.
@@ -83,8 +83,8 @@ def play(
                 for name in chosen
             }
         except NameValidationException as error:
-            told = ' '.join(str(error).rstrip(' ^\n').split())
-            raise BagError(f'{bag}: {told}; name other topics with --topic') from None
+            reason = ' '.join(str(error).rstrip(' ^\n').split())
+            raise BagError(f'{bag}: {reason}; name other topics with --topic') from None
         deadline = time.monotonic() + wait
         while time.monotonic() < deadline and context.ok():
             if all(p.get_subscription_count() for p in publishers.values()):
@@ -120,7 +120,7 @@ def _whole(topic: str) -> str:
 
 
 def own_context() -> rclpy.Context:
-    """Start ROS beside whatever else there is of it; raises BagError where it cannot."""
+    """Start ROS in a context of its own; raises BagError where it cannot."""
     context = rclpy.Context()
     with _starting():
         check_domain()
@@ -159,7 +159,7 @@ class Recorder(Node):
         self._recorded: list[tuple[Subscription, Callable[[bytes], None]]] = []
         # Those with a publisher that offers less than was asked for.
         self._unheard: set[Subscription] = set()
-        self._group = Apart()
+        self._group = SubscriptionGroup()
         self.messages = 0
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self.create_timer(_LOOK_EVERY, self._look, clock=steady)
@@ -174,7 +174,7 @@ class Recorder(Node):
 
     def wait(self, seconds: float) -> bool:
         """Wait so long for messages, which are left to this from now on; whether any came."""
-        self._group.apart = True
+        self._group.is_polled = True
         wait_for_messages(self, [subscription for subscription, _ in self._recorded], seconds)
         return self.take() > 0
 
@@ -249,9 +249,9 @@ class Recorder(Node):
     def _note_other_types(self, name: str, types: set[str]) -> None:
         if others := types - self._seen[name]:
             self._seen[name] |= others
-            told = ', '.join(sorted(others))
+            listed = ', '.join(sorted(others))
             self.get_logger().warning(
-                f'{name} is published as {told} too, and that is not recorded: one bag has one '
+                f'{name} is published as {listed} too, and that is not recorded: one bag has one '
                 'type for a topic; record anew'
             )
 
@@ -265,7 +265,7 @@ class Recorder(Node):
 
 def record(output: str | Path, prefixes: list[str]) -> int:
     """
-    Record all topics that begin with one of `prefixes` until told to stop (SIGINT or SIGTERM).
+    Record all topics that begin with one of `prefixes` until stopped (SIGINT or SIGTERM).
 
     Returns the number of messages. What was recorded is readable even if the process is killed,
     but for the last second. Raises BagError when the output cannot be written, or holds something
@@ -275,14 +275,14 @@ def record(output: str | Path, prefixes: list[str]) -> int:
     if there.is_file() and there.stat().st_size:
         raise BagError(f'{output} is there already; name another file, or remove that one first')
     with _starting():
-        told_to_stop = start_ros([])
+        stop_requested = start_ros([])
     try:
         with BagWriter(output, RECORDER) as writer:
             recorder = Recorder(writer, prefixes)
             executor = MessagesFirst(recorder)
             executor.add_node(recorder)
             try:
-                while not told_to_stop():
+                while not stop_requested():
                     executor.spin_once()
                 # What has come is recorded, however far behind this is.
                 recorder.take()

@@ -47,7 +47,8 @@ from kinpole_ros.ros.source import MarkerSource, publishers_of
 
 _DIAGNOSTICS_EVERY = 1.0
 _LOOK_EVERY = 0.1
-# With so many waiting the node is behind: all are taken into the window, the newest alone is told.
+# With so many waiting the node is behind: all are taken into the window, only the newest is
+# published.
 _BEHIND = 25
 # Results kept for a reliable reader that is slow, such as a recorder on a busy machine: what waits
 # is taken at once, so they come in bunches. Those who asked for less do not get more.
@@ -86,12 +87,12 @@ class KinpoleNode(LifecycleNode):
         # Of the frames since the last diagnostics.
         self._stamps: list[int] = []
         self._latest: Estimate | None = None
-        # The last one told since the drawings were taken away.
+        # The last one published since the drawings were taken away.
         self._drawn: Estimate | None = None
         self._trouble: dict[str, str] = {}
         # What of it was noted since the last diagnostics.
         self._noted: set[str] = set()
-        self._told = self._steady.now()
+        self._last_diagnostics = self._steady.now()
         self._status_publisher: Any = None
         self._active = False
         # A steady clock: these beat even where simulated time stands still. The second one does so
@@ -181,7 +182,7 @@ class KinpoleNode(LifecycleNode):
         result = super().on_activate(state)
         self._start_anew()
         self._trouble.clear()
-        self._told = self._steady.now()
+        self._last_diagnostics = self._steady.now()
         self._telling.reset()
         self._active = True
         try:
@@ -261,7 +262,7 @@ class KinpoleNode(LifecycleNode):
         self._wanted = []
 
     def _take_drawings_away(self) -> None:
-        """Viewers keep what was drawn until they are told."""
+        """Viewers keep what was drawn until a message deletes it."""
         drawn, self._drawn = self._drawn, None
         publisher = self._publishers_made.get(DRAWING)
         if drawn is not None and publisher is not None and publisher.get_subscription_count():
@@ -335,8 +336,8 @@ class KinpoleNode(LifecycleNode):
 
     def _tell(self) -> None:
         now = self._steady.now()
-        seconds = (now - self._told).nanoseconds * 1e-9
-        self._told = now
+        seconds = (now - self._last_diagnostics).nanoseconds * 1e-9
+        self._last_diagnostics = now
         # A simulated clock may tell any time.
         stamp = min(max(0, self.get_clock().now().nanoseconds), _LATEST_STAMP)
         self.source.note_turns()
@@ -351,7 +352,7 @@ class KinpoleNode(LifecycleNode):
         self._status_publisher.publish(array)
 
     def _note_rivals(self) -> None:
-        """Note where others publish results beside this node."""
+        """Note where other nodes publish the same results."""
         results = next(iter(self._publishers_made.values())).topic_name
         text = ''
         # Asked for by number first, which is cheaper.
@@ -361,15 +362,15 @@ class KinpoleNode(LifecycleNode):
             if own in names:
                 names.remove(own)
             if names:
-                told = ', '.join('another node of this name' if n == own else n for n in names)
+                listed = ', '.join('another node of this name' if n == own else n for n in names)
                 text = (
-                    f'{results} and the like are published by {told} too: give each node a name of '
-                    'its own (-r __node:=NAME), and play of a bag the markers alone; what was '
-                    'killed counts for some seconds more'
+                    f'{results} and the like are published by {listed} too: give each node a '
+                    'name of its own (-r __node:=NAME), and play of a bag the markers alone; what '
+                    'was killed counts for some seconds more'
                 )
         self._note('rivals', text)
 
-    def survive(self, error: Exception) -> None:
+    def recover(self, error: Exception) -> None:
         """After what no callback caught: tell of it, and if it was amid markers start anew."""
         what = 'goes on'
         if self._amid_markers:
@@ -398,11 +399,11 @@ def _change_if_possible(change: Callable[..., Any], request: Any, response: Any)
         return response
 
 
-def _spin(node: KinpoleNode, executor: Executor, told_to_stop: Callable[[], bool]) -> None:
+def _spin(node: KinpoleNode, executor: Executor, stop_requested: Callable[[], bool]) -> None:
     """As rclpy.spin, but a node that others rely upon does not end with its first failure."""
     executor.add_node(node)
     failures, well = 0, time.monotonic()
-    while not told_to_stop():
+    while not stop_requested():
         try:
             executor.spin_once()
             failures, well = 0, time.monotonic()
@@ -412,17 +413,17 @@ def _spin(node: KinpoleNode, executor: Executor, told_to_stop: Callable[[], bool
             failures += 1
             if failures > _MOST_FAILURES and time.monotonic() - well > _LONGEST_FAILURE:
                 raise
-            node.survive(error)
+            node.recover(error)
 
 
 def main(args: Sequence[str] | None = None) -> int:
-    """Run the node until it is told to stop; returns the exit status."""
+    """Run the node until a stop is requested; returns the exit status."""
     words = list(sys.argv if args is None else args)
-    node = executor = told_to_stop = None
+    node = executor = stop_requested = None
     try:
         # rcl logs what it also raises, and one line says it all.
         set_logger_level('rcl', LoggingSeverity.FATAL)
-        told_to_stop = start_ros(words)
+        stop_requested = start_ros(words)
         set_logger_level('rcl', LoggingSeverity.UNSET)
         # It warns of what it also raises.
         warnings.filterwarnings('ignore', 'Failed to fini', RuntimeWarning)
@@ -439,14 +440,14 @@ def main(args: Sequence[str] | None = None) -> int:
                 f'section {name}, or /**'
             )
         executor = MessagesFirst(node.source)
-        _spin(node, executor, told_to_stop)
+        _spin(node, executor, stop_requested)
     except KeyboardInterrupt:
         pass
     except Exception as error:
         if isinstance(error, (ParameterError, ParameterException)):
             return _refuse(str(error))
         reason = reason_of(error)
-        if told_to_stop is None:
+        if stop_requested is None:
             return _refuse(f'ROS cannot start with these words and this environment: {reason}')
         if node is None and isinstance(error, RCLError):
             return _refuse(f'ROS cannot make the node: {reason}')

@@ -1,5 +1,5 @@
 """
-ROS in a process of its own: started, and told to stop.
+ROS in a process of its own: started, and asked to stop.
 
 Not by rclpy's own signal handlers. They shut ROS down amid whatever is done, so that any call may
 raise anything then, and a thread of theirs wakes executors that may be gone already, which crashes.
@@ -41,8 +41,8 @@ def check_domain() -> None:
     """Raise RCLError for a domain beyond the last, for which Fast DDS ends the process."""
     domain = os.environ.get('ROS_DOMAIN_ID', '')
     if domain.isdecimal() and int(domain) > _LAST_DOMAIN:
-        told = f'ROS_DOMAIN_ID is {domain}; it must be a number from 0 to {_LAST_DOMAIN}'
-        raise RCLError(told)
+        message = f'ROS_DOMAIN_ID is {domain}; it must be a number from 0 to {_LAST_DOMAIN}'
+        raise RCLError(message)
 
 
 def _ignore_signals() -> None:
@@ -52,7 +52,7 @@ def _ignore_signals() -> None:
 
 
 def reason_of(error: Exception) -> str:
-    """What rcl says is wrong, less the places in its source, and how to mend it where it can."""
+    """What rcl says is wrong, less the places in its source, and how to fix it where it can."""
     reason = re.sub(r', at \S+:\d+', '', str(error))
     if 'log directory' in reason or 'logging directory' in reason:
         reason += '; set ROS_LOG_DIR to a folder that can be written'

@@ -12,7 +12,7 @@ from rclpy.topic_endpoint_info import TopicEndpointInfo
 from kinpole_ros.messages import MARKER_TYPES, ROS_TYPE_NAMES, MarkerReader, MessageError
 from kinpole_ros.pipeline.frame import MarkerFrames
 from kinpole_ros.pipeline.parameters import ParameterError, Settings
-from kinpole_ros.ros.executor import Apart
+from kinpole_ros.ros.executor import SubscriptionGroup
 from kinpole_ros.ros.private import has_known_node, sequence_number, take, wait_for_messages
 
 # Messages that wait while others are worked on; beyond, the newest push out the oldest. A stretch
@@ -25,7 +25,7 @@ class MarkerSource:
     The topic of the markers.
 
     `on_markers` is called with a message and its info, by rclpy or by `wait`, and has them and all
-    that waits read by `take`. `note` is told what is wrong, by a word for it, and '' when that is
+    that waits read by `take`. `note` is given what is wrong, by a word for it, and '' when that is
     over.
     """
 
@@ -40,7 +40,7 @@ class MarkerSource:
         self._on_markers, self._note = on_markers, note
         self.topic = node.resolve_topic_name(settings.marker_topic)
         self._subscription: Any = None
-        self._group = Apart()
+        self._group = SubscriptionGroup()
         self._kind = ''
         # Whether the markers were asked for reliably.
         self.lossless = False
@@ -57,7 +57,7 @@ class MarkerSource:
 
     def wait(self, seconds: float) -> bool:
         """Wait so long for markers, which are left to this from now on; whether any came."""
-        self._group.apart = True
+        self._group.is_polled = True
         wait_for_messages(self._node, [self._subscription], seconds)
         taken = [*take(self._subscription, 1)]
         if taken:
@@ -74,7 +74,7 @@ class MarkerSource:
         self._publishers = set()
 
     def start_anew(self, settings: Settings) -> None:
-        """Forget what came, and tell markers apart as these settings say."""
+        """Forget what came, and identify markers as these settings say."""
         self._settings = settings
         self._number = None
         if self._kind:

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 os.environ.setdefault('OPENBLAS_NUM_THREADS', '1')
 
 # Packages that may be missing, and how to come by them.
-_MENDS = {
+_FIXES = {
     'bench': 'the benchmarks are in a checkout of the source, not in an installed package: run '
     'kinpole bench from one, after pip install --editable .',
     'matplotlib': "drawing needs matplotlib; install it with pip install 'kinpole_ros[plot]'",
@@ -43,7 +43,7 @@ def main(args: Sequence[str] | None = None) -> int:
     words = list(sys.argv[1:] if args is None else args)
     _fill_closed()
     if isinstance(sys.stdout, io.TextIOWrapper):
-        # What a locale has no letter for, or a file name that is no text, is told by its number.
+        # What a locale has no letter for, or a file name that is no text, is shown by its number.
         sys.stdout.reconfigure(errors='backslashreplace')
     try:
         if words[:1] == ['node'] and not {'-h', '--help'} & set(words):
@@ -73,7 +73,7 @@ def node() -> int:
 
 
 def _fill_closed() -> None:
-    """Open what is closed of stdin to stderr: else a bag takes its place, and gets what is told."""
+    """Open what is closed of stdin to stderr: else a bag takes its place, and gets the output."""
     while (number := os.open(os.devnull, os.O_RDWR)) <= 2:
         pass
     os.close(number)
@@ -104,15 +104,15 @@ def _package_missing(error: object) -> str:
 def _line(error: object) -> str:
     if package := _package_missing(error):
         ros = package == 'rclpy' or package.endswith(('_msgs', '_interfaces'))
-        mend = _NO_ROS if ros else f'install it with pip install {package}'
-        return _MENDS.get(package, f'the Python package {package} cannot be imported; {mend}')
+        fix = _NO_ROS if ros else f'install it with pip install {package}'
+        return _FIXES.get(package, f'the Python package {package} cannot be imported; {fix}')
     text = ' '.join(str(error).split())
     if isinstance(error, OSError) and error.strerror:
         # From wherever nobody had words of his own for it.
-        mend = 'check the path, its rights and the space on the disk'
-        return f'{error.filename or "a file"} cannot be used: {error.strerror}; mend: {mend}'
+        fix = 'check the path, its rights and the space on the disk'
+        return f'{error.filename or "a file"} cannot be used: {error.strerror}; fix: {fix}'
     if isinstance(error, MemoryError):
-        return f'the memory is too small for this ({text or "full"}); mend: do it in shorter parts'
+        return f'the memory is too small for this ({text or "full"}); fix: do it in shorter parts'
     return text
 
 
@@ -156,9 +156,9 @@ def _replay(options: argparse.Namespace) -> int:
             f'{state.largest * 1e3:.3g} ms at most{used}'
         )
     for body, shares in result.determined.items():
-        told = ', '.join(f'{pole} {share:.1%}' for pole, share in shares.items())
-        print(f'{body}: determined at {told} of them')
-    for row in result.beside:
+        listed = ', '.join(f'{pole} {share:.1%}' for pole, share in shares.items())
+        print(f'{body}: determined at {listed} of them')
+    for row in result.scene_deviations:
         print(
             f'{row.subject}: {row.what} {row.rms:.2g} {row.unit}, {row.deviations:.1f} deviations '
             f'(rms of {row.instants} instants)'
@@ -209,7 +209,7 @@ def _batch(options: argparse.Namespace) -> int:
     cut = sum(bool(row.get('truncated')) for row in rows)
     lacking = sum(bool(row.get('unknown')) for row in rows)
     frames = sum(row.get('frames', 0) for row in rows)
-    lack = f', {lacking} know a body at no instant' if lacking else ''
+    lack = f', {lacking} never estimated a body' if lacking else ''
     print(f'{len(rows)} bags, {failed} failed, {cut} cut off{lack}; {frames} frames in')
     print(f'written to {options.output}, with a table over all in {options.output}/summary.csv')
     return 2 if failed or cut or lacking else 0
@@ -228,7 +228,7 @@ def _settings(options: argparse.Namespace) -> 'Settings':
 def _keep(given: str | None, *outputs: str | None) -> None:
     """Refuse to write over a file that is read, or a recording, which cannot be made again."""
     for output in filter(None, outputs):
-        # By another name too. What cannot be looked at is told of when it is opened.
+        # By another name too. What cannot be looked at is reported when it is opened.
         there = given is not None and os.path.exists(given) and os.path.exists(output)
         if there and os.path.samefile(str(given), output):
             raise FileExistsError(f'{given} is to be read; name another file to write')
@@ -363,7 +363,7 @@ def _demo(options: argparse.Namespace) -> int:
 
 
 def _bench(options: argparse.Namespace) -> int:
-    # Beside the package: an installed one has none.
+    # Next to the package: an installed one has none.
     sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
     from bench import bench, bench_long, bench_rigs, bench_soak
 

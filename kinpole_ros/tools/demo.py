@@ -69,7 +69,7 @@ def live_run(bag: Path, config: Path, recording: Path) -> int:
     """
     Play the markers of `bag` into a node of its own and record everything it publishes.
 
-    The node is told to lose no marker. Returns the number of messages played.
+    The node is set to lose no marker. Returns the number of messages played.
     Raises BagError when the node or the recorder does not come up.
     """
     settings = load_settings(config)
@@ -117,7 +117,7 @@ def _await(condition: Callable[[], bool], *processes: 'subprocess.Popen[bytes]')
         if ended or time.monotonic() > deadline:
             raise BagError(
                 f'the node and its recorder did not come up within {_START:g} s; see what they '
-                'printed, and whether ROS_DOMAIN_ID or a firewall keeps processes apart'
+                'printed, and whether ROS_DOMAIN_ID or a firewall blocks traffic between processes'
             )
         time.sleep(0.02)
 
@@ -131,7 +131,7 @@ def _await_quiet(executor: SingleThreadedExecutor, heard: list[float]) -> None:
 
 @contextmanager
 def _process(words: list[str]) -> 'Iterator[subprocess.Popen[bytes]]':
-    """A `kinpole` command that runs beside us, and is told to stop at the end."""
+    """A `kinpole` command that runs along with us, and is asked to stop at the end."""
     process = subprocess.Popen([sys.executable, '-m', 'kinpole_ros.tools.cli', *words])
     try:
         yield process
@@ -157,8 +157,8 @@ def _comparison(bag: Path, recording: Path, bodies: tuple[str, ...]) -> Iterator
             measured = found.get(f'/kinpole/{body}/{quantity}', {})
             both = [stamp for stamp in measured if stamp in exact]
             if not both:
-                told = 'undetermined, as it should be' if not exact else 'undetermined'
-                yield f'{body:10} {quantity:22} {len(measured):9} {told}'
+                outcome = 'undetermined, as it should be' if not exact else 'undetermined'
+                yield f'{body:10} {quantity:22} {len(measured):9} {outcome}'
                 continue
             error = [float(np.linalg.norm(measured[s] - exact[s])) for s in both]
             yield f'{body:10} {quantity:22} {len(measured):9} {np.median(error):15.3g}  {unit}'

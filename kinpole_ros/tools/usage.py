@@ -87,7 +87,7 @@ def make_parser() -> argparse.ArgumentParser:
         'A cluster is `dask scheduler` on one machine and `dask worker tcp://hub:8786 --nthreads 1`'
         '\non each of the others. All of them have kinpole_ros installed, and see bags and output\n'
         'under the same paths. Dask takes code from whoever reaches it: keep it inside your lab.\n'
-        'Exit status: 0 all bags done; 2 some failed, are cut off, or know a body at no instant:\n'
+        'Exit status: 0 all bags done; 2 some failed, are cut off, or never estimated a body:\n'
         'see the columns error, truncated, unknown and warnings.',
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
@@ -112,7 +112,7 @@ def make_parser() -> argparse.ArgumentParser:
 
     simulate = commands.add_parser(
         'simulate',
-        help='a bag of markers from a mechanism, with the exact answer beside it',
+        help='a bag of markers from a mechanism, with the exact answer in it',
         description='Writes markers on /markers and the exact motion on /kinpole/truth/... The '
         'last four options spoil the markers as real rigs do; the exact motion is in m, in the '
         'frame of the markers, under the stamp of its frame.',

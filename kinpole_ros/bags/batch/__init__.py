@@ -2,7 +2,7 @@
 Many bags replayed, on the cores of this machine or on a Dask cluster, and a table over all.
 
 Dask does the work of spreading; here is what makes a run of days bearable: each result appears
-under its name only when it is whole, with a small file beside it that tells what it was made of,
+under its name only when it is whole, with a small file next to it that says what it was made of,
 so that a run that was stopped goes on where it was, and a bag that fails costs only itself.
 """
 
@@ -58,7 +58,7 @@ def batch(
 
     A row has the bag and its results, frames, estimates, the span of time, noise, resets, what
     was unreadable, the share of instants with each pole, where the bag was cut off ('truncated'),
-    bodies known at no instant ('unknown'), and why it failed ('error'). A failed bag does not stop
+    bodies never estimated ('unknown'), and why it failed ('error'). A failed bag does not stop
     the rest; `report` is called with each row as it comes, `progress` with the share done of what
     was left to do, by bytes. Rows are in the order of `bags`, without results of earlier runs
     among them. Raises BagError when there is no Dask, no scheduler, or no place to write. An
@@ -95,8 +95,10 @@ def batch(
                     report(row)
     finally:
         # What was finished while we were being stopped counts too.
-        told = [rows.get(path) or finished(path, folder, settings, topic, kinds) for path in paths]
-        listed = [row for row in told if row is not None]
+        all_rows = [
+            rows.get(path) or finished(path, folder, settings, topic, kinds) for path in paths
+        ]
+        listed = [row for row in all_rows if row is not None]
         write_summary(folder / 'summary.csv', listed)
     return listed
 
@@ -184,7 +186,7 @@ class _Progress:
     def take(self, run: str, number: int, share: float) -> None:
         with self.lock:
             done = int(share * self._sizes[number]) if run == self.run else 0
-            # What was told of a bag before its end may arrive after it.
+            # What was reported of a bag before its end may arrive after it.
             if done > self._done[number]:
                 self._sum += done - self._done[number]
                 self._done[number] = done

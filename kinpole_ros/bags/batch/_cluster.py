@@ -18,7 +18,7 @@ def cluster(scheduler: str | None, workers: int) -> Iterator[Any]:
     try:
         from distributed import Client, LocalCluster
     except ImportError:
-        raise BagError("many bags need Dask; mend: pip install 'kinpole_ros[batch]'") from None
+        raise BagError("many bags need Dask; fix: pip install 'kinpole_ros[batch]'") from None
     logging.getLogger('distributed').setLevel(logging.CRITICAL)
     if scheduler is None:
         try:
@@ -33,7 +33,7 @@ def cluster(scheduler: str | None, workers: int) -> Iterator[Any]:
                 )
         except (OSError, RuntimeError) as error:
             raise BagError(
-                f'no worker processes can be started ({error}); mend: see to the memory and the '
+                f'no worker processes can be started ({error}); fix: see to the memory and the '
                 'processes this machine has to spare, or give fewer --workers'
             ) from None
         with cluster, Client(cluster) as client:
@@ -43,7 +43,7 @@ def cluster(scheduler: str | None, workers: int) -> Iterator[Any]:
         client = Client(scheduler, timeout=_PATIENCE)
     except (OSError, ValueError) as error:
         raise BagError(
-            f'no Dask scheduler answers at {scheduler} ({error}); mend: give the address that '
+            f'no Dask scheduler answers at {scheduler} ({error}); fix: give the address that '
             '`dask scheduler` prints, such as tcp://10.0.0.5:8786'
         ) from None
     with client:
@@ -51,7 +51,7 @@ def cluster(scheduler: str | None, workers: int) -> Iterator[Any]:
             client.wait_for_workers(1, timeout=_PATIENCE)
         except TimeoutError:
             raise BagError(
-                f'the Dask scheduler at {scheduler} has no workers; mend: start some, with '
+                f'the Dask scheduler at {scheduler} has no workers; fix: start some, with '
                 f'`dask worker {scheduler}`'
             ) from None
         yield client

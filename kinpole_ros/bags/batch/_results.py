@@ -1,7 +1,7 @@
 """
 The results of one bag: made by one run at a time, and named only when they are whole.
 
-A small file beside them tells what they are made of, so that they are not made twice.
+A small file next to them says what they are made of, so that they are not made twice.
 """
 
 import csv
@@ -71,7 +71,7 @@ def _make(
         progress=progress,
         parquet=parts.get('parquet'),
     )
-    before = _told(bag, folder, made_of)
+    before = _recorded_row(bag, folder, made_of)
     there = [kind for kind in KINDS if kind in kinds or _has(before, bag, folder, kind)]
     row: Row = {
         'bag': bag,
@@ -147,17 +147,17 @@ def finished(
 ) -> Row | None:
     """The row of a bag whose results are there, made of the same bag with the same settings."""
     try:
-        row = _told(bag, folder, _made_of(bag, settings, topic))
+        row = _recorded_row(bag, folder, _made_of(bag, settings, topic))
     except EXPECTED:
         return None
     return row if all(_has(row, bag, folder, kind) for kind in kinds) else None
 
 
-def _told(bag: str, folder: Path, made_of: list[Any]) -> Row | None:
+def _recorded_row(bag: str, folder: Path, made_of: list[Any]) -> Row | None:
     """The row of the results of a bag that are there, if they were made of this."""
     try:
-        told = json.loads((folder / f'{_name(bag)}.json').read_text('utf-8'))
-        row = told['row'] if told['made_of'] == made_of else None
+        record = json.loads((folder / f'{_name(bag)}.json').read_text('utf-8'))
+        row = record['row'] if record['made_of'] == made_of else None
     except (OSError, ValueError, LookupError, TypeError):
         return None
     return row if isinstance(row, dict) and row.get('bag') == bag else None
@@ -175,8 +175,8 @@ def is_result(path: str, folder: Path) -> bool:
     if result.parent != folder:
         return False
     try:
-        told = json.loads(result.with_suffix('.json').read_text('utf-8'))
-        return _name(told['row']['bag']) == result.stem
+        record = json.loads(result.with_suffix('.json').read_text('utf-8'))
+        return _name(record['row']['bag']) == result.stem
     except (OSError, ValueError, LookupError, TypeError):
         return False
 
@@ -193,10 +193,10 @@ def _made_of(bag: str, settings: Settings, topic: str | None) -> list[Any]:
     """All that the results depend on, such that equal is unchanged."""
     files = [(file.name, file.stat().st_size, file.stat().st_mtime_ns) for file in bag_files(bag)]
     scene = Path(settings.scene)
-    told = repr((__version__, topic, settings, files)).encode()
+    described = repr((__version__, topic, settings, files)).encode()
     if settings.scene and scene.is_file():
-        told += scene.read_bytes()
-    return [__version__, hashlib.sha256(told).hexdigest()]
+        described += scene.read_bytes()
+    return [__version__, hashlib.sha256(described).hexdigest()]
 
 
 def write_summary(path: Path, rows: list[Row]) -> None:
@@ -225,5 +225,5 @@ def _write_whole(path: Path, text: str) -> None:
 def unwritable(path: Path, error: OSError) -> BagError:
     return BagError(
         f'{path} cannot be written: {error.strerror}; '
-        'mend: check the path, its rights and the space on the disk'
+        'fix: check the path, its rights and the space on the disk'
     )

@@ -63,8 +63,8 @@ def plot(
     formats = sorted(figure.canvas.get_supported_filetypes())
     if Path(output).suffix[1:].lower() not in formats:
         raise BagError(f'{output} is no picture; end its name in one of {", ".join(formats)}')
-    told = None if progress is None else lambda share: progress(_READING * share)
-    results = read_results(bag, told)
+    reading = None if progress is None else lambda share: progress(_READING * share)
+    results = read_results(bag, reading)
     # A file name need not be text.
     _draw(figure, os.fsencode(Path(bag).name).decode(errors='replace'), results)
     try:
@@ -76,7 +76,7 @@ def plot(
     except OSError as error:
         raise BagError(
             f'{output} cannot be written: {error.strerror}; '
-            'mend: check the path, its rights and the space on the disk'
+            'fix: check the path, its rights and the space on the disk'
         ) from error
     if progress is not None:
         progress(1.0)

@@ -37,7 +37,7 @@ class Body(NamedTuple):
 
     `position` (T,) complex, m; `angle` (T,), rad; `rate` and its standard deviation `rate_sigma`
     (T,), rad/s; `size`, m, is twice the root mean square distance of the markers from their mean,
-    NaN when it cannot be told.
+    NaN when it cannot be determined.
     """
 
     name: str
@@ -134,7 +134,7 @@ def read_results(bag: str | Path, progress: Callable[[float], None] | None = Non
                 parts[pole] = parts.pop(f'{pole}/with_covariance')
         series = {part: _series(*found, plane, part in _NUMBERS) for part, found in parts.items()}
         if f'{prefix}/{_CURVATURE}' in kinds:
-            # Known at no instant: the ICR was not seen to move, which is more than not recorded.
+            # Never estimated: the ICR was not seen to move, which is more than not recorded.
             series.setdefault(_CURVATURE, _series(np.empty(0, int), np.empty((0, 3)), plane, True))
         bodies.append(_body(names[prefix], stamp, values, plane, series))
     between = {

@@ -67,7 +67,7 @@ def solve_scene(
         curves = centrodes(loaded.mechanism, one, other, low, high)
         write_pitch_curves(file, curves)
         lines.append(
-            f'the curves of {one} and {other} roll on each other, arc lengths alike to '
+            f'the curves of {one} and {other} roll on each other, arc lengths equal to '
             f'{curves.slip:.1e}; written to {file}'
         )
     if picture:
@@ -88,7 +88,7 @@ def _writing(path: str | Path) -> Iterator[None]:
     except OSError as error:
         raise SceneError(
             f'{path} cannot be written: {error.strerror}; '
-            'mend: check the path, its rights and the space on the disk'
+            'fix: check the path, its rights and the space on the disk'
         ) from None
 
 

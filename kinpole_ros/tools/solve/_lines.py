@@ -224,7 +224,7 @@ def _table(head: Sequence[str], rows: Sequence[Sequence[str | float]]) -> list[s
     columns = []
     for column in zip(*rows, strict=True):
         numbers = [abs(c) for c in column if not isinstance(c, str) and np.isfinite(c)]
-        # Rounding of what is zero by itself, or beside the others.
+        # Rounding of what is zero by itself, or next to the others.
         least = 1e-12 * max([1.0, *numbers])
         columns.append(
             [
