@@ -79,13 +79,13 @@ def _head(seconds: float, quick: bool) -> str:
     warning = '\n**Made with --quick: too little data for a judgment.**\n' if quick else ''
     return f"""# Benchmarks
 
-Made by `kinpole bench`: figures as CSV beside each picture in [charts](charts), the same again from
-the same code but for the times. This run took {seconds / 60:.1f} minutes on {os.cpu_count()} cores
+Made by `kinpole bench`: figures as CSV next to each picture in [charts](charts), the same again
+from the same code but for the times. This run took {seconds / 60:.1f} minutes on {os.cpu_count()} cores
 (Python {platform.python_version()}, numpy {np.__version__}).
 {warning}
 Unless said otherwise: one body of 4 markers at 200 Hz, window 0.5 s, lag 0.1 s; noise is white,
 its standard deviation per axis given in body sizes (twice the rms radius of the markers), and not
-told to the tracker. Six motions: a four-bar's coupler at 1 rev/s; turning at a constant 5 rev/s
+given to the tracker. Six motions: a four-bar's coupler at 1 rev/s; turning at a constant 5 rev/s
 with the reference point on an orbit; two sines in angle, x and y; half a second of rest and half a
 second of motion, over and over; a wheel that rolls at 1 rev/s; and a coupler that whips round at a
 dead point, where its acceleration peaks for 0.06 s. The first 1.5 s of each record do not count.

@@ -206,13 +206,13 @@ over the covariance is below 5.991, chi-square of 2 degrees of freedom):
 
 In {len(known) - len(judged)} cells, marked =, over {100 * _ALL_EXACT:.0f}% of the frames have no
 error but rounding, as truth and estimate are one constant: nothing but 100% is possible there. Of
-the other {len(judged)}, bold is outside 93 to 97%: {inside} are inside, {low} too low (stated too
-sure), {high} too high (stated too unsure). Neighboring frames share their windows: reckoned as one
-independent frame per 0.25 s, each cell is known to some 1.5 points only.
+the other {len(judged)}, bold is outside 93 to 97%: {inside} are inside, {low} too low
+(overconfident), {high} too high (conservative). Neighboring frames share their windows: reckoned as
+one independent frame per 0.25 s, each cell is known to some 1.5 points only.
 
-What could be reached: the best fixed setting in hindsight, told the true noise, is inside in
-{best[0]} of {len(bounds)} cells, too sure in {best[1]} and too unsure in {best[2]}, for what its
-polynomial cannot follow it knows nothing of. Were all stated variances of a cell of ours scaled by
+What could be reached: the best fixed setting in hindsight, given the true noise, is inside in
+{best[0]} of {len(bounds)} cells, overconfident in {best[1]} and conservative in {best[2]}, for what
+its polynomial cannot follow it knows nothing of. Were all stated variances of a cell of ours scaled by
 the one factor that makes its mean squared error right, which takes the truth to know, {scaled[0]}
 would be inside, {scaled[1]} too low and {scaled[2]} too high: what is left to do is to tell how
 large the errors of a motion are, not how they are distributed.
@@ -228,8 +228,8 @@ number by row: [coverage.csv](charts/coverage.csv).
 Rates are determined wherever there are samples, so none is withheld. How many of the bad ones could
 be marked at most: for each there is a motion that differs from the true one by a polynomial of
 degree 9 in the 41 samples about the instant, as far back as may be looked ahead, and for which the
-rate that was told is right. It is told from the true one by their distance in units of noise, and
-no test that takes under 2% of such motions for the true ones marks more than this."""
+published rate is right. It is distinguished from the true one by their distance in units of noise,
+and no test that takes under 2% of such motions for the true ones marks more than this."""
 
 
 def chi_part(rows: Rows) -> str:
@@ -293,7 +293,7 @@ def peers_part(tables: dict[str, Table], offline: dict[str, Table], version: str
     )
     told = (
         f'PyNumDiff {version} is offline and sees the whole record, so lag does not bind it; its '
-        'own optimizer was told the true derivative, order after order. It differentiates one '
+        'own optimizer was given the true derivative, order after order. It differentiates one '
         'signal: here the angle, so it has no poles. At one noise level, as its tuning takes long.'
         if version
         else 'PyNumDiff is not installed here: `pip install kinpole_ros[bench]` brings it.'
@@ -368,7 +368,7 @@ def pendulum_part(rows: Rows, quick: bool) -> str:
             beyond += sum(ratio > PEER_BAR for ratio in ratios)
             line.append(' / '.join(f'**{r:.2f}**' if r > PEER_BAR else f'{r:.2f}' for r in ratios))
         lines.append(tuple(line))
-    lines.append(('frames judged', *(f'{cells[ways[0], place]["frames"]}' for place in places)))
+    lines.append(('frames compared', *(f'{cells[ways[0], place]["frames"]}' for place in places)))
     told = min(cells[way, place]['told'] for way in ways if way not in fixed for place in places)
     return f"""{title}
 
@@ -381,7 +381,7 @@ of link1, median / 90th percentile:
 
 Bold is over the bar of {PEER_BAR}: **{beyond} of {total}**; the best fixed is another one from
 column to column and figure to figure. Ours has a figure in at least {100 * told:.1f}% of
-the frames judged. All are judged on the same frames, those in which the links turn:
+the frames compared. All are compared on the same frames, those in which the links turn:
 |ω1| > 0.01 rad per frame for the ICR of link1, |ω2 − ω1| > 0.01 for the relative ICR, |ω2| > 0.01
 for the ICR of link2, which should lie on the line through pivot and joint; (α² + ω⁴)^½ > 4e-4 for
 the IAP and ((ω̈ − ω³)² + 9ω²α²)^½ > 1.6e-5 for the IJP. The joint is where 21 frames and degree 3

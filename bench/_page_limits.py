@@ -178,8 +178,8 @@ window with a sample missing.
 ![Stability atlas: IAP and κ](charts/atlas_higher.png)
 
 To see: the same of what needs more derivatives; the fixed window loses them sooner. At a cusp of
-the centrode (judged 0.05 s to either side of it) the poles stay, and κ, infinite there, is withheld
-in the frames that cannot tell and poor beside them.
+the centrode (compared 0.05 s to either side of it) the poles stay, and κ, infinite there, is
+withheld in the frames that cannot tell and poor next to them.
 
 Where the fixed window does worst on poles, limit by limit (error over the body's size, share
 determined):
