@@ -80,8 +80,8 @@ def _head(seconds: float, quick: bool) -> str:
     return f"""# Benchmarks
 
 Made by `kinpole bench`: figures as CSV next to each picture in [charts](charts), the same again
-from the same code but for the times. This run took {seconds / 60:.1f} minutes on {os.cpu_count()} cores
-(Python {platform.python_version()}, numpy {np.__version__}).
+from the same code but for the times. This run took {seconds / 60:.1f} minutes on
+{os.cpu_count()} cores (Python {platform.python_version()}, numpy {np.__version__}).
 {warning}
 Unless said otherwise: one body of 4 markers at 200 Hz, window 0.5 s, lag 0.1 s; noise is white,
 its standard deviation per axis given in body sizes (twice the rms radius of the markers), and not

@@ -17,6 +17,8 @@ from kinpole_ros.planar._plane import Real
 # How much of a window is the newer part, if there are two; and how probable that is.
 _NEWER = (0.3, 0.46, 0.7)
 _PRIOR = 0.5
+# Evidence that another part costs, flat priors of a parameter.
+_WORTH = 4
 # A part of which less is seen, samples, is none.
 _FEWEST = FEWEST_SAMPLES + 1
 # The logarithm of no chance at all.
@@ -34,8 +36,9 @@ def derive_parts(window: Window, samples: Real, weights: Real | None) -> Found:
     whole, chance = _derive(window, samples, weights)
     if window.exact or not window.parts:
         return whole
-    # Two lines more have to be worth it: with this much of evidence a whole window needs no parts.
-    some = (whole.evidence < -2 * FLAT * _COMPONENTS).any(axis=0).nonzero()[0]
+    # Another line, and two motions for one, have to be worth it: a window with more evidence than
+    # that needs no parts.
+    some = (whole.evidence < -_WORTH * FLAT * _COMPONENTS).any(axis=0).nonzero()[0]
     if not len(some):
         return whole
     found, chances = [Found(*(part[..., some] for part in whole))], [chance[:, some]]
