@@ -213,8 +213,8 @@ one independent frame per 0.25 s, each cell is known to some 1.5 points only.
 What could be reached: the best fixed setting in hindsight, given the true noise, is inside in
 {best[0]} of {len(bounds)} cells, overconfident in {best[1]} and conservative in {best[2]}, for what
 its polynomial cannot follow it knows nothing of. Were all stated variances of a cell of ours scaled
-by the one factor that makes its mean squared error right, which takes the truth to know, {scaled[0]}
-would be inside, {scaled[1]} too low and {scaled[2]} too high: what is left to do is to tell how
+by the one factor that makes its mean squared error right, which takes the truth to know,
+{scaled[0]} would be inside, {scaled[1]} too low and {scaled[2]} too high: what is left to do is to tell how
 large the errors of a motion are, not how they are distributed.
 
 {determined}
