@@ -4,6 +4,7 @@ From poses at stamps to derivatives at instants: which samples a window has, and
 Nothing is remembered: what is found at an instant depends on the poses in its window alone.
 """
 
+from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
@@ -325,20 +326,30 @@ def _sizes(cells: _Cells, full: np.ndarray, blocks: np.ndarray) -> np.ndarray:
     seen = there.cumsum(axis=0)
     # Not beyond the oldest that is there.
     oldest = count - there[::-1].argmax(axis=0)
-    sizes = np.zeros(len(full), int)
-    # Where stamps are not even a window has one frame more or less.
-    ladder = [full, full - 1]
-    while (ladder[-1] >= FEWEST_SAMPLES).any():
-        ladder.append((ladder[-1] * _SHORTER).astype(int))
-    # All there is, if the instant is the oldest of it.
-    ladder.append(np.minimum(full, oldest // blocks))
-    for size in ladder:
+    sizes, signals = np.zeros(len(full), int), np.arange(len(full))
+    possible = (cells.ahead >= 0) & (seen[-1] >= FEWEST_SAMPLES)
+    for size in _ladder(full, oldest // blocks):
         samples = size * blocks
-        need = np.clip(samples, 1, count) - 1
-        enough = seen[need, np.arange(len(need))] >= np.maximum(_PRESENT * samples, FEWEST_SAMPLES)
-        enough &= (cells.ahead >= 0) & (cells.ahead < samples) & (samples <= oldest)
-        sizes = np.where((sizes == 0) & enough & (size >= FEWEST_SAMPLES), size, sizes)
+        enough = seen[np.minimum(samples, count) - 1, signals] >= np.maximum(
+            _PRESENT * samples, FEWEST_SAMPLES
+        )
+        enough &= (cells.ahead < samples) & (samples <= oldest) & (size >= FEWEST_SAMPLES)
+        sizes = np.where((sizes == 0) & enough & possible, size, sizes)
+        if not np.count_nonzero((sizes == 0) & possible):
+            break
     return sizes
+
+
+def _ladder(full: np.ndarray, last: np.ndarray) -> Iterator[np.ndarray]:
+    """Sizes (S,) to try one after the other, from the `full` ones on."""
+    yield full
+    # Where stamps are not even a window has one frame more or less.
+    size = full - 1
+    while (size >= FEWEST_SAMPLES).any():
+        yield size
+        size = (size * _SHORTER).astype(int)
+    # All there is, if the instant is the oldest of it.
+    yield np.minimum(full, last)
 
 
 def _derive(cells: _Cells, group: _Group, orders: int) -> tuple[Found, Real]:
