@@ -78,7 +78,7 @@ class Windows(NamedTuple):
     newest: np.ndarray
 
     def part(self, which: slice) -> 'Windows':
-        return Windows(*(frames[which] for frames in self))
+        return Windows(self.now[which], self.oldest[which], self.newest[which])
 
 
 class _Cells(NamedTuple):
@@ -118,7 +118,7 @@ def derive_poses(
     instants, bodies = noise.shape
     result = _nothing(order + 1, instants, bodies)
     step = max(1, _AT_ONCE // bodies)
-    even = _are_even(poses, windows) and not np.count_nonzero(left_out)
+    even = not np.count_nonzero(left_out) and _are_even(poses, windows)
     for first in range(0, instants, step):
         part = slice(first, min(first + step, instants))
         some = windows.part(part)
@@ -132,28 +132,33 @@ def derive_poses(
 
 
 def _nothing(orders: int, instants: int, bodies: int) -> Derivatives:
-    shape = orders, instants, bodies
-    unknown = np.full(shape, np.nan)
-    square = np.full((orders, *shape), np.nan)
-    each = np.full(shape[1:], np.nan)
-    return Derivatives(unknown + 0j, unknown, square, square.copy(), each, each.copy())
+    shape, square = (orders, instants, bodies), (orders, orders, instants, bodies)
+    each = np.empty((2, instants, bodies))
+    nothing = Derivatives(
+        np.empty(shape, complex), np.empty(shape), np.empty(square), np.empty(square), *each
+    )
+    for array in nothing:
+        array.fill(np.nan)
+    return nothing
 
 
 def _are_even(poses: Poses, windows: Windows) -> bool:
     """Whether all windows have as many frames, evenly, all of which tell as much."""
     now, oldest, newest = windows
     rows = slice(int(oldest[0]), int(newest[-1]) + 1)
-    steps = np.diff(poses.time[rows])
-    alike = all(
-        bool((part[rows] >= _ALIKE * part[rows].max(axis=0)).all() and part[rows.start].all())
-        for part in (poses.angle_information, poses.position_information)
-    )
-    return bool(
-        alike
-        and (newest - oldest == newest[0] - oldest[0]).all()
-        and (newest - now == newest[0] - now[0]).all()
-        and np.ptp(steps) * (newest[0] - oldest[0]) <= _OFF * steps[0]
-    )
+    held, ahead = newest - oldest, newest - now
+    if np.count_nonzero(held != held[0]) or np.count_nonzero(ahead != ahead[0]):
+        return False
+    time = poses.time[rows]
+    steps = time[1:] - time[:-1]
+    if (steps.max() - steps.min()) * held[0] > _OFF * steps[0]:
+        return False
+    for information in (poses.angle_information[rows], poses.position_information[rows]):
+        least = _ALIKE * information.max(axis=0)
+        good = np.count_nonzero(information >= least) == information.size
+        if not good or np.count_nonzero(information[0]) < len(least):
+            return False
+    return True
 
 
 def _even_cells(poses: Poses, windows: Windows, left_out: np.ndarray, noise: Real) -> _Cells:
@@ -167,12 +172,9 @@ def _even_cells(poses: Poses, windows: Windows, left_out: np.ndarray, noise: Rea
     samples[:, 0] += 2 * np.pi * (poses.turns[rows] - poses.turns[now])
     off = poses.position[rows] - poses.position[now]
     samples[:, 1], samples[:, 2] = off.real, off.imag
-    unit = np.stack(
-        (
-            noise / np.sqrt(total(poses.angle_information[rows]) / count),
-            noise / np.sqrt(total(poses.position_information[rows]) / count),
-        )
-    )
+    unit = np.empty((2, len(now), bodies))
+    unit[0] = noise / np.sqrt(total(poses.angle_information[rows]) / count)
+    unit[1] = noise / np.sqrt(total(poses.position_information[rows]) / count)
     signals = len(now) * bodies
     exact = _in_units(samples.transpose(1, 0, 2, 3), unit).reshape(signals)
     interval = (poses.time[newest] - poses.time[oldest]) * 1e-9 / (count - 1)
@@ -258,11 +260,13 @@ def _in_units(samples: Real, unit: Real) -> np.ndarray:
 
     Both in place: there is no noise below rounding. Returns where samples are all but exact.
     """
-    largest = np.abs(samples).max(axis=1)
-    largest = np.stack((largest[0], np.maximum(largest[1], largest[2])))
+    each = np.abs(samples).max(axis=1)
+    largest = each[:2]
+    np.maximum(largest[1], each[2], out=largest[1])
     np.maximum(unit, largest / MOST_EXACT, out=unit)
-    samples /= unit[[0, 1, 1], None]
-    return np.asarray((largest > _EXACT * unit).any(axis=0))
+    samples[0] /= unit[0]
+    samples[1:] /= unit[1]
+    return np.logical_or.reduce(largest > _EXACT * unit)
 
 
 def _intervals(time: Real, inside: np.ndarray) -> Real:

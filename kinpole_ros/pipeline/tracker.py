@@ -501,13 +501,14 @@ class Tracker:
                 good = np.where(before, 0.0, information)
             if np.count_nonzero(row['reference']):
                 signals, good = seen_at(row['reference'], row['middle'], signals, good)
-            position = signals[:, count:, 0] + 1j * signals[:, count:, 1]
+            position = signals[:, count:].view(complex)[..., 0]
             seen = Poses(time, angle, turns, position, good[:, :count], good[:, count:])
             instants = windows.part(part)
             noise, window = known['noise'][part], self._timeline.window
             found = derive_poses(seen, instants, suspect[part], noise, window * 1e-9, order)
             parts.append(found)
-        found = Derivatives(*(np.concatenate(each, axis=-2) for each in zip(*parts, strict=True)))
+        if len(parts) > 1:
+            found = Derivatives(*(np.concatenate(e, axis=-2) for e in zip(*parts, strict=True)))
         return (*found[:-1], found.freedom - 1), known['reference']
 
     def _from_landmarks(
