@@ -11,7 +11,7 @@ import numpy as np
 from kinpole_ros.derivatives._evidence import KNOWN, Found
 from kinpole_ros.derivatives._fast import derive
 from kinpole_ros.derivatives._models import FEWEST_SAMPLES, FLAT, modes_of, stencils_of
-from kinpole_ros.derivatives._samples import Window, lacking_of, total
+from kinpole_ros.derivatives._samples import Window, seen_of, total
 from kinpole_ros.planar._plane import Real
 
 # How much of a window is the newer part, if there are two; and how probable that is.
@@ -61,10 +61,7 @@ def _derive(window: Window, samples: Real, weights: Real | None) -> tuple[Found,
     """Derivatives, and the logarithm (2, S) of how probable the samples are by all models."""
     count, _, block, _, exact = window
     modes, stencils = modes_of(count, block, exact), stencils_of(*window)
-    if weights is None:
-        seen, lacking = np.full((2, samples.shape[2]), float(count)), None
-    else:
-        seen, lacking = total(weights), lacking_of(weights)
+    seen, lacking = seen_of(weights, samples)
     found = derive(modes, stencils, np.ascontiguousarray(samples), seen, lacking)
     # The evidence is relative to a line with a flat prior, and to so many samples.
     chance = found.evidence - 2 * FLAT * _COMPONENTS

@@ -4,6 +4,7 @@ From poses at stamps to derivatives at instants: which samples a window has, and
 Nothing is remembered: what is found at an instant depends on the poses in its window alone.
 """
 
+import math
 from collections.abc import Iterator
 from typing import NamedTuple
 
@@ -207,12 +208,11 @@ def _cells(poses: Poses, windows: Windows, left_out: np.ndarray, noise: Real) ->
     known = (poses.angle_information[rows] > 0) & (poses.position_information[rows] > 0)
     known &= inside[..., None] & (np.arange(most)[:, None, None] >= left_out)
     # (n, T, B) from here on.
-    cell = np.broadcast_to(cell[..., None], known.shape)
-    ahead = np.where(known, cell, -1).max(axis=0)
-    oldest_cell = np.where(known, cell, ahead).min(axis=0)
+    ahead = np.where(known, cell[..., None], -1).max(axis=0)
+    oldest_cell = np.where(known, cell[..., None], ahead).min(axis=0)
     count = max(int((ahead - oldest_cell).max()) + 1, 1)
     frame, instant, body = known.nonzero()
-    at = ahead[instant, body] - cell[frame, instant, body], instant, body
+    at = ahead[instant, body] - cell[frame, instant], instant, body
     row = rows[frame, instant]
     shape = count, *noise.shape
     information = np.zeros((2, *shape))
@@ -224,10 +224,10 @@ def _cells(poses: Poses, windows: Windows, left_out: np.ndarray, noise: Real) ->
         unit = noise / np.sqrt(usual)
     weight[weight >= _ALIKE] = 1.0
     samples = np.zeros((3, *shape))
-    # Where the body is not seen at the instant, about nothing.
-    angle, turned, position = (
-        np.nan_to_num(a[now]) for a in (poses.angle, poses.turns, poses.position)
-    )
+    angle, turned, position = poses.angle[now], poses.turns[now], poses.position[now]
+    if np.count_nonzero(np.isnan(angle)):
+        # Where the body is not seen at the instant, about nothing.
+        angle, turned, position = (np.nan_to_num(a) for a in (angle, turned, position))
     turns = poses.turns[row, body] - turned[instant, body]
     samples[0][at] = poses.angle[row, body] - angle[instant, body] + 2 * np.pi * turns
     off = poses.position[row, body] - position[instant, body]
@@ -301,9 +301,9 @@ def _groups(cells: _Cells, window: float) -> list[_Group]:
     if len(cells.weight) == 1 and (full * blocks <= count).all():
         sizes = full
     else:
-        sizes = _sizes(cells, full, blocks)
-    if len(cells.weight) > 1:
-        sizes, blocks = _paired(cells, sizes, blocks)
+        there = (cells.weight > 0).all(axis=1)
+        seen = np.broadcast_to(there, (count, len(full))).cumsum(axis=0)
+        sizes, blocks = _paired(seen, _sizes(cells, seen, full, blocks), blocks)
     keys = np.stack((sizes, blocks, cells.ahead, cells.exact))
     if (keys == keys[:, :1]).all():
         return [_Group(slice(None), *keys[:, 0].tolist())] if sizes[0] else []
@@ -315,28 +315,20 @@ def _groups(cells: _Cells, window: float) -> list[_Group]:
     ]
 
 
-def _paired(cells: _Cells, sizes: np.ndarray, blocks: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Sizes and blocks (S,), these twice as long where too much is lacking."""
-    lacking = (cells.weight <= 0).any(axis=1).cumsum(axis=0)
-    last = np.minimum(sizes * blocks, len(lacking)) - 1
-    pair = (lacking[last, np.arange(len(last))] > _LACKING) & (blocks == 1) & (sizes > 0)
-    return np.where(pair, sizes // 2, sizes), np.where(pair, 2, blocks)
+def _sizes(cells: _Cells, seen: np.ndarray, full: np.ndarray, blocks: np.ndarray) -> np.ndarray:
+    """
+    How many cells (S,) the longest windows have of which enough is there, 0 for none.
 
-
-def _sizes(cells: _Cells, full: np.ndarray, blocks: np.ndarray) -> np.ndarray:
-    """How many cells (S,) the longest windows have of which enough is there, 0 for none."""
-    count = len(cells.samples)
-    there = np.broadcast_to((cells.weight > 0).all(axis=1), (count, len(full)))
-    seen = there.cumsum(axis=0)
+    So many (n, S) are `seen` up to each.
+    """
     # Not beyond the oldest that is there.
-    oldest = count - there[::-1].argmax(axis=0)
+    oldest = seen.argmax(axis=0) + 1
     sizes, signals = np.zeros(len(full), int), np.arange(len(full))
     possible = (cells.ahead >= 0) & (seen[-1] >= FEWEST_SAMPLES)
     for size in _ladder(full, oldest // blocks):
         samples = size * blocks
-        enough = seen[np.minimum(samples, count) - 1, signals] >= np.maximum(
-            _PRESENT * samples, FEWEST_SAMPLES
-        )
+        there = seen[np.minimum(samples, len(seen)) - 1, signals]
+        enough = there >= np.maximum(_PRESENT * samples, FEWEST_SAMPLES)
         enough &= (cells.ahead < samples) & (samples <= oldest) & (size >= FEWEST_SAMPLES)
         sizes = np.where((sizes == 0) & enough & possible, size, sizes)
         if not np.count_nonzero((sizes == 0) & possible):
@@ -356,30 +348,33 @@ def _ladder(full: np.ndarray, last: np.ndarray) -> Iterator[np.ndarray]:
     yield np.minimum(full, last)
 
 
+def _paired(
+    seen: np.ndarray, sizes: np.ndarray, blocks: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Sizes and blocks (S,), these twice as long where too much is lacking."""
+    samples = sizes * blocks
+    lacking = samples - seen[samples - 1, np.arange(len(samples))]
+    pair = (lacking > _LACKING) & (blocks == 1)
+    return np.where(pair, sizes // 2, sizes), np.where(pair, 2, blocks)
+
+
 def _derive(cells: _Cells, group: _Group, orders: int) -> tuple[Found, Real]:
     """Derivatives of a group, per s, and how long its windows are (S,), s."""
     which, size, block, ahead, exact = group
     count = size * block
     # From the oldest.
     samples = cells.samples[:count, :, which][::-1]
-    lacks = count - len(samples)
     interval = cells.interval[which] * block
-    even = len(cells.weight) == 1 and not lacks
-    less = np.full((2, 1), np.sqrt(block))
-    if even and block > 1:
-        samples = samples.reshape(size, block, 3, -1).mean(axis=1)
+    less: Real | float = math.sqrt(block)
+    even = len(cells.weight) == 1
     if not even:
-        shape = len(cells.samples), 2, len(cells.ahead)
-        weight = np.broadcast_to(cells.weight, shape)[:count, :, which][::-1]
-        off = np.broadcast_to(cells.off, shape[::2])[:count, which][::-1]
-        if lacks:
-            samples, weight = (np.pad(a, ((lacks, 0), (0, 0), (0, 0))) for a in (samples, weight))
-            off = np.pad(off, ((lacks, 0), (0, 0)))
+        weight, off = cells.weight[:count, :, which][::-1], cells.off[:count, which][::-1]
         if block > 1:
             samples, weight, off, less = _blocks(samples, weight, off, size, block)
-        even = bool((weight == 1).all() and not np.count_nonzero(off))
-    if block > 1:
-        samples = samples * less[[0, 1, 1]]
+            samples = samples * less[[0, 1, 1]]
+        even = not (np.count_nonzero(off) or np.count_nonzero(weight < 1))
+    elif block > 1:
+        samples = samples.reshape(size, block, 3, -1).mean(axis=1) * less
     at = (size - 1) / 2 - (ahead - (block - 1) / 2) / block
     window = Window(size, at, block, orders, bool(exact))
     if even:
@@ -395,17 +390,18 @@ def _derive(cells: _Cells, group: _Group, orders: int) -> tuple[Found, Real]:
 def _derive_uneven(window: Window, samples: Real, weight: Real, off: Real) -> Found:
     """The same of samples some of which are lacking, or not in their places."""
     lacking = (weight < 1).any(axis=1).sum(axis=0)
-    signals = np.arange(len(lacking))
+    most, signals = int(lacking.max()), np.arange(len(lacking))
     # What is lacking goes by its square: not too much of it at once.
-    if len(signals) > 1 and len(signals) * int(lacking.max()) ** 2 > _PAIRS:
+    if len(signals) > 1 and len(signals) * most**2 > _PAIRS:
         half = len(signals) // 2
         parts = [
             _derive_uneven(window, samples[..., some], weight[..., some], off[:, some])
             for some in (signals[:half], signals[half:])
         ]
         return Found(*(np.concatenate(each, axis=-1) for each in zip(*parts, strict=True)))
-    samples, more = place(window, samples, weight, off)
-    found = derive_parts(window, samples, weight)
+    weights = weight if most else None
+    samples, more = place(window, samples, weights, off)
+    found = derive_parts(window, samples, weights)
     mean, covariance = found.mean * more[[0, 1, 1]], found.covariance * more**2
     return found._replace(mean=mean, covariance=covariance)
 

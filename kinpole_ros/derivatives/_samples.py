@@ -46,18 +46,20 @@ class Placed(NamedTuple):
     scale: Real
 
 
-def place(window: Window, samples: Real, weights: Real, off: Real) -> Placed:
+def place(window: Window, samples: Real, weights: Real | None, off: Real) -> Placed:
     """
     Put `samples` (n, 3, S) in their places, of which they are `off` (n, S) by so many samples.
 
-    Those with `weights` (n, 2, S) of 0 are put where the others let one expect them.
+    Those with `weights` (n, 2, S) of 0, unless they are all 1, are put where the others let one
+    expect them.
     """
     count, _, block, _, exact = window
-    samples = _filled(samples, weights[:, 1] <= 0, off)
+    if weights is not None:
+        samples = _filled(samples, weights[:, 1] <= 0, off)
     if not np.count_nonzero(off):
         return Placed(samples, np.ones((2, 1)))
     modes, slopes = modes_of(count, block, exact), slopes_of(count, block, exact)
-    seen, lacking = total(weights), lacking_of(weights)
+    seen, lacking = seen_of(weights, samples)
     samples, left = _moved(modes, slopes, samples, off, seen, lacking)
     # By how much samples are not in their places yet is noise.
     scale = np.sqrt(1 + left**2)
@@ -72,13 +74,14 @@ def _moved(
 
     And by how much (2, S) they still were in the last round, those of angle and position.
     """
-    given, samples = samples.copy(), _moved_by_neighbors(samples, off)
+    given, samples = samples, _moved_by_neighbors(samples, off)
     rounds = _MORE_ROUNDS if modes.exact else _ROUNDS
-    for k in range(rounds):
-        arrays = given, samples, off, seen, lacking, _KNOWN if k < rounds - 2 else KNOWN
+    known = [_KNOWN] * (rounds - 2) + [KNOWN] * 2
+    moved = move(modes, slopes, given, samples, off, seen, lacking, known)
+    for one in () if moved else known:
         before = samples
-        moved = move(modes, slopes, *arrays)
-        samples = _moved_once(modes, slopes, *arrays) if moved is None else moved
+        samples = _moved_once(modes, slopes, given, before, off, seen, lacking, one)
+    before, samples = moved or (before, samples)
     change = total((samples - before) ** 2) / len(samples)
     return samples, np.sqrt(np.stack((change[0], change[1:].max(axis=0))))
 
@@ -123,6 +126,13 @@ def total(values: Real) -> Real:
     among others would not be the same to the last bit.
     """
     return np.asarray(np.add.accumulate(values, axis=0)[-1])
+
+
+def seen_of(weights: Real | None, samples: Real) -> tuple[Real, Lacking | None]:
+    """How many of `samples` (n, 3, S) with these weights are seen (2, S), and what is lacking."""
+    if weights is None:
+        return np.full((2, samples.shape[2]), float(len(samples))), None
+    return total(weights), lacking_of(weights)
 
 
 def lacking_of(weights: Real) -> Lacking | None:
