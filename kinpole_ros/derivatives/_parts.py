@@ -30,14 +30,15 @@ def derive_parts(window: Window, samples: Real, weights: Real | None) -> Found:
     With `weights` (n, 2, S) of angle and position unless they are all 1. The arguments of
     `stencils_of` are the `window`.
     """
-    whole, chance = _derive(window, samples, weights)
+    whole, seen = _derive(window, samples, weights)
     if window.exact:
         return whole
     # Two lines more have to be worth it: with this much of evidence a whole window needs no parts.
     some = (whole.evidence < -2 * FLAT * _COMPONENTS).any(axis=0).nonzero()[0]
     if not len(some):
         return whole
-    found, chances = [Found(*(part[..., some] for part in whole))], [chance[:, some]]
+    found = [Found(*(part[..., some] for part in whole))]
+    chances = [_chance(found[0], seen[:, some])]
     inside = samples[..., some], None if weights is None else weights[..., some]
     for newer in _NEWER:
         cut = window.size - round(newer * window.size)
@@ -53,20 +54,25 @@ def derive_parts(window: Window, samples: Real, weights: Real | None) -> Found:
             for part in (old, new)
         ]
         found.append(halves[later][0])
-        chances.append(halves[0][1] + halves[1][1] + np.log(_PRIOR / (1 - _PRIOR) / len(_NEWER)))
+        old_one, new_one = (_chance(*half) for half in halves)
+        chances.append(old_one + new_one + np.log(_PRIOR / (1 - _PRIOR) / len(_NEWER)))
     return _put(whole, some, _mean(found, np.array(chances)))
 
 
 def _derive(window: Window, samples: Real, weights: Real | None) -> tuple[Found, Real]:
-    """Derivatives, and the logarithm (2, S) of how probable the samples are by all models."""
+    """Derivatives, and how many samples (2, S) of angle and position they are of."""
     count, _, block, _, exact = window
     modes, stencils = modes_of(count, block, exact), stencils_of(*window)
     seen, lacking = seen_of(weights, samples)
-    found = derive(modes, stencils, np.ascontiguousarray(samples), seen, lacking)
+    return derive(modes, stencils, np.ascontiguousarray(samples), seen, lacking), seen
+
+
+def _chance(found: Found, seen: Real) -> Real:
+    """The logarithm (2, S) of how probable so many samples are by all models."""
     # The evidence is relative to a line with a flat prior, and to so many samples.
     chance = found.evidence - 2 * FLAT * _COMPONENTS
     chance -= np.log(KNOWN + seen * _COMPONENTS) / 2 - np.log(KNOWN) / 2
-    return found, np.where(seen < _FEWEST, -np.inf, chance)
+    return np.where(seen < _FEWEST, -np.inf, chance)
 
 
 def _mean(found: list[Found], chances: Real) -> Found:

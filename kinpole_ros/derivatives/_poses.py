@@ -14,7 +14,7 @@ from kinpole_ros.derivatives._evidence import Found
 from kinpole_ros.derivatives._models import FEWEST_SAMPLES, MOST_EXACT
 from kinpole_ros.derivatives._parts import derive_parts
 from kinpole_ros.derivatives._samples import Window, place, total
-from kinpole_ros.planar._plane import Complex, Real
+from kinpole_ros.planar._plane import Complex, Real, complex_of
 
 # More samples than this in a window are averaged in blocks.
 _MOST = 128
@@ -117,30 +117,44 @@ def derive_poses(
     the deviation of a sample with information of 1, and `window`, s, the longest there is.
     """
     instants, bodies = noise.shape
-    result = _nothing(order + 1, instants, bodies)
     step = max(1, _AT_ONCE // bodies)
     even = not np.count_nonzero(left_out) and _are_even(poses, windows)
+    parts = []
     for first in range(0, instants, step):
-        part = slice(first, min(first + step, instants))
-        some = windows.part(part)
-        cells = (_even_cells if even else _cells)(poses, some, left_out[part], noise[part])
-        for group in _groups(cells, window):
-            _put(result, part, group.which, *_derive(cells, group, order + 1))
+        part = slice(first, first + step)
+        cells = (_even_cells if even else _cells)(
+            poses, windows.part(part), left_out[part], noise[part]
+        )
+        parts.append(_derive_all(cells, window, order + 1))
+    found = parts[0]
+    if len(parts) > 1:
+        found = Derivatives(*(np.concatenate(each, axis=-1) for each in zip(*parts, strict=True)))
+    found = Derivatives(*[each.reshape(*each.shape[:-1], instants, bodies) for each in found])
     # What was found is about the poses at the instants.
-    result.angle[0] += poses.angle[windows.now]
-    result.position[0] += poses.position[windows.now]
-    return result
+    found.angle[0] += poses.angle[windows.now]
+    found.position[0] += poses.position[windows.now]
+    return found
 
 
-def _nothing(orders: int, instants: int, bodies: int) -> Derivatives:
-    shape, square = (orders, instants, bodies), (orders, orders, instants, bodies)
-    each = np.empty((2, instants, bodies))
-    nothing = Derivatives(
-        np.empty(shape, complex), np.empty(shape), np.empty(square), np.empty(square), *each
+def _derive_all(cells: _Cells, window: float, orders: int) -> Derivatives:
+    """Derivatives (..., S) of all signals, per s, NaN for those of which there is too little."""
+    groups = _groups(cells, window)
+    if groups and isinstance(groups[0].which, slice):
+        return _derive(cells, groups[0], orders)
+    shape, square = (orders, len(cells.ahead)), (orders, orders, len(cells.ahead))
+    result = Derivatives(
+        np.empty(shape, complex),
+        np.empty(shape),
+        np.empty(square),
+        np.empty(square),
+        *np.empty((2, len(cells.ahead))),
     )
-    for array in nothing:
+    for array in result:
         array.fill(np.nan)
-    return nothing
+    for group in groups:
+        for array, found in zip(result, _derive(cells, group, orders), strict=True):
+            array[..., group.which] = found
+    return result
 
 
 def _are_even(poses: Poses, windows: Windows) -> bool:
@@ -358,8 +372,8 @@ def _paired(
     return np.where(pair, sizes // 2, sizes), np.where(pair, 2, blocks)
 
 
-def _derive(cells: _Cells, group: _Group, orders: int) -> tuple[Found, Real]:
-    """Derivatives of a group, per s, and how long its windows are (S,), s."""
+def _derive(cells: _Cells, group: _Group, orders: int) -> Derivatives:
+    """Derivatives (..., S) of a group, per s."""
     which, size, block, ahead, exact = group
     count = size * block
     # From the oldest.
@@ -381,10 +395,17 @@ def _derive(cells: _Cells, group: _Group, orders: int) -> tuple[Found, Real]:
         found = derive_parts(window, samples, None)
     else:
         found = _derive_uneven(window, samples, weight, off)
-    scale = interval ** -np.arange(float(orders))[:, None]
-    unit = cells.unit[:, which] / less * scale[:, None]  # (K, 2, S)
-    mean, covariance = found.mean * unit[:, [0, 1, 1]], found.covariance * unit * unit[:, None]
-    return found._replace(mean=mean, covariance=covariance), (size - 1) * interval
+    scale = interval ** -np.arange(float(orders))[:, None]  # (K, S)
+    of_angle, of_position = (cells.unit[:, which] / less)[:, None] * scale
+    mean, covariance, freedom, _ = found
+    return Derivatives(
+        complex_of(mean[:, 1] * of_position, mean[:, 2] * of_position),
+        mean[:, 0] * of_angle,
+        covariance[:, :, 1] * of_position * of_position[:, None],
+        covariance[:, :, 0] * of_angle * of_angle[:, None],
+        (size - 1) * interval,
+        freedom[0],
+    )
 
 
 def _derive_uneven(window: Window, samples: Real, weight: Real, off: Real) -> Found:
@@ -404,28 +425,6 @@ def _derive_uneven(window: Window, samples: Real, weight: Real, off: Real) -> Fo
     found = derive_parts(window, samples, weights)
     mean, covariance = found.mean * more[[0, 1, 1]], found.covariance * more**2
     return found._replace(mean=mean, covariance=covariance)
-
-
-def _put(
-    result: Derivatives, part: slice, which: np.ndarray | slice, found: Found, span: Real
-) -> None:
-    """Put what was found of some of all instants and bodies in its place."""
-    mean, covariance = found.mean, found.covariance
-    fields = (
-        mean[:, 1] + 1j * mean[:, 2],
-        mean[:, 0],
-        covariance[:, :, 1],
-        covariance[:, :, 0],
-        span,
-        found.freedom[0],
-    )
-    for field, values in zip(result, fields, strict=True):
-        there = field[..., part, :]
-        if isinstance(which, slice):
-            there[...] = values.reshape(there.shape)
-        else:
-            instant, body = np.divmod(which, there.shape[-1])
-            there[..., instant, body] = values
 
 
 def _blocks(

@@ -146,15 +146,14 @@ class Continuity:
                 kept = np.isfinite(signals[:, b]).nonzero()[0][-_POINTS:]
                 self._append(b, times[kept], numbers[kept], signals[kept])
         else:
-            some = slice(-_POINTS, None)
-            for kept, new in (
-                (self._stamps, times[some, None]),
-                (self._numbers, numbers[some, None]),
-                (self._signals, signals[some]),
+            new = min(count, _POINTS)
+            for kept, rows in (
+                (self._stamps, times[:, None]),
+                (self._numbers, numbers[:, None]),
+                (self._signals, signals),
             ):
-                left = len(kept) - len(new)
-                kept[:left] = kept[len(new) :]
-                kept[left:] = new
+                kept[:-new] = kept[new:]
+                kept[-new:] = rows[-new:]
         self._go_on(times, angle, turns, signals)
         if not evenly:
             self._find_step()
