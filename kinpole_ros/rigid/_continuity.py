@@ -34,6 +34,9 @@ _EVEN = 0.01
 _RECENT = 8
 # Weights of the samples before, oldest first, by degree, where they are even.
 _WEIGHTS = np.array([(0, 0, 0, 1), (0, 0, -1, 2), (0, 1, -3, 3), (-1, 4, -6, 4)], float)
+_OWN = np.arange(_POINTS)
+# Which of them each degree takes.
+_TAKEN = _OWN[:, None] + _OWN >= _DEGREE
 # Variances of their innovations, by degree, where there is nothing but noise.
 _GAINS = 1 + (_WEIGHTS**2).sum(axis=1)
 _REACHES = np.abs(_WEIGHTS).sum(axis=1)
@@ -387,17 +390,12 @@ def _lagrange(times: Real, numbers: np.ndarray) -> Real:
     """
     count = len(times) - _POINTS
     rows = np.arange(count)[:, None] + np.arange(_POINTS)
-    past, now = times[rows].T, times[_POINTS:]
-    ahead = now - past
-    weights = np.zeros((count, _POINTS, _POINTS))
-    for degree in range(_POINTS):
-        some = range(_DEGREE - degree, _POINTS)
-        for j in some:
-            each = np.ones(count)
-            for i in some:
-                if i != j:
-                    each = each * ahead[i] / (past[j] - past[i])
-            weights[:, degree, j] = each
+    past, now = times[rows], times[_POINTS:]
+    # What each of the others adds to the weight of one, from the last back.
+    factors = (now[:, None] - past)[:, None] / (past[..., None] - past[:, None])
+    factors[:, _OWN, _OWN] = 1.0
+    products = np.multiply.accumulate(factors[..., ::-1], axis=-1)
+    weights = np.where(_TAKEN, products.swapaxes(1, 2), 0.0)
     weights[numbers[_POINTS:] - numbers[:count] > _RECENT] = np.nan
     return weights
 
