@@ -182,19 +182,19 @@ def _even_cells(poses: Poses, windows: Windows, left_out: np.ndarray, noise: Rea
     count = int(newest[0] - oldest[0]) + 1
     bodies = noise.shape[1]
     rows = newest - np.arange(count)[:, None]  # (n, T)
-    samples = np.empty((count, 3, len(now), bodies))
-    samples[:, 0] = poses.angle[rows] - poses.angle[now]
-    samples[:, 0] += 2 * np.pi * (poses.turns[rows] - poses.turns[now])
+    samples = np.empty((3, count, len(now), bodies))
+    samples[0] = poses.angle[rows] - poses.angle[now]
+    samples[0] += 2 * np.pi * (poses.turns[rows] - poses.turns[now])
     off = poses.position[rows] - poses.position[now]
-    samples[:, 1], samples[:, 2] = off.real, off.imag
+    samples[1], samples[2] = off.real, off.imag
     unit = np.empty((2, len(now), bodies))
     unit[0] = noise / np.sqrt(total(poses.angle_information[rows]) / count)
     unit[1] = noise / np.sqrt(total(poses.position_information[rows]) / count)
     signals = len(now) * bodies
-    exact = _in_units(samples.transpose(1, 0, 2, 3), unit).reshape(signals)
+    exact = _in_units(samples, unit).reshape(signals)
     interval = (poses.time[newest] - poses.time[oldest]) * 1e-9 / (count - 1)
     return _Cells(
-        samples.reshape(count, 3, signals),
+        samples.reshape(3, count, signals).swapaxes(0, 1),
         np.ones((1, 2, 1)),
         np.zeros((1, 1)),
         np.repeat(newest - now, bodies),

@@ -87,7 +87,7 @@ class Continuity:
         self._count = self._before = 0
         self._news: list[tuple[Real, Complex]] = []
         self._degree = np.zeros(2 * bodies, int)
-        self._weights = _WEIGHTS[self._degree].T
+        self._weights = _WEIGHTS[self._degree].T + 0j
         self._limit = np.full(2 * bodies, np.inf)
 
     def forget(self) -> None:
@@ -234,7 +234,7 @@ class Continuity:
         usual = tame_part(filled.reshape(len(filled), -1).T).reshape(enough.shape)
         usual = np.where(enough, usual, np.inf)
         self._degree = usual.argmin(axis=0)
-        self._weights = _WEIGHTS[self._degree].T
+        self._weights = _WEIGHTS[self._degree].T + 0j
         least = np.concatenate((np.full(self._bodies, _LEAST_TURN), _LEAST_SHIFT * size))
         self._limit = np.maximum(_FAR**2 * usual.min(axis=0), least**2)
 
