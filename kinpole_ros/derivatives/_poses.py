@@ -166,10 +166,10 @@ def _are_even(poses: Poses, windows: Windows) -> bool:
         return False
     time = poses.time[rows]
     steps = time[1:] - time[:-1]
-    if (steps.max() - steps.min()) * held[0] > _OFF * steps[0]:
+    if (np.maximum.reduce(steps) - np.minimum.reduce(steps)) * held[0] > _OFF * steps[0]:
         return False
     for information in (poses.angle_information[rows], poses.position_information[rows]):
-        least = _ALIKE * information.max(axis=0)
+        least = _ALIKE * np.maximum.reduce(information)
         good = np.count_nonzero(information >= least) == information.size
         if not good or np.count_nonzero(information[0]) < len(least):
             return False
@@ -274,7 +274,7 @@ def _in_units(samples: Real, unit: Real) -> np.ndarray:
 
     Both in place: there is no noise below rounding. Returns where samples are all but exact.
     """
-    each = np.abs(samples).max(axis=1)
+    each = np.maximum.reduce(np.abs(samples), axis=1)
     largest = each[:2]
     np.maximum(largest[1], each[2], out=largest[1])
     np.maximum(unit, largest / MOST_EXACT, out=unit)
@@ -312,14 +312,14 @@ def _groups(cells: _Cells, window: float) -> list[_Group]:
     whole = np.maximum(np.rint(window / cells.interval).astype(int) + 1, FEWEST_SAMPLES)
     blocks = -(-whole // _MOST)
     full = whole // blocks
-    if len(cells.weight) == 1 and (full * blocks <= count).all():
+    if len(cells.weight) == 1 and not np.count_nonzero(full * blocks > count):
         sizes = full
     else:
         there = (cells.weight > 0).all(axis=1)
         seen = np.broadcast_to(there, (count, len(full))).cumsum(axis=0)
         sizes, blocks = _paired(seen, _sizes(cells, seen, full, blocks), blocks)
-    keys = np.stack((sizes, blocks, cells.ahead, cells.exact))
-    if (keys == keys[:, :1]).all():
+    keys = np.array((sizes, blocks, cells.ahead, cells.exact))
+    if not np.count_nonzero(keys != keys[:, :1]):
         return [_Group(slice(None), *keys[:, 0].tolist())] if sizes[0] else []
     each, number = np.unique(keys, axis=1, return_inverse=True)
     return [

@@ -83,7 +83,7 @@ def _moved(
         samples = _moved_once(modes, slopes, given, before, off, seen, lacking, one)
     before, samples = moved or (before, samples)
     change = total((samples - before) ** 2) / len(samples)
-    return samples, np.sqrt(np.stack((change[0], change[1:].max(axis=0))))
+    return samples, np.sqrt(np.array((change[0], np.maximum(change[1], change[2]))))
 
 
 def _moved_once(
