@@ -311,9 +311,9 @@ class Continuity:
     def _find_step(self) -> None:
         """See whether the samples that are held are of the same even frames."""
         self._step = 0.0
-        steps = np.diff(self._stamps, axis=0)
+        steps = self._stamps[1:, 0] - self._stamps[:-1, 0]
         together = (self._numbers == self._number - np.arange(_POINTS, 0, -1)[:, None]).all()
-        if together and np.isfinite(self._signals).all() and _even(steps[:, 0]):
+        if together and np.isfinite(self._signals).all() and _even(steps):
             self._step = float(steps.mean())
 
     def _append(self, b: int, times: Real, numbers: np.ndarray, signals: Complex) -> None:
@@ -401,7 +401,7 @@ def _lagrange(times: Real, numbers: np.ndarray) -> Real:
 
 
 def _even(steps: Real) -> bool:
-    return bool(np.ptp(steps) <= _EVEN * steps[0])
+    return bool(np.maximum.reduce(steps) - np.minimum.reduce(steps) <= _EVEN * steps[0])
 
 
 def _wrapped(angle: Real) -> Real:
