@@ -155,7 +155,9 @@ def _filled(samples: Real, missing: np.ndarray, off: Real) -> Real:
     near = np.argpartition(distance, _NEAREST - 1, axis=1)[:, :_NEAREST]
     place = (near + off[near, signal[:, None]] - cell[:, None]) / _NEAREST
     powers = place[..., None] ** np.arange(3)
-    first = np.linalg.pinv(powers)[:, :1]  # (M, 1, _NEAREST): what a parabola is at the cell
+    turned = powers.swapaxes(1, 2)
+    # (M, 1, _NEAREST): what a parabola is at the cell.
+    first = np.linalg.inv(turned @ powers)[:, :1] @ turned
     filled = samples.copy()
     filled[cell, :, signal] = (first @ samples[near, :, signal[:, None]])[:, 0]
     return filled
