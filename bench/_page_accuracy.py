@@ -214,8 +214,8 @@ What could be reached: the best fixed setting in hindsight, given the true noise
 {best[0]} of {len(bounds)} cells, overconfident in {best[1]} and conservative in {best[2]}, for what
 its polynomial cannot follow it knows nothing of. Were all stated variances of a cell of ours scaled
 by the one factor that makes its mean squared error right, which takes the truth to know,
-{scaled[0]} would be inside, {scaled[1]} too low and {scaled[2]} too high: what is left to do is to tell how
-large the errors of a motion are, not how they are distributed.
+{scaled[0]} would be inside, {scaled[1]} too low and {scaled[2]} too high: what is left to do is to
+find how large the errors of a motion are, not how they are distributed.
 
 {determined}
 

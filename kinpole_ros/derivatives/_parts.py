@@ -11,7 +11,7 @@ import numpy as np
 from kinpole_ros.derivatives._evidence import KNOWN, Found
 from kinpole_ros.derivatives._fast import derive
 from kinpole_ros.derivatives._models import FEWEST_SAMPLES, FLAT, modes_of, stencils_of
-from kinpole_ros.derivatives._samples import Window, lacking_of, total
+from kinpole_ros.derivatives._samples import Window, seen_of, total
 from kinpole_ros.planar._plane import Real
 
 # How much of a window is the newer part, if there are two; and how probable that is.
@@ -33,7 +33,7 @@ def derive_parts(window: Window, samples: Real, weights: Real | None) -> Found:
 
     With `weights` (n, 2, S) of angle and position unless they are all 1.
     """
-    whole, chance = _derive(window, samples, weights)
+    whole, seen = _derive(window, samples, weights)
     if window.exact or not window.parts:
         return whole
     # Another line, and two motions for one, have to be worth it: a window with more evidence than
@@ -41,7 +41,8 @@ def derive_parts(window: Window, samples: Real, weights: Real | None) -> Found:
     some = (whole.evidence < -_WORTH * FLAT * _COMPONENTS).any(axis=0).nonzero()[0]
     if not len(some):
         return whole
-    found, chances = [Found(*(part[..., some] for part in whole))], [chance[:, some]]
+    found = [Found(*(part[..., some] for part in whole))]
+    chances = [_chance(found[0], seen[:, some])]
     inside = samples[..., some], None if weights is None else weights[..., some]
     for newer in _NEWER:
         cut = window.size - round(newer * window.size)
@@ -57,22 +58,24 @@ def derive_parts(window: Window, samples: Real, weights: Real | None) -> Found:
             for part in (old, new)
         ]
         found.append(halves[later][0])
-        chances.append(halves[0][1] + halves[1][1] + np.log(_PRIOR / (1 - _PRIOR) / len(_NEWER)))
+        old_one, new_one = (_chance(*half) for half in halves)
+        chances.append(old_one + new_one + np.log(_PRIOR / (1 - _PRIOR) / len(_NEWER)))
     return _put(whole, some, _mean(found, np.array(chances)))
 
 
 def _derive(window: Window, samples: Real, weights: Real | None) -> tuple[Found, Real]:
-    """Derivatives, and the logarithm (2, S) of how probable the samples are by all models."""
+    """Derivatives, and how many samples (2, S) of angle and position they are of."""
     modes, stencils = modes_of(*window.models), stencils_of(*window[:-1])
-    if weights is None:
-        seen, lacking = np.full((2, samples.shape[2]), float(window.size)), None
-    else:
-        seen, lacking = total(weights), lacking_of(weights)
-    found = derive(modes, stencils, np.ascontiguousarray(samples), seen, lacking)
+    seen, lacking = seen_of(weights, samples)
+    return derive(modes, stencils, np.ascontiguousarray(samples), seen, lacking), seen
+
+
+def _chance(found: Found, seen: Real) -> Real:
+    """The logarithm (2, S) of how probable so many samples are by all models."""
     # The evidence is relative to a line with a flat prior, and to so many samples.
     chance = found.evidence - 2 * FLAT * _COMPONENTS
     chance -= np.log(KNOWN + seen * _COMPONENTS) / 2 - np.log(KNOWN) / 2
-    return found, np.where(seen < _FEWEST, _NEVER, chance)
+    return np.where(seen < _FEWEST, _NEVER, chance)
 
 
 def _mean(found: list[Found], chances: Real) -> Found:

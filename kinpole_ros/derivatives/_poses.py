@@ -4,6 +4,8 @@ From poses at stamps to derivatives at instants: which samples a window has, and
 Nothing is remembered: what is found at an instant depends on the poses in its window alone.
 """
 
+import math
+from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
@@ -12,7 +14,7 @@ from kinpole_ros.derivatives._evidence import Found
 from kinpole_ros.derivatives._models import FEWEST_SAMPLES, MOST_EXACT
 from kinpole_ros.derivatives._parts import derive_parts
 from kinpole_ros.derivatives._samples import Window, place, total
-from kinpole_ros.planar._plane import Complex, Real
+from kinpole_ros.planar._plane import Complex, Real, complex_of
 
 # More samples than this in a window are averaged in blocks.
 _MOST = 128
@@ -79,7 +81,7 @@ class Windows(NamedTuple):
     newest: np.ndarray
 
     def part(self, which: slice) -> 'Windows':
-        return Windows(*(frames[which] for frames in self))
+        return Windows(self.now[which], self.oldest[which], self.newest[which])
 
 
 class _Cells(NamedTuple):
@@ -119,44 +121,63 @@ def derive_poses(
     `effort` no window is taken for two parts, with high effort there are twice as many processes.
     """
     instants, bodies = noise.shape
-    result = _nothing(order + 1, instants, bodies)
     step = max(1, _AT_ONCE // bodies)
-    even = _are_even(poses, windows) and not np.count_nonzero(left_out)
+    even = not np.count_nonzero(left_out) and _are_even(poses, windows)
+    parts = []
     for first in range(0, instants, step):
-        part = slice(first, min(first + step, instants))
-        some = windows.part(part)
-        cells = (_even_cells if even else _cells)(poses, some, left_out[part], noise[part])
-        for group in _groups(cells, window):
-            _put(result, part, group.which, *_derive(cells, group, order + 1, effort))
+        part = slice(first, first + step)
+        cells = (_even_cells if even else _cells)(
+            poses, windows.part(part), left_out[part], noise[part]
+        )
+        parts.append(_derive_all(cells, window, order + 1, effort))
+    found = parts[0]
+    if len(parts) > 1:
+        found = Derivatives(*(np.concatenate(each, axis=-1) for each in zip(*parts, strict=True)))
+    found = Derivatives(*[each.reshape(*each.shape[:-1], instants, bodies) for each in found])
     # What was found is about the poses at the instants.
-    result.angle[0] += poses.angle[windows.now]
-    result.position[0] += poses.position[windows.now]
+    found.angle[0] += poses.angle[windows.now]
+    found.position[0] += poses.position[windows.now]
+    return found
+
+
+def _derive_all(cells: _Cells, window: float, orders: int, effort: str) -> Derivatives:
+    """Derivatives (..., S) of all signals, per s, NaN for those of which there is too little."""
+    groups = _groups(cells, window)
+    if groups and isinstance(groups[0].which, slice):
+        return _derive(cells, groups[0], orders, effort)
+    shape, square = (orders, len(cells.ahead)), (orders, orders, len(cells.ahead))
+    result = Derivatives(
+        np.empty(shape, complex),
+        np.empty(shape),
+        np.empty(square),
+        np.empty(square),
+        *np.empty((2, len(cells.ahead))),
+    )
+    for array in result:
+        array.fill(np.nan)
+    for group in groups:
+        for array, found in zip(result, _derive(cells, group, orders, effort), strict=True):
+            array[..., group.which] = found
     return result
-
-
-def _nothing(orders: int, instants: int, bodies: int) -> Derivatives:
-    shape = orders, instants, bodies
-    unknown = np.full(shape, np.nan)
-    square = np.full((orders, *shape), np.nan)
-    each = np.full(shape[1:], np.nan)
-    return Derivatives(unknown + 0j, unknown, square, square.copy(), each, each.copy())
 
 
 def _are_even(poses: Poses, windows: Windows) -> bool:
     """Whether all windows have as many frames, evenly, all of which tell as much."""
     now, oldest, newest = windows
     rows = slice(int(oldest[0]), int(newest[-1]) + 1)
-    steps = np.diff(poses.time[rows])
-    alike = all(
-        bool((part[rows] >= _ALIKE * part[rows].max(axis=0)).all() and part[rows.start].all())
-        for part in (poses.angle_information, poses.position_information)
-    )
-    return bool(
-        alike
-        and (newest - oldest == newest[0] - oldest[0]).all()
-        and (newest - now == newest[0] - now[0]).all()
-        and np.ptp(steps) * (newest[0] - oldest[0]) <= _OFF * steps[0]
-    )
+    held, ahead = newest - oldest, newest - now
+    if np.count_nonzero(held != held[0]) or np.count_nonzero(ahead != ahead[0]):
+        return False
+    time = poses.time[rows]
+    steps = time[1:] - time[:-1]
+    if (np.maximum.reduce(steps) - np.minimum.reduce(steps)) * held[0] > _OFF * steps[0]:
+        return False
+    for information in (poses.angle_information[rows], poses.position_information[rows]):
+        least = _ALIKE * np.maximum.reduce(information)
+        good = np.count_nonzero(information >= least) == information.size
+        if not good or np.count_nonzero(information[0]) < len(least):
+            return False
+    return True
 
 
 def _even_cells(poses: Poses, windows: Windows, left_out: np.ndarray, noise: Real) -> _Cells:
@@ -165,22 +186,19 @@ def _even_cells(poses: Poses, windows: Windows, left_out: np.ndarray, noise: Rea
     count = int(newest[0] - oldest[0]) + 1
     bodies = noise.shape[1]
     rows = newest - np.arange(count)[:, None]  # (n, T)
-    samples = np.empty((count, 3, len(now), bodies))
-    samples[:, 0] = poses.angle[rows] - poses.angle[now]
-    samples[:, 0] += 2 * np.pi * (poses.turns[rows] - poses.turns[now])
+    samples = np.empty((3, count, len(now), bodies))
+    samples[0] = poses.angle[rows] - poses.angle[now]
+    samples[0] += 2 * np.pi * (poses.turns[rows] - poses.turns[now])
     off = poses.position[rows] - poses.position[now]
-    samples[:, 1], samples[:, 2] = off.real, off.imag
-    unit = np.stack(
-        (
-            noise / np.sqrt(total(poses.angle_information[rows]) / count),
-            noise / np.sqrt(total(poses.position_information[rows]) / count),
-        )
-    )
+    samples[1], samples[2] = off.real, off.imag
+    unit = np.empty((2, len(now), bodies))
+    unit[0] = noise / np.sqrt(total(poses.angle_information[rows]) / count)
+    unit[1] = noise / np.sqrt(total(poses.position_information[rows]) / count)
     signals = len(now) * bodies
-    exact = _in_units(samples.transpose(1, 0, 2, 3), unit).reshape(signals)
+    exact = _in_units(samples, unit).reshape(signals)
     interval = (poses.time[newest] - poses.time[oldest]) * 1e-9 / (count - 1)
     return _Cells(
-        samples.reshape(count, 3, signals),
+        samples.reshape(3, count, signals).swapaxes(0, 1),
         np.ones((1, 2, 1)),
         np.zeros((1, 1)),
         np.repeat(newest - now, bodies),
@@ -208,12 +226,11 @@ def _cells(poses: Poses, windows: Windows, left_out: np.ndarray, noise: Real) ->
     known = (poses.angle_information[rows] > 0) & (poses.position_information[rows] > 0)
     known &= inside[..., None] & (np.arange(most)[:, None, None] >= left_out)
     # (n, T, B) from here on.
-    cell = np.broadcast_to(cell[..., None], known.shape)
-    ahead = np.where(known, cell, -1).max(axis=0)
-    oldest_cell = np.where(known, cell, ahead).min(axis=0)
+    ahead = np.where(known, cell[..., None], -1).max(axis=0)
+    oldest_cell = np.where(known, cell[..., None], ahead).min(axis=0)
     count = max(int((ahead - oldest_cell).max()) + 1, 1)
     frame, instant, body = known.nonzero()
-    at = ahead[instant, body] - cell[frame, instant, body], instant, body
+    at = ahead[instant, body] - cell[frame, instant], instant, body
     row = rows[frame, instant]
     shape = count, *noise.shape
     information = np.zeros((2, *shape))
@@ -225,10 +242,10 @@ def _cells(poses: Poses, windows: Windows, left_out: np.ndarray, noise: Real) ->
         unit = noise / np.sqrt(usual)
     weight[weight >= _ALIKE] = 1.0
     samples = np.zeros((3, *shape))
-    # Where the body is not seen at the instant, about nothing.
-    angle, turned, position = (
-        np.nan_to_num(a[now]) for a in (poses.angle, poses.turns, poses.position)
-    )
+    angle, turned, position = poses.angle[now], poses.turns[now], poses.position[now]
+    if np.count_nonzero(np.isnan(angle)):
+        # Where the body is not seen at the instant, about nothing.
+        angle, turned, position = (np.nan_to_num(a) for a in (angle, turned, position))
     turns = poses.turns[row, body] - turned[instant, body]
     samples[0][at] = poses.angle[row, body] - angle[instant, body] + 2 * np.pi * turns
     off = poses.position[row, body] - position[instant, body]
@@ -261,11 +278,13 @@ def _in_units(samples: Real, unit: Real) -> np.ndarray:
 
     Both in place: there is no noise below rounding. Returns where samples are all but exact.
     """
-    largest = np.abs(samples).max(axis=1)
-    largest = np.stack((largest[0], np.maximum(largest[1], largest[2])))
+    each = np.maximum.reduce(np.abs(samples), axis=1)
+    largest = each[:2]
+    np.maximum(largest[1], each[2], out=largest[1])
     np.maximum(unit, largest / MOST_EXACT, out=unit)
-    samples /= unit[[0, 1, 1], None]
-    return np.asarray((largest > _EXACT * unit).any(axis=0))
+    samples[0] /= unit[0]
+    samples[1:] /= unit[1]
+    return np.logical_or.reduce(largest > _EXACT * unit)
 
 
 def _intervals(time: Real, inside: np.ndarray) -> Real:
@@ -319,14 +338,14 @@ def _groups(cells: _Cells, window: float) -> list[_Group]:
     whole = np.maximum(np.rint(window / cells.interval).astype(int) + 1, FEWEST_SAMPLES)
     blocks = -(-whole // _MOST)
     full = whole // blocks
-    if len(cells.weight) == 1 and (full * blocks <= count).all():
+    if len(cells.weight) == 1 and not np.count_nonzero(full * blocks > count):
         sizes = full
     else:
-        sizes = _sizes(cells, full, blocks)
-    if len(cells.weight) > 1:
-        sizes, blocks = _paired(cells, sizes, blocks)
-    keys = np.stack((sizes, blocks, cells.ahead, cells.exact))
-    if (keys == keys[:, :1]).all():
+        there = (cells.weight > 0).all(axis=1)
+        seen = np.broadcast_to(there, (count, len(full))).cumsum(axis=0)
+        sizes, blocks = _paired(seen, _sizes(cells, seen, full, blocks), blocks)
+    keys = np.array((sizes, blocks, cells.ahead, cells.exact))
+    if not np.count_nonzero(keys != keys[:, :1]):
         return [_Group(slice(None), *keys[:, 0].tolist())] if sizes[0] else []
     each, number = np.unique(keys, axis=1, return_inverse=True)
     return [
@@ -336,111 +355,102 @@ def _groups(cells: _Cells, window: float) -> list[_Group]:
     ]
 
 
-def _paired(cells: _Cells, sizes: np.ndarray, blocks: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Sizes and blocks (S,), these twice as long where too much is lacking."""
-    lacking = (cells.weight <= 0).any(axis=1).cumsum(axis=0)
-    last = np.minimum(sizes * blocks, len(lacking)) - 1
-    pair = (lacking[last, np.arange(len(last))] > _LACKING) & (blocks == 1) & (sizes > 0)
-    return np.where(pair, sizes // 2, sizes), np.where(pair, 2, blocks)
+def _sizes(cells: _Cells, seen: np.ndarray, full: np.ndarray, blocks: np.ndarray) -> np.ndarray:
+    """
+    How many cells (S,) the longest windows have of which enough is there, 0 for none.
 
-
-def _sizes(cells: _Cells, full: np.ndarray, blocks: np.ndarray) -> np.ndarray:
-    """How many cells (S,) the longest windows have of which enough is there, 0 for none."""
-    count = len(cells.samples)
-    there = np.broadcast_to((cells.weight > 0).all(axis=1), (count, len(full)))
-    seen = there.cumsum(axis=0)
+    So many (n, S) are `seen` up to each.
+    """
     # Not beyond the oldest that is there.
-    oldest = count - there[::-1].argmax(axis=0)
-    sizes = np.zeros(len(full), int)
-    # Where stamps are not even a window has one frame more or less.
-    ladder = [full, full - 1]
-    while (ladder[-1] >= FEWEST_SAMPLES).any():
-        ladder.append((ladder[-1] * _SHORTER).astype(int))
-    # All there is, if the instant is the oldest of it.
-    ladder.append(np.minimum(full, oldest // blocks))
-    for size in ladder:
+    oldest = seen.argmax(axis=0) + 1
+    sizes, signals = np.zeros(len(full), int), np.arange(len(full))
+    possible = (cells.ahead >= 0) & (seen[-1] >= FEWEST_SAMPLES)
+    for size in _ladder(full, oldest // blocks):
         samples = size * blocks
-        need = np.clip(samples, 1, count) - 1
-        enough = seen[need, np.arange(len(need))] >= np.maximum(_PRESENT * samples, FEWEST_SAMPLES)
-        enough &= (cells.ahead >= 0) & (cells.ahead < samples) & (samples <= oldest)
-        sizes = np.where((sizes == 0) & enough & (size >= FEWEST_SAMPLES), size, sizes)
+        there = seen[np.minimum(samples, len(seen)) - 1, signals]
+        enough = there >= np.maximum(_PRESENT * samples, FEWEST_SAMPLES)
+        enough &= (cells.ahead < samples) & (samples <= oldest) & (size >= FEWEST_SAMPLES)
+        sizes = np.where((sizes == 0) & enough & possible, size, sizes)
+        if not np.count_nonzero((sizes == 0) & possible):
+            break
     return sizes
 
 
-def _derive(cells: _Cells, group: _Group, orders: int, effort: str) -> tuple[Found, Real]:
-    """Derivatives of a group, per s, and how long its windows are (S,), s."""
+def _ladder(full: np.ndarray, last: np.ndarray) -> Iterator[np.ndarray]:
+    """Sizes (S,) to try one after the other, from the `full` ones on."""
+    yield full
+    # Where stamps are not even a window has one frame more or less.
+    size = full - 1
+    while (size >= FEWEST_SAMPLES).any():
+        yield size
+        size = (size * _SHORTER).astype(int)
+    # All there is, if the instant is the oldest of it.
+    yield np.minimum(full, last)
+
+
+def _paired(
+    seen: np.ndarray, sizes: np.ndarray, blocks: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Sizes and blocks (S,), these twice as long where too much is lacking."""
+    samples = sizes * blocks
+    lacking = samples - seen[samples - 1, np.arange(len(samples))]
+    pair = (lacking > _LACKING) & (blocks == 1)
+    return np.where(pair, sizes // 2, sizes), np.where(pair, 2, blocks)
+
+
+def _derive(cells: _Cells, group: _Group, orders: int, effort: str) -> Derivatives:
+    """Derivatives (..., S) of a group, per s."""
     which, size, block, ahead, exact = group
     count = size * block
     # From the oldest.
     samples = cells.samples[:count, :, which][::-1]
-    lacks = count - len(samples)
     interval = cells.interval[which] * block
-    even = len(cells.weight) == 1 and not lacks
-    less = np.full((2, 1), np.sqrt(block))
-    if even and block > 1:
-        samples = samples.reshape(size, block, 3, -1).mean(axis=1)
+    less: Real | float = math.sqrt(block)
+    even = len(cells.weight) == 1
     if not even:
-        shape = len(cells.samples), 2, len(cells.ahead)
-        weight = np.broadcast_to(cells.weight, shape)[:count, :, which][::-1]
-        off = np.broadcast_to(cells.off, shape[::2])[:count, which][::-1]
-        if lacks:
-            samples, weight = (np.pad(a, ((lacks, 0), (0, 0), (0, 0))) for a in (samples, weight))
-            off = np.pad(off, ((lacks, 0), (0, 0)))
+        weight, off = cells.weight[:count, :, which][::-1], cells.off[:count, which][::-1]
         if block > 1:
             samples, weight, off, less = _blocks(samples, weight, off, size, block)
-        even = bool((weight == 1).all() and not np.count_nonzero(off))
-    if block > 1:
-        samples = samples * less[[0, 1, 1]]
+            samples = samples * less[[0, 1, 1]]
+        even = not (np.count_nonzero(off) or np.count_nonzero(weight < 1))
+    elif block > 1:
+        samples = samples.reshape(size, block, 3, -1).mean(axis=1) * less
     at = (size - 1) / 2 - (ahead - (block - 1) / 2) / block
     window = Window(size, at, block, orders, bool(exact), effort == 'high', effort != 'low')
     if even:
         found = derive_parts(window, samples, None)
     else:
         found = _derive_uneven(window, samples, weight, off)
-    scale = interval ** -np.arange(float(orders))[:, None]
-    unit = cells.unit[:, which] / less * scale[:, None]  # (K, 2, S)
-    mean, covariance = found.mean * unit[:, [0, 1, 1]], found.covariance * unit * unit[:, None]
-    return found._replace(mean=mean, covariance=covariance), (size - 1) * interval
+    scale = interval ** -np.arange(float(orders))[:, None]  # (K, S)
+    of_angle, of_position = (cells.unit[:, which] / less)[:, None] * scale
+    mean, covariance, freedom, _ = found
+    return Derivatives(
+        complex_of(mean[:, 1] * of_position, mean[:, 2] * of_position),
+        mean[:, 0] * of_angle,
+        covariance[:, :, 1] * of_position * of_position[:, None],
+        covariance[:, :, 0] * of_angle * of_angle[:, None],
+        (size - 1) * interval,
+        freedom[0],
+    )
 
 
 def _derive_uneven(window: Window, samples: Real, weight: Real, off: Real) -> Found:
     """The same of samples some of which are lacking, or not in their places."""
     lacking = (weight < 1).any(axis=1).sum(axis=0)
-    signals = np.arange(len(lacking))
+    most, signals = int(lacking.max()), np.arange(len(lacking))
     # What is lacking goes by its square: not too much of it at once.
-    if len(signals) > 1 and len(signals) * int(lacking.max()) ** 2 > _PAIRS:
+    if len(signals) > 1 and len(signals) * most**2 > _PAIRS:
         half = len(signals) // 2
         parts = [
             _derive_uneven(window, samples[..., some], weight[..., some], off[:, some])
             for some in (signals[:half], signals[half:])
         ]
         return Found(*(np.concatenate(each, axis=-1) for each in zip(*parts, strict=True)))
-    samples, more = place(window, samples, weight, off)
-    found = derive_parts(window, samples, weight)
+    weights = weight if most else None
+    samples, more = place(window, samples, weights, off)
+    found = derive_parts(window, samples, weights)
     mean, covariance = found.mean * more[[0, 1, 1]], found.covariance * more**2
     return found._replace(mean=mean, covariance=covariance)
-
-
-def _put(
-    result: Derivatives, part: slice, which: np.ndarray | slice, found: Found, span: Real
-) -> None:
-    """Put what was found of some of all instants and bodies in its place."""
-    mean, covariance = found.mean, found.covariance
-    fields = (
-        mean[:, 1] + 1j * mean[:, 2],
-        mean[:, 0],
-        covariance[:, :, 1],
-        covariance[:, :, 0],
-        span,
-        found.freedom[0],
-    )
-    for field, values in zip(result, fields, strict=True):
-        there = field[..., part, :]
-        if isinstance(which, slice):
-            there[...] = values.reshape(there.shape)
-        else:
-            instant, body = np.divmod(which, there.shape[-1])
-            there[..., instant, body] = values
 
 
 def _blocks(

@@ -53,17 +53,19 @@ class Placed(NamedTuple):
     scale: Real
 
 
-def place(window: Window, samples: Real, weights: Real, off: Real) -> Placed:
+def place(window: Window, samples: Real, weights: Real | None, off: Real) -> Placed:
     """
     Put `samples` (n, 3, S) in their places, of which they are `off` (n, S) by so many samples.
 
-    Those with `weights` (n, 2, S) of 0 are put where the others let one expect them.
+    Those with `weights` (n, 2, S) of 0, unless they are all 1, are put where the others let one
+    expect them.
     """
-    samples = _filled(samples, weights[:, 1] <= 0, off)
+    if weights is not None:
+        samples = _filled(samples, weights[:, 1] <= 0, off)
     if not np.count_nonzero(off):
         return Placed(samples, np.ones((2, 1)))
     modes, slopes = modes_of(*window.models), slopes_of(*window.models)
-    seen, lacking = total(weights), lacking_of(weights)
+    seen, lacking = seen_of(weights, samples)
     samples, left = _moved(modes, slopes, samples, off, seen, lacking)
     # By how much samples are not in their places yet is noise.
     scale = np.sqrt(1 + left**2)
@@ -78,15 +80,16 @@ def _moved(
 
     And by how much (2, S) they still were in the last round, those of angle and position.
     """
-    given, samples = samples.copy(), _moved_by_neighbors(samples, off)
+    given, samples = samples, _moved_by_neighbors(samples, off)
     rounds = _MORE_ROUNDS if modes.exact else _ROUNDS
-    for k in range(rounds):
-        arrays = given, samples, off, seen, lacking, _KNOWN if k < rounds - 2 else KNOWN
+    known = [_KNOWN] * (rounds - 2) + [KNOWN] * 2
+    moved = move(modes, slopes, given, samples, off, seen, lacking, known)
+    for one in () if moved else known:
         before = samples
-        moved = move(modes, slopes, *arrays)
-        samples = _moved_once(modes, slopes, *arrays) if moved is None else moved
+        samples = _moved_once(modes, slopes, given, before, off, seen, lacking, one)
+    before, samples = moved or (before, samples)
     change = total((samples - before) ** 2) / len(samples)
-    return samples, np.sqrt(np.stack((change[0], change[1:].max(axis=0))))
+    return samples, np.sqrt(np.array((change[0], np.maximum(change[1], change[2]))))
 
 
 def _moved_once(
@@ -131,6 +134,13 @@ def total(values: Real) -> Real:
     return np.asarray(np.add.accumulate(values, axis=0)[-1])
 
 
+def seen_of(weights: Real | None, samples: Real) -> tuple[Real, Lacking | None]:
+    """How many of `samples` (n, 3, S) with these weights are seen (2, S), and what is lacking."""
+    if weights is None:
+        return np.full((2, samples.shape[2]), float(len(samples))), None
+    return total(weights), lacking_of(weights)
+
+
 def lacking_of(weights: Real) -> Lacking | None:
     """Which cells of windows with `weights` (n, 2, S) count for less than 1."""
     less = (weights < 1).any(axis=1)
@@ -151,7 +161,9 @@ def _filled(samples: Real, missing: np.ndarray, off: Real) -> Real:
     near = np.argpartition(distance, _NEAREST - 1, axis=1)[:, :_NEAREST]
     place = (near + off[near, signal[:, None]] - cell[:, None]) / _NEAREST
     powers = place[..., None] ** np.arange(3)
-    first = np.linalg.pinv(powers)[:, :1]  # (M, 1, _NEAREST): what a parabola is at the cell
+    turned = powers.swapaxes(1, 2)
+    # (M, 1, _NEAREST): what a parabola is at the cell.
+    first = np.linalg.inv(turned @ powers)[:, :1] @ turned
     filled = samples.copy()
     filled[cell, :, signal] = (first @ samples[near, :, signal[:, None]])[:, 0]
     return filled

@@ -269,10 +269,11 @@ class RigidBodies:
 
     def were_at(self, times: np.ndarray) -> None:
         """The newest frames that were taken turned out to be at `times` (T,), ns."""
-        if not len(times):
-            return
-        self._shapes.were_at(times)
+        if len(times):
+            self._shapes.were_at(times)
         for news in reversed(self._news):
+            if not len(times):
+                return
             here = min(len(news.stamps), len(times))
             news.stamps[len(news.stamps) - here :] = times[len(times) - here :]
             times = times[: len(times) - here]

@@ -195,17 +195,17 @@ class Ticks:
         clock = self.clock
         if self.regular or clock is None or clock.largest > 1.0 or clock.resolution < _COARSE:
             return len(stamps)
-        before = np.concatenate(((self._latest,), stamps))
-        ticks = (before - clock.origin - clock.phase) / clock.interval
-        counts = np.rint(ticks)
-        off = np.abs(ticks - counts)[1:] * clock.interval
+        ticks = (stamps - clock.origin - clock.phase) / clock.interval
+        off = np.abs(ticks - np.rint(ticks)) * clock.interval
         slips = (off > _COARSE / 2).nonzero()[0]
         if not len(slips):
             return len(stamps)
         first = int(slips[0])
         step = math.gcd(round(clock.resolution), int(stamps[first]) - clock.origin)
+        before = int(stamps[first - 1]) if first else self._latest
+        count = round((before - clock.origin - clock.phase) / clock.interval)
         # Frames that come sooner than the clock ticks are of another rate.
-        rounded = off[first] <= _ROUNDED * step and counts[first + 1] > counts[first]
+        rounded = off[first] <= _ROUNDED * step and round(float(ticks[first])) > count
         rounded = rounded and self._may_be_rounded(step)
         return first if rounded else len(stamps)
 

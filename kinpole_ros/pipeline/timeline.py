@@ -159,7 +159,7 @@ class Timeline:
         ahead = ahead[:end]
         self._counts['late'] += int((ahead < 0).sum())
         self._counts['repeated'] += int((ahead == 0).sum())
-        return ahead, end, self._repeated(stamps[:end], points)
+        return ahead, end, self._repeated((stamps == before)[:end], points)
 
     def _sift_arrivals(
         self, stamps: np.ndarray, points: np.ndarray
@@ -173,7 +173,7 @@ class Timeline:
         late = ahead <= -self._plausible(round(_PLAUSIBLE * self.window))
         anew = (late & (before < reached) & (before < stamps)) | (np.abs(ahead) > self.window)
         end = int(anew.argmax()) if anew.any() else len(stamps)
-        repeated = self._repeated(stamps[:end], points)
+        repeated = self._repeated((stamps == before)[:end], points)
         taken = ~(late[:end] | repeated)
         self._counts['late'] += int(late[:end].sum())
         self._counts['repeated'] += int(repeated.sum())
@@ -186,10 +186,10 @@ class Timeline:
         clock = self._ticks.clock
         return unknown if clock is None else round(clock.largest + clock.interval)
 
-    def _repeated(self, stamps: np.ndarray, points: np.ndarray) -> np.ndarray:
-        """Which frames (T,) are the one before once more."""
-        repeated = np.zeros(len(stamps), bool)
-        for k in (np.diff(stamps, prepend=self._last) == 0).nonzero()[0].tolist():
+    def _repeated(self, alike: np.ndarray, points: np.ndarray) -> np.ndarray:
+        """Which frames (T,), of those with the stamp of the one before, are it once more."""
+        repeated = np.zeros(len(alike), bool)
+        for k in alike.nonzero()[0].tolist():
             before = points[k - 1] if k else self._last_points
             repeated[k] = before is not None and np.array_equal(points[k], before, equal_nan=True)
         return repeated
@@ -228,7 +228,7 @@ class Timeline:
         number = np.arange(1, len(rows) + 1)
         ahead = np.maximum(self._counter.least(stamps) - number, self._least)
         counts = np.maximum.accumulate(ahead) + number
-        gaps = np.diff(counts, prepend=self._least) > _LATE
+        gaps = counts - np.concatenate(((self._least,), counts[:-1])) > _LATE
         self._least = int(counts[-1])
         rows['time'] = self._times(counts)
         return gaps

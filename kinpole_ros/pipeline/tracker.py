@@ -250,11 +250,13 @@ class Tracker:
         `solid` (T, B, n, 3), m, are their markers as sorted.
         """
         self.counts['markers_unknown'] = self._roster.unknown
-        first, every = 0, len(steps)
-        while first < every:
+        if self._timeline.counts_are_sure or self._roster.plane is None:
+            self._take(frames, steps, solid, numbers)
+            return
+        first = 0
+        while first < len(steps):
             # Where counts take their time they are to be known when shapes are learned.
-            counted = self._timeline.counts_are_sure or self._roster.plane is None
-            room = every if counted else self._rigid.until_beat()
+            room = self._rigid.until_beat()
             part = slice(first, first + room)
             self._take(part_of(frames, part), steps[part], solid[part], numbers[part])
             first += room
@@ -501,13 +503,14 @@ class Tracker:
                 good = np.where(before, 0.0, information)
             if np.count_nonzero(row['reference']):
                 signals, good = seen_at(row['reference'], row['middle'], signals, good)
-            position = signals[:, count:, 0] + 1j * signals[:, count:, 1]
+            position = signals[:, count:].view(complex)[..., 0]
             seen = Poses(time, angle, turns, position, good[:, :count], good[:, count:])
             instants = windows.part(part)
             how = known['noise'][part], self._timeline.window * 1e-9, order, self.settings.effort
             found = derive_poses(seen, instants, suspect[part], *how)
             parts.append(found)
-        found = Derivatives(*(np.concatenate(each, axis=-2) for each in zip(*parts, strict=True)))
+        if len(parts) > 1:
+            found = Derivatives(*(np.concatenate(e, axis=-2) for e in zip(*parts, strict=True)))
         return (*found[:-1], found.freedom - 1), known['reference']
 
     def _from_landmarks(

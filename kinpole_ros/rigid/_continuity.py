@@ -34,6 +34,9 @@ _EVEN = 0.01
 _RECENT = 8
 # Weights of the samples before, oldest first, by degree, where they are even.
 _WEIGHTS = np.array([(0, 0, 0, 1), (0, 0, -1, 2), (0, 1, -3, 3), (-1, 4, -6, 4)], float)
+_OWN = np.arange(_POINTS)
+# Which of them each degree takes.
+_TAKEN = _OWN[:, None] + _OWN >= _DEGREE
 # Variances of their innovations, by degree, where there is nothing but noise.
 _GAINS = 1 + (_WEIGHTS**2).sum(axis=1)
 _REACHES = np.abs(_WEIGHTS).sum(axis=1)
@@ -84,7 +87,7 @@ class Continuity:
         self._count = self._before = 0
         self._news: list[tuple[Real, Complex]] = []
         self._degree = np.zeros(2 * bodies, int)
-        self._weights = _WEIGHTS[self._degree].T
+        self._weights = _WEIGHTS[self._degree].T + 0j
         self._limit = np.full(2 * bodies, np.inf)
 
     def forget(self) -> None:
@@ -146,15 +149,14 @@ class Continuity:
                 kept = np.isfinite(signals[:, b]).nonzero()[0][-_POINTS:]
                 self._append(b, times[kept], numbers[kept], signals[kept])
         else:
-            some = slice(-_POINTS, None)
-            for kept, new in (
-                (self._stamps, times[some, None]),
-                (self._numbers, numbers[some, None]),
-                (self._signals, signals[some]),
+            new = min(count, _POINTS)
+            for kept, rows in (
+                (self._stamps, times[:, None]),
+                (self._numbers, numbers[:, None]),
+                (self._signals, signals),
             ):
-                left = len(kept) - len(new)
-                kept[:left] = kept[len(new) :]
-                kept[left:] = new
+                kept[:-new] = kept[new:]
+                kept[-new:] = rows[-new:]
         self._go_on(times, angle, turns, signals)
         if not evenly:
             self._find_step()
@@ -232,7 +234,7 @@ class Continuity:
         usual = tame_part(filled.reshape(len(filled), -1).T).reshape(enough.shape)
         usual = np.where(enough, usual, np.inf)
         self._degree = usual.argmin(axis=0)
-        self._weights = _WEIGHTS[self._degree].T
+        self._weights = _WEIGHTS[self._degree].T + 0j
         least = np.concatenate((np.full(self._bodies, _LEAST_TURN), _LEAST_SHIFT * size))
         self._limit = np.maximum(_FAR**2 * usual.min(axis=0), least**2)
 
@@ -309,9 +311,9 @@ class Continuity:
     def _find_step(self) -> None:
         """See whether the samples that are held are of the same even frames."""
         self._step = 0.0
-        steps = np.diff(self._stamps, axis=0)
+        steps = self._stamps[1:, 0] - self._stamps[:-1, 0]
         together = (self._numbers == self._number - np.arange(_POINTS, 0, -1)[:, None]).all()
-        if together and np.isfinite(self._signals).all() and _even(steps[:, 0]):
+        if together and np.isfinite(self._signals).all() and _even(steps):
             self._step = float(steps.mean())
 
     def _append(self, b: int, times: Real, numbers: np.ndarray, signals: Complex) -> None:
@@ -388,23 +390,18 @@ def _lagrange(times: Real, numbers: np.ndarray) -> Real:
     """
     count = len(times) - _POINTS
     rows = np.arange(count)[:, None] + np.arange(_POINTS)
-    past, now = times[rows].T, times[_POINTS:]
-    ahead = now - past
-    weights = np.zeros((count, _POINTS, _POINTS))
-    for degree in range(_POINTS):
-        some = range(_DEGREE - degree, _POINTS)
-        for j in some:
-            each = np.ones(count)
-            for i in some:
-                if i != j:
-                    each = each * ahead[i] / (past[j] - past[i])
-            weights[:, degree, j] = each
+    past, now = times[rows], times[_POINTS:]
+    # What each of the others adds to the weight of one, from the last back.
+    factors = (now[:, None] - past)[:, None] / (past[..., None] - past[:, None])
+    factors[:, _OWN, _OWN] = 1.0
+    products = np.multiply.accumulate(factors[..., ::-1], axis=-1)
+    weights = np.where(_TAKEN, products.swapaxes(1, 2), 0.0)
     weights[numbers[_POINTS:] - numbers[:count] > _RECENT] = np.nan
     return weights
 
 
 def _even(steps: Real) -> bool:
-    return bool(np.ptp(steps) <= _EVEN * steps[0])
+    return bool(np.maximum.reduce(steps) - np.minimum.reduce(steps) <= _EVEN * steps[0])
 
 
 def _wrapped(angle: Real) -> Real:
