@@ -86,4 +86,4 @@ def test_markers_of_several_links_are_not_taken_for_bad_ones() -> None:
     tracker = tracker_of()
     tracker.add(frames, None)
     assert tracker.erring() == {'kite': {}}
-    assert tracker.looseness() > 0.01
+    assert tracker.rigidity_residual() > 0.01

@@ -82,7 +82,7 @@ def test_a_tracker_that_rounds_is_neither_exact_nor_wild(speed: float, rest: int
     found, shapes = level((exact / 1e-3).round() * 1e-3)
     uniform = 1e-3 / np.sqrt(12) / SIGMA
     assert 0.05 * uniform < found < 1.5 * uniform
-    assert not shapes.mended
+    assert not shapes.corrected
 
 
 @settings(max_examples=20)

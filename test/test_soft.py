@@ -124,7 +124,7 @@ def test_white_noise_is_never_taken_for_a_deformation(count: int, hidden: float)
         some = part._replace(stamps=part.stamps[k : k + 40], points=part.points[k : k + 40])
         tracker.add(some, None)
         assert tracker.causes() == ['']
-        assert tracker.looseness() == 0.0
+        assert tracker.rigidity_residual() == 0.0
 
 
 def test_wobbling_markers_come_out_the_same_frame_by_frame() -> None:

@@ -517,10 +517,10 @@ def test_markers_lost_in_their_noise_make_no_body(count: int) -> None:
 def test_markers_of_several_links_are_told_from_those_of_one_that_are_noisy(noise: float) -> None:
     seen = record('four_bar', 300, noise=noise)
     each, _ = follow(seen.frames, seen.values, None)
-    np.testing.assert_array_equal(each.looseness(), 0.0)
+    np.testing.assert_array_equal(each.rigidity_residual(), 0.0)
     one, _ = follow(seen.frames, {'bodies': ['all']}, None)
     # Of 0.37 m, and the links turn by half a turn against each other.
-    assert (one.looseness() > 0.02) == (noise < 0.01)
+    assert (one.rigidity_residual() > 0.02) == (noise < 0.01)
 
 
 def test_a_marker_that_jumps_or_is_exchanged_makes_no_body_look_like_several_links() -> None:
@@ -531,4 +531,4 @@ def test_a_marker_that_jumps_or_is_exchanged_makes_no_body_look_like_several_lin
         points[0, 4] += 0.2
     tracker, _ = follow(seen.frames, seen.values, None)
     assert tracker.counts['markers_left_out']
-    np.testing.assert_array_equal(tracker.looseness(), 0.0)
+    np.testing.assert_array_equal(tracker.rigidity_residual(), 0.0)

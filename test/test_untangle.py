@@ -241,7 +241,7 @@ def test_a_bad_frame_leaves_no_trace_in_the_poses_of_a_settled_body(fault: str) 
         spoiled[bad, 2] = np.nan
     straight, level = straight_fits(tuple(KITE), len(points))
     shapes, found, other = fitted(spoiled)
-    assert (not shapes.mended) == (fault == 'hide')
+    assert (not shapes.corrected) == (fault == 'hide')
     for k in range(len(points)):
         same = found[k].angle == straight[k].angle and found[k].position == straight[k].position
         assert bool(same) == (k != bad)
@@ -283,7 +283,7 @@ def test_a_settled_shape_is_held_until_a_marker_creeps() -> None:
     creep = 3e-3 * np.clip((np.arange(len(points)) - SETTLED) / 2000, 0, 1)
     points[:, 0] += creep * np.exp(0.03j * np.arange(len(points)))
     shapes, fits, _ = fitted(points)
-    assert not shapes.mended
+    assert not shapes.corrected
     assert np.abs([fit.residual[0] for fit in fits[-200:]]).max() < 6e-4
 
 
@@ -306,7 +306,7 @@ def test_markers_exchanged_by_half_a_turn_leave_no_trace(
     points = markers(shape, 140, turn)
     straight, _ = straight_fits(tuple(shape), 140, turn)
     shapes, found, _ = fitted(exchange(points, 90, count))
-    assert shapes.mended == {'markers_exchanged': len(shape) * count}
+    assert shapes.corrected == {'markers_exchanged': len(shape) * count}
     assert np.array_equal(turns(found), turns(straight))
 
 
@@ -320,7 +320,7 @@ def test_of_exchanges_that_fit_alike_the_one_counts_that_goes_on(count: int, tur
     spoiled[90 : 90 + count, :2] = points[90 : 90 + count, 1::-1]
     straight, _ = straight_fits(tuple(shape), 400, turn)
     shapes, found, _ = fitted(spoiled)
-    assert shapes.mended['markers_exchanged'] >= 2 * min(count, 100)
+    assert shapes.corrected['markers_exchanged'] >= 2 * min(count, 100)
     assert np.array_equal(turns(found), turns(straight))
 
 
@@ -330,12 +330,12 @@ def test_markers_exchanged_for_good_are_taken_so_and_no_pose_jumps(shape: np.nda
     _, straight, _ = fitted(points)
     shapes, found, _ = fitted(exchange(points, 90, 310))
     # Put back for a while, up to the next beat, then taken for each other.
-    assert set(shapes.mended) == {'markers_exchanged'}
-    assert 100 <= shapes.mended['markers_exchanged'] / len(shape) < 100 + 25
+    assert set(shapes.corrected) == {'markers_exchanged'}
+    assert 100 <= shapes.corrected['markers_exchanged'] / len(shape) < 100 + 25
     assert np.abs(turns(found) - turns(straight)).max() < 20e-4
     # And back again, later.
     shapes, found, _ = fitted(exchange(points, 90, 200))
-    assert 200 <= shapes.mended['markers_exchanged'] / len(shape) < 200 + 2 * 25
+    assert 200 <= shapes.corrected['markers_exchanged'] / len(shape) < 200 + 2 * 25
     assert np.abs(turns(found) - turns(straight)).max() < 20e-4
 
 
@@ -351,9 +351,9 @@ def test_two_of_several_that_are_exchanged_for_good_are_taken_so(count: int, los
     spoiled[1200] = points[1200]  # as it was at first: seen to be wrong, as ever
     spoiled[1250, 0] += 0.02
     shapes, found, level = fitted(spoiled)
-    assert 101 <= shapes.mended['markers_exchanged'] / 2 < 200
+    assert 101 <= shapes.corrected['markers_exchanged'] / 2 < 200
     # Where one of the two is hidden the other has no place.
-    assert shapes.mended['markers_left_out'] <= 1 + 400 * lost
+    assert shapes.corrected['markers_left_out'] <= 1 + 400 * lost
     assert np.isnan(found[1250].residual[0, 0])
     assert level[-1] < 1.1e-4
     # Off by what one marker more or less among noisy ones makes.
@@ -369,10 +369,10 @@ def test_a_body_that_turns_fast_is_not_turned_back(revolutions: float, lost: flo
     rng = np.random.default_rng(3)
     points = np.where(rng.random((400, 1)) < lost, np.nan, points)
     shapes, _, _ = fitted(points)
-    assert not shapes.mended
+    assert not shapes.corrected
     # Nor where whole frames are lost and nobody says so.
     shapes, _, _ = fitted(points[rng.random(400) > 0.2])
-    assert not shapes.mended
+    assert not shapes.corrected
 
 
 def test_nothing_is_expected_after_a_gap() -> None:
@@ -381,13 +381,13 @@ def test_nothing_is_expected_after_a_gap() -> None:
     shapes, _, _ = fitted(first)
     shapes.forget_motion()
     deque(fit_frames(later[:, None], shapes), maxlen=0)
-    assert not shapes.mended
+    assert not shapes.corrected
 
 
 def test_a_body_lost_in_its_noise_is_not_turned_back() -> None:
     shapes = Shapes(1, 2)
     deque(fit_frames(markers(KITE[:2], 1300, 0.0, noise=0.06)[:, None], shapes), maxlen=0)
-    assert 'markers_exchanged' not in shapes.mended
+    assert 'markers_exchanged' not in shapes.corrected
 
 
 def test_the_figures_of_two_markers_survive_their_exchange() -> None:
@@ -543,9 +543,9 @@ def test_mending_does_not_depend_on_names_place_turn_or_size(
         points[50, 1] += 0.05
         points[70, [0, 1]] = points[70, [1, 0]]
         shapes, fits, level = fitted(points)
-        assert {'markers_left_out', 'markers_exchanged'} == set(shapes.mended)
+        assert {'markers_left_out', 'markers_exchanged'} == set(shapes.corrected)
         there = (scale * np.exp(1j * turn) * points + scale * shift)[:, order]
         others, found, other = fitted(there)
-        assert others.mended == shapes.mended
+        assert others.corrected == shapes.corrected
         assert turns(found) / turns(found)[:1] == pytest.approx(turns(fits) / turns(fits)[:1])
         assert other[-1] == pytest.approx(scale * level[-1], rel=1e-6)

@@ -220,9 +220,13 @@ def replay(
         counts['frame_changes'],
         truncated,
         dict(zip(tracker.bodies, tracker.noise().tolist(), strict=True)),
-        dict(zip(tracker.bodies, tracker.looseness().tolist(), strict=True)),
+        dict(zip(tracker.bodies, tracker.rigidity_residual().tolist(), strict=True)),
         dict(zip(tracker.bodies, tracker.causes(), strict=True)),
-        [body for body, more in zip(tracker.bodies, tracker.underrated(), strict=True) if more],
+        [
+            body
+            for body, more in zip(tracker.bodies, tracker.noise_underestimated(), strict=True)
+            if more
+        ],
         first or 0,
         last,
         absent,

@@ -105,8 +105,8 @@ def derive(
     """
     Differentiate `samples` (n, 3, S) of angle and coordinates, in deviations of their noise.
 
-    So many of them are `seen` (2, S), some cells are `lacking`. Angle and position are judged
-    apart; a position's two coordinates have one model. Time is in samples.
+    So many of them are `seen` (2, S), some cells are `lacking`. Angle and position have
+    models of their own; a position's two coordinates have one model. Time is in samples.
     """
     rows, variance, evidence, lacks = evidence_of(modes, samples, seen, lacking)
     orders, bodies = len(stencils.modes), samples.shape[2]
@@ -139,9 +139,9 @@ def derive(
     off -= result
     off = np.ascontiguousarray(off.transpose(3, 2, 1, 0))  # (S, 3, K, M)
     by = weights[counting].reshape(-1, 2, bodies).transpose(2, 1, 0)[:, _SIGNAL, None]
-    apart = ((off * by) @ off.swapaxes(-1, -2)).transpose(2, 3, 1, 0)
-    covariance[:, :, 0] += apart[:, :, 0]
-    covariance[:, :, 1] += (apart[:, :, 1] + apart[:, :, 2]) / 2
+    between = ((off * by) @ off.swapaxes(-1, -2)).transpose(2, 3, 1, 0)
+    covariance[:, :, 0] += between[:, :, 0]
+    covariance[:, :, 1] += (between[:, :, 1] + between[:, :, 2]) / 2
     freedom = (modes.freedom @ likely).reshape(2, bodies)
     return Found(result, covariance, freedom, total.reshape(2, bodies))
 
@@ -189,7 +189,7 @@ def _weights(evidence: Real, kinds: Real) -> tuple[Real, Real, Real]:
     """
     Probabilities (M, S) of models of the `evidence` (M, S), and their weights in covariances.
 
-    And the evidence (S,) of all of them together.
+    And the evidence (S,) of all of them.
     """
     # For covariances evidence counts to the power of 1/2: the likeliest model is not the only one.
     best = evidence.max(axis=0)

@@ -70,10 +70,10 @@ def lacks_of(modes: Modes, rows: Real, samples: Real, lacking: Lacking) -> Lacks
         left[:end], off[:end] = whole
     for begin, end, some, share, lost in modes.parts:
         parts = _terms(vectors[begin:end], rows[begin:end])
-        for target, part, beside in zip((left, off), parts, whole, strict=True):
+        for target, part, other in zip((left, off), parts, whole, strict=True):
             part = part.reshape(len(share), share.shape[2], -1)
-            own = lost @ part if modes.exact else beside.reshape(-1) - share @ part
-            target[some] = own.reshape(-1, *beside.shape)
+            own = lost @ part if modes.exact else other.reshape(-1) - share @ part
+            target[some] = own.reshape(-1, *other.shape)
     # (X, X, M, S) of what is off at the cells, in a window where all are as good.
     left, off = left.transpose(1, 2, 0, 3), np.moveaxis(off, 1, 0)
     weight = weight[:, None]

@@ -86,9 +86,9 @@ def _mean(found: list[Found], chances: Real) -> Found:
     covariance, freedom = np.zeros(found[0].covariance.shape), np.zeros(found[0].freedom.shape)
     for by, one in zip(share, found, strict=True):
         off = one.mean - mean
-        apart = off[:, None] * off
-        apart = np.stack((apart[:, :, 0], (apart[:, :, 1] + apart[:, :, 2]) / 2), axis=2)
-        covariance += by * (one.covariance + apart)
+        between = off[:, None] * off
+        between = np.stack((between[:, :, 0], (between[:, :, 1] + between[:, :, 2]) / 2), axis=2)
+        covariance += by * (one.covariance + between)
         freedom += by * one.freedom
     return Found(mean, covariance, freedom, found[0].evidence)
 

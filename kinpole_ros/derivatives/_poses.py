@@ -21,8 +21,8 @@ _MOST = 128
 # Windows with too few samples are shorter by powers of this. So much of a window is there.
 _SHORTER = 0.95
 _PRESENT = 0.5
-# Samples that have this share of the information of the best count alike, by their mean.
-_ALIKE = 0.5
+# Samples that have this share of the information of the best count similar, by their mean.
+_SIMILAR = 0.5
 # If more cells than that are lacking, they are put together in pairs.
 _LACKING = 24
 # Of a block those samples count that have this share of the information of the best of it.
@@ -43,8 +43,8 @@ class Poses(NamedTuple):
     """
     Poses of B bodies in N frames at `time` (N,), ns.
 
-    `angle` (N, B), rad, is that beyond so many whole `turns` (N, B): apart, since their sum would
-    be rounded by how many turns it is counted from. `position` (N, B) is complex, m.
+    `angle` (N, B), rad, is that beyond so many whole `turns` (N, B): separate, since their sum
+    would be rounded by how many turns it is counted from. `position` (N, B) is complex, m.
     `angle_information` and `position_information` (N, B) are inverse variances of angles and of
     each coordinate, in units of the noise; 0 where a body is not known.
     """
@@ -90,7 +90,7 @@ class _Cells(NamedTuple):
 
     `samples` (n, 3, S) are angles and coordinates about those of the instant, in deviations of
     their noise, 0 where none is; `weight` (n, 2, S) is how good those of angle and position are
-    beside the best; `off` (n, S) is by how many intervals they are late; `ahead` (S,) is how many
+    over the best; `off` (n, S) is by how many intervals they are late; `ahead` (S,) is how many
     cells are newer than the instant; `unit` (2, S) are the deviations of the noise, `interval` (S,)
     is in s, and `exact` (S,) where motion is so much larger than its noise that it matters.
     """
@@ -173,7 +173,7 @@ def _are_even(poses: Poses, windows: Windows) -> bool:
     if (np.maximum.reduce(steps) - np.minimum.reduce(steps)) * held[0] > _OFF * steps[0]:
         return False
     for information in (poses.angle_information[rows], poses.position_information[rows]):
-        least = _ALIKE * np.maximum.reduce(information)
+        least = _SIMILAR * np.maximum.reduce(information)
         good = np.count_nonzero(information >= least) == information.size
         if not good or np.count_nonzero(information[0]) < len(least):
             return False
@@ -240,7 +240,7 @@ def _cells(poses: Poses, windows: Windows, left_out: np.ndarray, noise: Real) ->
     with np.errstate(divide='ignore', invalid='ignore'):
         weight = np.where(usual[:, None] > 0, information / usual[:, None], 0.0)
         unit = noise / np.sqrt(usual)
-    weight[weight >= _ALIKE] = 1.0
+    weight[weight >= _SIMILAR] = 1.0
     samples = np.zeros((3, *shape))
     angle, turned, position = poses.angle[now], poses.turns[now], poses.position[now]
     if np.count_nonzero(np.isnan(angle)):
@@ -268,8 +268,8 @@ def _cells(poses: Poses, windows: Windows, left_out: np.ndarray, noise: Real) ->
 
 def _usual(information: Real) -> Real:
     """The mean along the first axis of those that are not much less than the best of them."""
-    alike = information >= _ALIKE * information.max(axis=0)
-    return np.asarray(total(information * alike) / alike.sum(axis=0))
+    similar = information >= _SIMILAR * information.max(axis=0)
+    return np.asarray(total(information * similar) / similar.sum(axis=0))
 
 
 def _in_units(samples: Real, unit: Real) -> np.ndarray:
@@ -314,8 +314,10 @@ def _clearest(time: Real, inside: np.ndarray, span: Real, counts: Real) -> Real:
     phase = np.angle(total(turns)[best, each]) / (2 * np.pi)
     off = time / interval - phase
     off = (off - np.rint(off)) * inside
-    apart = (time / interval - total(time / interval * inside) / total(inside * 1.0)) * inside
-    return np.asarray(interval * (1 + total(apart * off) / np.maximum(total(apart**2), 1e-300)))
+    distance = (time / interval - total(time / interval * inside) / total(inside * 1.0)) * inside
+    return np.asarray(
+        interval * (1 + total(distance * off) / np.maximum(total(distance**2), 1e-300))
+    )
 
 
 class _Group(NamedTuple):
@@ -464,18 +466,18 @@ def _blocks(
     weight = weight.reshape(size, block, *weight.shape[1:])
     off = off.reshape(size, block, -1)
     samples = samples.reshape(size, block, *samples.shape[1:])
-    # All that are told of count alike, or the middle would not be where the block's is.
+    # All that are counted of count similar, or the middle would not be where the block's is.
     best = weight.max(axis=1, keepdims=True)
-    told = ((weight >= _POOR * best) & (weight > 0)).all(axis=2)
-    number = told.sum(axis=1)
-    share = told / np.maximum(number, 1)[:, None]
+    counted = ((weight >= _POOR * best) & (weight > 0)).all(axis=2)
+    number = counted.sum(axis=1)
+    share = counted / np.maximum(number, 1)[:, None]
     samples = (samples * share[:, :, None]).sum(axis=1)
-    variance = np.divide(told[:, :, None], weight, out=np.zeros_like(weight), where=weight > 0)
+    variance = np.divide(counted[:, :, None], weight, out=np.zeros_like(weight), where=weight > 0)
     good = number[:, None] ** 2 / np.maximum(variance.sum(axis=1), 1e-300) / block
     good = np.where(number[:, None] > 0, good, 0.0)
     usual = _usual(good)
     weight = good / usual
-    weight[weight >= _ALIKE] = 1.0
+    weight[weight >= _SIMILAR] = 1.0
     # What is missing in a block moves its middle.
     offsets = (np.arange(block) - (block - 1) / 2)[:, None]
     late = (share * (off + offsets)).sum(axis=1) / block

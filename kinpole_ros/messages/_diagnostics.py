@@ -126,11 +126,11 @@ class DiagnosticsMaker:
         if '' in outages:
             faults.append((DiagnosticStatus.WARN, unseen('', outages[''].latest)))
         array.status = [self._input(tracker, since, seconds, faults, space_values(space))]
-        noise, underestimated = tracker.noise(), tracker.underrated()
+        noise, underestimated = tracker.noise(), tracker.noise_underestimated()
         loose = [
             shape_fault(b, off, cause, space)
             for b, (off, cause) in enumerate(
-                zip(tracker.looseness().tolist(), tracker.causes(), strict=True)
+                zip(tracker.rigidity_residual().tolist(), tracker.causes(), strict=True)
             )
         ]
         units = [unit_fault(size, tracker.settings.scale) for size in space.size.tolist()]

@@ -4,7 +4,7 @@ from collections.abc import Iterator, Mapping
 
 import numpy as np
 
-from kinpole_ros.pipeline.matcher import BY_SHAPE, OTHERS, RENAMED, UNSURE
+from kinpole_ros.pipeline.matcher import BY_SHAPE, OTHERS, RENAMED, UNCERTAIN
 from kinpole_ros.pipeline.tracker import Tracker
 
 # Of corrections and characters of each.
@@ -67,7 +67,7 @@ def identity_lines(tracker: Tracker, counts: Mapping[str, int]) -> Iterator[str]
             'names, are matched by shape; fix: see that none are missing or added, or set '
             'marker_identity to shape'
         )
-    if ambiguous := counts.get(UNSURE):
+    if ambiguous := counts.get(UNCERTAIN):
         yield (
             f'{ambiguous} times a body was left out of a frame, since points fit its shape in '
             'several ways; fix: place its markers so that no other body, and no turn of it, looks '

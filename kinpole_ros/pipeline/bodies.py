@@ -83,7 +83,7 @@ def pose_columns(bodies: int) -> list[tuple]:
         # Inverse variances over that of a coordinate of a marker, 0 for a body not seen.
         ('information', float, (2 * bodies,)),
         ('height', float, (bodies,)),
-        ('strayed', bool, (bodies,)),
+        ('off_pin', bool, (bodies,)),
         # How many of the newest frames, with this one, may be wrong of a body: not to be relied on
         # until the next.
         ('suspect', np.int64, (bodies,)),
@@ -98,7 +98,7 @@ def _known_type(bodies: int, width: int) -> np.dtype:
         # As of `Deformation`.
         ('deformed', float, (bodies,)),
         ('held', float, (bodies,)),
-        ('firm', bool, (bodies,)),
+        ('orientation_observable', bool, (bodies,)),
         ('size', float, (bodies,)),
         ('pin', complex, (bodies,)),
         ('pin_variance', float, (bodies,)),
@@ -116,8 +116,8 @@ class RigidBodies:
     """
     B bodies of up to `width` markers each, as learned from their frames.
 
-    `window`, ns, is as long as the estimates'; `roster` sorts the frames. What is mended in frames
-    is added to `counts`; `matcher` holds the names of markers against the shapes.
+    `window`, ns, is as long as the estimates'; `roster` sorts the frames. What is corrected in
+    frames is added to `counts`; `matcher` holds the names of markers against the shapes.
     """
 
     def __init__(
@@ -179,7 +179,7 @@ class RigidBodies:
             level = np.where(few, np.sqrt(self._shapes.misfit()), level)
         return np.maximum(level, _ROUNDING * self._shapes.farthest)
 
-    def looseness(self) -> np.ndarray:
+    def rigidity_residual(self) -> np.ndarray:
         """
         How far (B,) markers are off one rigid body, m, per axis; 0 where they may well be of one.
 
@@ -205,7 +205,7 @@ class RigidBodies:
         """Deviations (B, width), m, of markers that count for less than others, 0 for these."""
         return self._shapes.deviation
 
-    def underrated(self) -> np.ndarray:
+    def noise_underestimated(self) -> np.ndarray:
         """Which bodies (B,) have more noise than can be measured: see `LastingNoise.longer`."""
         return self._lasting.longer(self._noise.level())
 
@@ -221,7 +221,7 @@ class RigidBodies:
         Find the poses of frames, by the markers `points` (T, B, width) and their `heights`.
 
         Fills the last T of the `rows`, which have their stamps, and `landmarks` (T, B, width), if
-        wanted, with the markers as they are told apart; `gaps` (T,) says which frames come much
+        wanted, with the markers as they are identified; `gaps` (T,) says which frames come much
         later than those before. Rows before these are of earlier frames, some of which may turn out
         to be wrong.
         """
@@ -282,7 +282,7 @@ class RigidBodies:
     def take_unseen(self, rows: np.ndarray) -> None:
         """Fill rows (T,) of frames that nothing can be made of: the plane is not known."""
         rows['poses'] = rows['height'] = np.nan
-        rows['information'], rows['strayed'], rows['suspect'] = 0.0, False, 0
+        rows['information'], rows['off_pin'], rows['suspect'] = 0.0, False, 0
         rows['beat'] = self._known_now()
 
     def settle(self) -> bool:
@@ -292,7 +292,7 @@ class RigidBodies:
         self._learn()
         if not self.matcher.look_is_due():
             return False
-        anew = self.matcher.regroup(self.looseness() > 0)
+        anew = self.matcher.regroup(self.rigidity_residual() > 0)
         if not anew.any():
             return bool(self.matcher.withheld.any())
         self._begin_anew(anew)
@@ -340,9 +340,9 @@ class RigidBodies:
         fit, points, course = self._shapes.fit(points, rows['time'], least, self.matcher)
         self.matcher.follow(fit)
         self._newest = int(rows['time'][-1])
-        if self._shapes.mended:
-            self._counts.update(self._shapes.mended)
-            self._shapes.mended.clear()
+        if self._shapes.corrected:
+            self._counts.update(self._shapes.corrected)
+            self._shapes.corrected.clear()
             self._learned = True
         known = np.isfinite(fit.angle)
         information = np.concatenate((fit.spread, fit.weight), axis=-1)
@@ -356,10 +356,10 @@ class RigidBodies:
         with np.errstate(invalid='ignore'):
             total = np.add.reduce(heights, -1, where=seen)
             rows['height'] = total / np.add.reduce(seen, -1)
-        rows['strayed'] = False
+        rows['off_pin'] = False
         if np.count_nonzero(np.isfinite(self._pins.center)):
             variance = self._variance(information)
-            rows['strayed'] = self._pins.strayed(fit.position, fit.angle, variance)
+            rows['off_pin'] = self._pins.off_pin(fit.position, fit.angle, variance)
         if np.count_nonzero(course.suspect):
             # Nothing is learned from them, whatever they turn out to be.
             suspect = course.suspect > 0
@@ -407,7 +407,7 @@ class RigidBodies:
             count = int(course.wrong[row, b])
             wrong = slice(max(first + int(row) - count, 0), first + int(row))
             rows['information'][wrong, [b, self._count + b]] = 0.0
-            rows['strayed'][wrong, b] = False
+            rows['off_pin'][wrong, b] = False
             self.wrong[b] += count
 
     def _known_now(self) -> int:
@@ -419,12 +419,12 @@ class RigidBodies:
             known['measured'] = np.isfinite(noise)
             known['deformed'] = self.deformation.freedom
             known['held'] = self.deformation.held
-            known['firm'] = noise**2 < _UNSTEADY**2 * self._shapes.spread
+            known['orientation_observable'] = noise**2 < _UNSTEADY**2 * self._shapes.spread
             known['size'] = self._size()
             known['pin'], known['pin_variance'] = pins.center, pins.variance
             known['pin_since'], known['since'] = pins.since, self._since
             # On a pin the poles are the pin, and relative centers are best where a lens bends two
-            # bodies alike: from velocities at the origins of both.
+            # bodies residuals: from velocities at the origins of both.
             references = self._references
             known['reference'] = np.where(np.isfinite(pins.center), 0.0, references.point)
             known['middle'] = references.middle
@@ -446,10 +446,10 @@ class RigidBodies:
                 left = self._shapes.weighted(news.residual) / np.sqrt(self._misfit())[:, None]
             self._pins.add(*poses, left)
             self._references.add(*poses, self._shapes.middle)
-        alike = self._shapes.of_the_same(news.residual)
-        self._noise.add(alike, news.freedom, ~news.gaps)
+        residuals = self._shapes.of_the_same(news.residual)
+        self._noise.add(residuals, news.freedom, ~news.gaps)
         if not self._given:
-            self._lasting.add(news.stamps, alike, news.freedom, news.gaps)
+            self._lasting.add(news.stamps, residuals, news.freedom, news.gaps)
         anew = self._shapes.learn()
         if anew.any():
             learners = self._pins, self._references, self._noise, self._lasting, self.deformation

@@ -31,7 +31,7 @@ _MOST_PATHS, _UNLIKELY = 32, 12.0
 # A frame that comes within this share of the interval after another waited for it in a queue.
 _QUEUED = 0.1
 # No frame tells more than this, nats: a driver hangs for once about as often as frames are lost.
-_MOST_TOLD = 4.3
+_MOST_SAID = 4.3
 # A frame that comes more than this share of the interval before its tick has another.
 _EARLY = 0.2
 # So many frames at most wait for their count.
@@ -257,8 +257,8 @@ def _fit(
             float((since[newest] - one * counts[newest]).var()) + resolution**2 / 12
             for one in (interval, now)
         )
-        apart = abs(now - interval) * part > 2 * resolution
-        if apart and part / 2 * math.log(left / own) > _CHANGED:
+        differs = abs(now - interval) * part > 2 * resolution
+        if differs and part / 2 * math.log(left / own) > _CHANGED:
             since, counts = since[newest], counts[newest]
             interval, deviation = max(now, 1.0), sure_now
             used = len(sure) - int(sure.nonzero()[0][-part])
@@ -339,8 +339,8 @@ def _edge(values: Real, around: Real, slope: float) -> float:
         if here == pair:
             break
         pair = here
-        apart = max(float(around[pair[1]] - around[pair[0]]), 1.0)
-        slope = float(values[pair[1]] - values[pair[0]]) / apart
+        distance = max(float(around[pair[1]] - around[pair[0]]), 1.0)
+        slope = float(values[pair[1]] - values[pair[0]]) / distance
     return slope
 
 
@@ -370,7 +370,7 @@ class FrameCounter:
     def follow(self, clock: Clock) -> None:
         """Go by a clock that is known better, by these counts."""
         self.clock, self._shift = clock, 0
-        self._told = clock.interval / max(clock.lateness, 1.0)
+        self._weight_of_loss = clock.interval / max(clock.lateness, 1.0)
         self._queued = _QUEUED * clock.interval
 
     @property
@@ -443,7 +443,7 @@ class FrameCounter:
         self._costs = self._costs[path] + _LOSS * np.minimum(more, 2)
         # What waited for others tells nothing.
         if not queued:
-            self._costs -= np.minimum(lost[which] * self._told, _MOST_TOLD)
+            self._costs -= np.minimum(lost[which] * self._weight_of_loss, _MOST_SAID)
         self._paths = np.column_stack((self._paths[path], lost[which]))
 
     def _settle(self, known: int) -> np.ndarray:
@@ -456,9 +456,9 @@ class FrameCounter:
             self.count = int(counts[-1])
             return counts
         lost = self._paths[0, known - 1]
-        alike = self._paths[:, known - 1] == lost
-        paths, first = np.unique(self._paths[alike, known:] - lost, axis=0, return_index=True)
+        same = self._paths[:, known - 1] == lost
+        paths, first = np.unique(self._paths[same, known:] - lost, axis=0, return_index=True)
         order = first.argsort()
-        self._paths, self._costs = paths[order], self._costs[alike][first[order]]
+        self._paths, self._costs = paths[order], self._costs[same][first[order]]
         self.count = int(counts[-1])
         return counts

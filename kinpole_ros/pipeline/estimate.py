@@ -63,7 +63,7 @@ class Estimate:
     `pin` (T, B) is the fixed point a body was found to turn about, complex, m, with
     `pin_variance` (T, B), m^2, of one coordinate; NaN for a body on no pin. `shape` (T, B, n) are
     the markers in the bodies' frames, complex, m. `due` (T,) is which frame, of those the tracker
-    was given together, each instant fell due with. `plane` is where all this lies in `frame_id`,
+    was given in one call, each instant fell due with. `plane` is where all this lies in `frame_id`,
     None for the one that the parameters name.
 
     What follows is of shape (T, B) too, (T, pairs) for pairs of bodies. An index gives one instant
@@ -278,7 +278,7 @@ class Estimate:
         """
         Relative instant center of j with respect to i (m) for every pair.
 
-        From the velocities as measured, pins or no: what bends both alike cancels between them.
+        From the velocities as measured, pins or no: what bends both cancels between them.
         """
         j, i = self.pairs
         position, angle = self.position[:2], self.angle[:2]
@@ -292,8 +292,8 @@ class Estimate:
             spread += planar.covariance(by_i, *(one[..., i] for one in covariances))
             turning = np.abs(rate.value) > SIGNIFICANT * np.sqrt(rate.variance)
             place, size = self.position[0], self.size
-            apart = np.abs(by_j.value - (place[..., j] + place[..., i]) / 2)
-            near = apart < FARTHEST * np.maximum(size[..., j], size[..., i])
+            distance = np.abs(by_j.value - (place[..., j] + place[..., i]) / 2)
+            near = distance < FARTHEST * np.maximum(size[..., j], size[..., i])
         finite = np.isfinite(by_j.value) & np.isfinite(spread).all(axis=(-2, -1))
         return Vectors(by_j.value, spread, turning & near & finite)
 
@@ -303,7 +303,7 @@ class Estimate:
         How far the relative centers are from the line through their bodies' pins, for every pair.
 
         The distance, m, and that over its standard deviation; NaN but for two bodies on pins, the
-        only centers found apart from the velocities (`planar.kennedy_residual`).
+        only centers found without the velocities (`planar.kennedy_residual`).
         """
         j, i = self.pairs
         center = self.relative_icr

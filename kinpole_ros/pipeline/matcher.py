@@ -22,7 +22,7 @@ from kinpole_ros.rigid.identity import Expected, Match, fit_place, match, merge_
 
 # Counted in `Tracker.counts`.
 OTHERS, RENAMED, REGROUPED = 'markers_of_others', 'markers_renamed', 'markers_regrouped'
-BY_SHAPE, UNSURE = 'frames_by_shape', 'bodies_unsure'
+BY_SHAPE, UNCERTAIN = 'frames_by_shape', 'bodies_unsure'
 # Frames that tell how many points a cloud without names has, and whether they keep their order; in
 # so many of these it may be another.
 _FIRST, _DISORDERED = 20, 2
@@ -325,7 +325,7 @@ class Matcher:
         self._points[k] = np.where(seen, np.append(points, np.nan)[place], np.nan)
         self._heights[k] = np.where(seen, np.append(heights, np.nan)[place], np.nan)
         self.found += np.isfinite(found.turn)
-        self._counts[UNSURE] += int((found.unsure & ~self.withheld).sum())
+        self._counts[UNCERTAIN] += int((found.uncertain & ~self.withheld).sum())
         angle = np.angle(found.turn)
         self._track.append((self._stamps[k : k + 1], found.position[None], angle[None]))
 
@@ -378,7 +378,7 @@ class Matcher:
         named = np.full(shapes.shape, -1)
         limit = self._shapes.limit[b : b + 1]
         found = match(points, shapes, limit, Expected(nowhere, nowhere, named, np.zeros(1, bool)))
-        return bool(np.isfinite(found.turn[0]) or found.unsure[0])
+        return bool(np.isfinite(found.turn[0]) or found.uncertain[0])
 
 
 def _row(given: Complex) -> np.ndarray:

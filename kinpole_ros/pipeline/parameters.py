@@ -18,7 +18,7 @@ from kinpole_ros.rigid.plane import AXES, FIT, PlaneSetting
 
 
 class ParameterError(ValueError):
-    """A parameter that is not known, or whose value cannot be used; says which and the mend."""
+    """A parameter that is not known, or whose value cannot be used; says which and the fix."""
 
 
 @dataclass(frozen=True)
@@ -178,7 +178,7 @@ PARAMETERS: Mapping[str, Parameter] = {
     ),
     'marker_identity': _choices(
         'auto',
-        'What tells markers apart: their place in the message, their id, their namespace, or '
+        'What distinguishes markers: their place in the message, their id, their namespace, or '
         'both; auto takes namespace and id where there are any, else the place. shape: nothing but '
         'where they are on their bodies, as of points that come in any order.',
         'auto',
@@ -283,7 +283,7 @@ AUTOSTART = Parameter(
     fixed=True,
 )
 # Characters of a value or name.
-_MOST_TOLD = 80
+_MOST_SAID = 80
 # Not YAML; the others are what PyYAML lets through of a malformed date or number, or !!bool of what
 # is none.
 _MALFORMED = (
@@ -372,14 +372,14 @@ def _checked(name: str, row: Parameter, values: Mapping[str, Any]) -> Any:
     try:
         return row.check(value)
     except (TypeError, ValueError, OverflowError):
-        told = _cut(repr(value))
-        raise ParameterError(f'parameter {name} is {told}; it must be {row.allowed}') from None
+        shown = _cut(repr(value))
+        raise ParameterError(f'parameter {name} is {shown}; it must be {row.allowed}') from None
 
 
 def _cut(text: str) -> str:
     """As much as there is room for in a line: anyone on the network may set any name and value."""
     text = text if text.isprintable() else repr(text)
-    return text if len(text) <= _MOST_TOLD else f'{text[:_MOST_TOLD]}...'
+    return text if len(text) <= _MOST_SAID else f'{text[:_MOST_SAID]}...'
 
 
 class _Loader(yaml.SafeLoader):
@@ -457,7 +457,7 @@ def _parse(text: str) -> Any:
 
 
 def _flat(section: Mapping[str, Any], prefix: str = '') -> dict[str, Any]:
-    """Names as ROS has them: nested keys joined by dots."""
+    """Names as ROS has them: nested keys with dots between them."""
     values: dict[str, Any] = {}
     for key, value in section.items():
         if isinstance(value, dict):

@@ -29,14 +29,14 @@ _FEWEST_EVIDENCE = 16
 # Only losses since so many frames may have been none.
 _TAKEN_BACK = 32
 # Newest frames whose ticks are not sure enough to say anything.
-_UNSURE = 8
+_UNCERTAIN = 8
 # One prediction does not count for more than so many mean squares.
 _OUTLIER = 9.0
 # Of the polynomial that places a lost frame.
 _DEGREE = 3
 # Frames on each side that tell how long a gap is, nats that contradict what it was taken for, and
-# mean squares up to which a polynomial follows the motion. So many gaps are mended at once.
-_BESIDE, _CONTRADICTS, _FOLLOWED, _MOST_MENDED = 4, 20.0, 4.0, 16
+# mean squares up to which a polynomial follows the motion. So many gaps are corrected at once.
+_OFF_CLOCK, _CONTRADICTS, _FOLLOWED, _MOST_CORRECTED = 4, 20.0, 4.0, 16
 # What neighbors predict is correlated: there is half as much evidence as predictions.
 _INDEPENDENT = 0.5
 
@@ -47,7 +47,7 @@ _COARSE, _ROUNDED = 10_000, 1.05
 
 class StampState(NamedTuple):
     """
-    How stamps are beside the clock found behind them.
+    How stamps lie on the clock found behind them.
 
     `interval`, `jitter` (rms) and `largest` are in s; `regularized` is whether frames are taken to
     be at the ticks of the clock. `nats` is how much likelier motion makes that, negative where the
@@ -85,8 +85,8 @@ class Ticks:
         self.counts = np.zeros(0, np.int64)
         # Whether frames are regular only since stamps are rounded.
         self._rounded = False
-        # Only frames after so many can still be mended.
-        self._mended = 0
+        # Only frames after so many can still be corrected.
+        self._corrected = 0
         self._taken = np.zeros(0, bool)
         self._new: list[tuple[np.ndarray, np.ndarray]] = []
         # Poses of frames taken, with what they are known by, that are still to be looked at.
@@ -118,7 +118,7 @@ class Ticks:
     def take_back(self, early: int) -> None:
         """So many fewer frames were lost than it seemed, if any were of late."""
         # If that is wrong the next look mends it.
-        begin = max(len(self.counts) - _TAKEN_BACK, self._mended, 1)
+        begin = max(len(self.counts) - _TAKEN_BACK, self._corrected, 1)
         more = np.diff(self.counts[begin - 1 :]) - 1
         lost = more.nonzero()[0]
         if len(lost):
@@ -138,7 +138,7 @@ class Ticks:
         self._taken = np.concatenate((self._taken, news[1]))
         latest = int(self._stamps[-1])
         old = int((self._stamps > latest - _MEMORY * self._window).argmax())
-        # Of a slow camera as many as are looked at alike.
+        # Of a slow camera as many as are looked at same.
         old = max(min(old, len(self._stamps) - _LEAST), len(self._stamps) - _MOST, 0)
         self._forget(old)
         before = max(before - old, 0)
@@ -148,12 +148,12 @@ class Ticks:
         else:
             known = np.concatenate((self.counts, newest))
             poses, information = (np.concatenate(parts) for parts in zip(*self._poses, strict=True))
-            mend(known, poses, information, noise)
+            correct_counts(known, poses, information, noise)
             clock, counts, same = follow_clock(self._stamps, known)
         dropped = len(self._stamps) - len(counts)
         self._forget(dropped)
         before = max(before - dropped, 0)
-        steps = np.diff(counts)[max(before - _UNSURE, 0) : len(counts) - _UNSURE]
+        steps = np.diff(counts)[max(before - _UNCERTAIN, 0) : len(counts) - _UNCERTAIN]
         # Stamps that are out of order, say, are of no clock that could miss any.
         if len(steps) and (self.regular or clock.largest < clock.interval / 2):
             self.lost += int((steps - 1).clip(0).sum())
@@ -176,7 +176,7 @@ class Ticks:
             self._stamps, counts = self._stamps[self._taken], counts[self._taken]
             self._taken = np.ones(len(counts), bool)
         self.counts = counts
-        self._mended = len(counts) - (2 * _SIDE + _UNSURE) + _BESIDE
+        self._corrected = len(counts) - (2 * _SIDE + _UNCERTAIN) + _OFF_CLOCK
         return same
 
     def _may_be_rounded(self, step: float) -> bool:
@@ -228,16 +228,16 @@ class Ticks:
         poses, information = (np.concatenate(parts) for parts in zip(*self._poses, strict=True))
         held = min(len(poses), len(counts))
         # What is not looked at now is looked at next time.
-        kept = min(held, 2 * _SIDE + _UNSURE)
+        kept = min(held, 2 * _SIDE + _UNCERTAIN)
         self._poses = [(poses[len(poses) - kept :], information[len(poses) - kept :])]
-        usable = held - _UNSURE
+        usable = held - _UNCERTAIN
         if self.seen < _FEWEST_EVIDENCE or usable < 2 * _SIDE + 1:
             self._poses = [(poses, information)]
             return
         assert self.clock is not None
         interval = self.clock.interval
-        part = slice(len(poses) - held, len(poses) - _UNSURE)
-        at = slice(len(counts) - held, len(counts) - _UNSURE)
+        part = slice(len(poses) - held, len(poses) - _UNCERTAIN)
+        at = slice(len(counts) - held, len(counts) - _UNCERTAIN)
         stamps = self._stamps[self._taken][at]
         times = np.stack(((stamps - stamps[0]) / interval, (counts[at] - counts[at][0]) * 1.0))
         signals, variance = _signals(poses[part], information[part], noise)
@@ -328,7 +328,7 @@ def _pairs(count: int) -> Iterable[tuple[int, int]]:
     return ((k, m) for k in range(count) for m in range(count) if k != m)
 
 
-def mend(counts: np.ndarray, poses: Real, information: Real, noise: Real) -> None:
+def correct_counts(counts: np.ndarray, poses: Real, information: Real, noise: Real) -> None:
     """
     Put `counts` (N,) right where the motion contradicts them, whatever they were found by.
 
@@ -336,27 +336,27 @@ def mend(counts: np.ndarray, poses: Real, information: Real, noise: Real) -> Non
     """
     held = min(len(poses), len(counts))
     signals, variance = _signals(poses[len(poses) - held :], information[-held:], noise)
-    for _ in range(_MOST_MENDED):
-        here, more = gap_to_mend(counts[len(counts) - held :], signals, variance)
+    for _ in range(_MOST_CORRECTED):
+        here, more = gap_to_correct(counts[len(counts) - held :], signals, variance)
         if not more:
             break
         counts[: len(counts) - held + here] -= more
 
 
-def gap_to_mend(counts: np.ndarray, signals: Real, variance: Real) -> tuple[int, int]:
+def gap_to_correct(counts: np.ndarray, signals: Real, variance: Real) -> tuple[int, int]:
     """
     Before which frame one more or one fewer was lost than `counts` (N,) say, by the motion alone.
 
     Also which, 1 or -1; 0 if none. It is the gap that contradicts most how poses go before and
     after it; `signals` (N, S) have the `variance` (N, S), NaN where not known.
     """
-    number = len(counts) - 2 * _BESIDE + 1
+    number = len(counts) - 2 * _OFF_CLOCK + 1
     if number < 1:
         return 0, 0
-    around = np.arange(2 * _BESIDE)
+    around = np.arange(2 * _OFF_CLOCK)
     there = np.arange(number)[:, None] + around
     more = np.array([0, 1, -1])
-    at = counts[there] + more[:, None, None] * (around >= _BESIDE)
+    at = counts[there] + more[:, None, None] * (around >= _OFF_CLOCK)
     fewest = np.diff(at, axis=-1).min(axis=-1)
     at = (at - at.mean(axis=-1, keepdims=True)) / np.ptp(at, axis=-1).clip(1)[..., None]
     basis, _ = np.linalg.qr(at[..., None] ** np.arange(_DEGREE + 1))
@@ -365,7 +365,7 @@ def gap_to_mend(counts: np.ndarray, signals: Real, variance: Real) -> tuple[int,
     values = np.where(known[:, None], values - values[:, :1], 0.0)
     rest = values - basis @ (basis.swapaxes(-1, -2) @ values)
     left = (rest**2).sum(axis=-2)  # (3, M, S)
-    least = left.min(axis=0) / (2 * _BESIDE - _DEGREE - 1)
+    least = left.min(axis=0) / (2 * _OFF_CLOCK - _DEGREE - 1)
     cost = (left / np.maximum(least, 1.0)).sum(axis=-1) / 2
     cost[fewest < 1] = np.inf
     gain = cost[0] - cost
@@ -373,7 +373,7 @@ def gap_to_mend(counts: np.ndarray, signals: Real, variance: Real) -> tuple[int,
     which, gap = np.unravel_index(gain.argmax(), gain.shape)
     if gain[which, gap] < _CONTRADICTS:
         return 0, 0
-    return int(gap) + _BESIDE, int(more[which])
+    return int(gap) + _OFF_CLOCK, int(more[which])
 
 
 def course_costs(frames: np.ndarray, begin: int, counts: np.ndarray, noise: Real) -> Real:
@@ -391,10 +391,10 @@ def course_costs(frames: np.ndarray, begin: int, counts: np.ndarray, noise: Real
     while known.any():
         first = known.any(axis=0).argmax()
         rows = known[:, first].copy()
-        alike = (known == rows[:, None]).all(axis=0)
-        known[:, alike] = False
-        deviation = np.sqrt(variance[np.ix_(rows, alike)].mean(axis=0))
-        cost += _misfit(at[:, rows], signals[np.ix_(rows, alike)] / deviation)
+        same = (known == rows[:, None]).all(axis=0)
+        known[:, same] = False
+        deviation = np.sqrt(variance[np.ix_(rows, same)].mean(axis=0))
+        cost += _misfit(at[:, rows], signals[np.ix_(rows, same)] / deviation)
     return cost
 
 

@@ -15,7 +15,7 @@ from kinpole_ros.derivatives import FEWEST_SAMPLES, Windows
 from kinpole_ros.pipeline.bodies import pose_columns
 from kinpole_ros.pipeline.clock import FrameCounter, counts_by
 from kinpole_ros.pipeline.parameters import Settings
-from kinpole_ros.pipeline.ticks import StampState, Ticks, course_costs, mend
+from kinpole_ros.pipeline.ticks import StampState, Ticks, correct_counts, course_costs
 from kinpole_ros.rigid import Samples
 
 # Frames later than this many intervals of late come after a gap.
@@ -114,7 +114,7 @@ class Timeline:
         """How the stamps are; None while too few have come."""
         return self._ticks.state()
 
-    def sift(self, stamps: np.ndarray, points: np.ndarray) -> tuple[np.ndarray, int, bool]:
+    def accept(self, stamps: np.ndarray, points: np.ndarray) -> tuple[np.ndarray, int, bool]:
         """
         Up to where frames of `stamps` (T,) go on, and whether the next starts anew.
 
@@ -128,15 +128,15 @@ class Timeline:
             self._slips = True
             return stamps[:0], 0, False
         stamps = stamps[:until]
-        sift = self._sift_arrivals if self._regular else self._sift_captures
-        ahead, end, repeated = sift(stamps, points)
+        accept = self._accept_arrivals if self._regular else self._accept_captures
+        ahead, end, repeated = accept(stamps, points)
         if end:
             came = slice(None) if repeated is None else ~repeated
             self._ticks.add(stamps[:end][came], (ahead > 0)[came])
             self._last, self._last_points = int(stamps[end - 1]), points[end - 1].copy()
         return ahead, end, end < len(stamps)
 
-    def _sift_captures(
+    def _accept_captures(
         self, stamps: np.ndarray, points: np.ndarray
     ) -> tuple[np.ndarray, int, np.ndarray | None]:
         last, newest = self._last, int(stamps[0]) - 1
@@ -161,7 +161,7 @@ class Timeline:
         self._counts['repeated'] += int((ahead == 0).sum())
         return ahead, end, self._repeated((stamps == before)[:end], points)
 
-    def _sift_arrivals(
+    def _accept_arrivals(
         self, stamps: np.ndarray, points: np.ndarray
     ) -> tuple[np.ndarray, int, np.ndarray | None]:
         last, newest = self._last, self._newest
@@ -186,10 +186,10 @@ class Timeline:
         clock = self._ticks.clock
         return unknown if clock is None else round(clock.largest + clock.interval)
 
-    def _repeated(self, alike: np.ndarray, points: np.ndarray) -> np.ndarray:
+    def _repeated(self, same: np.ndarray, points: np.ndarray) -> np.ndarray:
         """Which frames (T,), of those with the stamp of the one before, are it once more."""
-        repeated = np.zeros(len(alike), bool)
-        for k in alike.nonzero()[0].tolist():
+        repeated = np.zeros(len(same), bool)
+        for k in same.nonzero()[0].tolist():
             before = points[k - 1] if k else self._last_points
             repeated[k] = before is not None and np.array_equal(points[k], before, equal_nan=True)
         return repeated
@@ -351,11 +351,11 @@ class Timeline:
         self._ticks.uncount(number)
         self._ticks.count(counts[:1])
         self._count(self._counter, here + 1, np.broadcast_to(noise, (number, len(noise))))
-        mended, sure = every[here:], number - self._counter.pending
-        mend(mended['count'], mended['poses'], mended['information'], noise)
+        corrected, sure = every[here:], number - self._counter.pending
+        correct_counts(corrected['count'], corrected['poses'], corrected['information'], noise)
         self._ticks.uncount(sure)
-        self._ticks.count(mended['count'][:sure])
-        every['time'][here:] = self._times(mended['count'])
+        self._ticks.count(corrected['count'][:sure])
+        every['time'][here:] = self._times(corrected['count'])
         # Frames of another rate.
         every['time'][:here] = _rising(every['stamp'][:here] - round(clock.lateness))
         self._newest = int(every['stamp'].max())
@@ -385,8 +385,8 @@ class Timeline:
 
     def falling_due(self, new: np.ndarray) -> tuple[np.ndarray, Windows, np.ndarray]:
         """
-        What falls due with the newest frames (T,): up to where (T,), and which instants can be told
-        of; with which of these frames each is due.
+        What falls due with the newest frames (T,): up to where (T,), and which instants can be
+        estimated of; with which of these frames each is due.
         """
         frames = self._frames.view()
         newest = np.arange(len(frames) - len(new), len(frames))

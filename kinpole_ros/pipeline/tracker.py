@@ -26,7 +26,7 @@ from kinpole_ros.rigid import (
     MOST_SUSPECT,
     STRIKES,
     Samples,
-    alike,
+    constant_segments,
     seen_at,
 )
 from kinpole_ros.rigid.plane import Plane
@@ -92,21 +92,21 @@ class Tracker:
         """Noise (B,) of one coordinate of a marker, m, given or measured; NaN while not known."""
         return self._rigid.noise()
 
-    def looseness(self) -> np.ndarray:
-        """How far (B,) markers are off one rigid body: see `RigidBodies.looseness`."""
-        return self._rigid.looseness()
+    def rigidity_residual(self) -> np.ndarray:
+        """How far (B,) markers are off one rigid body: see `RigidBodies.rigidity_residual`."""
+        return self._rigid.rigidity_residual()
 
     def stamp_state(self) -> StampState | None:
-        """How the stamps are beside the clock found behind them; None while too few have come."""
+        """How the stamps lie on the clock found behind them; None while too few have come."""
         return self._timeline.stamp_state()
 
     def causes(self) -> list[str]:
         """What moves the markers of each body against each other: see `RigidBodies.causes`."""
         return self._rigid.causes()
 
-    def underrated(self) -> np.ndarray:
+    def noise_underestimated(self) -> np.ndarray:
         """Which bodies (B,) have more noise than can be measured, since it lasts long."""
-        return self._rigid.underrated()
+        return self._rigid.noise_underestimated()
 
     @property
     def plane(self) -> Plane | None:
@@ -196,7 +196,7 @@ class Tracker:
                 # A plane that is being fitted is known at the next update at the earliest.
                 last = first + self._space.capacity(len(stamps) - first)
                 some = slice(first, last)
-                steps, end, anew = self._timeline.sift(stamps[some], frames.points[some])
+                steps, end, anew = self._timeline.accept(stamps[some], frames.points[some])
                 new = (steps > 0).nonzero()[0]
                 if len(new):
                     taken, place = frames, first + new
@@ -223,7 +223,7 @@ class Tracker:
         return found + self._estimates(order)
 
     def settle(self) -> None:
-        """Learn and judge what is due, while nobody waits for it; else the next `add` does."""
+        """Learn from what is due, while nobody waits for it; else the next `add` does."""
         self._rigid.settle()
         self._space.settle()
         if self._timeline.look_due:
@@ -376,8 +376,8 @@ class Tracker:
         suspect = self._suspect(windows)
         if suspect is not None:
             seen &= windows[0][:, None] <= windows[2][:, None] - suspect
-        measured, firm = known['measured'], known['firm']
-        usable = seen & measured & firm
+        measured, orientation_observable = known['measured'], known['orientation_observable']
+        usable = seen & measured & orientation_observable
         if self._points is None:
             found, reference = self._from_poses(windows, known, order, suspect)
         else:
@@ -393,7 +393,7 @@ class Tracker:
         missing.fill('')
         if np.count_nonzero(enough) < enough.size:
             missing[~enough] = 'window not full'
-            missing[~firm] = 'markers too close together for their noise'
+            missing[~orientation_observable] = 'markers too close together for their noise'
             missing[~measured] = 'noise not known yet'
             missing[~seen] = 'too few markers seen, or all at one place'
             if self.plane is None:
@@ -430,7 +430,7 @@ class Tracker:
         information = frames['information'][windows[0]]
         if self._points is None:
             # Of the points that are differentiated.
-            for part in alike(known['reference'], known['middle']):
+            for part in constant_segments(known['reference'], known['middle']):
                 at, rows = known[part.start], frames[windows[0][part]]
                 points = at['reference'], at['middle'], rows['poses'], rows['information']
                 information[part] = seen_at(*points)[1]
@@ -460,15 +460,15 @@ class Tracker:
         _, oldest, newest = windows
         frames = self._timeline.view()
         held &= known['pin_since'] <= frames['time'][oldest, None]
-        strayed = frames['strayed']
-        if np.count_nonzero(strayed):
-            times = strayed.cumsum(axis=0)
+        off_pin = frames['off_pin']
+        if np.count_nonzero(off_pin):
+            times = off_pin.cumsum(axis=0)
             until = times[newest]
             suspect = self._suspect(windows)
             if suspect is not None:
                 last = np.maximum(newest[:, None] - suspect, oldest[:, None])
                 until = np.take_along_axis(times, last, axis=0)
-            held &= until - times[oldest] + strayed[oldest] < STRIKES
+            held &= until - times[oldest] + off_pin[oldest] < STRIKES
         return (
             np.where(held, pin, complex(np.nan, np.nan)),
             np.where(held, variance, np.nan),
@@ -494,7 +494,7 @@ class Tracker:
         if suspect is None:
             suspect = np.zeros((len(known), count), int)
         parts = []
-        for part in alike(known['reference'], known['since']):
+        for part in constant_segments(known['reference'], known['since']):
             row = known[part.start]
             signals, good = poses, information
             if np.count_nonzero(row['since']):

@@ -9,7 +9,7 @@ from kinpole_ros.rigid._lasting import LastingNoise
 from kinpole_ros.rigid._lens import LENS, SLANT, TISSUE, Fields
 from kinpole_ros.rigid._noise import Noise
 from kinpole_ros.rigid._pin import STRIKES, Pins
-from kinpole_ros.rigid._reference import References, alike, seen_at
+from kinpole_ros.rigid._reference import References, constant_segments, seen_at
 from kinpole_ros.rigid._samples import Samples
 from kinpole_ros.rigid._shape import Shapes
 from kinpole_ros.rigid._soft import Deformation
@@ -31,6 +31,6 @@ __all__ = [
     'Samples',
     'Shapes',
     'Verdict',
-    'alike',
+    'constant_segments',
     'seen_at',
 ]

@@ -312,8 +312,8 @@ class Continuity:
         """See whether the samples that are held are of the same even frames."""
         self._step = 0.0
         steps = self._stamps[1:, 0] - self._stamps[:-1, 0]
-        together = (self._numbers == self._number - np.arange(_POINTS, 0, -1)[:, None]).all()
-        if together and np.isfinite(self._signals).all() and _even(steps):
+        consecutive = (self._numbers == self._number - np.arange(_POINTS, 0, -1)[:, None]).all()
+        if consecutive and np.isfinite(self._signals).all() and _even(steps):
             self._step = float(steps.mean())
 
     def _append(self, b: int, times: Real, numbers: np.ndarray, signals: Complex) -> None:

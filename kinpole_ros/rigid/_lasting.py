@@ -1,5 +1,5 @@
 """
-Noise that lasts: markers that were smoothed on their way err alike from frame to frame.
+Noise that lasts: markers that were smoothed on their way have the same error from frame to frame.
 
 What residuals do between frames then says a quarter of their noise, or a hundredth, and figures are
 fitted to the rest of it. So it is measured between the means of blocks of frames too, which is the

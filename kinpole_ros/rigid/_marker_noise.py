@@ -6,8 +6,8 @@ So each marker is held against a fit of the others, which it does not touch, and
 reckoned with the degrees of freedom they have (Rao 1970, of variance components). The markers that
 agree least are taken out one by one, and those stay out that differ for sure from all that is left.
 
-Noise from frame to frame and what lasts, as in a marker that slips, are looked at apart: figures
-average the one over many frames, and not the other, so what lasts weighs more.
+Noise from frame to frame and what lasts, as in a marker that slips, are looked at separately:
+figures average the one over many frames, and not the other, so what lasts weighs more.
 """
 
 from typing import NamedTuple
@@ -36,7 +36,7 @@ _CLEAR = 2.0
 
 
 class Share(NamedTuple):
-    """What a marker errs beside the others: variances over theirs, and how sure (as logarithms)."""
+    """What a marker errs over the others: variances over theirs, and how sure (as logarithms)."""
 
     ratio: float
     deviation: float
@@ -197,7 +197,7 @@ def _is_clear(kind: Complex, shape: Complex, seen: np.ndarray, bad: list[int]) -
 
 
 def _share(kind: Complex, shape: Complex, rest: np.ndarray, k: int) -> tuple[Share, float]:
-    """What marker `k` errs beside the `rest` (n,), and the variance of these, per axis."""
+    """What marker `k` errs over the `rest` (n,), and the variance of these, per axis."""
     variance, degrees, off, lever = _pooled(kind, shape, rest, k)
     count = int((~np.isnan(off)).sum())
     if not (count and variance > 0):
@@ -216,7 +216,7 @@ def _pooled(
     Variance, per axis, of the markers `rest` (n,) about fits to them alone, and its degrees.
 
     Also what marker `k` is off these fits (T,), and the variance of where they have it over that of
-    a coordinate, both axes together.
+    a coordinate, of both axes.
     """
     seen, mean, middle, arms, spread, turn, about = _fit(kind, shape, rest)
     left = np.where(seen, about - 1j * turn[:, None] * arms, 0)

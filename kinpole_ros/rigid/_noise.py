@@ -5,8 +5,9 @@ What a rigid fit leaves over is noise, but also whatever makes a body look not q
 a marker that sits off the plane, a shape not yet known well. That part changes slowly, so each
 residual is compared with the mean of the ones before and after it, which white noise survives.
 
-A frame gone wild spoils three such comparisons, so that a quarter of them would spoil more than
-half. Frames are told apart by what their own fits leave, which is wild in no more than they are.
+An outlier spoils three such comparisons, so that a quarter of them would spoil more than
+half. Frames are distinguished by what their own fits leave, which is an outlier in no more than
+they are.
 """
 
 from functools import lru_cache
@@ -18,7 +19,7 @@ from kinpole_ros.planar._plane import Complex, Real
 
 # How many frames the level is taken from, and which share of what is left may be wild.
 KEPT = 512
-_WILD = 0.1
+_OUTLIER = 0.1
 # A frame is wild whose fit leaves so many times what it leaves in all but the worst three tenths:
 # however wild they are, more than these tenths are never called so.
 _FAR, _TAME = 9.0, 0.7
@@ -103,7 +104,7 @@ class Noise:
 
     def _measure(self) -> None:
         """
-        From the mean of the squares without those of wild frames, less the largest tenth.
+        From the mean of the squares without those of outliers, less the largest tenth.
 
         A median would call a tracker that rounds its coordinates free of noise, and a plain mean
         believes every jump.
@@ -113,7 +114,7 @@ class Noise:
         tame = ~(self._most[:, filled] > _FAR * usual[:, None])
         known = np.sort(np.where(tame, self._squares[:, filled], np.nan))
         counts = (~np.isnan(known)).sum(axis=-1)
-        kept = np.ceil(counts * (1 - _WILD))
+        kept = np.ceil(counts * (1 - _OUTLIER))
         lowest = np.where(np.arange(known.shape[1]) < kept[:, None], known, 0.0).sum(axis=-1)
         freedoms, which = np.unique(np.round(self._freedom, 1), return_inverse=True)
         share = np.array([_share_of_lowest(float(f)) for f in freedoms])[which]
@@ -140,7 +141,7 @@ def mean_square(residual: Complex, expected: Real) -> tuple[Real, Real]:
 @lru_cache(maxsize=1024)
 def _share_of_lowest(freedom: float) -> float:
     """Mean of the tame part of a chi-square over its mean (Wilson and Hilferty 1931)."""
-    levels = (np.arange(200) + 0.5) / 200 * (1 - _WILD)
+    levels = (np.arange(200) + 0.5) / 200 * (1 - _OUTLIER)
     normal = np.array([NormalDist().inv_cdf(level) for level in levels])
     cube = np.maximum(1 - 2 / (9 * freedom) + normal * np.sqrt(2 / (9 * freedom)), 0)
     return float((cube**3).mean())

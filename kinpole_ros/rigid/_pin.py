@@ -1,10 +1,10 @@
 """
-Pins: the fixed points of the ground about which bodies have turned as far as can be told.
+Pins: the fixed points of the ground about which bodies have turned as far as can be seen.
 
 A body on a pin at p with the arm c in its own axes has its origin at z = p - c exp(i angle). Poses
 are kept spaced by the angle turned, not by time, so a slow body is known as surely as a fast one,
 and a body at rest stays what it was. It counts as pinned when a pin explains its poses as well as
-its shape explains its markers: bearing play and lenses bend both alike, and judged by white noise
+its shape explains its markers: bearing play and lenses bend both, and by white noise
 alone no real pin would pass.
 
 What makes a body not rigid is no noise: it comes again with the angle, so that no number of poses
@@ -29,10 +29,10 @@ _ENOUGH, _SOME, _WARY = 32, 12, 512
 _TAKEN, _DROPPED = 1.5, 2.5
 # Off by so many deviations so many frames running, a body has left its pin.
 _OFF, STRIKES = 5.0, 3
-# A misfit is alike from pose to pose when the product of neighbors stands so many deviations out of
-# chance; an arc bent by it has its center off by this many times its square over the spread of the
-# angles (a centrode of constant speed, seen over a small arc).
-_ALIKE, _BEND = 3.0, 15.0
+# A misfit is similar from pose to pose when the product of neighbors stands so many deviations out
+# of chance; an arc bent by it has its center off by this many times its square over the spread of
+# the angles (a centrode of constant speed, seen over a small arc).
+_SIMILAR, _BEND = 3.0, 15.0
 # Residuals make a pin less sure whose sum stands so many deviations out of what noise makes of it.
 _COHERENT = 2.0
 # An ICR that wandered by this much, body sizes per rad, would have been seen.
@@ -63,7 +63,7 @@ class Pins:
         self._last = np.full(bodies, np.nan)
         self._strikes = np.zeros(bodies, int)
 
-    def strayed(self, position: Complex, angle: Real, variance: Real) -> np.ndarray:
+    def off_pin(self, position: Complex, angle: Real, variance: Real) -> np.ndarray:
         """Where (T, B) a body is off its pin by more than it can be; poses as in `add`."""
         with np.errstate(invalid='ignore'):
             off = np.abs(position + np.exp(1j * angle) * self.arm - self.center) ** 2
@@ -85,7 +85,7 @@ class Pins:
         residual: Complex,
     ) -> None:
         """
-        Take the poses (T, B) of some frames of `stamps` (T,), NaN where not known, and judge.
+        Take the poses (T, B) of some frames of `stamps` (T,), NaN where not known.
 
         `variance` (T, 2, B) is that of one coordinate of the position, m^2, and of the angle,
         rad^2, as the misfit of the rigid bodies has it; `size` (B,), m, is theirs. `residual`
@@ -93,16 +93,16 @@ class Pins:
         misfit, NaN for none.
         """
         known = np.isfinite(angle) & np.isfinite(variance).all(axis=1)
-        strayed = known & self.strayed(position, angle, variance)
+        off_pin = known & self.off_pin(position, angle, variance)
         frame = np.arange(len(stamps))[:, None]
         # How many frames running, at each, a body has been off.
-        back = np.maximum.accumulate(np.where(strayed, -1, frame), axis=0)
+        back = np.maximum.accumulate(np.where(off_pin, -1, frame), axis=0)
         running = np.where(back < 0, frame + 1 + self._strikes, frame - back)
         self._strikes = running[-1]
         gone = (running >= STRIKES).any(axis=0)
         self._leave(gone)
         fresh = np.zeros(len(gone), bool)
-        usable = known & ~strayed & ~gone
+        usable = known & ~off_pin & ~gone
         with np.errstate(invalid='ignore'):
             turned = np.abs((angle - self._last + np.pi) % (2 * np.pi) - np.pi) > _STEP
         new = usable & (turned | (self._count == 0))
@@ -123,9 +123,9 @@ class Pins:
             fresh[b] = True
         ready = np.flatnonzero(fresh & (self._count >= _SOME))
         if len(ready):
-            self._judge(ready, size[ready])
+            self._update(ready, size[ready])
 
-    def _judge(self, which: np.ndarray, size: Real) -> None:
+    def _update(self, which: np.ndarray, size: Real) -> None:
         """Fit a pin to the poses of the bodies `which` (b,) and see whether it may stand."""
         count = np.minimum(self._count[which], _KEPT)
         held = np.arange(_KEPT)[:, None] < count
@@ -146,13 +146,13 @@ class Pins:
         squares += misfit.imag**2 / np.where(held, across, 1)
         square = squares.sum(axis=0) / (2 * count - 4)
         # Of the sum over poses that the center is, by the mean of the noise along and across, and
-        # more for a misfit that is alike from pose to pose: no noise, it bends the arc.
+        # more for a misfit that is similar from pose to pose: no noise, it bends the arc.
         shares = weights * (1 - e_mean * around.conj() / spread)
         each = np.maximum(square, 1) * np.where(held, even + across, 0) / 2
         misfit *= np.sqrt(weights)
-        alike = (misfit * np.roll(misfit, 1, axis=0).conj()).real.sum(axis=0)
+        similar = (misfit * np.roll(misfit, 1, axis=0).conj()).real.sum(axis=0)
         total = (np.abs(misfit) ** 2).sum(axis=0)
-        bent = np.maximum(alike - _ALIKE * total / np.sqrt(count), 0) / 2
+        bent = np.maximum(similar - _SIMILAR * total / np.sqrt(count), 0) / 2
         found = (np.abs(shares) ** 2 * each).sum(axis=0) + _BEND * bent / spread
         # The same sum of what the rigid fits leave over, per degree of freedom.
         left = self._residuals[:, which]
@@ -161,20 +161,20 @@ class Pins:
         slow = (np.abs(slow) ** 2).sum(axis=-1) / freedom
         surely = slow > chi_square(freedom, _COHERENT) * found
         found = np.where(surely, slow * student(freedom), found)
-        refuted = square > _DROPPED
+        contradicted = square > _DROPPED
         # What wandering would leave: 0.45 of it times the spread of the angles (to third order).
         noise = (weights * even).sum(axis=0)
         seen = np.sqrt(noise) < _WANDER * 0.45 * size * spread
         seen &= found < (_WANDER * size) ** 2
         taken = (square < _TAKEN) & (self._count[which] >= self._wanted[which]) & seen
         taken |= np.isfinite(self.center[which])
-        taken &= ~refuted
+        taken &= ~contradicted
         pinned = which[taken]
         self.center[pinned] = (z_mean + arm * e_mean)[taken]
         self.arm[pinned] = arm[taken]
         self.variance[pinned] = found[taken]
         gone = np.zeros(len(self.center), bool)
-        gone[which[refuted]] = True
+        gone[which[contradicted]] = True
         self._leave(gone)
 
     def _leave(self, which: np.ndarray) -> None:

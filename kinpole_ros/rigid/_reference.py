@@ -2,7 +2,7 @@
 The point of each body whose path is simplest: the hub of a wheel, the pin of a rotor.
 
 Any point of a body may stand for where it is: poles come out the same. But what is differentiated
-is noise and motion together, and a point that hardly moves, or straight on, is followed by a far
+is the sum of noise and motion, and a point that hardly moves, or straight on, is followed by a far
 longer window than one on the rim. So the origin of a body's frame is left for another point where
 what a parabola leaves of its path, over one window, is nearly all the body turning about that
 point.
@@ -83,7 +83,7 @@ class References:
             if end + _SETTLED > len(stamps):
                 break
             rows = slice(first, end)
-            self._judge(stamps[rows], position[rows], angle[rows], variance[rows], size, middle)
+            self._update(stamps[rows], position[rows], angle[rows], variance[rows], size, middle)
             first = end
         self._kept = [(stamps[first:], position[first:], angle[first:], variance[first:])]
 
@@ -100,7 +100,7 @@ class References:
         for _, _, angle, _ in self._kept:
             angle[:, which] = np.nan
 
-    def _judge(
+    def _update(
         self,
         stamps: np.ndarray,
         position: Complex,
@@ -177,17 +177,17 @@ def _rests(times: Real, values: Complex, seen: np.ndarray) -> tuple[Real, Real, 
     part = basis.swapaxes(1, 2) @ columns
     rest = (columns - basis @ part)[..., 0].swapaxes(1, 2)
     part = part[..., 0].swapaxes(1, 2)  # (2, P, B)
-    # What the highest leaves, and what each lower one leaves beside that.
+    # What the highest leaves, and what each lower one leaves product that.
     found = []
     for one, other in ((0, 0), (1, 1), (1, 0)):
-        beside = part[one].conj() * part[other]
-        sums = np.cumsum(beside[:1:-1], axis=0)[::-1]
+        product = part[one].conj() * part[other]
+        sums = np.cumsum(product[:1:-1], axis=0)[::-1]
         sums = np.concatenate((sums, np.zeros_like(sums[:1])))
         found.append(sums + (rest[one].conj() * rest[other]).sum(axis=0))
     return found[0].real, found[1].real, found[2]
 
 
-def alike(*known: np.ndarray) -> list[slice]:
+def constant_segments(*known: np.ndarray) -> list[slice]:
     """Stretches of instants for which the same is known of all bodies, each (T, B)."""
     if len(known[0]) == 1:
         return [slice(0, 1)]

@@ -37,7 +37,7 @@ class Samples:
         """Take `count` rows from the start."""
         self._first += count
 
-    def withdraw(self, count: int) -> None:
+    def remove_newest(self, count: int) -> None:
         """Take `count` rows from the end."""
         self._end -= count
 

@@ -21,12 +21,12 @@ from kinpole_ros.rigid._continuity import Continuity, Verdict
 from kinpole_ros.rigid._marker_noise import MarkerNoise
 from kinpole_ros.rigid._noise import mean_square, tame_part
 from kinpole_ros.rigid._turn import Turns
-from kinpole_ros.rigid._untangle import EXCHANGED, agreed, half_turn, untangle
+from kinpole_ros.rigid._untangle import EXCHANGED, agreed, correct_swaps, half_turn
 
 # A marker's place is held from so many frames on, when it is known to a twentieth of the noise. It
 # is learned on (a marker that creeps) while its residuals, averaged over as many frames, are off by
 # more than this share of what residuals come to as a rule.
-_MEMORY, _REFUTED = 1000, 0.25
+_MEMORY, _CONTRADICTED = 1000, 0.25
 # Frames between two beats: this share of those that the least known marker was seen in.
 _BEAT = 1 / 8
 # A marker is suspect beyond this many times what residuals come to as a rule, which is known from
@@ -88,14 +88,14 @@ class Shapes:
     by what residuals come to, or by the size while that is not known, m; `known` (B,) how many of
     them have been seen so far, and `spread` (B,) the sum of their squares about their mean, m^2;
     `beat` is in how many frames from the last time on `learn` is to be called; `farthest` (B,) is
-    how far, m, from the origin of the ground the markers seen last before that were. `mended`
-    counts, see `untangle`; `stand_in` (B, n) says which marker goes on where each one was at first,
-    for some are exchanged for good.
+    how far, m, from the origin of the ground the markers seen last before that were. `corrected`
+    counts, see `correct_swaps`; `stand_in` (B, n) says which marker goes on where each one was at
+    first, for some are exchanged for good.
     """
 
     def __init__(self, bodies: int, markers: int) -> None:
         self.points = np.zeros((bodies, markers), complex)
-        self.mended: Counter[str] = Counter()
+        self.corrected: Counter[str] = Counter()
         self.stand_in = np.tile(np.arange(markers), (bodies, 1))
         self.farthest = np.zeros(bodies)
         self._frames = np.zeros((bodies, markers))
@@ -183,8 +183,9 @@ class Shapes:
         Bodies of which fewer than two known markers are seen, or of which all coincide, get NaN,
         and so do those of which all there are have no less than the spread `least` (B,), m^2, but
         those seen do. Markers that do not fit their body, or that turn it by half a turn in one
-        frame, are left out or put back, see `untangle` and `half_turn`, and counted in `mended`.
-        Returns the fits, the markers they are of, and how the poses go on, by `stamps` (T,), ns.
+        frame, are left out or put back, see `correct_swaps` and `half_turn`, and counted in
+        `corrected`. Returns the fits, the markers they are of, and how the poses go on, by `stamps`
+        (T,), ns.
         """
         parts: list[tuple[Fit, Complex, Verdict]] = []
         few = self.spread > least
@@ -230,7 +231,7 @@ class Shapes:
             corrected = False
             if quiet < len(points):
                 here = Fit(*(field[quiet] for field in fit))
-                fitted, markers, *left = self._mend(points[quiet], here)
+                fitted, markers, *left = self._correct(points[quiet], here)
                 shown = _without(fitted, few & (fitted.spread < least))
                 pose = shown.angle, shown.position
                 verdict = self._continuity.step(int(stamps[quiet]), *pose)
@@ -241,9 +242,9 @@ class Shapes:
         if len(parts) == 1:
             return parts[0]
         fits, seen, verdicts = zip(*parts, strict=True)
-        together = Fit(*(np.concatenate(field) for field in zip(*fits, strict=True)))
+        whole = Fit(*(np.concatenate(field) for field in zip(*fits, strict=True)))
         course = Verdict(*(np.concatenate(field) for field in zip(*verdicts, strict=True)))
-        return together, np.concatenate(seen), course
+        return whole, np.concatenate(seen), course
 
     def are_timed(self, timed: bool) -> None:
         """Whether the next frames are timed well enough to tell poses that are far off."""
@@ -278,12 +279,12 @@ class Shapes:
         return self._marker_noise.deviation
 
     def of_the_same(self, residual: Complex) -> Complex:
-        """Residuals (T, B, n) of the markers that err alike: without those that count for less."""
+        """Residuals (T, B, n) of markers that err equally: without those that count for less."""
         less = self._marker_noise.relative > 1
         return np.where(less, complex(np.nan, np.nan), residual) if less.any() else residual
 
     def weighted(self, residual: Complex) -> Complex:
-        """Residuals (T, B, n) of markers as if all erred alike: over what each errs as a rule."""
+        """Residuals (T, B, n) of markers as if all erred equally: over what each errs as a rule."""
         relative = self._marker_noise.relative
         return residual / np.sqrt(relative) if (relative > 1).any() else residual
 
@@ -318,7 +319,7 @@ class Shapes:
         """
         Move the shapes towards where the markers were found since the last beat.
 
-        Returns which bodies (B,) begin anew, since markers were wild in their first frames: the
+        Returns which bodies (B,) begin anew, since markers were outliers in their first frames: the
         poses up to now are not theirs.
         """
         anew = np.zeros(len(self.points), bool)
@@ -344,7 +345,9 @@ class Shapes:
         self._drift = np.where(count > 0, kept * self._drift, self._drift) + step
         self._frames = np.minimum(known + count, _MEMORY)
         self._first[:] = 0.0
-        held = settled & (np.abs(self._drift) < _REFUTED * np.sqrt(self._least_rule())[:, None])
+        held = settled & (
+            np.abs(self._drift) < _CONTRADICTED * np.sqrt(self._least_rule())[:, None]
+        )
         self.points += np.where(held, 0.0, step)
         self._learn_rule(news)
         moved = self._astray >= _MOVED
@@ -378,7 +381,7 @@ class Shapes:
 
     def _look_back(self, b: int, points: Complex) -> bool:
         """
-        Begin a body anew by most of its first frames (T, n), if markers are wild in the others.
+        Begin a body anew by most of its first frames (T, n), if markers are outliers in the others.
 
         Until what residuals come to is known nobody can tell, and what is wild would spoil the
         shape for long: see `agreed`.
@@ -386,8 +389,8 @@ class Shapes:
         found = agreed(points, _SUSPECT / np.sqrt(_RULE_SHARE), _TINY)
         if found is None:
             return False
-        self.points[b], fits, mended = found
-        self.mended.update(mended)
+        self.points[b], fits, corrected = found
+        self.corrected.update(corrected)
         self._frames[b] = (~np.isnan(fits.residual)).sum(axis=0)
         self._drift[b] = 0.0
         self._astray[b] = self._exchanged[b] = 0
@@ -400,7 +403,7 @@ class Shapes:
         return True
 
     def _take(self, fit: Fit, points: Complex, residual: Complex, freedom: Real) -> None:
-        """Keep what frames tell until the beat, the residuals as before the frames were mended."""
+        """Keep what frames tell until the beat, residuals as before the frames were corrected."""
         self._news.append(_News(points, fit.position, fit.angle, residual, freedom))
         self._turns.follow(fit.angle)
 
@@ -413,7 +416,7 @@ class Shapes:
     def _least_rule(self) -> Real:
         return np.maximum(self._rule, _TINY**2 * self.spread)
 
-    def _mend(self, points: Complex, fit: Fit) -> tuple[Fit, Complex, Complex, Real]:
+    def _correct(self, points: Complex, fit: Fit) -> tuple[Fit, Complex, Complex, Real]:
         """
         Put right what can be of one frame (B, n); as `fit` gives it, with an axis of one.
 
@@ -433,8 +436,8 @@ class Shapes:
             limit = float(self._limit[b])
             markers = points[b], self.points[b], weights[b], limit
             erring = np.sqrt(self._marker_noise.relative[b])
-            points[b], what, which = untangle(*markers, float(ahead[b]), erring)
-            self.mended[what] += len(which)
+            points[b], what, which = correct_swaps(*markers, float(ahead[b]), erring)
+            self.corrected[what] += len(which)
             if what == EXCHANGED:
                 order[b, which] = order[b, which[::-1]]
             out = given & np.isnan(points[b])
@@ -462,7 +465,7 @@ class Shapes:
             found = half_turn(self.points[b], weights[b], float(self._limit[b]))
             if found is not None:
                 points[b], order[b] = points[b, found], found
-                self.mended[EXCHANGED] += int((found != np.arange(len(found))).sum())
+                self.corrected[EXCHANGED] += int((found != np.arange(len(found))).sum())
         return fit_pose(points, self.points, weights) if jumped.any() else fit
 
     def _learn_rule(self, news: '_News') -> None:

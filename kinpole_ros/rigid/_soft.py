@@ -7,7 +7,7 @@ body: of the 2n coordinates of n markers a rigid fit takes three and leaves 2n -
 leaves can be seen, and what it takes has as much error per degree of freedom, of the same spectrum.
 So the residuals are differentiated by stencils of the span and degree by which the poses are, about
 the same instant. Their mean squares, less what the noise makes of them, are the variances that the
-poses' derivatives have beside those of the noise.
+poses' derivatives have in addition to those of the noise.
 """
 
 from functools import lru_cache
@@ -28,7 +28,7 @@ _SURE = 4.0
 # Stencils one after the other by this share of their length tell of different errors.
 _INDEPENDENT = 1 / 2
 # Stencils are looked at that start this share of their length apart: closer ones tell no more.
-_APART = 1 / 8
+_DISTANCE = 1 / 8
 # And so many windows before this one: it has no room for two independent stencils of its length,
 # and a variance of one degree of freedom is hardly known. Longer ago the motion may be another one.
 _BEFORE = 1 / 2
@@ -187,7 +187,7 @@ class Deformation:
             instants, bodies = (asked & (keys == key).all(axis=-1)).nonzero()
             who, place = np.unique(bodies, return_inverse=True)
             # Stencils start at multiples of a step, up to before the last frame.
-            step = max(1, round(_APART * count))
+            step = max(1, round(_DISTANCE * count))
             end = newest[instants] - count + 1
             last = -(-end // step)
             first = np.minimum(-(-begin[instants] // step), last - 1)

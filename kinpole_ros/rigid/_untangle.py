@@ -1,7 +1,7 @@
 """
 Markers that are not where the body can have them: left out, or put back where two were exchanged.
 
-Also which of the first frames of a body tell of its shape, when some of them are wild.
+Also which of the first frames of a body tell of its shape, when some of them are outliers.
 
 Looked at only where a rigid fit leaves far more than it does as a rule, or a body seems to jump by
 half a turn, so what is tried here need not be fast.
@@ -29,7 +29,7 @@ _NEAR = 0.25 * np.pi
 _SPOILS = 3.0
 
 
-def untangle(
+def correct_swaps(
     points: Complex,
     shape: Complex,
     weights: Real,
@@ -38,7 +38,7 @@ def untangle(
     erring: Real | float = 1.0,
 ) -> tuple[Complex, str, np.ndarray]:
     """
-    Mend one body's markers (n,) that do not fit its `shape` (n,) with `weights` (n,).
+    Correct one body's markers (n,) that do not fit its `shape` (n,) with `weights` (n,).
 
     It is to be at `angle`, rad, NaN if nobody knows; `erring` (n,) is how many times as far as the
     others a marker may be off. Tries, in this order, every exchange of two
@@ -85,9 +85,9 @@ def half_turn(shape: Complex, weights: Real, limit: float) -> np.ndarray | None:
     """
     seen = np.flatnonzero(weights > 0)
     arms = shape[seen] - shape[seen].mean()
-    apart = np.abs(arms[:, None] + arms)
-    other = apart.argmin(axis=1)
-    if apart.min(axis=1).max() > limit or (other[other] != np.arange(len(seen))).any():
+    distance = np.abs(arms[:, None] + arms)
+    other = distance.argmin(axis=1)
+    if distance.min(axis=1).max() > limit or (other[other] != np.arange(len(seen))).any():
         return None
     order = np.arange(len(shape))
     order[seen] = seen[other]
@@ -98,12 +98,13 @@ def agreed(
     points: Complex, suspect: float, least: float
 ) -> tuple[Complex, Fit, Counter[str]] | None:
     """
-    The shape (n,) of one body that most of its frames (T, n) agree on, if some are wild: else None.
+    The shape (n,) of one body that most of its frames (T, n) agree on, if some are outliers: else
+    None.
 
     The frame is taken that leaves least in all but the worst three tenths of the others. A marker
-    may be off it by `suspect` times the root of that, or by the share `least` of the size. Frames
-    in which one is farther off are mended, and the shape is the mean of all. Also returns the fits
-    of the frames to it, and what was mended.
+    may be off it by `suspect` times the root of that, or by the share `least` of the size.
+    Frames in which one is farther off are corrected, and the shape is the mean of all. Also returns
+    the fits of the frames to it, and what was corrected.
     """
     seen = ~np.isnan(points)
     count = seen.sum(axis=-1)
@@ -119,16 +120,16 @@ def agreed(
     worst = np.where(np.isnan(off), 0.0, np.abs(off)).max(axis=-1)
     if worst.max() <= _SPOILS * limit:
         return None
-    points, mended = points.copy(), Counter[str]()
+    points, corrected = points.copy(), Counter[str]()
     for frame in np.flatnonzero(worst > limit):
-        points[frame], what, which = untangle(points[frame], shape, shared[best, frame], limit)
-        mended[what] += len(which)
+        points[frame], what, which = correct_swaps(points[frame], shape, shared[best, frame], limit)
+        corrected[what] += len(which)
     weights = (~np.isnan(points) & ~np.isnan(shape)).astype(float)
     fits = fit_pose(points, np.broadcast_to(shape, points.shape), weights)
     fitted = ~np.isnan(fits.residual)
     off = fits.residual.sum(axis=0, where=fitted) / np.maximum(fitted.sum(axis=0), 1)
     shape = np.where(np.isnan(shape), 0.0, shape + off)
-    return shape, fit_pose(points, np.broadcast_to(shape, points.shape), weights), mended
+    return shape, fit_pose(points, np.broadcast_to(shape, points.shape), weights), corrected
 
 
 def _best(

@@ -36,8 +36,8 @@ def group(points: Complex, loose: np.ndarray) -> Grouping:
     flat = points.reshape(len(points), -1)
     slots = np.flatnonzero((~np.isnan(flat)).mean(axis=0) > 0.7)
     body = slots // width
-    apart = np.abs(flat[:, slots, None] - flat[:, None, slots])
-    varied = np.sqrt(np.nanmean(np.square(apart - np.nanmean(apart, axis=0)), axis=0))
+    distance = np.abs(flat[:, slots, None] - flat[:, None, slots])
+    varied = np.sqrt(np.nanmean(np.square(distance - np.nanmean(distance, axis=0)), axis=0))
     i, j = np.triu_indices(len(slots), 1)
     within = int((body[i] == body[j]).sum())
     if not within:

@@ -4,7 +4,7 @@ Which point of a frame is which marker of which body, by the shapes of the bodie
 Names lie: a tracker exchanges two markers of two links, gives a marker that comes back another
 name, or has no names at all. What cannot lie is that the distances between the markers of a body
 stay as they are. So points are first looked for where the bodies are to be expected, and what that
-does not settle by pairs of points as far apart as two markers of a body (the congruent pairs of
+does not settle by pairs of points as distant as two markers of a body (the congruent pairs of
 4PCS, Aiger, Mitra and Cohen-Or 2008, here of two points, which fix a pose in the plane). Whatever
 fits in more than one way is left out. Mirrored bodies do not fit.
 """
@@ -32,14 +32,14 @@ class Match(NamedTuple):
     Points of a frame as markers.
 
     `place` (B, n) says which point is the marker, -1 for none; `position` (B,), complex, m, and
-    `turn` (B,), of length 1, are the poses, NaN for a body that was not found; `unsure` (B,) says
-    where one was found in several ways that fit alike.
+    `turn` (B,), of length 1, are the poses, NaN for a body that was not found; `uncertain` (B,)
+    says where one was found in several ways that fit as well.
     """
 
     place: np.ndarray
     position: Complex
     turn: Complex
-    unsure: np.ndarray
+    uncertain: np.ndarray
 
 
 class Expected(NamedTuple):
@@ -84,7 +84,7 @@ def match(points: Complex, shapes: Complex, limit: Real, expected: Expected) -> 
     count = (place >= 0).sum(axis=1)
     # Two markers of several agree in one distance only, so whoever else has that must not be near.
     found = (off <= limit) & (count >= 2)
-    unsure = np.zeros(len(shapes), bool)
+    uncertain = np.zeros(len(shapes), bool)
     position = np.where(found, position, np.nan)
     turn = np.where(found, turn, np.nan)
     found &= np.isfinite(turn)
@@ -97,10 +97,10 @@ def match(points: Complex, shapes: Complex, limit: Real, expected: Expected) -> 
         free = free[~np.isin(free, place)]
         ways = {b: _search(points, free, shapes[b], float(limit[b])) for b in lost.tolist()}
         ways = {b: _likely(b, some, shape[b], known[b], expected) for b, some in ways.items()}
-        _settle(ways, place, position, turn, unsure)
-        if not unsure.all():
+        _settle(ways, place, position, turn, uncertain)
+        if not uncertain.all():
             place = _gathered(points, shape, known, limit, position, turn, place)
-    return Match(place, position, turn, unsure)
+    return Match(place, position, turn, uncertain)
 
 
 def merge_names(found: Match, named: np.ndarray) -> np.ndarray | None:
@@ -214,11 +214,11 @@ def _search(points: Complex, free: np.ndarray, shape: Complex, limit: float) -> 
     )
     if not len(long) or not 2 <= len(there) <= _MOST_POINTS:
         return nothing
-    apart = np.abs(there - there[:, None])
+    distance = np.abs(there - there[:, None])
     first, second, pair = [], [], []
     total = 0
     for k in range(len(long)):
-        p, q = np.nonzero(np.abs(apart - long[k]) <= 2 * limit)
+        p, q = np.nonzero(np.abs(distance - long[k]) <= 2 * limit)
         total += len(p)
         if total > _MOST_POSES and k:
             break
@@ -304,12 +304,12 @@ def _settle(
     place: np.ndarray,
     position: Complex,
     turn: Complex,
-    unsure: np.ndarray,
+    uncertain: np.ndarray,
 ) -> None:
     """
     Take the ways that are the only ones for a body, and none of whose points another body wants.
 
-    Whoever fits with more markers comes first. Fills `place`, `position`, `turn` and `unsure`.
+    Whoever fits with more markers comes first. Fills `place`, `position`, `turn` and `uncertain`.
     """
     open_ = {b: some for b, some in ways.items() if len(some.count)}
     while open_:
@@ -324,7 +324,7 @@ def _settle(
         }
         if not clear:
             for b in best:
-                unsure[b] = True
+                uncertain[b] = True
                 del open_[b]
             # What they may have is nobody's.
             taken = np.array(sorted(set(claims)))

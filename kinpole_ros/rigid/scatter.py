@@ -46,7 +46,7 @@ class Scatter:
 
     def __init__(self, bodies: int, width: int) -> None:
         self._center = np.full((bodies, width, 3), np.nan)
-        self._apart = np.full((bodies, _pairs(width)[0].size), np.nan)
+        self._distance = np.full((bodies, _pairs(width)[0].size), np.nan)
         self._blocks: Sums | None = None
         # Groups that do not fill a block yet.
         self._rest: Sums | None = None
@@ -97,7 +97,7 @@ class Scatter:
         count, off = np.moveaxis(self.kept.pairs[..., :2].sum(0), -1, 0)
         seen = np.count_nonzero(self.kept.count.any(axis=0), axis=-1)
         with np.errstate(invalid='ignore', divide='ignore'):
-            mean = self._apart + off / count
+            mean = self._distance + off / count
             square = np.where(count > 0, mean**2, 0.0).sum(-1) / np.count_nonzero(count, axis=-1)
             # Of n markers the distances have 2 n / (n - 1) times that, in the square.
             return np.asarray(np.sqrt(2 * square * (seen - 1) / seen))
@@ -120,11 +120,11 @@ class Scatter:
         ranked = np.sort(size, axis=1)
         middle = np.maximum(np.count_nonzero(~np.isnan(size), axis=1) - 1, 0) // 2
         median = np.take_along_axis(ranked, middle[:, None], axis=1)
-        wild = size > _OUTLIER * median
-        if wild.any():
-            bent[wild] = np.nan
+        outlying = size > _OUTLIER * median
+        if outlying.any():
+            bent[outlying] = np.nan
             for k in range(3):
-                unseen[:, k : k + wild.shape[1]] |= wild
+                unseen[:, k : k + outlying.shape[1]] |= outlying
         bent = np.where(np.isnan(bent), 0.0, bent)
         rough_count = np.count_nonzero(bent.any(axis=-1), axis=(1, 3))
         new = np.isnan(self._center[..., 0])
@@ -137,15 +137,15 @@ class Scatter:
         distance = points[:, :, :, other] - points[:, :, :, one]
         distance = np.sqrt(np.einsum('...i,...i', distance, distance))
         both = seen[..., one] & seen[..., other]
-        new = np.isnan(self._apart)
+        new = np.isnan(self._distance)
         if new.any():
-            self._apart[new] = _first_seen(distance, ~both)[new]
-        change = np.where(both, distance - self._apart, 0.0)
+            self._distance[new] = _first_seen(distance, ~both)[new]
+        change = np.where(both, distance - self._distance, 0.0)
         distance[~both] = np.nan
-        bent_apart = distance[:, :-2] - 2 * distance[:, 1:-1] + distance[:, 2:]
-        known = ~np.isnan(bent_apart)
-        rough_apart = np.where(known, bent_apart, 0.0) ** 2 / 6
-        sums = both, change, change**2, known, rough_apart
+        bent_distance = distance[:, :-2] - 2 * distance[:, 1:-1] + distance[:, 2:]
+        known = ~np.isnan(bent_distance)
+        rough_distance = np.where(known, bent_distance, 0.0) ** 2 / 6
+        sums = both, change, change**2, known, rough_distance
         pairs = np.stack([each.sum(1) for each in sums], axis=-1)
         return Sums(
             seen.sum(1, dtype=float),
