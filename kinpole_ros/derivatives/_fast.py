@@ -25,9 +25,9 @@ except ImportError:
 # Models of the kernel that are side by side, as many as LANES.
 _LANES = 8
 # With more cells lacking than this numpy is no slower.
-_MOST_LACKING = 24
+_MOST_LACKING = 32
 # How many stay packed, no more than are kept of the originals.
-_MODES, _STENCILS, _SLOPES = 64, 256, 8
+_MODES, _STENCILS, _SLOPES = 64, 256, 24
 
 
 def derive(

@@ -351,7 +351,7 @@ def stencils_of(
     return Stencils(modes, products, np.concatenate(unseen).T)
 
 
-@lru_cache(maxsize=8)
+@lru_cache(maxsize=24)
 def slopes_of(count: int, block: int = 1, exact: bool = False, dense: bool = False) -> Real:
     """Derivatives (orders, R, n) of the modes of a window at its samples, the first four."""
     time = np.arange(count) - (count - 1) / 2

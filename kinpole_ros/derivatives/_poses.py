@@ -339,13 +339,9 @@ def _groups(cells: _Cells, window: float) -> list[_Group]:
     count = len(cells.samples)
     whole = np.maximum(np.rint(window / cells.interval).astype(int) + 1, FEWEST_SAMPLES)
     blocks = -(-whole // _MOST)
-    full = whole // blocks
-    if len(cells.weight) == 1 and not np.count_nonzero(full * blocks > count):
-        sizes = full
-    else:
-        there = (cells.weight > 0).all(axis=1)
-        seen = np.broadcast_to(there, (count, len(full))).cumsum(axis=0)
-        sizes, blocks = _paired(seen, _sizes(cells, seen, full, blocks), blocks)
+    sizes = whole // blocks
+    if len(cells.weight) > 1 or np.count_nonzero(sizes * blocks > count):
+        sizes, blocks = _all_sizes(cells, whole, blocks)
     keys = np.array((sizes, blocks, cells.ahead, cells.exact))
     if not np.count_nonzero(keys != keys[:, :1]):
         return [_Group(slice(None), *keys[:, 0].tolist())] if sizes[0] else []
@@ -357,23 +353,58 @@ def _groups(cells: _Cells, window: float) -> list[_Group]:
     ]
 
 
-def _sizes(cells: _Cells, seen: np.ndarray, full: np.ndarray, blocks: np.ndarray) -> np.ndarray:
+def _all_sizes(
+    cells: _Cells, whole: np.ndarray, blocks: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
     """
-    How many cells (S,) the longest windows have of which enough is there, 0 for none.
+    How many blocks (S,) windows have, 0 for none, and how many cells (S,) a block.
 
-    So many (n, S) are `seen` up to each.
+    That is `blocks` (S,), or twice as many, and so on, until little of them is lacking: frames may
+    come in bunches.
+    """
+    there = np.broadcast_to((cells.weight > 0).all(axis=1), (len(cells.samples), len(whole)))
+    possible = (cells.ahead >= 0) & (np.count_nonzero(there, axis=0) >= FEWEST_SAMPLES)
+    sizes, longest = np.zeros(len(whole), int), blocks.copy()
+    while np.count_nonzero(possible):
+        for block in np.unique(blocks[possible]).tolist():
+            some = np.flatnonzero(possible & (blocks == block))
+            seen = _blocks_seen(there[:, some], block)
+            if not len(seen):
+                possible[some] = False
+                continue
+            found = _sizes(seen, whole[some] // block, cells.ahead[some] // block)
+            lacking = found - seen[found - 1, np.arange(len(some))]
+            known = found > 0
+            sizes[some[known]], longest[some[known]] = found[known], block
+            possible[some[known & (lacking <= _LACKING)]] = False
+        blocks = np.where(possible, 2 * blocks, blocks)
+        possible &= whole // blocks >= FEWEST_SAMPLES
+    return sizes, longest
+
+
+def _blocks_seen(there: np.ndarray, block: int) -> np.ndarray:
+    """Of how many (n, S) blocks up to each something is `there` (N, S), a block being so many."""
+    if block > 1:
+        whole = len(there) // block
+        there = there[: whole * block].reshape(whole, block, -1).any(axis=1)
+    return there.cumsum(axis=0)
+
+
+def _sizes(seen: np.ndarray, full: np.ndarray, ahead: np.ndarray) -> np.ndarray:
+    """
+    How many blocks (S,) the longest windows have of which enough is there, 0 for none.
+
+    So many (n, S) are `seen` up to each, and so many (S,) `ahead` of the instant.
     """
     # Not beyond the oldest that is there.
     oldest = seen.argmax(axis=0) + 1
     sizes, signals = np.zeros(len(full), int), np.arange(len(full))
-    possible = (cells.ahead >= 0) & (seen[-1] >= FEWEST_SAMPLES)
-    for size in _ladder(full, oldest // blocks):
-        samples = size * blocks
-        there = seen[np.minimum(samples, len(seen)) - 1, signals]
-        enough = there >= np.maximum(_PRESENT * samples, FEWEST_SAMPLES)
-        enough &= (cells.ahead < samples) & (samples <= oldest) & (size >= FEWEST_SAMPLES)
-        sizes = np.where((sizes == 0) & enough & possible, size, sizes)
-        if not np.count_nonzero((sizes == 0) & possible):
+    for size in _ladder(full, oldest):
+        there = seen[np.minimum(size, len(seen)) - 1, signals]
+        enough = there >= np.maximum(_PRESENT * size, FEWEST_SAMPLES)
+        enough &= (ahead < size) & (size <= oldest) & (size >= FEWEST_SAMPLES)
+        sizes = np.where((sizes == 0) & enough, size, sizes)
+        if not np.count_nonzero(sizes == 0):
             break
     return sizes
 
@@ -388,16 +419,6 @@ def _ladder(full: np.ndarray, last: np.ndarray) -> Iterator[np.ndarray]:
         size = (size * _SHORTER).astype(int)
     # All there is, if the instant is the oldest of it.
     yield np.minimum(full, last)
-
-
-def _paired(
-    seen: np.ndarray, sizes: np.ndarray, blocks: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """Sizes and blocks (S,), these twice as long where too much is lacking."""
-    samples = sizes * blocks
-    lacking = samples - seen[samples - 1, np.arange(len(samples))]
-    pair = (lacking > _LACKING) & (blocks == 1)
-    return np.where(pair, sizes // 2, sizes), np.where(pair, 2, blocks)
 
 
 def _derive(cells: _Cells, group: _Group, orders: int, effort: str) -> Derivatives:
@@ -448,8 +469,17 @@ def _derive_uneven(window: Window, samples: Real, weight: Real, off: Real) -> Fo
             for some in (signals[:half], signals[half:])
         ]
         return Found(*(np.concatenate(each, axis=-1) for each in zip(*parts, strict=True)))
+    noise = np.ones((2, len(signals)))
+    if most > _LACKING:
+        # To treat many that count for less by what they are takes too long: all have their mean.
+        there = (weight > 0) & (lacking > _LACKING)
+        sums = total(np.divide(1.0, weight, out=np.zeros_like(weight), where=there))
+        noise = np.where(lacking > _LACKING, np.sqrt(sums / np.maximum(there.sum(axis=0), 1)), 1.0)
+        weight = np.where(there, 1.0, weight)
+        samples = samples / noise[[0, 1, 1]]
     weights = weight if most else None
     samples, more = place(window, samples, weights, off)
+    more = more * noise
     found = derive_parts(window, samples, weights)
     mean, covariance = found.mean * more[[0, 1, 1]], found.covariance * more**2
     return found._replace(mean=mean, covariance=covariance)
