@@ -346,16 +346,16 @@ def test_bodies_are_found_among_other_points_in_any_order(seed: int) -> None:
 def test_what_fits_in_several_ways_is_left_out_unless_the_last_pose_tells() -> None:
     points = 0.3 + np.exp(0.2j) * BRICK
     found = matched(points, BRICK[None])
-    assert found.unsure.all()
+    assert found.uncertain.all()
     assert (found.place == -1).all()
     found = matched(points - 0.3, BRICK[None], np.exp([0.1j]))
-    assert not found.unsure.any()
+    assert not found.uncertain.any()
     assert found.place.tolist() == [[0, 1, 2, 3]]
 
 
 def test_two_bodies_alike_are_not_guessed() -> None:
     points = np.concatenate((KITE, 1 + KITE * 1j))
-    assert matched(points, np.array([KITE, KITE])).unsure.all()
+    assert matched(points, np.array([KITE, KITE])).uncertain.all()
 
 
 def test_a_mirrored_body_is_not_found() -> None:

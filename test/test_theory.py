@@ -88,7 +88,7 @@ def test_the_effort_that_balances_the_loads_is_that_of_virtual_work(
         self.point = np.full(self.point.shape, reference + 0j)
 
     # Whatever point of each body is differentiated.
-    monkeypatch.setattr(References, '_judge', stand)
+    monkeypatch.setattr(References, '_update', stand)
     path = scene(tmp_path)
     messages = replayed(bag, tmp_path, path)
     found = messages['/kinpole/balance']

@@ -386,7 +386,7 @@ def _blocks_seen(there: np.ndarray, block: int) -> np.ndarray:
     """Of how many (n, S) blocks up to each something is `there` (N, S), a block being so many."""
     if block > 1:
         whole = len(there) // block
-        there = there[: whole * block].reshape(whole, block, -1).any(axis=1)
+        there = there[: whole * block].reshape(whole, block, there.shape[1]).any(axis=1)
     return there.cumsum(axis=0)
 
 
