@@ -364,6 +364,8 @@ def _all_sizes(
     """
     there = np.broadcast_to((cells.weight > 0).all(axis=1), (len(cells.samples), len(whole)))
     possible = (cells.ahead >= 0) & (np.count_nonzero(there, axis=0) >= FEWEST_SAMPLES)
+    # Not beyond the oldest that is there.
+    oldest = len(there) - there[::-1].argmax(axis=0)
     sizes, longest = np.zeros(len(whole), int), blocks.copy()
     while np.count_nonzero(possible):
         for block in np.unique(blocks[possible]).tolist():
@@ -372,7 +374,7 @@ def _all_sizes(
             if not len(seen):
                 possible[some] = False
                 continue
-            found = _sizes(seen, whole[some] // block, cells.ahead[some] // block)
+            found = _sizes(seen, *(a[some] // block for a in (whole, cells.ahead, oldest)))
             lacking = found - seen[found - 1, np.arange(len(some))]
             known = found > 0
             sizes[some[known]], longest[some[known]] = found[known], block
@@ -390,14 +392,13 @@ def _blocks_seen(there: np.ndarray, block: int) -> np.ndarray:
     return there.cumsum(axis=0)
 
 
-def _sizes(seen: np.ndarray, full: np.ndarray, ahead: np.ndarray) -> np.ndarray:
+def _sizes(seen: np.ndarray, full: np.ndarray, ahead: np.ndarray, oldest: np.ndarray) -> np.ndarray:
     """
     How many blocks (S,) the longest windows have of which enough is there, 0 for none.
 
-    So many (n, S) are `seen` up to each, and so many (S,) `ahead` of the instant.
+    So many (n, S) are `seen` up to each, so many (S,) are `ahead` of the instant, and so many up to
+    the `oldest` that is there.
     """
-    # Not beyond the oldest that is there.
-    oldest = seen.argmax(axis=0) + 1
     sizes, signals = np.zeros(len(full), int), np.arange(len(full))
     for size in _ladder(full, oldest):
         there = seen[np.minimum(size, len(seen)) - 1, signals]
