@@ -58,6 +58,9 @@ def same(found: Found, expected: Found, tolerance: float = 1e-9) -> None:
     assert (mean <= tolerance * deviation[:, [0, 1, 1]]).all()
     assert (covariance <= tolerance * deviation * deviation[:, None]).all()
     assert (freedom <= tolerance * expected.freedom).all()
+    # Windows in two parts are compared by it.
+    evidence = np.abs(found.evidence - expected.evidence)
+    assert (evidence <= tolerance * (1 + np.abs(expected.evidence))).all()
 
 
 @built

@@ -21,9 +21,10 @@ _MOST = 128
 # Windows with too few samples are shorter by powers of this. So much of a window is there.
 _SHORTER = 0.95
 _PRESENT = 0.5
-# Samples that have this share of the information of the best count similar, by their mean.
+# Samples that have this share of the information of the best count equally, by their mean.
 _SIMILAR = 0.5
-# If more cells than that are lacking, they are put together in pairs.
+# If more cells than that are lacking, two of them make one; if more count for less, all count
+# equally, by their mean noise.
 _LACKING = 24
 # Of a block those samples count that have this share of the information of the best of it.
 _POOR = 0.25
@@ -288,7 +289,7 @@ def _in_units(samples: Real, unit: Real) -> np.ndarray:
 
 
 def _intervals(time: Real, inside: np.ndarray) -> Real:
-    """The interval (T,) of the frames, ns, that most of those `inside` (n, T) are apart."""
+    """The interval (T,) of the frames, ns, that is usual between those `inside` (n, T)."""
     steps = np.where(inside[1:], time[:-1] - time[1:], np.inf)
     number = inside[1:].sum(axis=0)
     usual = np.sort(steps, axis=0)[np.maximum(number - 1, 0) // 2, np.arange(len(number))]

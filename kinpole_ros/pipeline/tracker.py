@@ -43,7 +43,7 @@ class Tracker:
 
     `samples` is how many frames the window holds. `counts` says what became of the frames, for
     diagnostics: frames, repeated, late, lost, resets, frame_changes, markers_not_seen,
-    markers_unknown, and the markers_... that were corrected, see `rigid._untangle`.
+    markers_unknown, and the markers_... that were corrected, see `correct_swaps`.
     """
 
     def __init__(self, settings: Settings) -> None:
