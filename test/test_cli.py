@@ -113,7 +113,7 @@ def test_examples_of_the_help_do_what_they_say(
 
 def test_help_comes_without_ros_and_numpy() -> None:
     program = (
-        'import sys\nfrom kinpole_ros import cli\n'
+        'import sys\nfrom kinpole_ros.tools import cli\n'
         'try:\n    cli.main(["--help"])\nexcept SystemExit:\n    pass\n'
         'print("loaded:", sorted({"rclpy", "numpy", "mcap", "yaml"} & set(sys.modules)))'
     )
@@ -783,7 +783,7 @@ def test_no_file_takes_the_place_of_what_was_closed(tmp_path: Path, closed: str)
     """All that is told went into the recording, at its place in the file."""
     opened = tmp_path / 'opened'
     code = (
-        "from kinpole_ros import cli; cli.main(['solve', 'cardan'])\n"
+        "from kinpole_ros.tools import cli; cli.main(['solve', 'cardan'])\n"
         f"with open('{opened}', 'w') as file: file.write(str(file.fileno()))"
     )
     subprocess.run(f'{sys.executable} -c "{code}" {closed}', shell=True, check=True, timeout=60)
@@ -836,7 +836,7 @@ def test_a_package_that_is_not_there_is_told_with_the_mend(
 ) -> None:
     program = (
         f'import sys; sys.modules[{package!r}] = None\n'
-        f'from kinpole_ros import cli; sys.exit(cli.main({words!r}))'
+        f'from kinpole_ros.tools import cli; sys.exit(cli.main({words!r}))'
     )
     done = subprocess.run(
         [sys.executable, '-c', program], cwd=tmp_path, capture_output=True, text=True, timeout=60
