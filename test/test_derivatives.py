@@ -16,7 +16,7 @@ from kinpole_ros.derivatives import (
     Poses,
     Windows,
     _models,
-    _poses,
+    _sizes,
     derive_poses,
 )
 from kinpole_ros.derivatives._models import modes_of, stencils_of
@@ -195,7 +195,8 @@ def test_stencils_are_those_of_the_regression_on_each_process(
     modes, stencils = modes_of(count, block), stencils_of(count, at, block, 5)
     place = np.arange(count) - (count - 1) / 2
     amplitudes = _models._amplitudes(False)
-    processes = [each for _, some in _models._layout(count, block, False) for each in some]
+    layout = _models._layout(count, block, False, False)
+    processes = [each.process for _, members in layout for each in members]
     rows = np.pad(stencils.modes, ((0, 0), (0, 1)))
     compared = set()
     for p, process in enumerate(processes):
@@ -833,7 +834,7 @@ def test_more_samples_than_a_window_holds_tell_as_much_in_blocks(
         return off, deviation
 
     blocks, stated = found()
-    monkeypatch.setattr(_poses, '_MOST', 1000)
+    monkeypatch.setattr(_sizes, 'MOST', 1000)
     single, expected = found()
     assert np.sqrt(((blocks - single) ** 2 / expected**2).mean(axis=1)).max() < 0.4
     below(np.sqrt((blocks**2).mean(axis=1)), 1.05 * np.sqrt((single**2).mean(axis=1)))

@@ -145,15 +145,22 @@ def _amplitudes(exact: bool) -> Real:
     return np.asarray(_LEAST * 10.0 ** np.arange(_MORE if exact else _AMPLITUDES))
 
 
-def _values(process: Process, count: int, time: Real, order: int) -> tuple[Real, Real]:
-    """Derivatives at times (T,) of the functions, even and odd, (T, J), that make up a process."""
+def _values(process: Process, count: int, time: Real, orders: range) -> list[tuple[Real, Real]]:
+    """
+    Derivatives at times (T,) of the functions, even and odd, (T, J), that make up a process.
+
+    Of each of the orders.
+    """
     if process.spectrum < 0:
         scale = 2 / count
         degrees = range(2, int(process.length) + 1)
         powers = [np.polynomial.Polynomial([0] * degree + [1.0]) for degree in degrees]
-        found = [power.deriv(order)(scale * time) * scale**order for power in powers]
-        values = np.reshape(found, (len(powers), len(time))).T
-        return values[:, ::2], values[:, 1::2]
+        found = []
+        for order in orders:
+            each = [power.deriv(order)(scale * time) * scale**order for power in powers]
+            values = np.reshape(each, (len(powers), len(time))).T
+            found.append((values[:, ::2], values[:, 1::2]))
+        return found
     # Waves of a sum that repeats itself, but not within a window.
     power, _ = SPECTRA[process.spectrum]
     step = 2 * np.pi / (count + 10 * process.length)
@@ -162,9 +169,17 @@ def _values(process: Process, count: int, time: Real, order: int) -> tuple[Real,
     weight[0] /= np.sqrt(2)
     weight /= np.sqrt((weight**2).sum())
     kept = weight > _ROUNDING
-    phase = np.outer(time, frequency[kept]) + order * np.pi / 2
-    weight = weight[kept] * frequency[kept] ** order
-    return weight * np.cos(phase), weight * np.sin(phase)
+    frequency, weight = frequency[kept], weight[kept]
+    phase = np.outer(time, frequency)
+    waves = np.cos(phase), np.sin(phase)
+    # Cosine and sine are each other's derivatives, the first with a sign.
+    found = []
+    for order in orders:
+        sizes = weight * frequency**order
+        even = -sizes if order % 4 in (1, 2) else sizes
+        odd = -sizes if order % 4 in (2, 3) else sizes
+        found.append((even * waves[order % 2], odd * waves[1 - order % 2]))
+    return found
 
 
 def _half_window(count: int) -> tuple[Real, Real, tuple[Real, Real]]:
@@ -192,7 +207,7 @@ def _functions(process: Process, count: int, block: int) -> tuple[_Functions, _F
     """The functions of a process on a window, each sample the mean of a block."""
     time, root, lines = _half_window(count)
     offsets = (np.arange(block) - (block - 1) / 2) / block
-    averaged = [_values(process, count, time + offset, 0) for offset in offsets]
+    averaged = [_values(process, count, time + offset, range(1))[0] for offset in offsets]
     found = []
     for parity, line in enumerate(lines):
         seen = root[:, None] * sum(values[parity] for values in averaged) / block
@@ -210,24 +225,33 @@ def _functions(process: Process, count: int, block: int) -> tuple[_Functions, _F
     return found[0], found[1]
 
 
+class _Member(NamedTuple):
+    """A process on a window: its functions, even and odd, and how many modes of each are seen."""
+
+    process: Process
+    functions: tuple[_Functions, _Functions]
+    seen: tuple[int, int]
+
+
+@lru_cache(maxsize=64)
 def _layout(
-    count: int, block: int, exact: bool, dense: bool = False
-) -> list[tuple[int, list[Process]]]:
+    count: int, block: int, exact: bool, dense: bool
+) -> tuple[tuple[int, list[_Member]], ...]:
     """Processes by how many pairs of modes they have at most."""
     whole = (count + 1) // 2 - 1
-    found: dict[int, list[Process]] = {}
+    limits = [max(int(part * whole), 1) for part in _WIDTHS]
+    # Of these functions so much is seen.
+    largest = _amplitudes(exact)[-1]
+    found: dict[int, list[_Member]] = {}
     for process in _processes(count, dense):
-        widths = [_seen(one, exact) for one in _functions(process, count, block)]
-        limits = [max(int(part * whole), 1) for part in _WIDTHS]
-        limits = [width for width in limits if width >= max(widths)]
-        found.setdefault(whole if exact else min(limits), []).append(process)
-    return list(found.items())
-
-
-def _seen(functions: _Functions, exact: bool) -> int:
-    """How many of the modes are seen."""
-    sizes = functions.sizes
-    return len(sizes) if exact else int((sizes * _amplitudes(exact)[-1] > _SEEN).sum())
+        functions = even, odd = _functions(process, count, block)
+        seen = [
+            len(one.sizes) if exact else int(np.count_nonzero(one.sizes * largest > _SEEN))
+            for one in (even, odd)
+        ]
+        width = whole if exact else min(limit for limit in limits if limit >= max(seen))
+        found.setdefault(width, []).append(_Member(process, functions, (seen[0], seen[1])))
+    return tuple(found.items())
 
 
 @lru_cache(maxsize=64)
@@ -243,14 +267,18 @@ def modes_of(count: int, block: int = 1, exact: bool = False, dense: bool = Fals
     rows: tuple[list[Real], list[Real]] = ([lines[0][None]], [lines[1][None]])
     parts, kinds, priors, occam, freedom = [], [], [], [], []
     first = models = 0
-    for width, processes in _layout(count, block, exact, dense):
-        sizes = np.zeros((len(processes), width, 2))
-        for p, process in enumerate(processes):
-            for parity, functions in enumerate(_functions(process, count, block)):
-                seen = _seen(functions, exact)
+    for width, members in _layout(count, block, exact, dense):
+        processes = [member.process for member in members]
+        sizes = np.zeros((len(members), width, 2))
+        for p, member in enumerate(members):
+            for parity, (functions, seen) in enumerate(
+                zip(member.functions, member.seen, strict=True)
+            ):
                 sizes[p, :seen, parity] = functions.sizes[:seen]
-                vectors = functions.vectors[:, : None if exact else seen].T
-                rows[parity].append(np.pad(vectors, ((0, width - len(vectors)), (0, 0))))
+                vectors = np.zeros((width, len(functions.vectors)))
+                kept = functions.vectors[:, : None if exact else seen].T
+                vectors[: len(kept)] = kept
+                rows[parity].append(vectors)
         large = (amplitudes[:, None] * sizes.reshape(len(processes), 1, -1)) ** 2
         share = large / (1 + large)
         number = len(processes) * len(amplitudes)
@@ -305,20 +333,29 @@ def _whole(count: int, even: Real, odd: Real) -> Real:
     return vectors
 
 
-def _derivatives(count: int, block: int, exact: bool, dense: bool, time: Real, order: int) -> Real:
-    """Derivatives (T, R) of the modes at times (T,)."""
-    lines = _lines(count, time, order)
-    found = [lines]
-    for width, processes in _layout(count, block, exact, dense):
-        for process in processes:
-            values = _values(process, count, time, order)
-            rows = np.zeros((len(time), width, 2))
-            for parity, one in enumerate(_functions(process, count, block)):
-                seen = _seen(one, exact)
-                left = values[parity] - np.outer(lines[:, parity], one.along)
-                rows[:, :seen, parity] = left @ one.right[:seen].T / one.sizes[:seen]
-            found.append(rows.reshape(len(time), -1))
-    return np.concatenate(found, axis=1)
+def _derivatives(
+    count: int, block: int, exact: bool, dense: bool, time: Real, orders: range
+) -> tuple[Real, list[tuple[Real, Real]]]:
+    """
+    Derivatives (T, K, R) of the modes at times (T,).
+
+    And of each process' functions, even and odd, (T, K, J), those that no mode has.
+    """
+    lines = np.stack([_lines(count, time, order) for order in orders], axis=1)  # (T, K, 2)
+    found, functions = [lines], []
+    for width, members in _layout(count, block, exact, dense):
+        for member in members:
+            values = _values(member.process, count, time, orders)
+            rows = np.zeros((len(time), len(orders), width, 2))
+            pair = []
+            for parity, (one, seen) in enumerate(zip(member.functions, member.seen, strict=True)):
+                left = np.stack([value[parity] for value in values], axis=1)
+                left -= lines[..., parity, None] * one.along
+                rows[..., :seen, parity] = left @ one.right[:seen].T / one.sizes[:seen]
+                pair.append(left)
+            found.append(rows.reshape(len(time), len(orders), -1))
+            functions.append((pair[0], pair[1]))
+    return np.concatenate(found, axis=2), functions
 
 
 @lru_cache(maxsize=256)
@@ -330,22 +367,16 @@ def stencils_of(
 
     Of so many `orders`, from 0.
     """
-    time = np.array([at])
-    modes = np.concatenate(
-        [_derivatives(count, block, exact, dense, time, k) for k in range(orders)]
-    )
-    lines = np.concatenate([_lines(count, time, k) for k in range(orders)])
+    found, functions = _derivatives(count, block, exact, dense, np.array([at]), range(orders))
+    modes = found[0]
+    members = [member for _, some in _layout(count, block, exact, dense) for member in some]
     unseen = []
-    for _, processes in _layout(count, block, exact, dense):
-        for process in processes:
-            values = [_values(process, count, time, k) for k in range(orders)]
-            total = np.zeros((orders, orders))
-            for parity, one in enumerate(_functions(process, count, block)):
-                left = np.concatenate([value[parity] for value in values])
-                left = left - np.outer(lines[:, parity], one.along)
-                left = left - (left @ one.right.T) @ one.right
-                total += left @ left.T
-            unseen.append(_amplitudes(exact)[:, None] ** 2 * total.ravel())
+    for member, pair in zip(members, functions, strict=True):
+        total = np.zeros((orders, orders))
+        for one, (left,) in zip(member.functions, pair, strict=True):
+            left = left - (left @ one.right.T) @ one.right
+            total += left @ left.T
+        unseen.append(_amplitudes(exact)[:, None] ** 2 * total.ravel())
     unseen.append(np.zeros((1, orders * orders)))
     products = (modes[:, None] * modes).reshape(orders * orders, -1)
     return Stencils(modes, products, np.concatenate(unseen).T)
@@ -355,6 +386,5 @@ def stencils_of(
 def slopes_of(count: int, block: int = 1, exact: bool = False, dense: bool = False) -> Real:
     """Derivatives (orders, R, n) of the modes of a window at its samples, the first four."""
     time = np.arange(count) - (count - 1) / 2
-    return np.stack(
-        [_derivatives(count, block, exact, dense, time, order).T for order in range(1, 5)]
-    )
+    found, _ = _derivatives(count, block, exact, dense, time, range(1, 5))
+    return np.ascontiguousarray(np.moveaxis(found, 0, 2))

@@ -53,16 +53,16 @@ class Placed(NamedTuple):
     scale: Real
 
 
-def place(window: Window, samples: Real, weights: Real | None, off: Real) -> Placed:
+def place(window: Window, samples: Real, weights: Real | None, off: Real | None) -> Placed:
     """
     Put `samples` (n, 3, S) in their places, of which they are `off` (n, S) by so many samples.
 
-    Those with `weights` (n, 2, S) of 0, unless they are all 1, are put where the others let one
-    expect them.
+    Unless they are there. Those with `weights` (n, 2, S) of 0, unless they are all 1, are put where
+    the others let one expect them.
     """
     if weights is not None:
         samples = _filled(samples, weights[:, 1] <= 0, off)
-    if not np.count_nonzero(off):
+    if off is None:
         return Placed(samples, np.ones((2, 1)))
     modes, slopes = modes_of(*window.models), slopes_of(*window.models)
     seen, lacking = seen_of(weights, samples)
@@ -151,7 +151,7 @@ def lacking_of(weights: Real) -> Lacking | None:
     return Lacking(cells, np.moveaxis(weights[cells, :, np.arange(less.shape[1])], 2, 1))
 
 
-def _filled(samples: Real, missing: np.ndarray, off: Real) -> Real:
+def _filled(samples: Real, missing: np.ndarray, off: Real | None) -> Real:
     """Samples with those `missing` (n, S) on parabolas through the nearest of the others."""
     cell, signal = missing.nonzero()
     if not len(cell):
@@ -159,7 +159,9 @@ def _filled(samples: Real, missing: np.ndarray, off: Real) -> Real:
     distance = np.abs(np.arange(len(samples)) - cell[:, None]).astype(float)
     distance[missing.T[signal]] = np.inf
     near = np.argpartition(distance, _NEAREST - 1, axis=1)[:, :_NEAREST]
-    place = (near + off[near, signal[:, None]] - cell[:, None]) / _NEAREST
+    place = (near - cell[:, None]) / _NEAREST
+    if off is not None:
+        place += off[near, signal[:, None]] / _NEAREST
     powers = place[..., None] ** np.arange(3)
     turned = powers.swapaxes(1, 2)
     # (M, 1, _NEAREST): what a parabola is at the cell.

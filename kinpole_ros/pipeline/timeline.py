@@ -378,10 +378,18 @@ class Timeline:
     def _place(self, rows: np.ndarray, times: np.ndarray) -> np.ndarray:
         """Note what the windows of frames hold; how many (T,) frames before them."""
         every = self._frames.view()['time']
-        rows['oldest'] = oldest = every.searchsorted(times - self.window)
-        held = np.arange(len(every) - len(rows), len(every)) - oldest
-        rows['interval'] = (times - every[oldest]) / np.maximum(held, 1)
-        return held
+        newest = np.arange(len(every) - len(rows), len(every))
+        rows['oldest'], rows['interval'] = self._windows(every, times, newest)
+        return np.asarray(newest - rows['oldest'])
+
+    def _windows(
+        self, every: np.ndarray, times: np.ndarray, newest: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """The oldest frames (T,) of windows, and their mean interval, ns; `times` of the newest."""
+        oldest = every.searchsorted(times - self.window)
+        interval = (times - every[oldest]) / np.maximum(newest - oldest, 1)
+        # Frames are late or early by less than half of that: windows hold as many.
+        return every.searchsorted(times - self.window - (interval / 2).astype(np.int64)), interval
 
     def falling_due(self, new: np.ndarray) -> tuple[np.ndarray, Windows, np.ndarray]:
         """
@@ -396,10 +404,10 @@ class Timeline:
             newest = np.maximum(newest - new['behind'], 0)
             times = times[: newest[-1] + 1]
             here = times[newest]
-            new['oldest'] = oldest = times.searchsorted(here - self.window)
-            new['interval'] = (here - times[oldest]) / np.maximum(newest - oldest, 1)
+            new['oldest'], new['interval'] = self._windows(times, here, newest)
         else:
-            here, oldest = new['time'], new['oldest']
+            here = new['time']
+        oldest = new['oldest']
         ahead = np.rint(self._lag - 0.75 * new['interval'])
         last = here - ahead.astype(np.int64)
         end = np.minimum(times.searchsorted(last, side='right'), newest + 1)

@@ -1,0 +1,126 @@
+"""
+How long windows are: how many blocks of samples, and of how many of them, so that enough is seen.
+
+Windows of as many cells, at the same place, have the same models: they are treated at once.
+"""
+
+from collections.abc import Iterator
+from typing import NamedTuple
+
+import numpy as np
+
+from kinpole_ros.derivatives._cells import Cells
+from kinpole_ros.derivatives._models import FEWEST_SAMPLES
+
+# More samples than this in a window are averaged in blocks.
+MOST = 128
+# Windows with too few samples are shorter by powers of this. So much of a window is there.
+_SHORTER = 0.95
+_PRESENT = 0.5
+# If more cells than that are lacking, two of them make one.
+LACKING = 24
+
+
+class Group(NamedTuple):
+    """
+    Signals `which` (S,) with windows of `size` cells, each of `block` samples, `ahead` newer.
+
+    All of them or none are `exact`.
+    """
+
+    which: np.ndarray | slice
+    size: int
+    block: int
+    ahead: int
+    exact: int
+
+
+def groups_of(cells: Cells, window: float) -> list[Group]:
+    """Signals by their windows, those left out of which there is too little."""
+    count = len(cells.samples)
+    whole = np.maximum(np.rint(window / cells.interval).astype(int) + 1, FEWEST_SAMPLES)
+    blocks = -(-whole // MOST)
+    sizes = whole // blocks
+    if cells.weight is not None or np.count_nonzero(sizes * blocks > count):
+        sizes, blocks = _all_sizes(cells, whole, blocks)
+    keys = np.array((sizes, blocks, cells.ahead, cells.exact))
+    if not np.count_nonzero(keys != keys[:, :1]):
+        return [Group(slice(None), *keys[:, 0].tolist())] if sizes[0] else []
+    each, number = np.unique(keys, axis=1, return_inverse=True)
+    return [
+        Group(np.flatnonzero(number.reshape(-1) == k), *key)
+        for k, key in enumerate(each.T.tolist())
+        if key[0]
+    ]
+
+
+def _all_sizes(
+    cells: Cells, whole: np.ndarray, blocks: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """
+    How many blocks (S,) windows have, 0 for none, and how many cells (S,) a block.
+
+    That is `blocks` (S,), or twice as many, and so on, until little of them is lacking: frames may
+    come in bunches.
+    """
+    if cells.weight is None:
+        there = np.ones((len(cells.samples), len(whole)), bool)
+    else:
+        there = (cells.weight > 0).all(axis=1)
+    possible = (cells.ahead >= 0) & (np.count_nonzero(there, axis=0) >= FEWEST_SAMPLES)
+    # Not beyond the oldest that is there.
+    oldest = len(there) - there[::-1].argmax(axis=0)
+    sizes, longest = np.zeros(len(whole), int), blocks.copy()
+    while np.count_nonzero(possible):
+        for block in np.unique(blocks[possible]).tolist():
+            some = np.flatnonzero(possible & (blocks == block))
+            seen = _blocks_seen(there[:, some], block)
+            if not len(seen):
+                possible[some] = False
+                continue
+            found = _sizes(seen, *(a[some] // block for a in (whole, cells.ahead, oldest)))
+            lacking = found - seen[found - 1, np.arange(len(some))]
+            known = found > 0
+            sizes[some[known]], longest[some[known]] = found[known], block
+            possible[some[known & (lacking <= LACKING)]] = False
+        blocks = np.where(possible, 2 * blocks, blocks)
+        possible &= whole // blocks >= FEWEST_SAMPLES
+    return sizes, longest
+
+
+def _blocks_seen(there: np.ndarray, block: int) -> np.ndarray:
+    """Of how many (n, S) blocks up to each something is `there` (N, S), a block being so many."""
+    if block > 1:
+        whole = len(there) // block
+        there = there[: whole * block].reshape(whole, block, there.shape[1]).any(axis=1)
+    return there.cumsum(axis=0)
+
+
+def _sizes(seen: np.ndarray, full: np.ndarray, ahead: np.ndarray, oldest: np.ndarray) -> np.ndarray:
+    """
+    How many blocks (S,) the longest windows have of which enough is there, 0 for none.
+
+    So many (n, S) are `seen` up to each, so many (S,) are `ahead` of the instant, and so many up to
+    the `oldest` that is there.
+    """
+    sizes, signals = np.zeros(len(full), int), np.arange(len(full))
+    for size in _ladder(full, oldest):
+        there = seen[np.minimum(size, len(seen)) - 1, signals]
+        enough = there >= np.maximum(_PRESENT * size, FEWEST_SAMPLES)
+        enough &= (ahead < size) & (size <= oldest) & (size >= FEWEST_SAMPLES)
+        sizes = np.where((sizes == 0) & enough, size, sizes)
+        if not np.count_nonzero(sizes == 0):
+            break
+    return sizes
+
+
+def _ladder(full: np.ndarray, last: np.ndarray) -> Iterator[np.ndarray]:
+    """Sizes (S,) to try one after the other, from the `full` ones on."""
+    yield full
+    # Where stamps are not even a window has one frame more or less.
+    size = full - 1
+    while (size >= FEWEST_SAMPLES).any():
+        yield size
+        size = (size * _SHORTER).astype(int)
+    # All there is, if the instant is the oldest of it.
+    yield np.minimum(full, last)
