@@ -51,7 +51,7 @@ def derive(
     good = np.ones(angle.shape) if information is None else information
     frames = Windows(now, np.maximum(now + ahead - count + 1, 0), now + ahead)
     shape = len(now), angle.shape[1]
-    length = count * float(np.median(np.diff(time))) * 1e-9 if window is None else window
+    length = (count - 1) * float(np.median(np.diff(time))) * 1e-9 if window is None else window
     return derive_poses(
         Poses(time, angle, np.zeros_like(angle), position, good, good),
         frames,
@@ -237,7 +237,13 @@ ONE_AMPLITUDE = 300.0
 @pytest.fixture
 def one_process(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     """There is one process on a line, or a line, or rest: the first is by far the likeliest."""
-    caches = _models.modes_of, _models.stencils_of, _models.slopes_of, _models._functions
+    caches = (
+        _models.modes_of,
+        _models.stencils_of,
+        _models.slopes_of,
+        _models._layout,
+        _models._functions,
+    )
     monkeypatch.setattr(_models, 'SPECTRA', (ONE,))
     monkeypatch.setattr(_models, '_LONGEST', ONE[1] / 50)
     monkeypatch.setattr(_models, '_DEGREES', (1,))
@@ -623,7 +629,7 @@ def test_a_window_that_is_not_full_yet_is_as_good_as_its_samples(
         found = derive(time, *measured, noise, order=3, count=count, ahead=ahead)
         off = found.angle[:, 0] - exact[0][:4, -1 - ahead]
         error.append(np.sqrt((off**2).mean(axis=1)))
-    below(error[1][1:], 1.5 * error[0][1:])
+    below(error[1][1:], 1.6 * error[0][1:])
 
 
 def test_a_body_unseen_is_as_good_as_left_out_of_the_frames() -> None:

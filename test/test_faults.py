@@ -848,10 +848,6 @@ def crowd(count: int = 100) -> Callable[[int, int], bytes]:
     return frame
 
 
-@pytest.mark.xfail(
-    reason='After a flood windows have frames of two rates. Models for windows of new sizes are '
-    'made then, which takes seconds on a slow core, and the last frames wait for others.'
-)
 def test_a_flood_is_told_of_and_the_newest_wins(tmp_path: FilePath) -> None:
     """100 markers at 1 kHz and more, for a node with one core that it shares with the sender."""
     frame = crowd()

@@ -103,6 +103,9 @@ def _derive(cells: Cells, group: Group, orders: int, effort: str) -> Derivatives
     """Derivatives (..., S) of a group, per s."""
     which, size, block, ahead, exact = group
     count = size * block
+    more = count - len(cells.samples)
+    if more > 0:
+        cells = _longer(cells, more)
     # From the oldest.
     samples = cells.samples[:count, :, which][::-1]
     interval = cells.interval[which] * block
@@ -136,6 +139,15 @@ def _derive(cells: Cells, group: Group, orders: int, effort: str) -> Derivatives
         (size - 1) * interval,
         freedom[0],
     )
+
+
+def _longer(cells: Cells, more: int) -> Cells:
+    """The same with so many cells more that are older, of which nothing is seen."""
+    samples = np.pad(cells.samples, ((0, more), (0, 0), (0, 0)))
+    weight = np.zeros((len(samples), 2, samples.shape[2]))
+    weight[:-more] = 1.0 if cells.weight is None else cells.weight
+    off = None if cells.off is None else np.pad(cells.off, ((0, more), (0, 0)))
+    return cells._replace(samples=samples, weight=weight, off=off)
 
 
 def _derive_uneven(window: Window, samples: Real, weight: Real | None, off: Real | None) -> Found:

@@ -11,12 +11,18 @@ import numpy as np
 
 from kinpole_ros.derivatives._cells import Cells
 from kinpole_ros.derivatives._models import FEWEST_SAMPLES
+from kinpole_ros.planar._plane import Real
 
 # More samples than this in a window are averaged in blocks.
 MOST = 128
-# Windows with too few samples are shorter by powers of this. So much of a window is there.
-_SHORTER = 0.95
+# So much of a window is there.
 _PRESENT = 0.5
+# Windows that are not full have few sizes, since models of each take time to make: by so much one
+# is larger than what there is of it, at most.
+_LARGER = 1.25
+_SIZES = [FEWEST_SAMPLES]
+while _SIZES[-1] * _LARGER <= MOST:
+    _SIZES.append(int(_SIZES[-1] * _LARGER))
 # If more cells than that are lacking, two of them make one.
 LACKING = 24
 
@@ -68,18 +74,17 @@ def _all_sizes(
     else:
         there = (cells.weight > 0).all(axis=1)
     possible = (cells.ahead >= 0) & (np.count_nonzero(there, axis=0) >= FEWEST_SAMPLES)
-    # Not beyond the oldest that is there.
     oldest = len(there) - there[::-1].argmax(axis=0)
+    # Not far beyond the oldest that is there; what is all but exact would have to be as good there.
+    larger = np.where(cells.exact, 1.0, _LARGER)
     sizes, longest = np.zeros(len(whole), int), blocks.copy()
     while np.count_nonzero(possible):
         for block in np.unique(blocks[possible]).tolist():
             some = np.flatnonzero(possible & (blocks == block))
-            seen = _blocks_seen(there[:, some], block)
-            if not len(seen):
-                possible[some] = False
-                continue
-            found = _sizes(seen, *(a[some] // block for a in (whole, cells.ahead, oldest)))
-            lacking = found - seen[found - 1, np.arange(len(some))]
+            seen, last = _blocks_seen(there[:, some], block), -(-oldest[some] // block)
+            ladder = _ladder(whole[some] // block, last, larger[some])
+            found = _sizes(seen, cells.ahead[some] // block, ladder)
+            lacking = found - seen[np.minimum(found, len(seen)) - 1, np.arange(len(some))]
             known = found > 0
             sizes[some[known]], longest[some[known]] = found[known], block
             possible[some[known & (lacking <= LACKING)]] = False
@@ -91,36 +96,36 @@ def _all_sizes(
 def _blocks_seen(there: np.ndarray, block: int) -> np.ndarray:
     """Of how many (n, S) blocks up to each something is `there` (N, S), a block being so many."""
     if block > 1:
-        whole = len(there) // block
-        there = there[: whole * block].reshape(whole, block, there.shape[1]).any(axis=1)
+        there = np.pad(there, ((0, -len(there) % block), (0, 0)))
+        there = there.reshape(-1, block, there.shape[1]).any(axis=1)
     return there.cumsum(axis=0)
 
 
-def _sizes(seen: np.ndarray, full: np.ndarray, ahead: np.ndarray, oldest: np.ndarray) -> np.ndarray:
+def _sizes(seen: np.ndarray, ahead: np.ndarray, ladder: Iterator[np.ndarray]) -> np.ndarray:
     """
-    How many blocks (S,) the longest windows have of which enough is there, 0 for none.
+    How many blocks (S,) the windows have, the first of the `ladder` of which enough is there.
 
-    So many (n, S) are `seen` up to each, so many (S,) are `ahead` of the instant, and so many up to
-    the `oldest` that is there.
+    0 for none. So many (n, S) are `seen` up to each, and so many (S,) are `ahead` of the instant.
     """
-    sizes, signals = np.zeros(len(full), int), np.arange(len(full))
-    for size in _ladder(full, oldest):
+    sizes, signals = np.zeros(len(ahead), int), np.arange(len(ahead))
+    for size in ladder:
         there = seen[np.minimum(size, len(seen)) - 1, signals]
         enough = there >= np.maximum(_PRESENT * size, FEWEST_SAMPLES)
-        enough &= (ahead < size) & (size <= oldest) & (size >= FEWEST_SAMPLES)
+        enough &= (ahead < size) & (size >= FEWEST_SAMPLES)
         sizes = np.where((sizes == 0) & enough, size, sizes)
         if not np.count_nonzero(sizes == 0):
             break
     return sizes
 
 
-def _ladder(full: np.ndarray, last: np.ndarray) -> Iterator[np.ndarray]:
-    """Sizes (S,) to try one after the other, from the `full` ones on."""
-    yield full
-    # Where stamps are not even a window has one frame more or less.
-    size = full - 1
-    while (size >= FEWEST_SAMPLES).any():
-        yield size
-        size = (size * _SHORTER).astype(int)
+def _ladder(full: np.ndarray, last: np.ndarray, larger: Real) -> Iterator[np.ndarray]:
+    """
+    Sizes (S,) to try one after the other, from the `full` ones on, 0 for none.
+
+    They are so much `larger` at most than the `last` that is there.
+    """
+    for most in (full, *_SIZES[::-1]):
+        size = np.minimum(full, most)
+        yield np.where(size <= larger * last, size, 0)
     # All there is, if the instant is the oldest of it.
     yield np.minimum(full, last)
