@@ -6,21 +6,17 @@ Nothing else depends on it. What is measured is the real tracker, run as replay 
 
 from bench._atlas import survey
 from bench._motions import Motion, motions
-from bench._report import (
-    bench,
-    bench_long,
-    bench_rigs,
-    bench_soak,
-    hindsight_table,
-)
+from bench._parts import PARTS, hindsight_table
+from bench._report import bench, bench_long, bench_soak, make_pages
 
 __all__ = [
+    'PARTS',
     'Motion',
     'bench',
     'bench_long',
-    'bench_rigs',
     'bench_soak',
     'hindsight_table',
+    'make_pages',
     'motions',
     'survey',
 ]

@@ -10,8 +10,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from bench._costs import FixedTracker
 from bench._motions import Motion, cusped, motions, still_turning, swinging
-from bench._peers import FixedTracker
 from bench._record import RATE, START, frames_of, quantities
 from kinpole_ros import planar
 from kinpole_ros.mechanism import BodyMotion, marker_positions

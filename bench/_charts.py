@@ -1,47 +1,21 @@
-"""The charts, readable in black and white: methods differ by mark and line, not by color."""
+"""The charts of the tables, readable in black and white: marks and lines differ, not colors."""
 
-from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from bench._record import QUANTITIES
+from bench._rows import Rows
 
-Rows = list[dict[str, Any]]
 _MARKS = 'osD^v<>PXhp*'
 _LINES = ('-', '--', ':', '-.')
 _TICKS = (0.3, 0.5, 1, 1.5, 2, 3, 5, 10)
 _GRAYS = ('0.0', '0.45', '0.65')
-# Errors on real rigs beyond these, over the ideal ones, are drawn at them.
-_RATIOS = (0.5, 1e3)
-
-
-def error_over_time(rows: Rows, path: Path) -> None:
-    """Chart (a): error over ours against CPU time per frame, one panel by quantity."""
-    figure, panels = _panels()
-    methods = list(dict.fromkeys(row['method'] for row in rows))
-    for name, panel in zip(QUANTITIES, panels, strict=False):
-        for k, method in enumerate(methods):
-            for row in rows:
-                if row['method'] == method and np.isfinite(row[name]):
-                    panel.plot(
-                        1e6 * row['cpu'],
-                        row[name],
-                        _MARKS[k % len(_MARKS)],
-                        color=_GRAYS[k % 3],
-                        label=method,
-                        markersize=9 if method == 'ours' else 6,
-                        markerfacecolor='black' if method == 'ours' else 'white',
-                    )
-        _scaled(panel, name, 'CPU time per frame, µs', 'error over ours')
-        panel.set_xlim(1, 1e4)
-        panel.axhline(1.0, color='0.7', linewidth=0.8)
-    _finish(figure, panels, path)
 
 
 def error_over_lag(rows: Rows, path: Path) -> None:
-    """Chart (b): error against lag, one panel by quantity."""
+    """Error against lag, one panel by quantity."""
     figure, panels = _panels()
     methods = list(dict.fromkeys(row['method'] for row in rows))
     for name, panel in zip(QUANTITIES, panels, strict=False):
@@ -96,7 +70,7 @@ def hindsight(rows: Rows, path: Path) -> None:
 
 
 def atlas(rows: Rows, path: Path, names: tuple[str, ...] = ('ω', 'ICR')) -> None:
-    """Chart (c): error (above) and share determined (below) as each thing goes to its limit."""
+    """Error (above) and share determined (below) as each thing goes to its limit."""
     from matplotlib.figure import Figure
 
     limits = list(dict.fromkeys(row['limit'] for row in rows))
@@ -129,36 +103,6 @@ def atlas(rows: Rows, path: Path, names: tuple[str, ...] = ('ω', 'ICR')) -> Non
         below.set_xlabel(f'{limit} ({unit})', fontsize=9)
     first = outer[0].axes[0]
     figure.legend(*first.get_legend_handles_labels(), loc='outside upper center', ncols=4)
-    _save(figure, path)
-
-
-def rigs(rows: Rows, path: Path) -> None:
-    """Errors over the ideal ones by way of spoiling the input: median and worst, ω and ICR."""
-    from matplotlib.figure import Figure
-
-    cases = list(dict.fromkeys((row['part'], row['what']) for row in rows))
-    figure = Figure(figsize=(12, 1 + 0.27 * len(cases)), layout='constrained')
-    panels = figure.subplots(1, 2, sharex=True, sharey=True)
-    place = -np.arange(len(cases))
-    for panel, name in zip(panels, ('ω', 'ICR'), strict=True):
-        found = {(row['part'], row['what']): row for row in rows if row['quantity'] == name}
-        middle, worst = (
-            np.clip([found[case][what] for case in cases], *_RATIOS) for what in ('ratio', 'worst')
-        )
-        panel.hlines(place, middle, worst, color='0.7', linewidth=0.8)
-        panel.plot(worst, place, 'o', color='0.3', markerfacecolor='white', label='worst')
-        panel.plot(middle, place, 'o', color='0.0', label='median')
-        panel.axvline(1.1, color='0.3', linestyle='--', linewidth=0.8)
-        for k, (case, after) in enumerate(pairwise(cases)):
-            if case[0] != after[0]:
-                panel.axhline(-k - 0.5, color='0.85', linewidth=0.8)
-        panel.set_xscale('log')
-        panel.set_xlim(0.8 * _RATIOS[0], 1.25 * _RATIOS[1])
-        panel.set_ylim(place[-1] - 0.7, 0.7)
-        panel.set_title(name)
-        panel.set_xlabel('error over that with ideal input', fontsize=8)
-    panels[0].set_yticks(place, [what for _, what in cases], fontsize=8)
-    panels[0].legend(loc='lower right', fontsize=8)
     _save(figure, path)
 
 

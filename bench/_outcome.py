@@ -14,9 +14,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticStatus
 
+from bench._cases import CASES, Case
 from bench._record import NEAR, quantities, rms, squared_error
 from bench._rigs import Recording, record
-from bench._spoil import CASES, Case, Sent, ideal
+from bench._spoil import Sent, ideal
 from kinpole_ros.messages import DiagnosticsMaker, Output, result_outputs
 from kinpole_ros.pipeline.estimate import RATE_NAMES, Estimate
 from kinpole_ros.pipeline.frame import MarkerFrames
@@ -97,7 +98,13 @@ def rig_rows(
         for name in FIGURES:
             parts = [score[name] for score in scores]
             rows.append(
-                {'part': case.part, 'what': case.what, 'quantity': name}
+                {
+                    'part': case.part,
+                    'what': case.what,
+                    'trouble': case.trouble,
+                    'level': case.level,
+                    'quantity': name,
+                }
                 | _pooled({what: np.concatenate([p[what] for p in parts]) for what in parts[0]})
                 | {'bar': case.bar if name in case.on else np.nan, 'said': words}
             )

@@ -1,93 +1,243 @@
-"""The page of the benchmarks, put together of figures that others have measured."""
+"""
+The first page of the benchmarks: four sentences, three charts, and where the rest is.
 
-import os
-import platform
-from typing import Any, NamedTuple
+Every figure in it is from the rows that were measured.
+"""
+
+from collections.abc import Iterable
 
 import numpy as np
 
-from bench._page_accuracy import (
-    bounds_part,
-    chi_part,
-    coverage_part,
-    hindsight_part,
-    others_part,
-    peers_part,
-    pendulum_part,
-)
-from bench._page_limits import (
-    atlas_part,
-    lag_part,
-    live_part,
-    long_part,
-    soak_part,
-    speed_part,
-    time_part,
-)
-from bench._page_rigs import rigs_part
-from bench._peers import Table
+from bench._markdown import number, table, wrapped
+from bench._overview import BOUND, over_hindsight, pareto_points, troubles
+from bench._peers import EFFORTS, OURS, TUNED_ON
+from bench._record import LAG, NOISES, WINDOW
+from bench._rows import Rows
 
-Rows = list[dict[str, Any]]
+Tables = dict[str, Rows]
+MISSING = 'Not measured.'
+# Load of a machine, over its cores, above which others have their part in the times.
+_BUSY = 0.25
 
 
-class Results(NamedTuple):
-    """All that a page is made of: rows as in the CSV files, tables of RMS errors, times."""
-
-    seconds: float
-    quick: bool
-    ratios: Rows
-    others: Rows
-    bounds: Rows
-    coverage: Rows
-    tables: dict[str, Table]
-    offline: dict[str, Table]
-    version: str
-    pendulum: Rows
-    rigs: Rows
-    spent: dict[str, float]
-    atlas: Rows
-    speed: Rows
-    live: Rows
-    long: list[dict[str, float]]
-    soak: list[dict[str, float]]
-
-
-def make_page(results: Results) -> str:
-    """The page as Markdown."""
+def make_page(tables: Tables) -> str:
+    """The page as Markdown, from rows by the name of their table."""
     parts = [
-        _head(results.seconds, results.quick),
-        hindsight_part(results.ratios),
-        others_part(results.others),
-        bounds_part(results.bounds, results.ratios),
-        coverage_part(results.coverage, results.bounds),
-        chi_part(results.coverage),
-        peers_part(results.tables, results.offline, results.version),
-        pendulum_part(results.pendulum, results.quick),
-        rigs_part(results.rigs),
-        time_part(results.spent),
-        speed_part(results.speed),
-        live_part(results.live),
-        lag_part(),
-        atlas_part(results.atlas),
-        long_part(results.long),
-        soak_part(results.soak),
+        '# Benchmarks',
+        *warnings(tables.get('run', [])),
+        '\n'.join(_sentences(tables)),
+        _pareto_part(tables),
+        _strip_part(tables),
+        _model_part(tables),
+        _efforts_part(tables),
+        _rest_part(tables),
     ]
-    return '\n\n'.join(parts) + '\n'
+    return wrapped('\n\n'.join(parts))
 
 
-def _head(seconds: float, quick: bool) -> str:
-    warning = '\n**Made with --quick: too little data for a judgment.**\n' if quick else ''
-    return f"""# Benchmarks
+def warnings(runs: Rows) -> list[str]:
+    """What keeps the figures from being judged: too little data, or a machine with other work."""
+    found = []
+    quick = [row['part'] for row in runs if row['quick']]
+    if quick:
+        found.append(f'**Made with --quick, too little data to judge by: {", ".join(quick)}.**')
+    busy = [row for row in runs if row['load'] > _BUSY * row['cores']]
+    if busy:
+        worst = max(busy, key=lambda row: row['load'])
+        found.append(
+            f'**Other programs ran on the machine meanwhile (load {worst["load"]:.1f} on '
+            f'{worst["cores"]:.0f} cores): times are too long, latencies most of all.**'
+        )
+    return found
 
-Made by `kinpole bench`: figures as CSV next to each picture in [charts](charts), the same again
-from the same code but for the times. This run took {seconds / 60:.1f} minutes on
-{os.cpu_count()} cores (Python {platform.python_version()}, numpy {np.__version__}).
-{warning}
-Unless said otherwise: one body of 4 markers at 200 Hz, window 0.5 s, lag 0.1 s; noise is white,
-its standard deviation per axis given in body sizes (twice the rms radius of the markers), and not
-given to the tracker. Six motions: a four-bar's coupler at 1 rev/s; turning at a constant 5 rev/s
-with the reference point on an orbit; two sines in angle, x and y; half a second of rest and half a
-second of motion, over and over; a wheel that rolls at 1 rev/s; and a coupler that whips round at a
-dead point, where its acceleration peaks for 0.06 s. The first 1.5 s of each record do not count.
-Errors are RMS over the frames that ours calls determined, and of these over frames whose true pole
-(for κ: the ICR) lies within 10 body sizes and whose true κ is below 10 per size."""
+
+def _sentences(tables: Tables) -> Iterable[str]:
+    """How accurate, how dear, when it fails, what to set."""
+    makers = {
+        'How accurate?': _accurate,
+        'How dear?': _dear,
+        'When does it fail?': _fails,
+        'What to set?': _settings,
+    }
+    for question, make in makers.items():
+        answer = make(tables) or MISSING
+        yield f'- **{question}** {answer}'
+
+
+def _accurate(tables: Tables) -> str:
+    ratios = over_hindsight(tables.get('peers', [])).get(OURS)
+    if ratios is None:
+        return ''
+    text = (
+        f'{_absolute(tables.get("hindsight", []))}The error is {np.median(ratios):.2f} times that '
+        'of the best fixed window that hindsight finds.'
+    )
+    covered = [
+        row['covered']
+        for name in ('coverage', 'coverage_others')
+        for row in tables.get(name, [])
+        if np.isfinite(row['covered'])
+    ]
+    if covered:
+        share = 100 * np.median(covered)
+        text += f' The 95% intervals hold the truth {share:.0f}% of the time (all medians).'
+    return text
+
+
+def _absolute(rows: Rows) -> str:
+    """Errors at the middle noise over what scales them, medians over the motions."""
+    found = []
+    for name in ('ω', 'ICR'):
+        some = [row for row in rows if (row['quantity'], row['noise']) == (name, NOISES[1])]
+        found.append([row['ours'] / row['scale'] for row in some if 'scale' in row])
+    if not all(found):
+        return ''
+    rate, pole = (float(np.nanmedian(each)) for each in found)
+    return (
+        f'With noise of {NOISES[1]:g} body sizes, ω errs by {rate:.2%} and the ICR by {pole:.3f} '
+        'sizes. '
+    )
+
+
+def _dear(tables: Tables) -> str:
+    costs = {row['method']: row for row in tables.get('costs', [])}
+    if not costs:
+        return ''
+    live, replay = (1e6 * costs[OURS][what] for what in ('live', 'replay'))
+    text = f'A frame of one body takes {live:.0f} µs of CPU live and {replay:.0f} µs in replay'
+    node = tables.get('live', [])
+    if node:
+        text += f', and the whole node {node[0]["core"]:.0%} of a core at 200 Hz'
+    return f'{text}.'
+
+
+def _fails(tables: Tables) -> str:
+    rows = troubles(tables.get('rigs', []))
+    if not rows:
+        return ''
+    broken = [(each.name, first) for each in rows if (first := each.first_broken)]
+    silent = sum(level.broken and not level.reported for each in rows for level in each.levels)
+    cases = sum(level.broken for each in rows for level in each.levels)
+    text = (
+        f'Of {len(rows)} troubles of the input, {len(broken)} bring the error past {BOUND:g} times '
+        f'that of ideal input at some strength'
+    )
+    if not cases:
+        return f'{text}.'
+    return f'{text}; diagnostics report {cases - silent} of these {cases} cases.'
+
+
+def _settings(tables: Tables) -> str:
+    lagged = {row['lag']: row for row in tables.get('error_over_lag', []) if row['method'] == OURS}
+    if 0.0 not in lagged or LAG not in lagged:
+        return ''
+    gain = {name: lagged[0.0][name] / lagged[LAG][name] for name in ('ω', 'jerk')}
+    return (
+        f'Set `lag`: {LAG:g} s instead of none makes the error of ω {gain["ω"]:.1f} times and of '
+        f'the jerk {gain["jerk"]:.0f} times smaller; leave `effort` at `normal`.'
+    )
+
+
+def _pareto_part(tables: Tables) -> str:
+    title = '## Against other methods'
+    points = pareto_points(
+        tables.get('peers', []), tables.get('costs', []), tables.get('pynumdiff', [])
+    )
+    if not points:
+        return f'{title}\n\n{MISSING}'
+    ours = next(point for point in points if point.short == 'normal')
+    motions = len({row['motion'] for row in tables['peers']})
+    best = min((p for p in points if p.group == 'peer'), key=lambda p: p.median)
+    return f"""{title}
+
+![Error over CPU time: ours at three efforts, and peers](charts/pareto.png)
+
+Down and left is better; a triangle lies higher than drawn. At 1 (dashed) is the best fixed window
+that hindsight finds for each cell. A cell is one quantity of one motion at one noise: {ours.cells}
+of them, {motions} motions. All but the Kalman filter may look {LAG:g} s ahead.
+
+- Left: of the methods that nobody tuned by the truth, the nearest errs
+  {best.median / ours.median:.1f} times as much as ours ({best.label}).
+- Right: settings picked by the truth for each cell, and PyNumDiff, which sees the whole record.
+  Nobody can set these on a rig.
+- The peers are bare loops: no covariance, no dropouts, no uneven stamps. They are compared on the
+  frames that ours determines."""
+
+
+def _strip_part(tables: Tables) -> str:
+    title = '## Where it breaks'
+    rows = troubles(tables.get('rigs', []))
+    if not rows:
+        return f'{title}\n\n{MISSING}'
+    broken = [(each.name, first) for each in rows if (first := each.first_broken)]
+    listed = '; '.join(f'{name} {first.name}' for name, first in broken) or 'none'
+    return f"""{title}
+
+![Error over that with ideal input, by trouble](charts/strip.png)
+
+Each row is one thing that goes wrong, from little to much. The figure is the error over that with
+ideal input: the larger of ω and ICR, the median of all bodies. It first passes {BOUND:g} at:
+{listed}.
+
+What each message means and its fix: [real_rigs.md](real_rigs.md). Worst bodies, coverage and
+messages: [tables](benchmarks-tables.md#on-real-rigs)."""
+
+
+def _model_part(tables: Tables) -> str:
+    title = '## The model it chose'
+    rows = tables.get('model', [])
+    if not rows:
+        return f'{title}\n\n{MISSING}'
+    motions = {row['motion'] for row in rows}
+    counts = {(row['motion'], row['noise']): row['parameters'] for row in rows}
+    fewer = sum(counts[m, NOISES[0]] > counts[m, NOISES[-1]] for m in motions)
+    least, most = (pick(rows, key=lambda row: row['parameters']) for pick in (min, max))
+    return f"""{title}
+
+![Parameters of the model, by motion and over time](charts/model.png)
+
+Nobody tells it the motion. The models it averages have {least['parameters']:.0f} parameters for
+{least['motion']} and {most['parameters']:.0f} for {most['motion']}, in one window of {WINDOW:g} s.
+What the noise hides takes none: in {fewer} of {len(motions)} motions the most noise leaves fewer
+than the least."""
+
+
+def _efforts_part(tables: Tables) -> str:
+    title = '## What `effort` buys'
+    costs = {row['method']: row for row in tables.get('costs', [])}
+    ratios = over_hindsight(tables.get('peers', []))
+    lines: list[tuple[str, ...]] = []
+    for effort, name in EFFORTS.items():
+        if name in costs and name in ratios:
+            times = (f'{1e6 * costs[name][what]:.0f}' for what in ('live', 'replay'))
+            errors = (number(value) for value in np.percentile(ratios[name], (50, 90, 100)))
+            lines.append((f'`{effort}`', *times, *errors))
+    if not lines:
+        return f'{title}\n\n{MISSING}'
+    head = ('`effort`', 'live, µs', 'replay, µs', 'error: median', '90th percentile', 'worst')
+    return f"""{title}
+
+{table(head, lines)}
+
+CPU time a frame of one body, with all poles and the curvature; errors as in the first chart."""
+
+
+def _rest_part(tables: Tables) -> str:
+    runs = tables.get('run', [])
+    made = ''
+    if runs:
+        last = max(runs, key=lambda row: row['day'])
+        made = f"""
+
+Made by `kinpole bench` in {sum(row['seconds'] for row in runs) / 60:.0f} minutes on
+{last['cores']:.0f} cores ({last['python']}, {last['numpy']}), {last['day']}."""
+    return f"""## How it was measured
+
+One body of four markers at 200 Hz, window {WINDOW:g} s, lag {LAG:g} s, even stamps. The noise is
+white, of {', '.join(f'{noise:g}' for noise in NOISES)} body sizes, and the tracker is not given it.
+The motions are exact: [what they are](benchmarks-tables.md#motions). The Kalman smoother on the
+left takes the process noise that is likeliest at {TUNED_ON[0]:g} to {TUNED_ON[1]:g} s of each
+record.
+
+Every table, the stability atlas, the live node, the pendulum and long runs:
+[benchmarks-tables.md](benchmarks-tables.md). Figures as CSV: [charts](charts).{made}"""

@@ -1,7 +1,7 @@
 """
-The page of the benchmarks, as to costs and limits: times, lag, the stability atlas, long runs.
+The tables of the benchmarks, as to costs and limits: times, lag, the stability atlas, long runs.
 
-Each part is made of figures that others have measured, and says what to see in its picture.
+Each part is made of rows that others have measured, and is empty where there are none.
 """
 
 from typing import Any
@@ -10,32 +10,35 @@ import numpy as np
 
 from bench._atlas import SHOWN
 from bench._markdown import PEER_BAR, number, table
+from bench._overview import pipeline_ratio
 from bench._peers import OURS
 from bench._record import NOISES
+from bench._rows import Rows
 
-Rows = list[dict[str, Any]]
 # Most that latencies may be over those of the relay.
 _P50_BAR, _P99_BAR = 1.5, 2.0
 
 
-def time_part(spent: dict[str, float]) -> str:
-    rows = ((method, f'{1e6 * seconds:.0f}') for method, seconds in spent.items())
-    fixed = spent['the same pipeline, fixed 41/4']
-    ratio = spent[OURS] / fixed
-    return f"""## Error against CPU time
+def time_part(costs: Rows) -> str:
+    if not costs:
+        return ''
+    rows = (
+        (row['method'], *(f'{1e6 * row[what]:.1f}' for what in ('live', 'replay'))) for row in costs
+    )
+    return f"""## CPU time by method
 
-{table(('method', 'CPU time per frame of one body, µs'), rows)}
+{table(('method', 'live, µs a frame', 'replay, µs a frame'), rows)}
 
-Ours takes {ratio:.2f} times as long as a fixed local polynomial through the same pipeline (bar: 3).
-Least of several runs; the peers are bare loops without covariances, dropouts, uneven stamps or
-any checks, the pose fit included where they use one.
-
-![Error against CPU time](charts/error_over_time.png)
-
-To see: what is left of ours is cheaper, what is above it is worse; at a noise of {NOISES[1]:g}."""
+All figures of one body up to the jerk: live frame by frame, in replay many frames at once. Ours
+takes {pipeline_ratio(costs):.2f} times as long live as a fixed polynomial through the same pipeline
+(bar: 3). Least of several runs."""
 
 
-def speed_part(rows: Rows) -> str:
+def speed_part(speed: Rows, start: Rows) -> str:
+    rows = speed + start
+    if not rows:
+        return ''
+
     def figure(row: dict[str, Any], name: str) -> str:
         return (
             f'{row[name]:,.3g} {row["unit"]}'
@@ -57,11 +60,14 @@ def speed_part(rows: Rows) -> str:
 
 {table(('what', 'ours', 'the other', 'ratio', 'bar'), told)}
 
-Bold does not reach its bar. CPU times, but for rates, start and help; each pair in one run. The
-rates are those of one body, as below; one is held when it is in one of two tries of 2.5 s."""
+Bold does not reach its bar. CPU times, but for rates, start and help; each pair in one run. A rate
+is held when 99% of the frames are answered within two periods, in one of two tries."""
 
 
 def live_part(rows: Rows) -> str:
+    if not rows:
+        return ''
+
     def against(row: dict[str, Any], name: str, bar: float) -> str:
         ratio = row[name] / row[f'{name}_relay']
         text = number(ratio) if ratio <= bar else f'**{number(ratio)}**'
@@ -91,29 +97,33 @@ def live_part(rows: Rows) -> str:
 {table(head, lines)}
 
 Bold is above its bar: {_P50_BAR:g} for p50, {_P99_BAR:g} for p99. Latency is from sending a frame
-to the arrival of its last result; a frame without one counts as infinitely late. The relay is a
-node that reads the same message as rclpy makes it and publishes one vector. Both get every frame,
-half a period after each other, from a process that sleeps between frames; the rate is 200 Hz unless
-said. Bodies have 4 markers each, of 20 or more in a cloud. Angular velocity, ICR and centrode
-curvature of each body are subscribed to unless said. Paths and drawings count for the core only.
-Each figure is the median of three runs of 5 s: [live.csv](charts/live.csv)."""
+to the arrival of its last result; a frame without one counts as infinitely late. The relay reads
+the same message as rclpy makes it and publishes one vector. Both get every frame, half a period
+after each other, from a process that sleeps between frames.
+
+Unless said: 200 Hz, 4 markers a body, of 20 or more in a cloud. Angular velocity, ICR and centrode
+curvature of each body are subscribed to. Paths and drawings count for the core only. Median of
+three runs: [live.csv](charts/live.csv)."""
 
 
 def _beyond_bar(row: dict[str, Any]) -> bool:
     return bool((row['ratio'] < row['bar']) if row['least'] else (row['ratio'] > row['bar']))
 
 
-def lag_part() -> str:
+def lag_part(rows: Rows) -> str:
+    if not rows:
+        return ''
     return f"""## Error against lag
 
 ![Error against lag](charts/error_over_lag.png)
 
-To see: every method but the plain finite differences gains a factor from the first 0.05 s of lag;
-the lower the line, the better at that lag. Median over six motions at a noise of {NOISES[1]:g}, on
-the frames that ours calls determined at every lag, over ours at 0.1 s."""
+The lower the line, the better at that lag. Median over six motions at a noise of {NOISES[1]:g},
+over ours at 0.1 s, on the frames that ours determines at every lag."""
 
 
 def atlas_part(rows: Rows) -> str:
+    if not rows:
+        return ''
     raised = [row for row in rows if row['raised']]
     finite = [row for row in rows if row['not_finite']]
     both = {
@@ -171,15 +181,13 @@ determined: **{len(finite)}**, of {len(rows)} (both methods).
 
 ![Stability atlas: ω and ICR](charts/atlas.png)
 
-To see: where the error (above) grows without bound, the share determined (below) must fall with it.
-Dotted is the fixed window of 41 samples and degree 4 in the same pipeline, which has no use for a
-window with a sample missing.
+Where the error (above) grows without bound, the share determined (below) must fall with it. Dotted
+is the fixed window of 41 samples and degree 4 in the same pipeline.
 
 ![Stability atlas: IAP and κ](charts/atlas_higher.png)
 
-To see: the same of what needs more derivatives; the fixed window loses them sooner. At a cusp of
-the centrode (compared 0.05 s to either side of it) the poles stay, and κ, infinite there, is
-withheld in the frames that cannot tell and poor next to them.
+The same of what needs more derivatives; the fixed window loses them sooner. At a cusp of the
+centrode κ is infinite, and withheld in the frames that cannot tell.
 
 Where the fixed window does worst on poles, limit by limit (error over the body's size, share
 determined):
@@ -189,15 +197,17 @@ determined):
 Ours is worse by more than {PEER_BAR} in {len(better)} of {len(poles) * len(both)} figures
 {f'({contrary})' if better else ''}.
 
-Ours in all cells:
+<details><summary>Ours in all cells</summary>
 
 {told}
 
-Errors are medians over determined frames: of rates over the figure (at least the rms of ω to that
-power), of poles over the body's size, of κ over the figure (at least one per size)."""
+</details>
+
+Errors are medians over determined frames. Rates: over the figure, or the rms of ω to that power.
+Poles: over the body's size. κ: over the figure, or one per size."""
 
 
-def long_part(rows: list[dict[str, float]]) -> str:
+def long_part(rows: Rows) -> str:
     title = '## A long run'
     if not rows:
         return f"""{title}
@@ -226,13 +236,12 @@ charts/long.csv, which the next page quotes."""
 Every stretch: [long.csv](charts/long.csv)."""
 
 
-def soak_part(rows: list[dict[str, float]]) -> str:
+def soak_part(rows: Rows) -> str:
     title = '## The live node for a while'
     if not rows:
         return f"""{title}
 
-Not measured: `kinpole bench --soak 30` runs it for 30 minutes and writes charts/soak.csv, which the
-next page quotes."""
+Not measured: `kinpole bench --soak 30` runs it for 30 minutes."""
     # The first minute is that of the start.
     shown = [rows[k] for k in sorted({0, 1, len(rows) // 2, len(rows) - 1}) if k < len(rows)]
     told = table(
@@ -249,9 +258,9 @@ next page quotes."""
     )
     return f"""{title}
 
-{len(rows)} minutes at 500 Hz (`kinpole bench --soak`): each marker of the body is hidden in 5% of
-the frames and 0.1 m off in 0.2%, 1% of the frames are never sent, and every 20 s the clock jumps.
-Latency is from sending a frame to the arrival of its angular velocity, less the lag.
+{len(rows)} minutes at 500 Hz (`kinpole bench --soak`). Each marker is hidden in 5% of the frames
+and 0.1 m off in 0.2%. 1% of the frames are never sent, and every 20 s the clock jumps. Latency is
+from sending a frame to the arrival of its angular velocity, less the lag.
 
 {told}
 

@@ -1,14 +1,13 @@
-"""The page of the benchmarks, as to real rigs: what comes of input that is not ideal."""
+"""The tables of the benchmarks, as to real rigs: what comes of input that is not ideal."""
 
-from textwrap import fill
 from typing import Any
 
 import numpy as np
 
 from bench._markdown import number, table
 from bench._rigs import NOISE, rigs
+from bench._rows import Rows
 
-Rows = list[dict[str, Any]]
 TITLE = '## On real rigs'
 # Parts of the table: name, and the bars of it in words.
 _PARTS = {
@@ -26,36 +25,29 @@ _PARTS = {
 def rigs_part(rows: Rows) -> str:
     """The section, from the rows of `rig_rows` or as their CSV file has them, as text."""
     if not rows:
-        return f"""{TITLE}
-
-Not measured: `kinpole bench --rigs` does it alone, in two minutes."""
+        return ''
     parts = '\n\n'.join(
-        f'{fill(words, 100)}\n\n{_table([row for row in rows if row["part"] == part])}'
+        f'{words}\n\n{_table([row for row in rows if row["part"] == part])}'
         for part, words in _PARTS.items()
     )
     return f"""{TITLE}
 
-`kinpole bench --rigs` makes this section alone. {len(rigs())} rigs: the six motions two by two,
-four markers on each body, and the links of a four-bar. 100 and 200 Hz where no other rate is given,
-{1e3 * NOISE:g} mm of noise on all three axes, a camera whose interval is 100 ppm off, window 0.3 s,
-lag 0.1 s. The first 2 s do not count.
+`kinpole bench --rigs` measures this alone. {len(rigs())} rigs: the six motions two by two, four
+markers on each body, and the links of a four-bar. 100 and 200 Hz, or 200 Hz where there is no bar.
+Noise is {1e3 * NOISE:g} mm on all three axes. The camera's interval is 100 ppm off, the window is
+0.3 s, the lag 0.1 s. The first 2 s do not count.
 
-- Errors: RMS over that with ideal input, of the frames at which both are determined; median and
-  worst of all bodies and rates. Bold is a worst one over its bar. A dash: not determined, or no
-  error with ideal input.
-- Covered: share in the 95% region, %; median and least of all, in parentheses the median with ideal
+- Errors: RMS over that with ideal input, of the frames at which both are determined. Median and
+  worst of all bodies and rates. Bold is a worst one over its bar.
+- A dash: not determined, or no error with ideal input.
+- Covered: share in the 95% region, %. Median and least of all, in parentheses the median with ideal
   input.
 - Beyond 5σ and 10σ, and withheld of what is determined with ideal input: mean of ω and ICR, %.
 - Reported: what the diagnostics say and do not with ideal input, and in how many runs.
 
 {parts}
 
-Every figure: [rigs.csv](charts/rigs.csv).
-
-![Errors on real rigs over those with ideal input](charts/rigs.png)
-
-To see: all marks should lie at the dashed line, 1.1, or to its left. What is beyond 1000 is drawn
-there."""
+Every figure: [rigs.csv](charts/rigs.csv)."""
 
 
 def _table(rows: Rows) -> str:

@@ -1,5 +1,5 @@
 """
-The ways in which drivers, cameras and bodies spoil markers, and the bars for what comes of it.
+The ways in which drivers, cameras and bodies spoil markers.
 
 Each takes an exact recording and says what is sent of it, and with which parameters it is tracked.
 """
@@ -12,9 +12,12 @@ import numpy as np
 from bench._rigs import NOISE, Recording
 from kinpole_ros.planar import to_complex
 
-_LOST = 0.02
+# ns, between frames that a driver takes from its queue.
+_WAIT = 100_000
+# Share of frames.
+LOST = 0.02
 # s. When names begin to fail: before shapes are learned, and after.
-_EARLY, _LATE = 0.1, 2.5
+EARLY, LATE = 0.1, 2.5
 
 
 class Sent(NamedTuple):
@@ -54,34 +57,43 @@ def _markers(r: Recording, names: tuple[str, ...]) -> dict[str, Any]:
     }
 
 
-def _parameters(**settings: Any) -> Spoil:
+def parameters(**settings: Any) -> Spoil:
     return lambda r, rng: ideal(r, settings=settings)
 
 
-def _stamped(late: Callable[[np.random.Generator, int], np.ndarray], step: int = 1) -> Spoil:
-    """Stamps late by times (M,), s, rounded to `step` ns, in order; some frames are lost."""
+def stamped(
+    late: Callable[[np.random.Generator, int], np.ndarray],
+    step: int = 1,
+    lost: float = LOST,
+    wait: int = 1,
+) -> Spoil:
+    """
+    Stamps late by times (M,), s, rounded to `step` ns, in order; so many frames are lost.
+
+    Those that come at once are stamped `wait` ns after each other.
+    """
 
     def spoil(r: Recording, rng: np.random.Generator) -> Sent:
-        kept = np.flatnonzero(rng.random(len(r.times)) >= _LOST)
+        kept = np.flatnonzero(rng.random(len(r.times)) >= lost)
         stamps = r.stamps[kept] + np.rint(1e9 * late(rng, len(kept))).astype(np.int64)
         stamps = (stamps + step // 2) // step * step
         # What overtakes waits in the queue for those before.
-        count = np.arange(len(kept))
-        stamps = np.maximum.accumulate(stamps - count) + count
+        queue = wait * np.arange(len(kept))
+        stamps = np.maximum.accumulate(stamps - queue) + queue
         return ideal(r, frames=kept, stamps=stamps, points=r.points[kept])
 
     return spoil
 
 
-def _exponential(mean: float) -> Spoil:
-    return _stamped(lambda rng, count: rng.exponential(mean, count))
+def exponential(mean: float) -> Spoil:
+    return stamped(lambda rng, count: rng.exponential(mean, count), wait=_WAIT)
 
 
-def _in_time(rng: np.random.Generator, count: int) -> np.ndarray:
+def in_time(rng: np.random.Generator, count: int) -> np.ndarray:
     return np.zeros(count)
 
 
-def _tilted(degrees: float, plane: str) -> Spoil:
+def tilted(degrees: float, plane: str) -> Spoil:
     """The plane turned about any axis in it."""
 
     def spoil(r: Recording, rng: np.random.Generator) -> Sent:
@@ -96,7 +108,7 @@ def _tilted(degrees: float, plane: str) -> Spoil:
     return spoil
 
 
-def _in_mm(**settings: Any) -> Spoil:
+def in_mm(**settings: Any) -> Spoil:
     return lambda r, rng: ideal(r, points=1e3 * r.points, settings=settings)
 
 
@@ -105,7 +117,7 @@ def _two(r: Recording) -> list[int]:
     return [int((r.owner == 0).sum()) - 1, int((r.owner == 0).sum())]
 
 
-def _exchanged(since: float) -> Spoil:
+def exchanged(since: float) -> Spoil:
     """The names of two markers of two bodies, from so many s on."""
 
     def spoil(r: Recording, rng: np.random.Generator) -> Sent:
@@ -117,12 +129,12 @@ def _exchanged(since: float) -> Spoil:
     return spoil
 
 
-def _renamed(r: Recording, rng: np.random.Generator) -> Sent:
+def renamed(r: Recording, rng: np.random.Generator) -> Sent:
     """Two ids gone for 0.3 s, then back as new ones."""
     two = _two(r)
     points = np.concatenate((r.points, r.points[:, two]), axis=1)
-    points[np.ix_(r.times >= _LATE, two)] = np.nan
-    points[r.times < _LATE + 0.3, -2:] = np.nan
+    points[np.ix_(r.times >= LATE, two)] = np.nan
+    points[r.times < LATE + 0.3, -2:] = np.nan
     return ideal(r, points=points, names=(*r.names, 'new_1', 'new_2'))
 
 
@@ -136,16 +148,21 @@ def _nameless(r: Recording, points: np.ndarray, **settings: Any) -> Sent:
     return ideal(r, points=points, names=names, settings=settings, nameless=True)
 
 
-def _absent(r: Recording, rng: np.random.Generator) -> Sent:
-    gone = rng.random(r.points.shape[:2]) < 0.05
-    return _nameless(r, np.where(gone[..., None], np.nan, r.points))
+def absent(share: float) -> Spoil:
+    """So many of the points of a cloud without names are not there."""
+    return lambda r, rng: _nameless(r, _gone(r, rng, share))
 
 
-def _ghost(r: Recording, rng: np.random.Generator) -> Sent:
+def _gone(r: Recording, rng: np.random.Generator, share: float) -> np.ndarray:
+    gone = rng.random(r.points.shape[:2]) < share
+    return np.where(gone[..., None], np.nan, r.points)
+
+
+def ghost(r: Recording, rng: np.random.Generator) -> Sent:
     """A point that stands amid the bodies from a time on, somewhere in the order of each frame."""
     count = len(r.names)
     ghost = np.full((len(r.times), 1, 3), np.nan)
-    ghost[r.times >= _LATE] = r.points.mean(axis=(0, 1))
+    ghost[r.times >= LATE] = r.points.mean(axis=(0, 1))
     ghost += NOISE * rng.normal(size=ghost.shape)
     place = rng.integers(count + 1, size=(len(ghost), 1)) - 0.5
     order = np.argsort(np.concatenate((np.arange(count) + 0 * place, place), axis=1), axis=1)
@@ -153,7 +170,7 @@ def _ghost(r: Recording, rng: np.random.Generator) -> Sent:
     return _nameless(r, np.take_along_axis(every, order[..., None], axis=1))
 
 
-def _any_order(r: Recording, rng: np.random.Generator) -> Sent:
+def any_order(r: Recording, rng: np.random.Generator) -> Sent:
     order = rng.permuted(np.tile(np.arange(len(r.names)), (len(r.times), 1)), axis=1)
     shapes = {
         f'{body}.shape': np.ravel([(w.real, w.imag) for w in r.shape[r.owner == b]]).tolist()
@@ -176,30 +193,44 @@ def _moved(r: Recording, by: np.ndarray, **changes: Any) -> Sent:
     return ideal(r, points=points, **changes)
 
 
-def _noisier(r: Recording, rng: np.random.Generator) -> Sent:
-    points = r.points.copy()
-    points[:, _firsts(r)] += 9.95 * NOISE * rng.normal(size=(len(points), len(r.bodies), 3))
-    return ideal(r, points=points)
+def noisier(times: float) -> Spoil:
+    """One marker of each body has so many times the noise."""
+
+    def spoil(r: Recording, rng: np.random.Generator) -> Sent:
+        points = r.points.copy()
+        more = NOISE * np.sqrt(times**2 - 1) * rng.normal(size=(len(points), len(r.bodies), 3))
+        points[:, _firsts(r)] += more
+        return ideal(r, points=points)
+
+    return spoil
 
 
-def _slipping(r: Recording, rng: np.random.Generator) -> Sent:
-    """One marker of each body slides by 2 mm to either side, along its x axis, as it turns."""
-    by, phase = np.zeros(r.points.shape[:2], complex), np.sin(r.angle[0])
-    by[:, _firsts(r)] = 0.002 * phase / np.abs(phase).max(axis=0) * np.exp(1j * r.angle[0])
-    return _moved(r, by)
+def slipping(far: float) -> Spoil:
+    """One marker of each body slides so far, m, to either side along its x axis as it turns."""
+
+    def spoil(r: Recording, rng: np.random.Generator) -> Sent:
+        by, phase = np.zeros(r.points.shape[:2], complex), np.sin(r.angle[0])
+        by[:, _firsts(r)] = far * phase / np.abs(phase).max(axis=0) * np.exp(1j * r.angle[0])
+        return _moved(r, by)
+
+    return spoil
 
 
-def _soft(r: Recording, rng: np.random.Generator) -> Sent:
-    """Each marker wobbles by 5 mm per axis, with a correlation of 1/e after 0.2 s."""
-    white = rng.normal(size=(*r.points.shape[:2], 2)) @ (1, 1j)
-    # White noise through a Gaussian of s seconds is correlated as exp(-(t / 2 s)^2), s = 0.1.
-    frequency = np.fft.fftfreq(len(white), r.times[1] - r.times[0])
-    wave = np.exp(-2 * (np.pi * 0.1 * frequency) ** 2)
-    wobble = np.fft.ifft(np.fft.fft(white, axis=0) * wave[:, None], axis=0)
-    return _moved(r, 0.005 * wobble / np.sqrt(np.mean(wave**2)))
+def soft(far: float) -> Spoil:
+    """Each marker wobbles by so much per axis, m, with a correlation of 1/e after 0.2 s."""
+
+    def spoil(r: Recording, rng: np.random.Generator) -> Sent:
+        white = rng.normal(size=(*r.points.shape[:2], 2)) @ (1, 1j)
+        # White noise through a Gaussian of s seconds is correlated as exp(-(t / 2 s)^2), s = 0.1.
+        frequency = np.fft.fftfreq(len(white), r.times[1] - r.times[0])
+        wave = np.exp(-2 * (np.pi * 0.1 * frequency) ** 2)
+        wobble = np.fft.ifft(np.fft.fft(white, axis=0) * wave[:, None], axis=0)
+        return _moved(r, far * wobble / np.sqrt(np.mean(wave**2)))
+
+    return spoil
 
 
-def _barrel(share: float) -> Spoil:
+def barrel(share: float) -> Spoil:
     """A lens that draws in what it sees at the edge by this share, and less inside: r^3."""
 
     def spoil(r: Recording, rng: np.random.Generator) -> Sent:
@@ -211,7 +242,7 @@ def _barrel(share: float) -> Spoil:
     return spoil
 
 
-def _misplaced(angle: float, shift: float) -> Spoil:
+def misplaced(angle: float, shift: float) -> Spoil:
     """In a frame every 0.6 s one body, in turn, is turned about its middle and shifted, rad, m."""
 
     def spoil(r: Recording, rng: np.random.Generator) -> Sent:
@@ -227,73 +258,6 @@ def _misplaced(angle: float, shift: float) -> Spoil:
     return spoil
 
 
-def _hidden(r: Recording, rng: np.random.Generator) -> Sent:
-    gone = rng.random(r.points.shape[:2]) < 0.9
-    return ideal(r, points=np.where(gone[..., None], np.nan, r.points))
-
-
-class Case(NamedTuple):
-    """
-    One way to spoil a recording, at frame rates in Hz.
-
-    `bar` is the most that errors over the ideal ones of the quantities `on` may be. Frames are
-    `uneven` by so many intervals; `ideal` are parameters of the ideal run.
-    """
-
-    part: str
-    what: str
-    spoil: Spoil
-    bar: float = np.nan
-    on: tuple[str, ...] = ('ω', 'α', 'jerk', 'ICR')
-    rates: tuple[float, ...] = (100.0, 200.0)
-    uneven: float = 0.0
-    ideal: dict[str, Any] = {}  # noqa: RUF012 - nobody writes to it
-
-
-_POINTS = ('ω', 'ICR')
-CASES = (
-    Case(
-        'stamps',
-        'late by 0.2 to 3 ms, uniform',
-        _stamped(lambda g, n: g.uniform(2e-4, 3e-3, n)),
-        1.1,
-    ),
-    *(
-        Case('stamps', f'late by exp({1e3 * mean:g} ms)', _exponential(mean), 1.1)
-        for mean in (5e-4, 1e-3)
-    ),
-    Case('stamps', 'late by exp(3 ms)', _exponential(3e-3), 1.3),
-    Case('stamps', 'rounded to 1 ms', _stamped(_in_time, 10**6), 1.1),
-    Case('stamps', 'rounded to 1 ms, 240 Hz', _stamped(_in_time, 10**6), 1.1, rates=(240.0,)),
-    Case('stamps', 'in µs, 120 Hz', _stamped(_in_time, 1000), 1.1, rates=(120.0,)),
-    Case(
-        'stamps',
-        'true, uneven by 0.3 intervals',
-        ideal,
-        1.05,
-        uneven=0.3,
-        ideal={'stamps': 'capture'},
-    ),
-    *(
-        Case('plane', f'tilt {tilt}°, plane: {plane}', _tilted(tilt, plane), bar, ('ICR',))
-        for plane, bar in (('fit', 1.1), ('xy', np.nan))
-        for tilt in (3, 10, 20, 30, 90)
-    ),
-    Case('plane', 'in mm', _in_mm()),
-    Case('plane', 'in mm, scale: 0.001', _in_mm(scale=0.001), 1.001),
-    Case('names', 'two exchanged for good at 0.1 s', _exchanged(_EARLY), 1.2, ('ω',)),
-    Case('names', 'two exchanged for good at 2.5 s', _exchanged(_LATE), 1.2, ('ω',)),
-    Case('names', 'two gone for 0.3 s, back as new ones', _renamed, 1.2, ('ω',)),
-    Case('names', 'none, 5% of the points absent', _absent, 1.2, ('ω',)),
-    Case('names', 'none, a ghost from 2.5 s on', _ghost, 1.2, ('ω',)),
-    Case('names', 'none, any order, shapes given', _any_order, 1.2, ('ω',)),
-    Case('markers', 'one of each body 10 times noisier', _noisier, 1.25, _POINTS),
-    Case('markers', 'one of each body slips by 2 mm', _slipping, 1.25, _POINTS),
-    Case('markers', '90% hidden', _hidden),
-    Case('frames', 'one with a body turned by 0.3 rad', _misplaced(0.3, 0.0)),
-    Case('frames', 'one with a body turned by 2 rad', _misplaced(2.0, 0.0)),
-    Case('frames', 'one with a body 20 mm off', _misplaced(0.0, 0.02)),
-    Case('bodies', 'soft tissue, 5 mm over 0.2 s', _soft),
-    Case('bodies', 'barrel distortion of 1%', _barrel(0.01)),
-    Case('bodies', 'barrel distortion of 5%', _barrel(0.05)),
-)
+def hidden(share: float) -> Spoil:
+    """So many of the markers are not seen, each frame others."""
+    return lambda r, rng: ideal(r, points=_gone(r, rng, share))

@@ -10,22 +10,30 @@ import pytest
 
 from bench import _long, hindsight_table, motions
 from bench._bounds import propagated
+from bench._charts_first import spread
 from bench._hindsight import LEVELS, apply_weights, coverage, fixed_weights, visible
+from bench._markdown import table, wrapped
+from bench._model import model_rows
 from bench._motions import cusped, other_motions, swinging
-from bench._page_accuracy import _beyond
+from bench._page import make_page
 from bench._page_limits import long_part
-from bench._peers import OURS, make_kalman, run_kalman
+from bench._page_peers import _beyond
+from bench._parts import PARTS
+from bench._peers import FIXED, OURS, likely_kalman, make_kalman, run_kalman
 from bench._pendulum import _fixed, _poles
 from bench._record import (
+    NOISES,
     POLES,
     QUANTITIES,
+    RATE,
     Figures,
     Recording,
     make_recording,
     quantities,
     rms,
 )
-from bench._report import _SECONDS, _read_csv, _write_csv, progress_of_parts
+from bench._report import progress_of_parts
+from bench._rows import read_rows, write_rows
 from kinpole_ros import planar
 from kinpole_ros.pipeline.frame import MarkerFrames
 from kinpole_ros.pipeline.tracker import Tracker
@@ -178,9 +186,11 @@ def test_ours_is_held_against_the_least_of_the_peers_named() -> None:
 
 
 def test_rows_that_lack_something_are_read_back_as_they_were_written(tmp_path: Path) -> None:
-    _write_csv(tmp_path / 'rows.csv', [{'a': 1.0, 'b': 2.0}, {'a': 3.0}])
-    first, second = _read_csv(tmp_path / 'rows.csv')
-    assert (first, second['a']) == ({'a': 1.0, 'b': 2.0}, 3.0)
+    first = {'a': 1.0, 'b': 2.0, 'sure': True, 'said': 'late; lost', 'none': ''}
+    write_rows(tmp_path / 'rows.csv', [first, {'a': 3.0, 'sure': False, 'said': ''}])
+    found, second = read_rows(tmp_path / 'rows.csv')
+    assert found == first
+    assert (second['a'], second['sure'], second['said']) == (3.0, False, '')
     assert np.isnan(second['b'])
 
 
@@ -234,12 +244,12 @@ def test_a_long_run_tells_a_frame_that_drifts_from_one_that_stays(monkeypatch: A
 
 def test_the_page_quotes_a_long_run_once_it_is_written(tmp_path: Path) -> None:
     path = tmp_path / 'long.csv'
-    assert _read_csv(path) == []
+    assert read_rows(path) == []
     assert 'Not measured' in long_part([])
     names = ('omega_error', 'icr_error', 'turned', 'shifted', 'shape_error', 'memory', 'cpu')
     rows = [{'frame': 5e4 * k} | dict.fromkeys(names, 1e-3 * k) for k in range(1, 201)]
-    _write_csv(path, rows)
-    told = long_part(_read_csv(path))
+    write_rows(path, rows)
+    told = long_part(read_rows(path))
     assert '1e+07 frames' in told
     assert 'turned by 0.2 rad' in told
 
@@ -274,6 +284,77 @@ def test_kalman_smoother_is_exact_on_what_it_models_and_better_than_the_filter()
     assert errors[1] < errors[0] / 2
 
 
+def test_a_smoother_tuned_on_itself_is_near_the_best_for_each_signal() -> None:
+    t = np.arange(800) / RATE
+    slow, fast = np.sin(2 * t), np.sin(40 * t)
+    rng = np.random.default_rng(2)
+    frames = np.arange(400, 760)
+    signal = np.stack((slow, fast), axis=1) + 1e-3 * rng.normal(size=(800, 2))
+    truth = np.stack((2 * np.cos(2 * t), 40 * np.cos(40 * t)), axis=1)[frames]
+
+    def error(found: np.ndarray) -> np.ndarray:
+        return np.asarray(np.sqrt(np.mean((found[1] - truth) ** 2, axis=0)))
+
+    (found,) = likely_kalman((signal,), frames, 20)
+    best = np.min(
+        [
+            error(RATE * run_kalman(make_kalman(snap, 20), signal, frames))
+            for snap in 10.0 ** np.arange(-13, 3)
+        ],
+        axis=0,
+    )
+    # Of the fast one the likeliest is not what errs least; any one setting errs 8 times as much.
+    assert (error(found) < (1.5, 5) * best).all()
+
+
+def test_names_in_a_chart_do_not_overlap_nor_leave_it() -> None:
+    places = spread(np.array([0.0, 0.0, 0.01, 0.5, 0.99, 1.0]), 0.1, 0.0, 1.0)
+    assert (np.diff(places) > 0.099).all()
+    assert places[0] >= 0.049
+    assert places[-1] <= 0.951
+    assert places[3] == pytest.approx(0.5, abs=0.06)
+
+
+def test_a_steady_turn_takes_two_parameters_and_noise_hides_others() -> None:
+    rows = model_rows(('fast rotation', 'two sines'), 1, 2.5)
+    found = {(row['motion'], row['noise']): row['parameters'] for row in rows}
+    for noise in NOISES:
+        assert found['fast rotation', noise] == pytest.approx(2, abs=0.3)
+    sines = [found['two sines', noise] for noise in NOISES]
+    assert sines == sorted(sines, reverse=True)
+    assert sines[-1] > 4
+
+
+def test_the_page_says_what_the_rows_say_and_no_more() -> None:
+    nothing = make_page({})
+    assert nothing.count('Not measured.') == 8
+    cell = {'motion': 'two sines', 'noise': 1e-3, 'quantity': 'ω', 'unit': 'rad/s'}
+    methods = {OURS: 0.5, FIXED: 2.0, 'Savitzky-Golay 41/4 on markers': 3.0}
+    peers = [{'method': method, 'error': error} | cell for method, error in methods.items()]
+    costs = [{'method': method, 'live': 3e-4, 'replay': 2e-5} for method in methods]
+    text = ' '.join(make_page({'peers': peers, 'costs': costs}).split())
+    assert 'The error is 0.25 times that of the best fixed window' in text
+    assert 'takes 300 µs of CPU live and 20 µs in replay.' in text
+    assert 'the nearest errs 6.0 times as much as ours (Savitzky-Golay 41/4)' in text
+    assert text.count('Not measured.') == 4
+    run = {'part': 'costs', 'seconds': 60.0, 'quick': False, 'load': 1.5, 'cores': 2.0}
+    words = {'day': '2026-01-01', 'python': 'Python 3.12', 'numpy': 'numpy 2.0'}
+    assert 'Other programs ran' in make_page({'run': [run | words]})
+    assert 'Other programs ran' not in make_page({'run': [run | words | {'load': 0.1}]})
+
+
+def test_paragraphs_and_lists_are_wrapped_and_tables_are_not() -> None:
+    long = 'word ' * 60
+    rows = table(('a', 'b'), [(long, long)])
+    found = wrapped(f'## {long}\n\n{long}\n\n- {long}\n- {long}\n\n{rows}\n')
+    head, paragraph, items, kept = found.rstrip('\n').split('\n\n')
+    assert head == f'## {long}'.rstrip() or head == f'## {long}'
+    assert kept == rows
+    assert max(map(len, (paragraph + '\n' + items).splitlines())) <= 100
+    assert sum(line.startswith('- ') for line in items.splitlines()) == 2
+    assert all(line.startswith(('- ', '  ')) for line in items.splitlines())
+
+
 def test_rms_counts_only_the_frames_that_count() -> None:
     error = np.array([[3.0], [np.nan], [4.0], [1e9]])
     where = np.array([[True], [False], [True], [False]])
@@ -284,7 +365,7 @@ def test_rms_counts_only_the_frames_that_count() -> None:
 def test_the_bar_goes_with_the_time_that_parts_take(quick: bool) -> None:
     told: list[float] = []
     part = progress_of_parts(told.append, quick)
-    for name in _SECONDS:
+    for name in PARTS:
         for share in (0.0, 0.5, 1.0):
             part(name)(share)
     assert told == sorted(told)
@@ -292,7 +373,7 @@ def test_the_bar_goes_with_the_time_that_parts_take(quick: bool) -> None:
     # The live node takes long.
     part('live')(0.0)
     part('live')(1.0)
-    seconds = {name: each[quick] for name, each in _SECONDS.items()}
+    seconds = {name: each.seconds[quick] for name, each in PARTS.items()}
     assert told[-1] - told[-2] == pytest.approx(seconds['live'] / sum(seconds.values()))
 
 
@@ -300,7 +381,7 @@ def test_a_table_that_cannot_be_written_is_named(tmp_path: Path) -> None:
     full = tmp_path / 'speed.csv'
     full.symlink_to('/dev/full')
     with pytest.raises(OSError, match=r'No space left on device: .*speed\.csv'):
-        _write_csv(full, [{'ours': 1.0}])
+        write_rows(full, [{'ours': 1.0}])
 
 
 @pytest.mark.parametrize('minutes', ['0', '-1', 'nan'])

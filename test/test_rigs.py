@@ -6,11 +6,15 @@ from typing import Any
 import numpy as np
 import pytest
 
-from bench import _report, _spoil, bench_rigs
+from bench import _spoil
+from bench._cases import CASES, Case
 from bench._outcome import FIGURES, rig_rows, run
+from bench._overview import troubles
 from bench._page_rigs import rigs_part
+from bench._parts import PARTS, Part
 from bench._rigs import NOISE, Recording, record, rigs
-from bench._spoil import CASES, Case, Sent, ideal
+from bench._rows import write_rows
+from bench._spoil import Sent, ideal
 from kinpole_ros.pipeline.parameters import settings_from
 from kinpole_ros.planar import to_complex
 from kinpole_ros.tools import cli
@@ -77,7 +81,7 @@ def test_stamps_are_late_by_what_is_said(recording: Recording) -> None:
 
 
 def test_a_tilted_plane_is_turned_about_an_axis_in_it(recording: Recording) -> None:
-    turns = [_spoil._tilted(30.0, 'xy')(recording, np.random.default_rng(k)) for k in range(3)]
+    turns = [_spoil.tilted(30.0, 'xy')(recording, np.random.default_rng(k)) for k in range(3)]
     for found in turns:
         assert found.turn @ found.turn.T == pytest.approx(np.eye(3))
         assert found.turn[2, 2] == pytest.approx(np.cos(np.pi / 6))
@@ -158,7 +162,7 @@ def test_markers_and_bodies_are_as_bad_as_is_said() -> None:
 
 
 def test_ideal_input_is_as_good_as_itself() -> None:
-    rows = rig_rows((RIG,), 3.5, (Case('stamps', 'as it is', ideal),), 1)
+    rows = rig_rows((RIG,), 3.5, (Case('stamps', 'as it is', 'nothing', 'none', ideal),), 1)
     assert [row['quantity'] for row in rows] == list(FIGURES)
     for row in rows:
         assert (row['ratio'], row['worst'], row['withheld']) == (1.0, 1.0, 0.0)
@@ -207,36 +211,72 @@ def made_up() -> list[dict[str, Any]]:
         0.5,
     )
     return [
-        {'part': one.part, 'what': one.what, 'quantity': name}
+        {'part': one.part, 'what': one.what, 'trouble': one.trouble, 'level': one.level}
         | figures
-        | {'worst': 7.0, 'bar': one.bar, 'said': ''}
+        | {'quantity': name, 'worst': 7.0, 'bar': one.bar, 'said': ''}
         for one in CASES
         for name in FIGURES
     ]
 
 
-def test_the_section_is_put_in_the_place_of_the_old_one(
+def test_what_is_measured_again_is_quoted_beside_what_was_before(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(_report, '_measure_rigs', lambda quick, progress: made_up())
-    page = tmp_path / 'benchmarks.md'
-    around = '# Benchmarks\n\nabove\n\n', '## Error\n\nbelow\n\n### Part\n'
-    assert 'Not measured' in rigs_part([])
-    page.write_text(f'{around[0]}{rigs_part([])}\n\n{around[1]}')
-    assert cli.main(['bench', '--rigs', '--output', str(tmp_path)]) == 0
-    assert page.read_text() == f'{around[0]}{rigs_part(made_up())}\n\n{around[1]}'
-    assert f'written to {page}' in capsys.readouterr().out
-    assert (tmp_path / 'charts' / 'rigs.png').read_bytes().startswith(b'\x89PNG')
-    assert len((tmp_path / 'charts' / 'rigs.csv').read_text().splitlines()) == 1 + len(made_up())
-    # Again it is the same. It comes last where there was none, and no page is begun.
-    monkeypatch.setattr('bench._charts.rigs', lambda rows, path: None)
-    bench_rigs(tmp_path)
-    assert page.read_text() == f'{around[0]}{rigs_part(made_up())}\n\n{around[1]}'
-    page.write_text(around[0])
-    bench_rigs(tmp_path)
-    assert page.read_text() == f'{around[0]}{rigs_part(made_up())}\n'
-    bench_rigs(tmp_path / 'new')
-    assert not (tmp_path / 'new' / 'benchmarks.md').exists()
+    seconds = PARTS['rigs'].seconds
+    monkeypatch.setitem(PARTS, 'rigs', Part(seconds, lambda quick, tell: {'rigs': made_up()}))
+    monkeypatch.setattr('bench._report.draw_charts', lambda tables, folder: [])
+    before = [{'method': 'ours', 'lag': 0.0, 'ω': 1.0}]
+    (tmp_path / 'charts').mkdir()
+    write_rows(tmp_path / 'charts' / 'error_over_lag.csv', before)
+    assert cli.main(['bench', '--rigs', '--quick', '--output', str(tmp_path)]) == 0
+    pages = [tmp_path / name for name in ('benchmarks.md', 'benchmarks-tables.md')]
+    for page in pages:
+        assert f'written to {page}' in capsys.readouterr().out or page == pages[1]
+        assert 'too little data to judge by: rigs' in ' '.join(page.read_text().split())
+    tables = pages[1].read_text()
+    assert rigs_part(made_up()).splitlines()[-1] in tables
+    assert '## Error against lag' in tables
+    assert '## Stability atlas' not in tables
+    written = [page.read_text() for page in pages]
+    assert cli.main(['bench', '--pages', '--output', str(tmp_path)]) == 0
+    assert [page.read_text() for page in pages] == written
+
+
+def test_a_part_that_there_is_not_is_refused_by_name(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert cli.main(['bench', '--only', 'rigs', 'wheels', '--output', str(tmp_path)]) == 2
+    assert "there is no part 'wheels'; parts: costs, " in capsys.readouterr().err
+
+
+def test_the_strip_breaks_where_the_larger_error_passes_the_bound() -> None:
+    rows = [
+        row | {'trouble': 'late', 'level': level, 'what': level, 'said': said, 'ratio': ratio}
+        for level, ratios, said in (
+            ('1 ms', (1.0, 1.4), ''),
+            ('3 ms', (1.1, 1.6), ''),
+            ('9 ms', (7.0, np.nan), 'late'),
+        )
+        for row, ratio in zip(
+            ({'quantity': 'ω', 'withheld': 0.0}, {'quantity': 'ICR', 'withheld': 0.2}),
+            ratios,
+            strict=True,
+        )
+    ]
+    (trouble,) = troubles(rows)
+    assert [level.broken for level in trouble.levels] == [False, True, True]
+    assert [level.reported for level in trouble.levels] == [False, False, True]
+    assert trouble.first_broken is not None
+    assert (trouble.first_broken.name, trouble.first_broken.ratio) == ('3 ms', 1.6)
+    for row in rows:
+        row['withheld'] = 0.9
+    (trouble,) = troubles(rows)
+    assert trouble.first_broken is None
+
+
+def test_cases_of_one_trouble_differ_in_how_much_there_is_of_it() -> None:
+    named = [(case.trouble, case.level) for case in CASES]
+    assert len({*named}) == len(named) == len({case.what for case in CASES})
 
 
 def test_poses_are_predicted_from_when_frames_turned_out_to_be() -> None:

@@ -365,17 +365,18 @@ def _demo(options: argparse.Namespace) -> int:
 def _bench(options: argparse.Namespace) -> int:
     # Next to the package: an installed one has none.
     sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
-    from bench import bench, bench_long, bench_rigs, bench_soak
+    from bench import PARTS, bench, bench_long, bench_soak, make_pages
 
     with _progress('bench') as progress:
         if options.long:
             written = bench_long(options.output, progress)
-        elif options.rigs:
-            written = bench_rigs(options.output, progress=progress)
         elif options.soak is not None:
             written = bench_soak(options.output, options.soak, progress)
+        elif options.pages:
+            written = make_pages(options.output)
         else:
-            written = bench(options.output, options.quick, progress)
+            only = ['rigs'] if options.rigs else options.only or PARTS
+            written = bench(options.output, options.quick, progress, only)
     for path in written:
         print(f'written to {path}')
     return 0

@@ -258,13 +258,26 @@ def make_parser() -> argparse.ArgumentParser:
     bench = commands.add_parser(
         'bench',
         help='measure errors, uncertainty, peers and limits, and draw the charts of the docs',
-        description='Writes benchmarks.md and charts/ anew. Takes several minutes; wants '
+        description='Writes benchmarks.md, benchmarks-tables.md and charts/ anew. Takes a quarter '
+        'of an hour on two cores; wants '
         'matplotlib, and compares with PyNumDiff where it is installed: '
         "pip install 'kinpole_ros[bench]'.",
     )
     bench.add_argument('--output', metavar='FOLDER', default='docs', help='where to write (docs)')
+    bench.add_argument('--quick', action='store_true', help='little data: shows that it works')
     part = bench.add_mutually_exclusive_group()
-    part.add_argument('--quick', action='store_true', help='little data: shows that it works')
+    part.add_argument(
+        '--only',
+        nargs='+',
+        metavar='PART',
+        help='only these parts; the pages quote the others as they were measured before: costs, '
+        'speed, live, hindsight, peers, lag, model, pynumdiff, atlas, pendulum, rigs',
+    )
+    part.add_argument(
+        '--pages',
+        action='store_true',
+        help='measure nothing: pages and charts of charts/*.csv',
+    )
     part.add_argument(
         '--long', action='store_true', help='only the run of 1e7 frames: some minutes'
     )
