@@ -56,7 +56,7 @@ class Case(NamedTuple):
 _POINTS = ('ω', 'ICR')
 # For cases that only show where it breaks.
 _ONE = (200.0,)
-_STAMPS, _ROUNDED = 'stamps late, on average by', 'stamps rounded to'
+_STAMPS, _ROUNDED = 'late stamps (mean)', 'rounded stamps'
 _NAMES = 'points without names'
 
 
@@ -75,7 +75,7 @@ CASES = (
     Case(
         'stamps',
         'late by 0.2 to 3 ms, uniform',
-        'stamps late, evenly, by up to',
+        'late stamps (at most)',
         '3 ms',
         stamped(lambda g, n: g.uniform(2e-4, 3e-3, n)),
         1.1,
@@ -108,7 +108,7 @@ CASES = (
     Case(
         'stamps',
         'true, uneven by 0.3 intervals',
-        'frames uneven, stamps true',
+        'uneven frames, true stamps',
         '0.3 intervals',
         ideal,
         1.05,
@@ -119,7 +119,7 @@ CASES = (
         Case(
             'stamps',
             f'{share:.0%} of the frames lost',
-            'frames lost',
+            'lost frames',
             f'{share:.0%}',
             stamped(in_time, lost=share),
             rates=_ONE,
@@ -130,7 +130,7 @@ CASES = (
         Case(
             'plane',
             f'tilt {tilt}°, plane: {plane}',
-            f'plane tilted, plane: {plane}',
+            f'tilted plane (plane: {plane})',
             f'{tilt}°',
             tilted(tilt, plane),
             bar,
@@ -147,7 +147,7 @@ CASES = (
         Case(
             'names',
             f'two exchanged for good at {since:g} s',
-            'two names exchanged',
+            'exchanged names',
             f'at {since:g} s',
             exchanged(since),
             1.2,
@@ -158,7 +158,7 @@ CASES = (
     Case(
         'names',
         'two gone for 0.3 s, back as new ones',
-        'two names replaced',
+        'replaced names',
         'for good',
         renamed,
         1.2,
@@ -172,7 +172,7 @@ CASES = (
         Case(
             'markers',
             f'one of each body {times} times noisier',
-            'one marker noisier',
+            'one noisier marker',
             f'{times} times',
             noisier(times),
             bar,
@@ -190,7 +190,7 @@ CASES = (
         Case(
             'markers',
             f'one of each body slips by {mm} mm',
-            'one marker slips by',
+            'one slipping marker',
             f'{mm} mm',
             slipping(mm / 1e3),
             bar,
@@ -208,7 +208,7 @@ CASES = (
         Case(
             'markers',
             f'{share:.0%} hidden',
-            'markers hidden',
+            'hidden markers',
             f'{share:.0%}',
             hidden(share),
             rates=rates,
@@ -216,7 +216,7 @@ CASES = (
         for share, rates in ((0.1, _ONE), (0.3, _ONE), (0.6, _ONE), (0.9, (100.0, 200.0)))
     ),
     *(
-        Case('frames', f'one with a body {what}', 'a body misplaced now and then', level, spoil)
+        Case('frames', f'one with a body {what}', 'misplaced bodies', level, spoil)
         for what, level, spoil in (
             ('turned by 0.3 rad', 'by 0.3 rad', misplaced(0.3, 0.0)),
             ('turned by 2 rad', 'by 2 rad', misplaced(2.0, 0.0)),
@@ -227,7 +227,7 @@ CASES = (
         Case(
             'bodies',
             f'soft tissue, {mm:g} mm over 0.2 s',
-            'soft tissue wobbles by',
+            'soft tissue',
             f'{mm:g} mm',
             soft(mm / 1e3),
             rates=rates,

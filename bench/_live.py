@@ -103,9 +103,9 @@ class Live(NamedTuple):
 
 
 def measure_live(
-    seconds: float = 5.0,
+    seconds: float = 4.0,
     runs: int = 3,
-    step_up: float = 1.1,
+    step_up: float = 1.2,
     progress: Callable[[float], None] | None = None,
 ) -> Live:
     """

@@ -12,6 +12,7 @@ from bench._markdown import number, table, wrapped
 from bench._overview import BOUND, over_hindsight, pareto_points, troubles
 from bench._peers import EFFORTS, OURS, TUNED_ON
 from bench._record import LAG, NOISES, WINDOW
+from bench._rigs import NOISE
 from bench._rows import Rows
 
 Tables = dict[str, Rows]
@@ -115,27 +116,37 @@ def _fails(tables: Tables) -> str:
     rows = troubles(tables.get('rigs', []))
     if not rows:
         return ''
-    broken = [(each.name, first) for each in rows if (first := each.first_broken)]
-    silent = sum(level.broken and not level.reported for each in rows for level in each.levels)
-    cases = sum(level.broken for each in rows for level in each.levels)
+    names = [each.name for each in rows if each.first_broken]
+    levels = [level for each in rows for level in each.levels if level.broken]
     text = (
-        f'Of {len(rows)} troubles of the input, {len(broken)} bring the error past {BOUND:g} times '
-        f'that of ideal input at some strength'
+        f'Of {len(rows)} troubles of the input, {len(names)} raise the error beyond {BOUND:g} '
+        'times that of ideal input'
     )
-    if not cases:
+    if not names:
         return f'{text}.'
-    return f'{text}; diagnostics report {cases - silent} of these {cases} cases.'
+    reported = sum(level.reported for level in levels)
+    return (
+        f'{text}, at some strength: {", ".join(names)}. Diagnostics report {reported} of these '
+        f'{len(levels)} cases.'
+    )
 
 
 def _settings(tables: Tables) -> str:
     lagged = {row['lag']: row for row in tables.get('error_over_lag', []) if row['method'] == OURS}
     if 0.0 not in lagged or LAG not in lagged:
         return ''
-    gain = {name: lagged[0.0][name] / lagged[LAG][name] for name in ('ω', 'jerk')}
-    return (
-        f'Set `lag`: {LAG:g} s instead of none makes the error of ω {gain["ω"]:.1f} times and of '
-        f'the jerk {gain["jerk"]:.0f} times smaller; leave `effort` at `normal`.'
+    rate, jerk = (lagged[0.0][name] / lagged[LAG][name] for name in ('ω', 'jerk'))
+    text = (
+        f'First `lag`: {LAG:g} s instead of none makes the error of ω {rate:.1f} times and that of '
+        f'the jerk {jerk:.1f} times smaller.'
     )
+    costs = {row['method']: row['live'] for row in tables.get('costs', [])}
+    ratios = over_hindsight(tables.get('peers', []))
+    low = EFFORTS['low']
+    if low in costs and low in ratios:
+        time, error = costs[low] / costs[OURS], np.median(ratios[low]) / np.median(ratios[OURS])
+        text += f' `effort: low` takes {time:.2f} times the CPU and errs {error:.2f} times as much.'
+    return text
 
 
 def _pareto_part(tables: Tables) -> str:
@@ -169,15 +180,12 @@ def _strip_part(tables: Tables) -> str:
     rows = troubles(tables.get('rigs', []))
     if not rows:
         return f'{title}\n\n{MISSING}'
-    broken = [(each.name, first) for each in rows if (first := each.first_broken)]
-    listed = '; '.join(f'{name} {first.name}' for name, first in broken) or 'none'
     return f"""{title}
 
 ![Error over that with ideal input, by trouble](charts/strip.png)
 
 Each row is one thing that goes wrong, from little to much. The figure is the error over that with
-ideal input: the larger of ω and ICR, the median of all bodies. It first passes {BOUND:g} at:
-{listed}.
+ideal input and {1e3 * NOISE:g} mm of noise: the larger of ω and ICR, the median of all bodies.
 
 What each message means and its fix: [real_rigs.md](real_rigs.md). Worst bodies, coverage and
 messages: [tables](benchmarks-tables.md#on-real-rigs)."""

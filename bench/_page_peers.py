@@ -25,9 +25,10 @@ def peers_part(rows: Rows, offline: Rows) -> str:
             if method != OURS and np.isfinite(medians).any():
                 lines.append((method, *(number(m) for m in medians)))
         parts.append(f'Noise {noise:g}:\n\n' + table(('', *QUANTITIES), lines))
-    tuned, plain = (_beyond(tables, peers) for peers in (REAL_TIME, UNTUNED))
+    real_time, untuned = (tuple(m for m in each if m in tables) for each in (REAL_TIME, UNTUNED))
+    tuned, plain = (_beyond(tables, peers) for peers in (real_time, untuned))
     worse = sorted((cell for cell in tuned if cell[0] > PEER_BAR), reverse=True)
-    methods = (OURS, FIXED, *REAL_TIME)
+    methods = (OURS, FIXED, *real_time)
     everyone = table(
         ('method', f'cells over {PEER_BAR} times the smallest of the others'),
         (

@@ -48,12 +48,12 @@ def speed_rows(quick: bool = False, progress: Callable[[float], None] | None = N
         bag = Path(folder) / 'markers.mcap'
         _write_markers(bag, 2_000 if quick else 100_000)
         rows = _reading()
-        tell(0.04)
+        tell(0.06)
         rows += _replaying(bag, Path(folder))
-        tell(0.42)
+        tell(0.68)
         rows += _estimating(100 if quick else 400)
-        tell(0.45)
-        rows += _memory(Path(folder), 1_000 if quick else 10_000, lambda: tell(0.75))
+        tell(0.73)
+        rows += _memory(Path(folder), 1_000 if quick else 3_000, lambda: tell(0.8))
     return rows
 
 
