@@ -171,8 +171,8 @@ of them, {motions} motions. All but the Kalman filter may look {LAG:g} s ahead.
   {best.median / ours.median:.1f} times as much as ours ({best.label}).
 - Right: settings picked by the truth for each cell, and PyNumDiff, which sees the whole record.
   Nobody can set these on a rig.
-- The peers are bare loops: no covariance, no dropouts, no uneven stamps. They are compared on the
-  frames that ours determines."""
+- The peers are bare loops in numpy: no covariance, no dropouts, no uneven stamps. They are compared
+  on the frames that ours determines."""
 
 
 def _strip_part(tables: Tables) -> str:

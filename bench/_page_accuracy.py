@@ -110,7 +110,7 @@ def bounds_part(rows: Rows, ratios: Rows) -> str:
 {table(('medians over the motions', 'noise', *QUANTITIES), lines)}
 
 The bound is that of Cramér and Rao, for a polynomial of the window and degree that proved best. No
-unbiased estimate from these samples errs less. Hindsight is above 1 where its best setting trades
+unbiased estimate with that model errs less. Hindsight is above 1 where its best setting trades
 noise for bias. Ours is below 1 where some frames have a better model than that one.
 
 The last rows compare single records with all of them: 10th and 90th percentile. {len(over)} cells
@@ -167,12 +167,12 @@ def coverage_part(rows: Rows, bounds: Rows, others: Rows) -> str:
             (
                 name,
                 f'{np.median(squares):.2f} ({min(squares):.2g} to {max(squares):.2g})',
-                f'{total["bad"]}',
+                f'{total["bad"]:.0f}',
                 '–' if not total['bad'] else f'{100 * caught:.1f}%',
                 f'{100 * total["bad_visible"] / total["bad"]:.0f}%'
                 if total['bad_visible'] > 0
                 else '–',
-                f'{total["good"]}',
+                f'{total["good"]:.0f}',
                 f'{100 * withheld / max(total["good"], 1):.2f}%',
             )
         )
@@ -242,7 +242,7 @@ def chi_part(rows: Rows) -> str:
         lines.append(cells)
     return f"""### Errors of poles against chi-square
 
-Percentage of determined frames whose squared error is below that percentile of chi-square. Median
-(lowest to highest) of the motions and noise levels. Each column should repeat its head.
+Percentage of determined frames whose squared error over the covariance is below that percentile of
+chi-square. Median (lowest to highest) of the cells. Each column should repeat its head.
 
 {table(('', *(f'{100 * level:g}%' for level in LEVELS)), lines)}"""

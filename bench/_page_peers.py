@@ -121,7 +121,9 @@ def pendulum_part(rows: Rows) -> str:
             beyond += sum(ratio > PEER_BAR for ratio in ratios)
             line.append(' / '.join(f'**{r:.2f}**' if r > PEER_BAR else f'{r:.2f}' for r in ratios))
         lines.append(tuple(line))
-    lines.append(('frames compared', *(f'{cells[ways[0], place]["frames"]}' for place in places)))
+    lines.append(
+        ('frames compared', *(f'{cells[ways[0], place]["frames"]:.0f}' for place in places))
+    )
     told = min(cells[way, place]['told'] for way in ways if way not in fixed for place in places)
     return f"""{title}
 

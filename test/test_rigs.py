@@ -247,6 +247,11 @@ def test_a_part_that_there_is_not_is_refused_by_name(
 ) -> None:
     assert cli.main(['bench', '--only', 'rigs', 'wheels', '--output', str(tmp_path)]) == 2
     assert "there is no part 'wheels'; parts: costs, " in capsys.readouterr().err
+    assert not [*tmp_path.iterdir()]
+    with pytest.raises(SystemExit):
+        cli.main(['bench', '--help'])
+    words = ' '.join(capsys.readouterr().out.split())
+    assert ', '.join(PARTS) in words
 
 
 def test_the_strip_breaks_where_the_larger_error_passes_the_bound() -> None:
