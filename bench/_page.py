@@ -25,7 +25,7 @@ def make_page(tables: Tables) -> str:
     """The page as Markdown, from rows by the name of their table."""
     parts = [
         '# Benchmarks',
-        *warnings(tables.get('run', [])),
+        *warnings(tables),
         '\n'.join(_sentences(tables)),
         _pareto_part(tables),
         _strip_part(tables),
@@ -36,9 +36,13 @@ def make_page(tables: Tables) -> str:
     return wrapped('\n\n'.join(parts))
 
 
-def warnings(runs: Rows) -> list[str]:
-    """What keeps the figures from being judged: too little data, or a machine with other work."""
+def warnings(tables: Tables) -> list[str]:
+    """What keeps figures from being judged: an old version, too little data, a busy machine."""
+    runs = tables.get('run', [])
     found = []
+    noted = {name for row in runs for name in row['tables'].split()}
+    if earlier := [name for name in tables if name not in noted and name != 'run']:
+        found.append(f'**Measured with an earlier version: {", ".join(earlier)}.**')
     quick = [row['part'] for row in runs if row['quick']]
     if quick:
         found.append(f'**Made with --quick, too little data to judge by: {", ".join(quick)}.**')

@@ -45,7 +45,7 @@ def make_tables(tables: Tables) -> str:
     """The page as Markdown, from rows by the name of their table."""
     parts = [
         '# Tables of the benchmarks',
-        *warnings(tables.get('run', [])),
+        *warnings(tables),
         _INTRODUCTION,
         *(make(*(tables.get(name, []) for name in names)) for names, make in _PARTS),
         _runs(tables),
@@ -100,4 +100,4 @@ def _runs(tables: Tables) -> str:
 
 {noted}
 
-`kinpole bench --only PART` measures a part again. What is not listed is of an earlier version."""
+`kinpole bench --only PART` measures a part again."""

@@ -7,7 +7,7 @@ What is not measured this time is quoted as it was measured before.
 import os
 import platform
 import time
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Iterable
 from pathlib import Path
 
 import numpy as np
@@ -57,7 +57,7 @@ def bench(
             written.append(charts / f'{table}.csv')
             write_rows(written[-1], rows)
         if tables:
-            _note_run(charts, name, quick, time.monotonic() - begun, load)
+            _note_run(charts, name, tables, quick, time.monotonic() - begun, load)
     return written + make_pages(output)
 
 
@@ -117,7 +117,7 @@ def _alone(output: str | Path, name: str, measured: Callable[[], Rows]) -> list[
     charts, load, begun = _charts(output), os.getloadavg()[0], time.monotonic()
     path = charts / f'{name}.csv'
     write_rows(path, measured())
-    _note_run(charts, name, False, time.monotonic() - begun, load)
+    _note_run(charts, name, (name,), False, time.monotonic() - begun, load)
     return [path]
 
 
@@ -127,11 +127,14 @@ def _charts(output: str | Path) -> Path:
     return folder
 
 
-def _note_run(charts: Path, part: str, quick: bool, seconds: float, load: float) -> None:
+def _note_run(
+    charts: Path, part: str, tables: Iterable[str], quick: bool, seconds: float, load: float
+) -> None:
     """When and where a part was measured: a row of `run.csv`, in place of its last one."""
     path = charts / f'{_RUN}.csv'
     row = {
         'part': part,
+        'tables': ' '.join(tables),
         'seconds': seconds,
         'quick': quick,
         'load': load,

@@ -338,9 +338,12 @@ def test_the_page_says_what_the_rows_say_and_no_more() -> None:
     assert 'the nearest errs 6.0 times as much as ours (Savitzky-Golay 41/4)' in text
     assert text.count('Not measured.') == 4
     run = {'part': 'costs', 'seconds': 60.0, 'quick': False, 'load': 1.5, 'cores': 2.0}
-    words = {'day': '2026-01-01', 'python': 'Python 3.12', 'numpy': 'numpy 2.0'}
+    words = {'tables': 'costs', 'day': '2026-01-01', 'python': 'Python 3.12', 'numpy': 'numpy 2.0'}
     assert 'Other programs ran' in make_page({'run': [run | words]})
-    assert 'Other programs ran' not in make_page({'run': [run | words | {'load': 0.1}]})
+    quiet = {'run': [run | words | {'load': 0.1}], 'costs': costs}
+    assert 'Other programs ran' not in make_page(quiet)
+    assert 'an earlier version' not in make_page(quiet)
+    assert 'an earlier version: peers.' in make_page(quiet | {'peers': peers})
 
 
 def test_paragraphs_and_lists_are_wrapped_and_tables_are_not() -> None:
