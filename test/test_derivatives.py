@@ -1,5 +1,6 @@
 """From poses to derivatives: what Gaussian processes say, and as good as their own covariance."""
 
+import tracemalloc
 from collections.abc import Iterator
 from math import factorial
 from typing import Any
@@ -630,6 +631,20 @@ def test_a_window_that_is_not_full_yet_is_as_good_as_its_samples(
         off = found.angle[:, 0] - exact[0][:4, -1 - ahead]
         error.append(np.sqrt((off**2).mean(axis=1)))
     below(error[1][1:], 1.6 * error[0][1:])
+
+
+def test_frames_a_nanosecond_apart_take_no_more_room_than_others() -> None:
+    """Of a driver that hands over what it kept, at once, and stamps it then."""
+    places = np.arange(COUNT // 4) * 4 * STEP
+    time = (places[:, None] + np.arange(4)).ravel()
+    exact = smooth(time, 4)
+    tracemalloc.start()
+    found = derive(time, *noisy(exact, 1e-3), 1e-3, ahead=0, window=(COUNT - 1) * STEP * 1e-9)
+    _, most = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert most < 100e6
+    deviation = np.sqrt(found.angle_covariance[1, 1, 0])
+    assert (np.abs(found.angle[1, 0] - exact[0][1, -1]) < 5 * deviation).all()
 
 
 def test_a_body_unseen_is_as_good_as_left_out_of_the_frames() -> None:

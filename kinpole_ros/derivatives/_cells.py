@@ -20,6 +20,8 @@ SIMILAR = 0.5
 OFF = 1e-4
 # Of intervals between frames, by which they are none of a whole number; how many may be miscounted.
 _DOUBTFUL, _COUNTED = 0.2, 4
+# Cells of a window, most of which are empty.
+_MOST_CELLS = 4096
 # Samples that differ by more deviations of their noise are taken for exact.
 _EXACT = 1e7
 
@@ -249,8 +251,11 @@ def _intervals(time: Real, inside: np.ndarray) -> Real:
     number = inside[1:].sum(axis=0)
     usual = np.sort(steps, axis=0)[np.maximum(number - 1, 0) // 2, np.arange(len(number))]
     steps = np.where(inside[1:], steps, 0.0)
+    span = total(steps)
+    # Most frames may come in bunches, with next to nothing between them.
+    usual = np.maximum(usual, span / _MOST_CELLS)
     counts = np.rint(steps / usual)
-    span, all_ = total(steps), np.maximum(counts.sum(axis=0), 1)
+    all_ = np.maximum(counts.sum(axis=0), 1)
     doubtful = (np.abs(steps / usual - counts) > _DOUBTFUL).any(axis=0).nonzero()[0]
     interval = span / all_
     if len(doubtful):
