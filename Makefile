@@ -26,11 +26,11 @@ ifneq ($(AMENT_PREFIX_PATH),)
 KIND := $(shell "$(BASE)" -c 'import rclpy' 2>/dev/null && echo ros)
 endif
 ifeq ($(KIND),ros)
-EXTRAS := batch,parquet,plot,test
+EXTRAS := batch,formats,parquet,plot,test
 SITE := --system-site-packages
 else
 KIND := wheels
-EXTRAS := batch,parquet,plot,test,wheels
+EXTRAS := batch,formats,parquet,plot,test,wheels
 # The wheels have one middleware, and no use for parts of a ROS that belongs to another Python.
 unexport RMW_IMPLEMENTATION $(if $(AMENT_PREFIX_PATH),AMENT_PREFIX_PATH PYTHONPATH LD_LIBRARY_PATH)
 endif

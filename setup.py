@@ -42,6 +42,7 @@ setup(
         ],
         'batch': ['dask>=2023.5', 'distributed>=2023.5'],
         'bench': ['matplotlib>=3.7', 'pynumdiff>=0.3', 'scipy>=1.11'],
+        'formats': ['c3d>=0.6', 'h5py>=3.8'],
         'parquet': ['pyarrow>=12'],
         'plot': ['matplotlib>=3.7'],
         'test': [

@@ -284,19 +284,27 @@ def _plot(options: argparse.Namespace) -> int:
 
 
 def _import(options: argparse.Namespace) -> int:
-    from kinpole_ros.bags import import_csv
+    from kinpole_ros.bags import import_points
 
-    _keep(options.csv, options.output)
+    _keep(options.file, options.output)
     with _progress('import') as progress:
-        count = import_csv(
-            options.csv,
+        done = import_points(
+            options.file,
             options.output,
             rate=options.rate,
             scale=options.scale,
             y_down=options.y_down,
             progress=progress,
+            format=options.format,
+            likelihood=options.likelihood,
         )
-    print(f'{count} frames written to {options.output}')
+    for note in done.notes:
+        print(f'kinpole import: {_line(note)}', file=sys.stderr)
+    unit = f'in {done.unit}' if options.scale is None else f'1 unit = {done.scale:g} m'
+    print(
+        f'{done.frames} frames of {len(done.markers)} markers ({done.format}, {unit}) '
+        f'written to {options.output}'
+    )
     return 0
 
 

@@ -16,7 +16,7 @@ _EPILOG = """examples:
   kinpole plot result.mcap --output result.png
   kinpole discover recording.mcap --output rig.yaml --scene draft.yaml --plot rig.png
   kinpole solve four_bar --sweep --centers --plot four_bar.png
-  kinpole import tracked.csv --rate 240 --scale 0.001 --y-down --output markers.mcap
+  kinpole import walk.trc --output walk.mcap
   kinpole node --ros-args --params-file config/kinpole.yaml
 """
 
@@ -209,21 +209,7 @@ def make_parser() -> argparse.ArgumentParser:
     plot.add_argument('bag', metavar='BAG', help='bag of results, from replay or recorded live')
     plot.add_argument('--output', metavar='FILE.png', required=True, help='picture to write')
 
-    imported = commands.add_parser(
-        'import',
-        help='tracked points from a spreadsheet to a bag',
-        description='Columns NAME_x, NAME_y and maybe NAME_z make the marker NAME; empty cells are '
-        'markers that were not seen. Column t holds seconds, unless --rate is given.',
-    )
-    imported.add_argument('csv', metavar='CSV', help='the table')
-    imported.add_argument('--output', metavar='BAG', required=True, help='.mcap file to write')
-    imported.add_argument('--rate', type=float, metavar='HZ', help='frames per second')
-    imported.add_argument(
-        '--scale', type=float, default=1.0, metavar='M_PER_UNIT', help='m per unit of the table (1)'
-    )
-    imported.add_argument(
-        '--y-down', action='store_true', help='y of the table points down, as in pictures'
-    )
+    _add_import(commands)
 
     play = commands.add_parser(
         'play',
@@ -342,6 +328,54 @@ def _add_discover(commands: Any) -> None:
     discover.add_argument('--output', metavar='RIG.yaml', help='parameter file to write')
     discover.add_argument('--scene', metavar='SCENE.yaml', help='draft scene to write')
     discover.add_argument('--plot', metavar='FILE.png', help='picture of what was found')
+
+
+def _add_import(commands: Any) -> None:
+    imported = commands.add_parser(
+        'import',
+        help='tracked points from the files of other programs to a bag',
+        description='Reads tracked points as other programs write them. What a file says of units\n'
+        'and times is used; what it does not say is asked for. Pixels count y down.\n'
+        '\n'
+        '  table       columns NAME_x, NAME_y, maybe NAME_z, and t in seconds, lengths in m\n'
+        '  deeplabcut  .csv or .h5 (the latter by kinpole_ros[formats]), one animal or several\n'
+        '  sleap       analysis .csv\n'
+        '  kinovea     trajectories as .csv\n'
+        '  tracker     data files of Tracker (Open Source Physics), one track or several\n'
+        '  motive      .csv of OptiTrack\n'
+        '  vicon       .csv of Nexus\n'
+        '  trc         .trc of OpenSim, Cortex and others\n'
+        '  c3d         .c3d, by kinpole_ros[formats]\n'
+        '\n'
+        'Cells are separated by commas, semicolons or tabs; with the latter two, decimals may be\n'
+        'commas. Empty cells are markers that were not seen.',
+        epilog='examples:\n'
+        '  kinpole import walk.trc --output walk.mcap\n'
+        '  kinpole import videoDLC_resnet50.csv --rate 240 --scale 0.00051 --output video.mcap\n',
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    imported.add_argument('file', metavar='FILE', help='the file of points')
+    imported.add_argument('--output', metavar='BAG', required=True, help='.mcap file to write')
+    imported.add_argument(
+        '--format', default='auto', metavar='NAME', help='one of the above (auto: by content)'
+    )
+    imported.add_argument(
+        '--rate', type=float, metavar='HZ', help='frames per second, instead of times of the file'
+    )
+    imported.add_argument(
+        '--scale', type=float, metavar='M_PER_UNIT', help='m per unit of the file (as it says)'
+    )
+    imported.add_argument(
+        '--y-down',
+        action=argparse.BooleanOptionalAction,
+        help='y points down, as in pictures (as the format has it)',
+    )
+    imported.add_argument(
+        '--likelihood',
+        type=float,
+        metavar='P',
+        help='least at which a point counts as seen (DeepLabCut 0.6, SLEAP 0)',
+    )
 
 
 class _ListScenes(argparse.Action):
