@@ -274,6 +274,24 @@ def test_a_file_as_its_program_writes_it_is_recognized_and_exact(tmp_path, case)
     assert named == done
 
 
+@pytest.mark.parametrize('case', CASES)
+def test_a_damaged_file_is_read_or_refused_in_one_line(tmp_path, case):
+    kind, content, options, *_ = CASES[case]
+    sound = content()
+    sound = sound if isinstance(sound, bytes) else sound.encode()
+    draw = np.random.default_rng(7)
+    for count in range(20):
+        damaged = bytearray(sound)
+        for place in draw.integers(len(sound), size=1 + count % 3).tolist():
+            piece = [b'', b',', b'\n', b'"', b'\xff', b'\t'][draw.integers(6)]
+            damaged[place : place + int(draw.integers(30))] = piece
+        try:
+            bring(tmp_path, bytes(damaged), format=kind if count % 2 else 'auto', **options)
+        except BagError as error:
+            assert 'fix: ' in str(error)
+            assert str(error).isprintable()
+
+
 def test_likelihood_decides_what_is_seen(tmp_path):
     _, _, points = bring(tmp_path, deeplabcut(), likelihood=0.1, **PIXELS)
     assert np.array_equal(points[1, 1], [3.5, -3.5, 0])

@@ -10,7 +10,7 @@ import numpy as np
 
 from kinpole_ros.bags._files import BagError
 from kinpole_ros.bags._writer import BagWriter
-from kinpole_ros.bags.formats import Points, Wanted, read_points
+from kinpole_ros.bags.formats import Points, Wanted, read_points, shown
 from kinpole_ros.messages import to_message
 
 _SECOND = 1_000_000_000  # ns
@@ -69,7 +69,7 @@ def import_points(
     found, read = read_points(path, format, Wanted(rate, likelihood))
     used = read.scale if scale is None else scale
     if used is None:
-        unit = f'in {read.unit}' if read.unit else 'in a unit that the file does not say'
+        unit = f'in {shown(read.unit)}' if read.unit else 'in a unit that the file does not say'
         raise BagError(
             f'{path} ({found}) is {unit}; fix: give --scale, the m of one such unit: a known '
             'length in m over the same in the file (1 to keep the unit)'
@@ -82,7 +82,7 @@ def import_points(
     stamps = _stamps(path, read, rate)
     _write(output, topic, frame_id, read.names, stamps, points, progress)
     notes = (*read.notes, *_unseen(read))
-    return Imported(found, tuple(read.names), len(stamps), read.unit, used, notes)
+    return Imported(found, tuple(read.names), len(stamps), shown(read.unit), used, notes)
 
 
 def _unseen(read: Points) -> list[str]:
@@ -92,7 +92,7 @@ def _unseen(read: Points) -> list[str]:
     if not names:
         return []
     more = f' and {len(names) - 5} more' if len(names) > 5 else ''
-    return [f'seen in no frame: {", ".join(names[:5])}{more}']
+    return [f'seen in no frame: {", ".join(map(shown, names[:5]))}{more}']
 
 
 def _write(

@@ -21,7 +21,7 @@ from kinpole_ros.bags.formats import (
 )
 from kinpole_ros.bags.formats._file import File, Format, Points, Wanted, not_utf8, shown
 
-__all__ = ['FORMATS', 'Points', 'Wanted', 'read_points']
+__all__ = ['FORMATS', 'Points', 'Wanted', 'read_points', 'shown']
 
 # Looked at in this order: the plain table is the least particular.
 FORMATS: dict[str, Format] = {
@@ -55,7 +55,10 @@ def read_points(
         raise BagError(f'{path} is empty; fix: give a line of names and a line for each frame')
     for found in FORMATS.values() if name == 'auto' else [FORMATS[name]]:
         if found.recognizes(file):
-            return found.name, found.read(file, wanted or Wanted())
+            points = found.read(file, wanted or Wanted())
+            if not len(points.frames):
+                raise BagError(f'{path} has no frames; fix: give a line for each frame')
+            return found.name, points
     raise _unknown(file, name)
 
 
@@ -74,5 +77,5 @@ def _unknown(file: File, name: str) -> BagError:
         seen += f': of no format known here ({known}), and no column is named NAME_x'
     else:
         seen += f': not what {FORMATS[name].what} begins with'
-    example = ' / '.join(FORMATS[name].example.split('\n'))
+    example = ' / '.join(FORMATS[name].example.replace('\t', ' ').split('\n'))
     return BagError(f'{file.path} {seen}; fix: give a file such as: {example}')

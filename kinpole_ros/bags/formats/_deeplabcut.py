@@ -122,19 +122,10 @@ def _of_hdf(file: File) -> tuple[list[tuple[str, str]], np.ndarray, np.ndarray]:
                     blocks.append(rows[name].reshape(len(rows), -1).astype(np.float64))
             values = np.concatenate(blocks, axis=1)
             frames = np.asarray(rows['index']).astype(np.int64)
-    except (
-        OSError,
-        KeyError,
-        ValueError,
-        TypeError,
-        StopIteration,
-        pickle.UnpicklingError,
-        LookupError,
-        AttributeError,
-        RuntimeError,
-    ) as error:
-        if isinstance(error, BagError):
-            raise
+    except BagError:
+        raise
+    except Exception as error:
+        # h5py and pickle raise whatever the byte that is wrong leads to.
         raise BagError(f'{file.path} is not an .h5 of DeepLabCut; fix: {_FIX}') from error
     if values.shape[1] != len(labels):
         raise BagError(

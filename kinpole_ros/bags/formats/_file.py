@@ -120,7 +120,8 @@ class Sheet:
                     self.lines.append(reader.line_num)
         except csv.Error as error:
             raise BagError(
-                f'{path}, line {reader.line_num}: {error}; fix: save it as plain CSV, with commas'
+                f'{path}, line {reader.line_num}: {shown(str(error))}; '
+                'fix: save it as plain CSV, with commas'
             ) from error
 
     def cell(self, row: int, column: int) -> str:

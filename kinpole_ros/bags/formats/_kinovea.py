@@ -12,7 +12,7 @@ import re
 import numpy as np
 
 from kinpole_ros.bags._files import BagError
-from kinpole_ros.bags.formats._file import File, Format, Points, Wanted, check_names
+from kinpole_ros.bags.formats._file import File, Format, Points, Wanted, check_names, shown
 
 _X = re.compile(r'(.+)/X', re.IGNORECASE)
 
@@ -31,9 +31,11 @@ def _read(file: File, wanted: Wanted) -> Points:
     for column, title in enumerate(header[:-1]):
         if match := _X.fullmatch(title):
             if header[column + 1].lower() != f'{match[1]}/y'.lower():
-                raise BagError(f'{path}: {title} has no Y behind it; fix: export it again')
+                raise BagError(f'{path}: {shown(title)} has no Y behind it; fix: export it again')
             if match[1] in columns:
-                raise BagError(f"{path}: '{match[1]}' is there twice; fix: rename one in Kinovea")
+                raise BagError(
+                    f"{path}: '{shown(match[1])}' is there twice; fix: rename one in Kinovea"
+                )
             columns[match[1]] = [column, column + 1]
     # A trajectory has one point, and its key says nothing.
     objects = [name.rpartition('/')[0] or name for name in columns]

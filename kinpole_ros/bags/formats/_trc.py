@@ -74,8 +74,8 @@ def sheet_number(cell: str) -> float:
 FORMAT = Format(
     'trc',
     'OpenSim, Cortex .trc',
-    'PathFileType\\t4\\t(X/Y/Z)\\trun.trc\nDataRate\\t...\\tUnits\n100.0\\t...\\tmm\n'
-    'Frame#\\tTime\\ttip\n\\t\\tX1\\tY1\\tZ1\n1\\t0.00\\t125.1\\t250.2\\t3.3',
+    'PathFileType\t4\t(X/Y/Z)\trun.trc\nDataRate\t...\tUnits\n100.0\t...\tmm\n'
+    'Frame#\tTime\ttip\n\t\tX1\tY1\tZ1\n1\t0.00\t125.1\t250.2\t3.3',
     _recognizes,
     _read,
 )
