@@ -40,7 +40,7 @@ setup(
             'ros-jazzy-common-interfaces',
             'ros-jazzy-rmw-fastrtps-cpp',
         ],
-        'batch': ['dask>=2023.5', 'distributed>=2023.5'],
+        'batch': ['dask>=2023.5', 'distributed>=2023.5', 'fsspec>=2023.5'],
         'bench': ['matplotlib>=3.7', 'pynumdiff>=0.3', 'scipy>=1.11'],
         'formats': ['c3d>=0.6', 'h5py>=3.8'],
         'parquet': ['pyarrow>=12'],

@@ -28,6 +28,7 @@ PYTHON_PACKAGES = {
     'bench': None,
     'c3d': None,
     'distributed': None,
+    'fsspec': None,
     'h5py': None,
     'lz4': None,
     'matplotlib': None,

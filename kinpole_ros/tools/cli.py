@@ -177,12 +177,15 @@ def _replay(options: argparse.Namespace) -> int:
 
 def _batch(options: argparse.Namespace) -> int:
     from kinpole_ros.bags import BagError
-    from kinpole_ros.bags.batch import KINDS, batch
+    from kinpole_ros.bags.batch import KINDS, batch, listed_bags
 
     if options.workers is not None and options.workers < 1:
         raise BagError(f'--workers is {options.workers}; it must be 1 or more')
     if options.workers is not None and options.scheduler is not None:
         raise BagError('--workers is for this machine alone; leave it out with --scheduler')
+    bags = [*options.bags, *(listed_bags(options.list) if options.list else [])]
+    if not bags:
+        raise BagError('no bags are named; give some, or a file that names them by --list')
     settings = _settings(options)
     kinds = [kind for kind in KINDS if getattr(options, kind)] or ['mcap']
 
@@ -195,7 +198,7 @@ def _batch(options: argparse.Namespace) -> int:
 
     with _progress('batch') as progress:
         rows = batch(
-            options.bags,
+            bags,
             options.output,
             settings,
             options.topic,

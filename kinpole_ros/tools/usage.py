@@ -78,7 +78,9 @@ def make_parser() -> argparse.ArgumentParser:
         'went wrong. A bag that fails is reported, and the rest go on. Run again, it does what is\n'
         'not done yet: results appear under their names only when whole, and stay as long as bag\n'
         'and settings are the same. A folder is one bag: name recordings that lie in one folder\n'
-        "by FOLDER/*.mcap. Needs Dask: pip install 'kinpole_ros[batch]'.",
+        'by FOLDER/*.mcap. Bags and output may be URLs of stores that fsspec knows, as s3://...\n'
+        'Of more than 10,000 bags results lie in 256 folders of the output.\n'
+        "Needs Dask: pip install 'kinpole_ros[batch]'.",
         epilog='examples:\n'
         '  kinpole batch runs/*.mcap --config rig.yaml --output results\n'
         '  kinpole batch runs/*/ --config rig.yaml --output results --parquet --workers 4\n'
@@ -91,13 +93,22 @@ def make_parser() -> argparse.ArgumentParser:
         'see the columns error, truncated, unknown and warnings.',
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    batch.add_argument('bags', metavar='BAG', nargs='+', help='.mcap files and rosbag2 folders')
+    batch.add_argument(
+        'bags',
+        metavar='BAG',
+        nargs='*',
+        help='.mcap files and rosbag2 folders, or URLs such as s3://lab/run.mcap',
+    )
+    batch.add_argument('--list', metavar='FILE', help='a file that names more bags, one a line')
     batch.add_argument(
         '--config', metavar='FILE', help='ROS 2 parameter file for all of them, as for replay'
     )
     _add_set(batch)
     batch.add_argument(
-        '--output', metavar='DIR', default='batch', help='folder for results and summary (batch)'
+        '--output',
+        metavar='DIR',
+        default='batch',
+        help='folder for results and summary, or its URL (batch)',
     )
     batch.add_argument('--topic', metavar='T', help="topic of the markers (config's, /markers)")
     batch.add_argument(
