@@ -299,6 +299,14 @@ def test_likelihood_decides_what_is_seen(tmp_path):
     assert np.isnan(points).all()
 
 
+def test_labeled_images_are_frames_by_their_number_and_have_no_likelihood(tmp_path):
+    head = 'scorer,,,me,me,me\nbodyparts,,,tip,tip,tip\ncoords,,,x,y,likelihood\n'
+    rows = 'labeled-data,run 1,img07.png,1,2,\nlabeled-data,run 1,img09.png,,,\n'
+    _, stamps, points = bring(tmp_path, head + rows, **PIXELS)
+    np.testing.assert_allclose(stamps, [1.0, 1.02], atol=1e-9)
+    assert np.array_equal(points[:, 0], [[0.5, -1, 0], [NAN] * 3], equal_nan=True)
+
+
 def test_frames_without_a_line_leave_a_gap(tmp_path):
     lines = deeplabcut().splitlines()
     _, stamps, _ = bring(tmp_path, '\n'.join(lines[:4] + lines[5:]), **PIXELS)
@@ -349,8 +357,7 @@ SCORED = 'frame_idx,track,tip.x,tip.y\n0,,1,2\n0,,3,4\n'
         (lambda: trc().replace(b'\n2\t', b'\n7\t'), {}, 'line 9, column Frame#: 3 is not the numb'),
         (lambda: trc().replace(b'10.5', b'1o.5'), {}, "line 7, column R.tip x: '1o.500000' is not"),
         (lambda: SCORED, PIXELS, 'frame 0 has 2 instances of track .*fix: track them in SLEAP'),
-        (lambda: deeplabcut().replace('\n0,', '\nlabeled-data/a/img0.png,'), PIXELS,
-         'not the number of a frame.*not labeled training data'),
+        (lambda: deeplabcut().replace('\n0,', '\nfirst,'), PIXELS, 'line 4, column 1: nan is not'),
         (lambda: deeplabcut().replace('heel,heel', 'heel,tip'), PIXELS, 'one coordinate twice'),
         (lambda: deeplabcut_h5(pickle.dumps([print], 0)), PIXELS, 'is not an .h5 of DeepLabCut'),
         (lambda: deeplabcut_h5(b'(lp99999999999\n.'), PIXELS, 'has 6 columns, 0 names'),

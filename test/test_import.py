@@ -8,7 +8,7 @@ import pytest
 from rclpy.serialization import deserialize_message
 from visualization_msgs.msg import MarkerArray
 
-from kinpole_ros.bags import BagError, import_points, read_messages, topics
+from kinpole_ros.bags import BagError, import_csv, import_points, read_messages, topics
 
 DATA = Path(__file__).parents[2] / 'shared' / 'data' / 'double_pendulum' / 'run16.csv'
 
@@ -138,6 +138,21 @@ def test_bad_table_is_one_line_and_leaves_the_output_alone(tmp_path, text, rate,
     if rate is None:
         assert 'table.csv' in str(error.value)
     assert (tmp_path / 'out.mcap').read_text() == 'precious'
+
+
+def test_more_columns_than_a_rig_has_are_refused(tmp_path):
+    header = 't,' + ','.join(f'm{k}_x,m{k}_y' for k in range(5000))
+    with pytest.raises(BagError, match='line 1: 10001 columns; fix: give 10000 at most'):
+        import_text(tmp_path, f'{header}\n')
+
+
+def test_plain_tables_by_their_former_name(tmp_path):
+    (tmp_path / 'table.csv').write_text('a_x,a_y\n1,2\n3,4\n')
+    words = tmp_path / 'table.csv', tmp_path / 'out.mcap', 10.0, 0.5, True
+    assert import_csv(*words) == 2
+    (first, _) = read_messages(tmp_path / 'out.mcap')
+    place = deserialize_message(first.data, MarkerArray).markers[0].pose.position
+    assert (place.x, place.y) == (0.5, -1.0)
 
 
 @pytest.mark.parametrize('scale', [0.0, -1.0, 1e308, np.inf, np.nan])

@@ -2,7 +2,7 @@
 
 from kinpole_ros.bags._files import RECORDER, recorder_of
 from kinpole_ros.bags._frames import read_frames
-from kinpole_ros.bags._import import Imported, import_points
+from kinpole_ros.bags._import import Imported, import_csv, import_points
 from kinpole_ros.bags._reader import (
     BagError,
     BagMessage,
@@ -29,6 +29,7 @@ __all__ = [
     'Truncated',
     'bag_files',
     'definition',
+    'import_csv',
     'import_points',
     'message_class',
     'read_blocks',

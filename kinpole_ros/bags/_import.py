@@ -85,6 +85,21 @@ def import_points(
     return Imported(found, tuple(read.names), len(stamps), shown(read.unit), used, notes)
 
 
+def import_csv(
+    csv_path: str | Path,
+    output: str | Path,
+    rate: float | None = None,
+    scale: float = 1.0,
+    y_down: bool = False,
+    topic: str = '/markers',
+    frame_id: str = 'world',
+    progress: Callable[[float], None] | None = None,
+) -> int:
+    """`import_points` of a plain table, as it was called before; returns the number of frames."""
+    words = rate, scale, y_down, topic, frame_id, progress, 'table'
+    return import_points(csv_path, output, *words).frames
+
+
 def _unseen(read: Points) -> list[str]:
     """A note of markers that are in no frame."""
     never = np.isnan(read.points).any(axis=-1).all(axis=0)

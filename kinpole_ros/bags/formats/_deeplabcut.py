@@ -9,6 +9,7 @@ the unit is the pixel, with y down. Triangulated points have z, and the unit of 
 import io
 import pickle
 import re
+from collections.abc import Sequence
 from typing import Any, NoReturn
 
 import numpy as np
@@ -56,7 +57,8 @@ def _read(file: File, wanted: Wanted) -> Points:
             elif letter != 'z':
                 raise BagError(f"{file.path}: '{shown(name)}' has no {letter}; fix: {_FIX}")
         if (name, 'likelihood') in columns:
-            unsure = ~(values[:, columns[name, 'likelihood']] >= least)
+            # What people labeled has none.
+            unsure = values[:, columns[name, 'likelihood']] < least
             points[unsure, index] = np.nan
     in_space = any(letter == 'z' for _, letter in labels)
     return Points(names, points, frames, None, '' if in_space else 'px', y_down=not in_space)
@@ -74,18 +76,23 @@ def _of_csv(file: File) -> tuple[list[tuple[str, str]], np.ndarray, np.ndarray]:
         if label[-1]:
             labels.append(_label(label))
             columns.append(column)
-    if not re.fullmatch(r'\d+(\.0*)?', sheet.cell(first, 0)):
-        seen = shown(sheet.cell(first, 0))
-        raise BagError(
-            f'{file.path}, line {sheet.lines[first] if first < len(sheet.lines) else first + 1}: '
-            f"the first cell is '{seen}', not the number of a frame; fix: {_FIX}, "
-            'not labeled training data'
-        )
+    if not columns:
+        raise BagError(f'{file.path} names no coordinates; fix: {_FIX}')
     values = np.stack(
         [sheet.column(c, first, '.'.join(x)) for c, x in zip(columns, labels, strict=True)], axis=1
     )
-    numbers = sheet.column(0, first, 'coords')
-    return labels, values, whole_numbers(file.path, numbers, sheet.lines[first:], '1')
+    # Of labeled images there are folders in front of their names.
+    cells = [sheet.cell(row, columns[0] - 1) for row in range(first, len(sheet.rows))]
+    return labels, values, _numbers_of(file, cells, sheet.lines[first:])
+
+
+def _numbers_of(file: File, cells: list[str], lines: Sequence[int]) -> np.ndarray:
+    """Numbers of frames, or of images such as img0012.png."""
+    numbers = np.full(len(cells), np.nan)
+    for row, cell in enumerate(cells):
+        if match := re.search(r'(\d{1,15})(\.0*|\.[A-Za-z]+)?$', cell):
+            numbers[row] = int(match[1])
+    return whole_numbers(file.path, numbers, lines, '1')
 
 
 def _label(levels: 'list[str] | tuple[str, ...]') -> tuple[str, str]:

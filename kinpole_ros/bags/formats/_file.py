@@ -28,6 +28,7 @@ UNITS = {
     **dict.fromkeys(('in', 'inch', 'inches'), 0.0254),
     **dict.fromkeys(('ft', 'foot', 'feet'), 0.3048),
 }
+_MOST_COLUMNS = 10_000
 _SNIFFED = 50  # lines that show what separates cells
 _SHOWN = 40  # characters of a cell
 
@@ -116,6 +117,11 @@ class Sheet:
         try:
             for row in reader:
                 if row:
+                    if len(row) > _MOST_COLUMNS:
+                        raise BagError(
+                            f'{path}, line {reader.line_num}: {len(row)} columns; '
+                            f'fix: give {_MOST_COLUMNS} at most'
+                        )
                     self.rows.append(row)
                     self.lines.append(reader.line_num)
         except csv.Error as error:
