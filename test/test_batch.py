@@ -23,7 +23,7 @@ from conftest import bodies_of, decoded, write_config
 import kinpole_ros.bags.batch as module
 from kinpole_ros.bags import BagError
 from kinpole_ros.bags import replay as replay_one
-from kinpole_ros.bags.batch import _cluster, _results, batch
+from kinpole_ros.bags.batch import _cluster, _places, _results, batch
 from kinpole_ros.bags.batch._results import finished, replay_bag
 from kinpole_ros.pipeline.parameters import Settings
 from kinpole_ros.tools.cli import main
@@ -378,7 +378,7 @@ def test_what_cannot_be_used_is_one_line(
         assert complaint in line
     with monkeypatch.context() as read_only:
         refused = OSError(errno.EROFS, 'Read-only file system')
-        read_only.setattr(module, 'TemporaryFile', mock.Mock(side_effect=refused))
+        read_only.setattr(_places, 'TemporaryFile', mock.Mock(side_effect=refused))
         assert main(['batch', bag, '--output', 'out']) == 2
     line = capsys.readouterr().err
     assert f'{tmp_path}/out cannot be written: Read-only file system; fix: ' in line
@@ -537,7 +537,7 @@ def test_results_of_very_many_bags_lie_in_folders_and_are_found_where_they_were(
     monkeypatch.setattr(module, 'cluster', in_turn)
     monkeypatch.setattr('distributed.as_completed', Completed)
     (flat,) = batch(bags[:1], out, SETTINGS)
-    monkeypatch.setattr(module, '_MOST_IN_FOLDER', 2)
+    monkeypatch.setattr(_places, '_MOST_IN_FOLDER', 2)
     rows = batch(bags, out, SETTINGS)
     assert rows[0] == flat
     for row in rows[1:]:

@@ -14,33 +14,25 @@ from contextlib import nullcontext, suppress
 from dataclasses import replace
 from itertools import islice
 from pathlib import Path
-from tempfile import TemporaryDirectory, TemporaryFile
 from typing import Any
 
 from kinpole_ros.bags import BagError, bag_files
 from kinpole_ros.bags.batch import _store
 from kinpole_ros.bags.batch._cluster import cluster
+from kinpole_ros.bags.batch._places import Places, absolute
 from kinpole_ros.bags.batch._results import (
     EXPECTED,
     KINDS,
     Row,
     alone,
-    finished,
-    finished_in_store,
     is_result,
-    name_of,
     replay_bag,
-    shard_of,
-    unwritable,
-    write_summary,
 )
 from kinpole_ros.pipeline.parameters import Settings
 
 __all__ = ['KINDS', 'batch', 'listed_bags']
 
 _TOPIC = 'kinpole'  # of Dask's events
-# Bags whose results may lie in one folder; of more they lie in 256 folders in it.
-_MOST_IN_FOLDER = 10_000
 # Bags that each worker of a cluster has waiting for it: its scheduler slows down under more.
 _AHEAD = 8
 
@@ -52,7 +44,7 @@ def listed_bags(path: str | Path) -> list[str]:
     Raises BagError when it cannot be read or names none.
     """
     try:
-        lines = os.fsdecode(Path(path).read_bytes()).splitlines()
+        lines = os.fsdecode(Path(path).read_bytes()).split('\n')
     except OSError as error:
         raise BagError(
             f'{path} cannot be read: {error.strerror}; fix: give a file that names a bag a line'
@@ -95,14 +87,14 @@ def batch(
     among them. Raises BagError when there is no Dask, no scheduler, or no place to write. An
     interruption leaves what is finished, and a summary of it.
     """
-    places = _Places(output)
+    places = Places(output)
     folder = places.folder
-    paths = list(dict.fromkeys(map(_absolute, bags)))
+    paths = list(dict.fromkeys(map(absolute, bags)))
     if isinstance(folder, Path):
         paths = [path for path in paths if _store.is_url(path) or not is_result(path, folder)]
     if not paths:
         raise BagError(f'all bags named are results of earlier runs in {folder}; name others')
-    places.sharded = len(paths) > _MOST_IN_FOLDER
+    places.divide(len(paths))
     alone_in = isinstance(folder, Path) and not (folder / 'metadata.yaml').exists()
     if 'mcap' in kinds and alone_in and str(folder) in paths:
         raise BagError(
@@ -131,86 +123,9 @@ def batch(
     return listed
 
 
-def _absolute(bag: str | Path) -> str:
-    return str(bag) if _store.is_url(bag) else os.path.abspath(_store.on_disk(bag))
-
-
-class _Places:
-    """Where results lie: in a folder, or in a store by its URL; of very many in folders of it."""
-
-    def __init__(self, output: str | Path) -> None:
-        self.folder: Path | str = (
-            str(output).rstrip('/')
-            if _store.is_url(output)
-            else Path(os.path.abspath(_store.on_disk(output)))
-        )
-        self.sharded = False
-        # What a store holds, as looked at once: to ask for each bag takes long.
-        self._known: tuple[dict[str, Any], set[str]] = ({}, set())
-
-    def prepare(self) -> None:
-        """Make the folder. Raises BagError when it cannot be written, once for all bags."""
-        if isinstance(self.folder, str):
-            self._known = _store.recorded(self.folder)
-            return
-        try:
-            self.folder.mkdir(parents=True, exist_ok=True)
-            TemporaryFile(dir=self.folder).close()
-        except OSError as error:
-            raise unwritable(self.folder, error) from None
-
-    def home(self, bag: str) -> Path | str:
-        """The folder of the results of a bag, which is there: as before, if it has any."""
-        shard = self._shard(bag)
-        if isinstance(self.folder, str):
-            return f'{self.folder}/{shard}' if shard else self.folder
-        home = self.folder / shard
-        home.mkdir(exist_ok=True)
-        return home
-
-    def _shard(self, bag: str) -> str:
-        """Folder in the folder, '' for none: where results are from before, or should be now."""
-        shard, record = shard_of(bag), f'{name_of(bag)}.json'
-        now, other = (shard, '') if self.sharded else ('', shard)
-        if isinstance(self.folder, str):
-            record = record.removesuffix('.json')
-            before = f'{other}/{record}'.lstrip('/') in self._known[0]
-        else:
-            before = not (self.folder / now / record).exists()
-            before = before and (self.folder / other / record).exists()
-        return other if before else now
-
-    def finished(
-        self, bag: str, settings: Settings, topic: str | None, kinds: list[str]
-    ) -> Row | None:
-        """The row of a bag whose results are there."""
-        shard = self._shard(bag)
-        if isinstance(self.folder, str):
-            row = finished_in_store(bag, shard, self._known, settings, topic, kinds)
-        else:
-            row = finished(bag, self.folder / shard, settings, topic, kinds)
-        return row and self.as_seen(row, shard)
-
-    def as_seen(self, row: Row, shard: str | None = None) -> Row:
-        """A row with its results as they are found from the folder."""
-        shard = self._shard(row['bag']) if shard is None else shard
-        if not shard or not row.get('results'):
-            return row
-        return row | {'results': ' '.join(f'{shard}/{name}' for name in row['results'].split())}
-
-    def write_summary(self, rows: list[Row]) -> None:
-        """A table over all."""
-        if isinstance(self.folder, str):
-            with TemporaryDirectory(prefix='kinpole') as scratch:
-                write_summary(Path(scratch) / 'summary.csv', rows)
-                _store.send(Path(scratch), [], 'summary.csv', self.folder)
-            return
-        write_summary(self.folder / 'summary.csv', rows)
-
-
 def _rows(
     bags: list[str],
-    places: _Places,
+    places: Places,
     settings: Settings,
     topic: str | None,
     kinds: list[str],
