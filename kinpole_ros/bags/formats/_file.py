@@ -177,7 +177,7 @@ def _read(path: Path) -> bytes:
             os.open(path, os.O_RDONLY | getattr(os, 'O_NONBLOCK', 0) | _BINARY), 'rb'
         ) as file:
             if not stat.S_ISREG(os.fstat(file.fileno()).st_mode):
-                raise BagError(f'{path} is not a file; fix: save what it gives as one')
+                raise BagError(f'{path} is not a regular file; fix: save what it gives as one')
             too_large = os.fstat(file.fileno()).st_size > MOST
             content = b'' if too_large else file.read(MOST)
     except OSError as error:
