@@ -11,7 +11,7 @@ setup(
     name=NAME,
     version='0.1.0',
     packages=find_packages(include=[NAME, f'{NAME}.*']),
-    package_data={NAME: ['py.typed']},
+    package_data={NAME: ['py.typed'], f'{NAME}.tools.report': ['page/*']},
     # Without a compiler there is none, and all is the same but for the time it takes.
     ext_modules=[
         Extension(
@@ -52,6 +52,7 @@ setup(
             'mpmath>=1.3',
             # Fixed, since later ones find fault with what these let pass.
             'mypy==2.4.*',
+            'playwright>=1.40',
             'pytest>=7.4',
             'pytest-xdist>=3.3',
             'rosbags>=0.10',

@@ -286,6 +286,20 @@ def _plot(options: argparse.Namespace) -> int:
     return 0
 
 
+def _report(options: argparse.Namespace) -> int:
+    from kinpole_ros.tools.report import report, settings_for
+
+    _keep(options.config, options.output)
+    _keep(options.bag, options.output)
+    settings = settings_for(_settings(options), options.scene)
+    with _progress('report') as progress:
+        record = report(options.bag, options.output, settings, options.topic, progress)
+    thinned = '' if len(record.stamp) == record.total else f' of {record.total}'
+    print(f'{len(record.stamp)}{thinned} instants of {", ".join(record.bodies)}')
+    print(f'written to {options.output}')
+    return 0
+
+
 def _import(options: argparse.Namespace) -> int:
     from kinpole_ros.bags import import_points
 
@@ -435,6 +449,7 @@ _COMMANDS: dict[str, Callable[[argparse.Namespace], int]] = {
     'solve': _solve,
     'discover': _discover,
     'plot': _plot,
+    'report': _report,
     'import': _import,
     'play': _play,
     'record': _record,

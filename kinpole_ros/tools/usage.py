@@ -14,6 +14,7 @@ _EPILOG = """examples:
   kinpole replay four_bar.mcap --config config/four_bar.yaml --output result.mcap
   kinpole batch runs/*.mcap --config rig.yaml --output results
   kinpole plot result.mcap --output result.png
+  kinpole report recording.mcap --config rig.yaml --output report.html
   kinpole discover recording.mcap --output rig.yaml --scene draft.yaml --plot rig.png
   kinpole solve four_bar --sweep --centers --plot four_bar.png
   kinpole import walk.trc --output walk.mcap
@@ -220,6 +221,7 @@ def make_parser() -> argparse.ArgumentParser:
     plot.add_argument('bag', metavar='BAG', help='bag of results, from replay or recorded live')
     plot.add_argument('--output', metavar='FILE.png', required=True, help='picture to write')
 
+    _add_report(commands)
     _add_import(commands)
 
     play = commands.add_parser(
@@ -300,6 +302,31 @@ def _add_set(command: argparse.ArgumentParser) -> None:
         default=[],
         metavar='NAME:=VALUE',
         help='a parameter instead of what the file says, as ros2 run takes it after -p; repeatable',
+    )
+
+
+def _add_report(commands: Any) -> None:
+    report = commands.add_parser(
+        'report',
+        help='a recording to move through: one HTML file that works anywhere, without a network',
+        description='Writes one HTML file: the linkage in motion with its poles, centrodes and\n'
+        'velocities, all figures over time with their bands, and what was withheld and why.\n'
+        'It needs a browser and nothing else. A bag of markers is replayed first.',
+        epilog='examples:\n'
+        '  kinpole report recording.mcap --config rig.yaml --output report.html\n'
+        '  kinpole report recording.mcap --scene four_bar --output report.html\n'
+        '  kinpole report result.mcap --output report.html\n',
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    report.add_argument('bag', metavar='BAG', help='bag of markers, or of results')
+    report.add_argument('--output', metavar='FILE.html', required=True, help='report to write')
+    report.add_argument('--config', metavar='FILE', help='parameter file, as for replay')
+    _add_set(report)
+    report.add_argument('--topic', metavar='T', help="topic of the markers (config's, /markers)")
+    report.add_argument(
+        '--scene',
+        metavar='SCENE',
+        help='draw its theory beside the measurement; without --config its bodies are tracked',
     )
 
 
