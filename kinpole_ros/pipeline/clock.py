@@ -360,8 +360,6 @@ class FrameCounter:
     def __init__(self, clock: Clock, count: int) -> None:
         self.count = count
         self._forget()
-        # So many fewer were lost than it seemed, of late, and since the clock was found.
-        self.early = 0
         self._stamp = 0
         self.follow(clock)
 
@@ -413,7 +411,6 @@ class FrameCounter:
             early = self.count + number - math.floor(tick + _EARLY)
             if early > 0:
                 self._shift += early
-                self.early += early
             most = 0
         if not most:
             # Nor were any lost before those that are pending.

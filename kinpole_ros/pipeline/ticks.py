@@ -26,8 +26,6 @@ _MOST_NATS = 50.0
 # Neighbors on each side that predict a pose, and frames for the first evidence.
 _SIDE = 3
 _FEWEST_EVIDENCE = 16
-# Only losses since so many frames may have been none.
-_TAKEN_BACK = 32
 # Newest frames whose ticks are not sure enough to say anything.
 _UNCERTAIN = 8
 # One prediction does not count for more than so many mean squares.
@@ -85,8 +83,6 @@ class Ticks:
         self.counts = np.zeros(0, np.int64)
         # Whether frames are regular only since stamps are rounded.
         self._rounded = False
-        # Only frames after so many can still be corrected.
-        self._corrected = 0
         self._taken = np.zeros(0, bool)
         self._new: list[tuple[np.ndarray, np.ndarray]] = []
         # Poses of frames taken, with what they are known by, that are still to be looked at.
@@ -114,15 +110,6 @@ class Ticks:
     def uncount(self, number: int) -> None:
         """The counts of so many of the newest frames are to be found."""
         self.counts = self.counts[: len(self.counts) - number]
-
-    def take_back(self, early: int) -> None:
-        """So many fewer frames were lost than it seemed, if any were of late."""
-        # If that is wrong the next look mends it.
-        begin = max(len(self.counts) - _TAKEN_BACK, self._corrected, 1)
-        more = np.diff(self.counts[begin - 1 :]) - 1
-        lost = more.nonzero()[0]
-        if len(lost):
-            self.counts[: begin + lost[-1]] += min(early, int(more[lost[-1]]))
 
     def look(self, noise: Real, newest: np.ndarray | None) -> bool:
         """
@@ -176,7 +163,6 @@ class Ticks:
             self._stamps, counts = self._stamps[self._taken], counts[self._taken]
             self._taken = np.ones(len(counts), bool)
         self.counts = counts
-        self._corrected = len(counts) - (2 * _SIDE + _UNCERTAIN) + _OFF_CLOCK
         return same
 
     def _may_be_rounded(self, step: float) -> bool:
