@@ -169,7 +169,9 @@ def test_slow_residuals_count_by_their_derivatives_less_the_noise(
     given_of = np.array([step]), np.full((1, 1), 0.1), np.full((1, 1), float(degree))
 
     def found(noise: float) -> np.ndarray:
-        of = deformation.covariance(windows, *given_of, np.full((1, 1), noise), np.ones((1, 1)), 2)
+        of = deformation.covariance(
+            windows, *given_of, np.full((1, 1), noise), np.ones((1, 1)), np.zeros((1, 1), int), 2
+        )
         return of[:, :, 0, 0]
 
     quiet = found(0.0)

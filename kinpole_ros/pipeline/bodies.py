@@ -98,6 +98,7 @@ def _known_type(bodies: int, width: int) -> np.dtype:
         # As of `Deformation`.
         ('deformed', float, (bodies,)),
         ('held', float, (bodies,)),
+        ('deformed_since', np.int64, (bodies,)),
         ('orientation_observable', bool, (bodies,)),
         ('size', float, (bodies,)),
         ('pin', complex, (bodies,)),
@@ -419,6 +420,7 @@ class RigidBodies:
             known['measured'] = np.isfinite(noise)
             known['deformed'] = self.deformation.freedom
             known['held'] = self.deformation.held
+            known['deformed_since'] = self.deformation.since
             known['orientation_observable'] = noise**2 < _UNSTEADY**2 * self._shapes.spread
             known['size'] = self._size()
             known['pin'], known['pin_variance'] = pins.center, pins.variance

@@ -439,8 +439,9 @@ class Tracker:
         interval = frames['interval'][windows[2]] * 1e-9
         order = len(found[0]) - 1
         noise = known['noise'] * np.sqrt(known['held'])
+        deformed = known['deformed'], known['deformed_since']
         slow = self._rigid.deformation.covariance(
-            numbers, interval, span, degree, noise, known['deformed'], order
+            numbers, interval, span, degree, noise, *deformed, order
         )
         with np.errstate(divide='ignore', invalid='ignore'):
             of_angle, of_position = slow / information[:, :count], slow / information[:, count:]

@@ -45,7 +45,8 @@ class Deformation:
 
     `freedom` (B,) is how many of a frame's residuals are free, 2n - 3, for bodies whose markers
     move against each other by more than their noise; 0 for those whose markers do not. `window`,
-    ns, is as long as the estimates'.
+    ns, is as long as the estimates'. `since` (B,) is the first frame, counted from the first that
+    was added, whose residuals are of the shapes of now.
     """
 
     def __init__(self, bodies: int, width: int, window: int) -> None:
@@ -53,6 +54,7 @@ class Deformation:
         self.freedom = np.zeros(bodies)
         # By how much noise gains where hidden markers are taken to stay where they were seen last.
         self.held = np.ones(bodies)
+        self.since = np.zeros(bodies, np.int64)
         self._first = 0
         self._rows = Samples((bodies, width), complex)
         self._last = np.zeros((bodies, width), complex)
@@ -90,7 +92,8 @@ class Deformation:
 
     def forget(self, which: np.ndarray) -> None:
         """Forget the bodies `which` (B,): their residuals so far are of other shapes."""
-        self._rows.view()[:, which] = 0.0
+        # Not zeroed: estimates of before may still be made.
+        self.since[which] = self._first + len(self._rows.view())
         self._last[which] = 0.0
         self._sums[:, which] = self.freedom[which] = 0.0
         if self._tail is not None:
@@ -161,6 +164,7 @@ class Deformation:
         degree: Real,
         noise: Real,
         freedom: Real,
+        since: np.ndarray,
         order: int,
     ) -> Real:
         """
@@ -170,7 +174,8 @@ class Deformation:
         those from half a window before `windows[1]` to before `windows[2]`, which may be yet to
         come; all are counted from the first that was added. `interval` (T,) is that between frames,
         s; `span`, s, and `degree` (T, B) are those of the stencils; `noise` (T, B) is that of a
-        coordinate; `freedom` (T, B) as above, 0 for what is not asked for and comes out 0.
+        coordinate; `freedom` and `since` (T, B) as above, at that time, freedom 0 for what is not
+        asked for and comes out 0.
         """
         _, oldest, newest = windows
         held = newest - oldest
@@ -190,13 +195,15 @@ class Deformation:
             step = max(1, round(_DISTANCE * count))
             end = newest[instants] - count + 1
             last = -(-end // step)
-            first = np.minimum(-(-begin[instants] // step), last - 1)
+            own = since[instants, bodies]
+            first = np.minimum(-(-np.maximum(begin[instants], own) // step), last - 1)
             products = self._products(first.min() * step, end.max(), step, who, rows)
             bounds = np.stack((first, last), axis=1).reshape(-1) - first.min()
             sums = np.add.reduceat(products, bounds, axis=0)[::2]
             sums = sums[np.arange(len(sums)), place.reshape(-1)]
             free, looked = freedom[instants, bodies], last - first
-            mean = sums / (looked * free)[:, None, None]
+            # Of frames enough for a stencil, or nothing is known yet.
+            mean = sums * (first * step >= own)[:, None, None] / (looked * free)[:, None, None]
             white = noise[instants, bodies] ** 2 * np.diag(gained)[:, None]
             squares = np.einsum('tkk->kt', mean)
             with np.errstate(divide='ignore', invalid='ignore'):
