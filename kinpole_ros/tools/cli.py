@@ -17,6 +17,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from kinpole_ros.files import cut_line, printable
 from kinpole_ros.tools.usage import make_parser
 
 if TYPE_CHECKING:
@@ -35,6 +36,8 @@ _FIXES = {
     'matplotlib': "drawing needs matplotlib; install it with pip install 'kinpole_ros[plot]'",
     'mcap': "reading and writing bags needs mcap; install it with pip install 'mcap>=1.5'",
 }
+# Characters: a bag may have any number of topics, and markers, with any names.
+_LONGEST_LINE = 5000
 _NO_ROS = 'source a ROS 2 installation first, or the .venv that `make demo` sets up'
 
 
@@ -106,7 +109,7 @@ def _line(error: object) -> str:
         ros = package == 'rclpy' or package.endswith(('_msgs', '_interfaces'))
         fix = _NO_ROS if ros else f'install it with pip install {package}'
         return _FIXES.get(package, f'the Python package {package} cannot be imported; {fix}')
-    text = ' '.join(str(error).split())
+    text = cut_line(printable(' '.join(str(error).split())), _LONGEST_LINE)
     if isinstance(error, OSError) and error.strerror:
         # From wherever nobody had words of his own for it.
         fix = 'check the path, its rights and the space on the disk'
@@ -169,7 +172,7 @@ def _replay(options: argparse.Namespace) -> int:
     if result.space.plane is not None and settings.plane not in AXES:
         print(f'plane: {plane_words(result.space.plane)}')
     for line in warnings_of(result, settings):
-        print(f'kinpole replay: {line}', file=sys.stderr)
+        print(f'kinpole replay: {_line(line)}', file=sys.stderr)
     if result.truncated is not None:
         print(f'kinpole replay: {_line(result.truncated)}', file=sys.stderr)
     return 2 if result.truncated is not None or result.unknown else 0
@@ -194,7 +197,7 @@ def _batch(options: argparse.Namespace) -> int:
             if trouble:
                 name = '' if row['bag'] in trouble else f'{row["bag"]}: '
                 clear = _cleared() if _on_terminal() else ''
-                print(f'{clear}kinpole batch: {name}{_line(trouble)}', file=sys.stderr)
+                print(f'{clear}kinpole batch: {_line(f"{name}{trouble}")}', file=sys.stderr)
 
     with _progress('batch') as progress:
         rows = batch(
@@ -359,7 +362,7 @@ def _solve(options: argparse.Namespace) -> int:
         options.plot,
         options.pitch,
     )
-    print('\n'.join(lines))
+    print('\n'.join(map(printable, lines)))
     return 0
 
 
@@ -377,7 +380,7 @@ def _discover(options: argparse.Namespace) -> int:
             options.plot,
             progress,
         )
-    print('\n'.join(lines))
+    print('\n'.join(map(printable, lines)))
     return 0
 
 
