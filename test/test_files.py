@@ -1,9 +1,11 @@
 """Files of strangers are refused at once, in one line, and none of them is waited for."""
 
+import errno
 import os
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
+from unittest import mock
 
 import pytest
 import rclpy
@@ -11,10 +13,11 @@ import yaml
 from rclpy.node import Node
 
 from kinpole_ros.bags import BagError, bag_files, import_csv
-from kinpole_ros.files import cut, cut_line, open_regular, printable, read_limited
+from kinpole_ros.files import cut, cut_line, open_regular, printable, read_limited, whole
 from kinpole_ros.files.bounded_yaml import load_yaml
 from kinpole_ros.mechanism import SceneError, load_scene
 from kinpole_ros.pipeline.parameters import ParameterError, assignments, load_settings
+from kinpole_ros.tools.cli import main
 
 MAGIC = b'\x89MCAP0\r\n'
 LAUGHS = 'a: &a [x, x, x, x, x, x, x, x]\n' + ''.join(
@@ -224,6 +227,99 @@ def test_what_is_shown_is_short_and_no_command_to_a_terminal() -> None:
     assert cut('\x1b[2J') == "'\\x1b[2J'"
     assert printable('a\x1b[2J\u202eb') == 'a\\x1b[2J\\u202eb'
     assert len(cut_line('x' * 10_000, 100)) < 110
+
+
+# Results.
+
+
+@pytest.mark.parametrize('ending', [None, OSError, KeyboardInterrupt])
+def test_a_result_is_whole_or_not_there(tmp_path: Path, ending: type[BaseException] | None) -> None:
+    new, old, link = tmp_path / 'new' / 'a.csv', tmp_path / 'old.csv', tmp_path / 'link'
+    old.write_text('before')
+    old.chmod(0o640)
+    link.symlink_to(old)
+    for path in (new, link):
+        try:
+            with whole(path) as part:
+                part.write_text('half')
+                assert (path.read_text() == 'before') if path.exists() else path is new
+                part.write_text('after')
+                if ending is not None:
+                    raise ending
+        except (OSError, KeyboardInterrupt):
+            assert ending is not None
+    assert old.read_text() == ('before' if ending else 'after')
+    assert new.exists() == (ending is None)
+    assert link.is_symlink()
+    assert old.stat().st_mode & 0o777 == 0o640
+    assert not [*tmp_path.rglob('*.part')]
+
+
+def test_two_at_one_result_do_not_mix(tmp_path: Path) -> None:
+    path = tmp_path / 'a.csv'
+    with whole(path) as one:
+        one.write_text('one')
+        with whole(path) as other:
+            other.write_text('other')
+        assert path.read_text() == 'other'
+    assert path.read_text() == 'one'
+
+
+def test_what_is_no_file_is_written_as_it_goes_and_stays(tmp_path: Path) -> None:
+    with whole('/dev/null') as place:
+        assert place == Path('/dev/null')
+    assert Path('/dev/null').is_char_device()
+    with pytest.raises(IsADirectoryError), whole(tmp_path):
+        pass
+
+
+@pytest.fixture(scope='module')
+def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with a bag, its results and a table."""
+    folder = tmp_path_factory.mktemp('made')
+    bag = str(folder / 'bag.mcap')
+    simulated = ['simulate', 'cardan', '--duration', '1', '--rate', '100', '--noise', '1e-5']
+    assert main([*simulated, '--output', bag]) == 0
+    assert main(['replay', bag, '--output', str(folder / 'result.mcap')]) == 0
+    (folder / 'table.csv').write_text('t,a_x,a_y\n0,1,2\n1,2,3\n')
+    return folder
+
+
+@pytest.mark.parametrize(
+    'words',
+    [
+        'replay {0}/bag.mcap --output {1}.mcap',
+        'replay {0}/bag.mcap --csv {1}.csv',
+        'replay {0}/bag.mcap --parquet {1}.parquet',
+        'simulate cardan --duration 0.1 --output {1}.mcap',
+        'import {0}/table.csv --output {1}.mcap',
+        'plot {0}/result.mcap --output {1}.png',
+        'solve four_bar --csv {1}.csv',
+        'solve four_bar --plot {1}.png',
+        'solve four_bar --pitch coupler ground {1}.svg',
+        'discover {0}/bag.mcap --output {1}.yaml',
+    ],
+)
+def test_every_command_leaves_the_result_of_before_until_its_own_is_whole(
+    made: Path,
+    tmp_path: Path,
+    words: str,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    for name, package in (('.parquet', 'pyarrow'), ('.png', 'matplotlib')):
+        if name in words:
+            pytest.importorskip(package)
+    given = words.format(made, tmp_path / 'out').split()
+    path = Path(given[-1])
+    path.write_text('before')
+    full = OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+    monkeypatch.setattr('kinpole_ros.files._whole.os.fsync', mock.Mock(side_effect=full))
+    assert main(given) == 2
+    said = capsys.readouterr().err
+    assert f'{path} cannot be written: No space left on device; fix: ' in said.splitlines()[-1]
+    assert path.read_text() == 'before'
+    assert sorted(tmp_path.iterdir()) == [path]
 
 
 # What replay makes of a value, and what the node, of which ROS reads the parameters.

@@ -196,6 +196,13 @@ def unreadable(path: Path, error: OSError) -> BagError:
     return BagError(f'{path} cannot be read: {error.strerror}; fix: check the path and its rights')
 
 
+def unwritable(path: str | Path, error: OSError) -> BagError:
+    return BagError(
+        f'{path} cannot be written: {error.strerror or error}; '
+        'fix: check the path, its rights and the space on the disk'
+    )
+
+
 def open_file(path: Path) -> BinaryIO:
     """A file of a bag, or the content of one that rosbag2 compressed as a whole."""
     file = open_regular(path)

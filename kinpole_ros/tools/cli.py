@@ -11,6 +11,7 @@ import os
 import shutil
 import signal
 import sys
+import threading
 import time
 from collections.abc import Callable, Sequence
 from contextlib import contextmanager, suppress
@@ -38,6 +39,9 @@ _FIXES = {
 }
 # Characters: a bag may have any number of topics, and markers, with any names.
 _LONGEST_LINE = 5000
+# What SIGTERM ends as Ctrl-C does: nothing is left of results that are not whole, and of a player
+# others do not believe for many seconds that it is there.
+_ENDED = ('replay', 'simulate', 'solve', 'discover', 'plot', 'import', 'play')
 _NO_ROS = 'source a ROS 2 installation first, or the .venv that `make demo` sets up'
 
 
@@ -55,6 +59,8 @@ def main(args: Sequence[str] | None = None) -> int:
 
             return run_node(['kinpole', *words[1:]])
         options = make_parser().parse_args(words)
+        if options.command in _ENDED and threading.current_thread() is threading.main_thread():
+            signal.signal(signal.SIGTERM, lambda number, _: sys.exit(128 + number))
         return _COMMANDS[options.command](options)
     except KeyboardInterrupt:
         return 130
@@ -331,8 +337,6 @@ def _import(options: argparse.Namespace) -> int:
 def _play(options: argparse.Namespace) -> int:
     from kinpole_ros.ros.live import play
 
-    # As Ctrl-C ends it: of what is killed others believe for many seconds that it is there.
-    signal.signal(signal.SIGTERM, lambda number, _: sys.exit(128 + number))
     with _progress('play') as progress:
         count = play(options.bag, options.topic, options.speed, progress=progress)
     print(f'{count} messages played')

@@ -7,7 +7,7 @@ Reads a bag or listens to a topic, has `linkage` find what there is, and writes 
 from collections.abc import Callable
 from pathlib import Path
 
-from kinpole_ros.bags import BagError, read_frames
+from kinpole_ros.bags import BagError, in_place_of, read_frames
 from kinpole_ros.linkage import UndiscoveredError, discover, draft, parameter_file, table
 from kinpole_ros.pipeline.frame import MarkerFrames
 
@@ -85,11 +85,5 @@ def _read(
 
 
 def _write(path: str | Path, text: str) -> None:
-    try:
-        Path(path).parent.mkdir(parents=True, exist_ok=True)
-        Path(path).write_text(text, encoding='utf-8')
-    except OSError as error:
-        raise BagError(
-            f'{path} cannot be written: {error.strerror}; fix: check the path, its rights and the '
-            'space on the disk'
-        ) from error
+    with in_place_of(path) as part:
+        part.write_text(text, encoding='utf-8')
