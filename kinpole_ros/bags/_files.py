@@ -42,7 +42,7 @@ class BagError(ValueError):
 
 
 class Truncated(BagError):
-    """The end of a bag is missing or damaged; all that comes before was handed out."""
+    """A bag that was cut, is damaged or lacks messages; the rest of it was handed out."""
 
 
 def bag_files(path: str | Path) -> list[Path]:

@@ -5,7 +5,9 @@ order, whole or not, by the same code. Messages are handed on as soon as no late
 an earlier one, so memory stays bounded.
 """
 
+import struct
 from bisect import bisect_right
+from collections import Counter
 from collections.abc import Callable, Collection, Iterator
 from contextlib import suppress
 from heapq import heappop, heappush
@@ -15,6 +17,7 @@ from pathlib import Path
 from typing import BinaryIO
 
 from kinpole_ros.bags._channels import BagMessage, Channels, largest
+from kinpole_ros.bags._claims import indexed_times
 from kinpole_ros.bags._files import (
     BagError,
     Truncated,
@@ -23,10 +26,10 @@ from kinpole_ros.bags._files import (
     open_file,
     unreadable,
 )
-from kinpole_ros.bags._layout import NEVER, lay_out, records
+from kinpole_ros.bags._layout import NEVER, Span, indexes, lay_out, records
 
 _LATEST = 2**63 - 1  # ns; ROS has no later time
-_LOG_TIME = attrgetter('log_time')
+_LOG_TIME, _TOPIC = attrgetter('log_time'), attrgetter('topic')
 # What a block holds at most, but for single messages larger than that.
 _BLOCK_MESSAGES = 1000
 _BLOCK_BYTES = 1 << 20
@@ -150,7 +153,8 @@ def _read_file(
 ) -> Iterator[list[BagMessage]]:
     channels = Channels(path, wanted)
     layout = lay_out(path, file, channels)
-    trouble = layout.trouble
+    trouble, doubt = layout.trouble, layout.doubt
+    counts: Counter[str] = Counter()
     # The earliest log time from each span on to the end of the file.
     times = [span.time for span in reversed(layout.spans)]
     earliest = [*accumulate(times, min, initial=NEVER)][::-1]
@@ -160,8 +164,11 @@ def _read_file(
     for number, (span, horizon) in enumerate(zip(layout.spans, earliest[1:], strict=True)):
         found: list[BagMessage] = []
         try:
-            channels.read(records(file, span, layout), found)
+            content = records(file, span, layout)
+            channels.read(content, found)
             found.sort(key=_LOG_TIME)
+            if span.indexes and not doubt:
+                doubt = _unlike_its_index(file, span, found, channels, 2 * len(content))
             if found and found[-1].log_time > _LATEST:
                 del found[bisect_right(found, _LATEST, key=_LOG_TIME) :]
                 raise ValueError('a log time after the year 2262')
@@ -173,6 +180,7 @@ def _read_file(
                 trouble = f'is damaged at byte {span.offset} ({error})'
         if found:
             count += len(found)
+            counts.update(map(_TOPIC, found))
             waiting.add(number, found)
         for part in waiting.until(horizon):
             last = part[-1].log_time
@@ -185,12 +193,35 @@ def _read_file(
                 f'them would have to be held; fix: `mcap sort {path} -o NEW.mcap`'
             )
         report(span.end / layout.size)
+    if not trouble:
+        told = doubt or layout.claims.miscounted(counts, channels.topics)
+        if told := told or layout.claims.wrong_sum(file):
+            raise Truncated(
+                f'{path} has lost messages, or was changed: {told}; {count} messages were read; '
+                f'fix: record again, or `mcap recover {path} -o NEW.mcap` for what is left'
+            )
     if trouble:
         read = f'{count} messages up to stamp {last / 1e9:.3f} s (log time) were read'
         raise Truncated(
             f'{path} {trouble}: {read if count else "there is no message before that"}; '
             f'fix: record again, or `mcap recover {path} -o NEW.mcap`'
         )
+
+
+def _unlike_its_index(
+    file: BinaryIO, span: Span, found: list[BagMessage], channels: Channels, most: int
+) -> str:
+    """What its indexes tell otherwise of the messages of a chunk, in order; '' for nothing."""
+    try:
+        times = indexed_times(indexes(file, span, _BLOCK_BYTES + most), channels.topics)
+        if times == [message.log_time for message in found]:
+            return ''
+        told = f'has {len(times)} messages, there are {len(found)}'
+        if len(times) == len(found):
+            told = 'has messages of other times'
+    except (ValueError, struct.error):
+        told = 'is damaged'
+    return f'the index of its chunk at byte {span.offset} {told}'
 
 
 class _Waiting:

@@ -125,6 +125,13 @@ def _line(error: object) -> str:
     return text
 
 
+def _told(command: str, troubles: list[object]) -> int:
+    """Tell what a bag lacks of which all the rest was used; the exit status."""
+    for trouble in troubles:
+        print(f'kinpole {command}: {_line(trouble)}', file=sys.stderr)
+    return 2 if troubles else 0
+
+
 def _on_terminal() -> bool:
     """Whether somebody watches stderr, which may be closed."""
     return sys.stderr is not None and sys.stderr.isatty()
@@ -290,9 +297,9 @@ def _plot(options: argparse.Namespace) -> int:
     from kinpole_ros.tools.plot import plot
 
     with _progress('plot') as progress:
-        plot(options.bag, options.output, progress)
+        cut = plot(options.bag, options.output, progress)
     print(f'drawn to {options.output}')
-    return 0
+    return _told('plot', [cut] if cut else [])
 
 
 def _report(options: argparse.Namespace) -> int:
@@ -374,6 +381,7 @@ def _discover(options: argparse.Namespace) -> int:
     from kinpole_ros.tools.discover import discover_rig
 
     _keep(options.source, options.output, options.scene, options.plot)
+    troubles: list[object] = []
     with _progress('discover') as progress:
         lines = discover_rig(
             options.source,
@@ -383,9 +391,10 @@ def _discover(options: argparse.Namespace) -> int:
             options.scene,
             options.plot,
             progress,
+            troubles.append,
         )
     print('\n'.join(map(printable, lines)))
-    return 0
+    return _told('discover', troubles)
 
 
 def _demo(options: argparse.Namespace) -> int:

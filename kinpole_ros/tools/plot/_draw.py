@@ -44,13 +44,14 @@ _HALO: dict[str, Any] = {'facecolor': 'white', 'edgecolor': 'none', 'alpha': 0.7
 
 def plot(
     bag: str | Path, output: str | Path, progress: Callable[[float], None] | None = None
-) -> None:
+) -> str:
     """
     Draw the results in `bag` (an .mcap file or a rosbag2 folder) to `output`.
 
     The format goes by the suffix of `output`: png, pdf, svg or whatever else matplotlib writes;
-    folders above it are made. `progress` is called with the share done, by time. Raises BagError
-    when the bag holds no results, `output` cannot be written or matplotlib is missing.
+    folders above it are made. `progress` is called with the share done, by time. Returns what a bag
+    that is not whole lacks, '' for one that is. Raises BagError when the bag holds no results,
+    `output` cannot be written or matplotlib is missing.
     """
     try:
         from matplotlib.figure import Figure
@@ -74,6 +75,7 @@ def plot(
         figure.savefig(part, format=kind, dpi=_DPI)
     if progress is not None:
         progress(1.0)
+    return results.cut
 
 
 def _draw(figure: Any, bag: str, results: Results) -> None:
