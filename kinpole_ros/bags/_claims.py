@@ -18,10 +18,8 @@ from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
 from mcap.records import ChunkIndex, DataEnd, Statistics
 
-from kinpole_ros.bags._channels import HEAD
-
 TOLD = (Opcode.STATISTICS, Opcode.CHUNK_INDEX, Opcode.DATA_END)
-_INDEX = struct.Struct('<HI')  # of a message index: channel, bytes of what follows
+_INDEX = struct.Struct('<BQHI')  # opcode, length, channel, bytes of index to come
 _PIECE = 1 << 20
 
 
@@ -85,18 +83,17 @@ class Claims:
 
 def indexed_times(index: bytes, channels: Collection[int]) -> list[int]:
     """Log times, in order, of the messages of these channels by a chunk's indexes of messages."""
-    found = [np.empty(0, '<u8')]
-    start = 0
-    while start < len(index):
-        opcode, length = HEAD.unpack_from(index, start)
-        channel, size = _INDEX.unpack_from(index, start + HEAD.size)
-        if opcode != Opcode.MESSAGE_INDEX or length != _INDEX.size + size or size % 16:
+    times: list[int] = []
+    start, end = 0, len(index)
+    while start < end:
+        opcode, length, channel, size = _INDEX.unpack_from(index, start)
+        if opcode != Opcode.MESSAGE_INDEX or length != 6 + size or size % 16:
             raise ValueError('no index of messages')
+        start += _INDEX.size
         if channel in channels:
-            begin = start + HEAD.size + _INDEX.size
-            found.append(np.frombuffer(index, '<u8', size // 8, begin)[::2])
-        start += HEAD.size + length
-    times: list[int] = np.sort(np.concatenate(found)).tolist()
+            times += np.frombuffer(index, '<u8', size // 8, start)[::2].tolist()
+        start += size
+    times.sort()
     return times
 
 

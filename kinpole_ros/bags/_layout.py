@@ -175,8 +175,12 @@ def _scan(file: BinaryIO, size: int, farthest: int) -> Layout:
             claims.note(opcode, file.read(length), offset)
         if opcode == Opcode.MESSAGE_INDEX and spans and spans[-1].chunk:
             last = spans[-1]
+            whole = last.indexes + HEAD.size + length
+            if whole > largest(size):
+                trouble = f'is damaged at byte {offset} (indexes that claim {whole} bytes)'
+                return Layout(spans, trouble, offset, claims)
             if last.end + last.indexes == offset:
-                spans[-1] = last._replace(indexes=last.indexes + HEAD.size + length)
+                spans[-1] = last._replace(indexes=whole)
         if opcode in (Opcode.CHUNK, Opcode.MESSAGE, Opcode.SCHEMA, Opcode.CHANNEL):
             if length > largest(size):
                 trouble = f'is damaged at byte {offset} (a record that claims {length} bytes)'
@@ -211,22 +215,15 @@ def _scan(file: BinaryIO, size: int, farthest: int) -> Layout:
     return Layout(spans, f'is cut off at byte {end}', end, claims)
 
 
-def indexes(file: BinaryIO, span: Span, most: int) -> bytes:
-    """The indexes of a chunk's messages; raises ValueError for more than `most` bytes."""
-    if span.indexes > most:
-        raise ValueError(f'indexes that claim {span.indexes} bytes')
-    file.seek(span.end)
-    return file.read(span.indexes)
-
-
-def records(file: BinaryIO, span: Span, layout: Layout) -> bytes:
-    """The records in a span, as far as the file goes."""
+def records(file: BinaryIO, span: Span, layout: Layout) -> tuple[bytes, bytes]:
+    """The records in a span, as far as the file goes, and the indexes behind a whole chunk."""
     if span.length > LARGEST:
         raise ValueError(f'a record that claims {span.length} bytes')
     file.seek(span.offset)
-    record = file.read(min(span.length, layout.size - span.offset))
+    record = file.read(min(span.length + span.indexes, layout.size - span.offset))
     if not span.chunk:
-        return record
+        return record, b''
+    record, index = record[: span.length], record[span.length :]
     if record[: HEAD.size] != HEAD.pack(Opcode.CHUNK, span.length - HEAD.size):
         raise ValueError('no record where the index has one')
     # Read this way, the data of a chunk that is cut are as short as the file leaves them.
@@ -250,4 +247,4 @@ def records(file: BinaryIO, span: Span, layout: Layout) -> bytes:
             raise ValueError('a chunk of the wrong size')
         if chunk.uncompressed_crc not in (0, zlib.crc32(content)):
             raise ValueError('the checksum of a chunk is wrong')
-    return content
+    return content, index

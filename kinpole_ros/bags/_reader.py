@@ -26,7 +26,7 @@ from kinpole_ros.bags._files import (
     open_file,
     unreadable,
 )
-from kinpole_ros.bags._layout import NEVER, Span, indexes, lay_out, records
+from kinpole_ros.bags._layout import NEVER, lay_out, records
 
 _LATEST = 2**63 - 1  # ns; ROS has no later time
 _LOG_TIME, _TOPIC = attrgetter('log_time'), attrgetter('topic')
@@ -115,7 +115,7 @@ def _file_topics(path: Path, file: BinaryIO) -> dict[str, str]:
     if not channels.types:
         with suppress(Exception):  # damaged bytes: what came before them counts
             for span in layout.spans:
-                channels.read(records(file, span, layout), [])
+                channels.read(records(file, span, layout)[0], [])
     return channels.types
 
 
@@ -164,11 +164,11 @@ def _read_file(
     for number, (span, horizon) in enumerate(zip(layout.spans, earliest[1:], strict=True)):
         found: list[BagMessage] = []
         try:
-            content = records(file, span, layout)
+            content, index = records(file, span, layout)
             channels.read(content, found)
             found.sort(key=_LOG_TIME)
-            if span.indexes and not doubt:
-                doubt = _unlike_its_index(file, span, found, channels, 2 * len(content))
+            if index and not doubt and (unlike := _unlike(index, found, channels)):
+                doubt = f'the index of its chunk at byte {span.offset} {unlike}'
             if found and found[-1].log_time > _LATEST:
                 del found[bisect_right(found, _LATEST, key=_LOG_TIME) :]
                 raise ValueError('a log time after the year 2262')
@@ -208,20 +208,17 @@ def _read_file(
         )
 
 
-def _unlike_its_index(
-    file: BinaryIO, span: Span, found: list[BagMessage], channels: Channels, most: int
-) -> str:
-    """What its indexes tell otherwise of the messages of a chunk, in order; '' for nothing."""
+def _unlike(index: bytes, found: list[BagMessage], channels: Channels) -> str:
+    """How the indexes of a chunk differ from its messages, in order; '' if they do not."""
     try:
-        times = indexed_times(indexes(file, span, _BLOCK_BYTES + most), channels.topics)
-        if times == [message.log_time for message in found]:
-            return ''
-        told = f'has {len(times)} messages, there are {len(found)}'
-        if len(times) == len(found):
-            told = 'has messages of other times'
+        times = indexed_times(index, channels.topics)
     except (ValueError, struct.error):
-        told = 'is damaged'
-    return f'the index of its chunk at byte {span.offset} {told}'
+        return 'is damaged'
+    if times == [message.log_time for message in found]:
+        return ''
+    if len(times) == len(found):
+        return 'has messages of other times'
+    return f'has {len(times)} messages, there are {len(found)}'
 
 
 class _Waiting:
