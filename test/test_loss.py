@@ -131,6 +131,11 @@ def with_a_plain_message_changed(records: list[bytes]) -> None:
     records[place] = records[place][:-1] + b'!'
 
 
+def with_a_plain_message_at_another_time(records: list[bytes]) -> None:
+    place = at(records, Opcode.MESSAGE)
+    records[place] = records[place][:15] + bytes(8) + records[place][23:]
+
+
 whole_summary: list[bytes] = []
 CHUNKED = [
     without_a_chunk,
@@ -152,6 +157,7 @@ PLAIN = [without_a_plain_message, with_a_plain_message_changed]
     [(spoil, {'compression': kind}) for spoil in CHUNKED for kind in CompressionType]
     + [(spoil, {'use_chunking': False, 'enable_data_crcs': True}) for spoil in PLAIN]
     + [(without_a_plain_message, {'use_chunking': False})]
+    + [(with_a_plain_message_at_another_time, {'use_chunking': False})]
     + [(without_a_chunk, {'index_types': IndexType.NONE})]
     + [(without_a_message, {'use_statistics': False})],
 )

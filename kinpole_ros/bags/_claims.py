@@ -68,6 +68,15 @@ class Claims:
                     return f'its statistics count {told} on {topic}, there are {there}'
         return ''
 
+    def untimely(self, first: int, last: int) -> str:
+        """What is wrong with messages from `first` to `last`, log times in ns; '' if nothing."""
+        told = self._statistics
+        if told is None or told.message_start_time <= first <= last <= told.message_end_time:
+            return ''
+        span = f'{told.message_start_time / 1e9:.3f} to {told.message_end_time / 1e9:.3f} s'
+        there = f'{first / 1e9:.3f} to {last / 1e9:.3f} s'
+        return f'its statistics tell of log times {span}, there are {there}'
+
     def wrong_sum(self, file: BinaryIO) -> str:
         """What is wrong with the checksum of the data; '' if nothing, or there is none."""
         left, claimed = self._data

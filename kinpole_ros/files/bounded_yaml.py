@@ -13,7 +13,6 @@ import yaml
 _Base: Any = getattr(yaml, 'CSafeLoader', yaml.SafeLoader)
 
 MOST_YAML = 1 << 20  # bytes of a file
-_MOST_VALUES = 50_000
 _DEEPEST = 50
 # Directives are compared each with each, before there is anything to count.
 _MOST_DIRECTIVES = 10
@@ -28,6 +27,7 @@ class Loader(_Base):
     """
 
     longest: int | None = None  # characters of a value
+    most = 50_000  # values
 
     yaml_constructors = {  # noqa: RUF012
         tag: make
@@ -50,9 +50,9 @@ class Loader(_Base):
         return dict(super().construct_mapping(node, deep))
 
 
-def load_yaml(text: str | bytes, loader: type = Loader) -> Any:
+def load_yaml(text: str | bytes, loader: type[Loader] = Loader) -> Any:
     """
-    What a text in YAML says, as `loader`, which is a `Loader`, reads it.
+    What a text in YAML says, as `loader` reads it.
 
     Raises yaml.YAMLError, ValueError, LookupError, TypeError or AttributeError.
     """
@@ -62,11 +62,11 @@ def load_yaml(text: str | bytes, loader: type = Loader) -> Any:
     percent = '^%' if isinstance(text, str) else b'^%'
     if len(re.findall(percent, text, re.MULTILINE)) > _MOST_DIRECTIVES:  # type: ignore[arg-type]
         raise yaml.YAMLError(f'more than {_MOST_DIRECTIVES} directives')
-    _check(text, getattr(loader, 'longest', None))
+    _check(text, loader)
     return yaml.load(text, loader)
 
 
-def _check(text: str | bytes, longest: int | None) -> None:
+def _check(text: str | bytes, loader: type[Loader]) -> None:
     """Look through it before anything is made of it."""
     values = depth = 0
     for event in yaml.parse(text, _Base):
@@ -74,10 +74,10 @@ def _check(text: str | bytes, longest: int | None) -> None:
             raise _refused('aliases (*) are not read: write out what is meant', event)
         if isinstance(event, yaml.NodeEvent):
             values += 1
-            if values > _MOST_VALUES:
-                raise _refused(f'more than {_MOST_VALUES} values', event)
-        if longest is not None and len(getattr(event, 'value', '')) > longest:
-            raise _refused(f'a value of more than {longest} characters', event)
+            if values > loader.most:
+                raise _refused(f'more than {loader.most} values', event)
+        if loader.longest is not None and len(getattr(event, 'value', '')) > loader.longest:
+            raise _refused(f'a value of more than {loader.longest} characters', event)
         if isinstance(event, yaml.CollectionStartEvent):
             depth += 1
             if depth > _DEEPEST:

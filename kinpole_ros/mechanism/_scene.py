@@ -420,7 +420,7 @@ def _markers(said: Any, bodies: tuple[str, ...]) -> dict[str, dict[str, complex]
 class _Loader(Loader):
     """With numbers as people write them."""
 
-    longest = 1000
+    longest, most = 1000, 5000
 
 
 def _number(loader: _Loader, node: yaml.ScalarNode) -> int | float:
