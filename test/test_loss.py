@@ -197,7 +197,7 @@ def test_damage_to_what_a_file_says_of_itself_is_told_of(tmp_path) -> None:
 def spoiled(tmp_path) -> tuple[Path, Path]:
     """A bag of markers, and its results, both without a chunk."""
     bag, result = tmp_path / 'bag.mcap', tmp_path / 'result.mcap'
-    words = ['--duration', '1', '--rate', '400', '--noise', '1e-5', '--output', str(bag)]
+    words = ['--duration', '0.5', '--rate', '400', '--noise', '1e-5', '--output', str(bag)]
     assert main(['simulate', 'cardan', *words]) == 0
     assert main(['replay', str(bag), '--output', str(result)]) == 0
     for path in (bag, result):

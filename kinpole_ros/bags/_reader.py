@@ -161,7 +161,7 @@ def _read_file(
     waiting = _Waiting()
     most = largest(path.stat().st_size)
     count = last = 0
-    times_read = NEVER, 0
+    first, latest = NEVER, 0
     for number, (span, horizon) in enumerate(zip(layout.spans, earliest[1:], strict=True)):
         found: list[BagMessage] = []
         try:
@@ -180,10 +180,8 @@ def _read_file(
             if span.end <= layout.size:
                 trouble = f'is damaged at byte {span.offset} ({error})'
         if found:
-            times_read = (
-                min(times_read[0], found[0].log_time),
-                max(times_read[1], found[-1].log_time),
-            )
+            first = min(first, found[0].log_time)
+            latest = max(latest, found[-1].log_time)
             count += len(found)
             counts.update(map(_TOPIC, found))
             waiting.add(number, found)
@@ -201,7 +199,7 @@ def _read_file(
     if not trouble:
         told = doubt or layout.claims.miscounted(counts, channels.topics)
         if count:
-            told = told or layout.claims.untimely(*times_read)
+            told = told or layout.claims.untimely(first, latest)
         if told := told or layout.claims.wrong_sum(file):
             raise Truncated(
                 f'{path} has lost messages, or was changed: {told}; {count} messages were read; '
