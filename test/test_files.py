@@ -2,6 +2,7 @@
 
 import errno
 import os
+import signal
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -315,7 +316,9 @@ def test_every_command_leaves_the_result_of_before_until_its_own_is_whole(
     path.write_text('before')
     full = OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
     monkeypatch.setattr('kinpole_ros.files._whole.os.fsync', mock.Mock(side_effect=full))
+    handler = signal.getsignal(signal.SIGTERM)
     assert main(given) == 2
+    assert signal.getsignal(signal.SIGTERM) == handler
     said = capsys.readouterr().err
     assert f'{path} cannot be written: No space left on device; fix: ' in said.splitlines()[-1]
     assert path.read_text() == 'before'

@@ -14,7 +14,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager, nullcontext, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -59,9 +59,8 @@ def main(args: Sequence[str] | None = None) -> int:
 
             return run_node(['kinpole', *words[1:]])
         options = make_parser().parse_args(words)
-        if options.command in _ENDED and threading.current_thread() is threading.main_thread():
-            signal.signal(signal.SIGTERM, lambda number, _: sys.exit(128 + number))
-        return _COMMANDS[options.command](options)
+        with _ended_by_sigterm() if options.command in _ENDED else nullcontext():
+            return _COMMANDS[options.command](options)
     except KeyboardInterrupt:
         return 130
     except BrokenPipeError:
@@ -74,6 +73,19 @@ def main(args: Sequence[str] | None = None) -> int:
             raise
         print(f'kinpole {words[0]}: {_line(error)}', file=sys.stderr)
         return 2
+
+
+@contextmanager
+def _ended_by_sigterm() -> 'Iterator[None]':
+    """Have SIGTERM end it in good order meanwhile."""
+    here = threading.current_thread() is threading.main_thread()
+    end = lambda number, _: sys.exit(128 + number)  # noqa: E731
+    before = signal.signal(signal.SIGTERM, end) if here else None
+    try:
+        yield
+    finally:
+        if here:
+            signal.signal(signal.SIGTERM, before)
 
 
 def node() -> int:
