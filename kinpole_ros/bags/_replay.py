@@ -113,7 +113,7 @@ def replay(
     until then they are beside it, as NAME.….part.
     Raises BagError when the bag, its topic or an output cannot be used.
     """
-    return replay_to(in_place_of, bag, settings, output, csv, topic, progress, parquet)
+    return replay_to(in_place_of, bag, settings, output, csv, topic, progress, parquet, take)
 
 
 def replay_to(
@@ -125,6 +125,7 @@ def replay_to(
     topic: str | None = None,
     progress: Callable[[float], None] | None = None,
     parquet: str | Path | None = None,
+    take: Callable[[Estimate], None] | None = None,
 ) -> Replayed:
     """The same to where `place`, which ends when all is whole, says for each of the results."""
     name, kind = _marker_topic(bag, settings, topic)
