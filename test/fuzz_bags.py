@@ -104,7 +104,7 @@ def _sound_bags(place: Path) -> list[bytes]:
 
 def _fuzzed(generator: random.Random, content: bytes) -> bytes:
     if generator.random() < 0.6:
-        records = _records(content)
+        records = records_of(content)
         if generator.random() < 0.5:
             records = [_fuzzed_chunk(generator, record) for record in records]
         for _ in range(generator.randint(0, 3)):
@@ -119,7 +119,7 @@ def _fuzzed(generator: random.Random, content: bytes) -> bytes:
     return content
 
 
-def _records(content: bytes) -> list[bytes]:
+def records_of(content: bytes) -> list[bytes]:
     """The records of a sound file, or of a chunk."""
     at, end = 0, len(content)
     if content.startswith(MCAP0_MAGIC):
@@ -142,7 +142,7 @@ def _fuzzed_chunk(generator: random.Random, record: bytes) -> bytes:
         inner = zstandard.decompress(inner)
     elif chunk.compression == 'lz4':
         inner = lz4.frame.decompress(inner)
-    records = _records(inner)
+    records = records_of(inner)
     for _ in range(generator.randint(0, 2)):
         generator.choice(_RECORD_DAMAGE)(generator, records)
     inner = b''.join(records)

@@ -409,7 +409,8 @@ def test_metadata_cannot_name_files_outside_of_the_folder(tmp_path, name):
         ({'names': ['x.mcap.lz4'], 'compression': 'lz4'}, r'compressed by rosbag2 \(lz4\)'),
         ({'names': []}, 'names no files'),
         ({'names': ['gone.mcap']}, 'gone.mcap, named by metadata.yaml, is not there'),
-        ({'names': [1]}, 'is not the metadata of a rosbag2 bag'),
+        ({'names': [1]}, '1, named by metadata.yaml, is not there'),
+        ({'names': 'a.mcap'}, 'is not the metadata of a rosbag2 bag'),
         ({'names': None}, 'is not the metadata of a rosbag2 bag'),
     ],
 )

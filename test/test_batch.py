@@ -23,6 +23,7 @@ from conftest import bodies_of, decoded, write_config
 import kinpole_ros.bags.batch as module
 from kinpole_ros.bags import BagError
 from kinpole_ros.bags import replay as replay_one
+from kinpole_ros.bags._replay import replay_to
 from kinpole_ros.bags.batch import _cluster, _places, _results, batch
 from kinpole_ros.bags.batch._results import finished, replay_bag
 from kinpole_ros.pipeline.parameters import Settings
@@ -318,12 +319,12 @@ def test_runs_into_one_folder_take_turns_at_a_bag(
         assert not begun.is_set(), 'replayed twice, or by two at once'
         begun.set()
         assert go.wait(60)
-        return replay_one(*args, **options)
+        return replay_to(*args, **options)
 
     def one_run() -> None:
         rows.append(replay_bag(bag, out, SETTINGS, None, ['csv']))
 
-    monkeypatch.setattr(_results, 'replay', replay_when_told)
+    monkeypatch.setattr(_results, 'replay_to', replay_when_told)
     runs = [threading.Thread(target=one_run) for _ in range(2)]
     for run_ in runs:
         run_.start()

@@ -599,7 +599,7 @@ def test_a_simulated_clock_may_tell_any_time(tmp_path: FilePath) -> None:
                     rig.send_next(publisher)
 
                 start = rig.stamp
-                rig.diagnosed(say, ERROR, 'must not be negative) and goes on', None)
+                rig.diagnosed(say, WARN, '/clock tells of -5 s', None)
                 clock.publish(b'\x00\x01\x00\x00\xff')
                 # Nothing started anew.
                 rig.go_on_right(publisher, start)

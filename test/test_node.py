@@ -20,7 +20,7 @@ from geometry_msgs.msg import PointStamped, Vector3Stamped
 from lifecycle_msgs.srv import ChangeState, GetState
 from nav_msgs.msg import Odometry
 from rcl_interfaces.msg import Parameter as ParameterMessage
-from rcl_interfaces.srv import DescribeParameters, SetParameters
+from rcl_interfaces.srv import DescribeParameters, SetParameters, SetParametersAtomically
 from rclpy.duration import Duration
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.parameter import Parameter
@@ -456,6 +456,50 @@ def test_what_was_drawn_is_taken_away_when_no_more_is_drawn(
         assert peer.change('cleanup')
     assert not complaints(tmp_path / 'stderr')
     assert [len(array.markers) for array in drawn].count(1) == 1
+
+
+@pytest.fixture
+def node(monkeypatch: pytest.MonkeyPatch) -> Iterator[KinpoleNode]:
+    monkeypatch.setenv('ROS_DOMAIN_ID', '94')
+    monkeypatch.setenv('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
+    rclpy.init(args=['kinpole'])
+    made = KinpoleNode()
+    yield made
+    made.destroy_node()
+    rclpy.try_shutdown()
+
+
+def ask_to_set(node: KinpoleNode, kind: Any, values: list[tuple[str, Any]]) -> Any:
+    """What the node answers a client that asks for these parameters in one request."""
+    (service,) = (each for each in node.services if each.srv_type is kind)
+    parameters = [Parameter(name, value=value).to_parameter_msg() for name, value in values]
+    return service.callback(kind.Request(parameters=parameters), kind.Response())
+
+
+def test_one_request_for_parameters_has_the_node_start_anew_once(
+    node: KinpoleNode, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    started: list[None] = []
+    monkeypatch.setattr(KinpoleNode, '_start_anew', lambda node: started.append(None))
+    wanted = [('window', 0.4), ('lag', 0.2), ('noise', -1.0), ('scale', 0.001)]
+    results = ask_to_set(node, SetParameters, wanted).results
+    assert [result.successful for result in results] == [True, True, False, True]
+    assert (node.settings.window, node.settings.lag, node.settings.scale) == (0.4, 0.2, 0.001)
+    assert len(started) == 1
+    assert ask_to_set(node, SetParametersAtomically, [('lag', 0.1)]).result.successful
+    assert node.settings.lag == 0.1
+    assert len(started) == 2
+
+
+def test_a_request_for_more_parameters_than_there_are_is_refused(node: KinpoleNode) -> None:
+    before = node.settings
+    many = [('lag', 0.001 * k) for k in range(300)]
+    results = ask_to_set(node, SetParameters, many).results
+    assert len(results) == 300
+    assert not any(result.successful for result in results)
+    assert results[0].reason.startswith('300 parameters in one request, and this node has ')
+    assert not ask_to_set(node, SetParametersAtomically, many).result.successful
+    assert node.settings == before
 
 
 def test_publishers_stay_until_readers_have_their_last_messages_but_not_for_long(

@@ -229,18 +229,18 @@ def test_dotted_and_nested_names_mean_the_same(tmp_path: Path) -> None:
         written(
             tmp_path,
             '/**:\n  ros__parameters:\n    bodies: [a, b]\n'
-            '    a: {markers: [x, y]}\n    b: {markers: [z, w]}\n    lag: 0.05\n',
+            '    a: {markers: [p, q]}\n    b: {markers: [r, s]}\n    lag: 0.05\n',
         )
     )
     dotted = load_settings(
         written(
             tmp_path,
             '/**:\n  ros__parameters:\n    bodies: [a, b]\n'
-            '    a.markers: [x, y]\n    b.markers: [z, w]\n    lag: 0.05\n',
+            '    a.markers: [p, q]\n    b.markers: [r, s]\n    lag: 0.05\n',
         )
     )
     assert nested == dotted
-    assert nested.bodies == {'a': ('x', 'y'), 'b': ('z', 'w')}
+    assert nested.bodies == {'a': ('p', 'q'), 'b': ('r', 's')}
     assert nested.lag == 0.05
 
 
@@ -281,15 +281,15 @@ def test_a_number_in_quotes_stays_text(tmp_path: Path) -> None:
         ('/**:\n  ros__parameters:\n', 'ros__parameters'),
         ('/**: {ros__parameters: {windows: 1}}\n', 'unknown parameter windows'),
         ('/**: {ros__parameters: {window: -1}}\n', 'parameter window is -1'),
-        ('/**: {ros__parameters: {window: 2001-99-99}}\n', 'not YAML'),
+        ('/**: {ros__parameters: {window: 2001-99-99}}\n', "window is '2001-99-99'"),
         ('/**: {ros__parameters: {window: 1\n', 'not YAML'),
         ('a: b: c\n', 'not YAML'),
         ('\t- x', 'not YAML'),
         ('[' * 5000, 'not YAML'),
-        ('/**: {ros__parameters: {window: !!int ""}}\n', 'not YAML'),
-        ('/**: {ros__parameters: {window: !!bool x}}\n', 'not YAML'),
-        ('/**: {ros__parameters: {window: !!timestamp x}}\n', 'not YAML'),
-        ('/**: {ros__parameters: {window: !!float [1]}}\n', 'not YAML'),
+        ('/**: {ros__parameters: {window: !!int ""}}\n', "window is ''"),
+        ('/**: {ros__parameters: {window: !!bool x}}\n', "window is 'x'"),
+        ('/**: {ros__parameters: {window: !!timestamp x}}\n', "window is 'x'"),
+        ('/**: {ros__parameters: {window: !!float [1]}}\n', 'window is [1]'),
     ],
 )
 def test_a_file_that_cannot_be_used_is_named_with_the_reason(

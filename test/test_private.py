@@ -119,7 +119,7 @@ def test_what_answers_requests_for_a_transition_can_be_wrapped() -> None:
         return response
 
     try:
-        private.wrap_change_state(managed, refuse)
+        private.wrap_service(managed, ChangeState, refuse)
         client = managed.create_client(ChangeState, '/managed/change_state')
         # Which is not possible before configure.
         request = ChangeState.Request(transition=Transition(id=Transition.TRANSITION_ACTIVATE))

@@ -755,7 +755,7 @@ def test_a_bad_scene_is_refused_in_one_line(
         (b'a: [1\nb: 2\n', 'line 2: not a usable YAML file'),
         (b'bodies: 1\nbodies: 2\n', "line 2: not a usable YAML file: the key 'bodies' is given tw"),
         (b'? [a]\n: 1\n', 'line 1: not a usable YAML file'),
-        (b'a: ' + b'9' * 5000, 'not a usable YAML file: Exceeds the limit'),
+        (b'a: ' + b'9' * 5000, 'not a usable YAML file: a value of more than 1000 characters'),
         (b'a: !!map [1, 2]\n', 'line 1: not a usable YAML file: expected a mapping node'),
         (b'a: !!int ""\n', 'line 1: not a usable YAML file: could not determine a constructor'),
         (b'a: !!bool x\n', 'line 1: not a usable YAML file: could not determine a constructor'),

@@ -1,5 +1,9 @@
 """The whole pipeline, frames in and motion out, on scenes whose motion is known exactly."""
 
+import sys
+import threading
+from collections.abc import Iterator
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -532,3 +536,57 @@ def test_a_marker_that_jumps_or_is_exchanged_makes_no_body_look_like_several_lin
     tracker, _ = follow(seen.frames, seen.values, None)
     assert tracker.counts['markers_left_out']
     np.testing.assert_array_equal(tracker.rigidity_residual(), 0.0)
+
+
+def test_a_tracker_refuses_a_second_thread_and_goes_on_in_the_first() -> None:
+    seen = record('four_bar')
+    expected = Tracker(settings_from(seen.values)).add_parts(seen.frames, 4)
+    tracker = Tracker(settings_from(seen.values))
+    refused: list[str] = []
+
+    def meddle() -> None:
+        for call in (lambda: tracker.add(seen.frames[0], 4), tracker.settle, tracker.reset):
+            with pytest.raises(RuntimeError, match='at work in another thread') as error:
+                call()
+            refused.append(str(error.value))
+
+    def parts() -> Iterator[MarkerFrames]:
+        for k, frame in enumerate(seen.frames):
+            if k == 100:
+                other = threading.Thread(target=meddle)
+                other.start()
+                other.join()
+            yield frame
+
+    found = tracker.add_parts(parts(), 4)
+    assert len(refused) == 3
+    assert sum(len(one) for one in found) > 100
+    for one, same in zip(found, expected, strict=True):
+        np.testing.assert_array_equal(one.position, same.position)
+    # Taking turns is no fault.
+    other = threading.Thread(target=tracker.settle)
+    other.start()
+    other.join()
+    tracker.reset()
+
+
+def test_trackers_in_threads_of_their_own_give_what_one_gives_alone(
+    request: pytest.FixtureRequest,
+) -> None:
+    request.addfinalizer(partial(sys.setswitchinterval, sys.getswitchinterval()))
+    sys.setswitchinterval(1e-5)
+    seen = record('four_bar')
+    results: list[bytes] = []
+
+    def run() -> None:
+        _, found = follow(seen.frames, seen.values)
+        results.append(b''.join(one.position.tobytes() for one in found))
+
+    run()
+    threads = [threading.Thread(target=run) for _ in range(3)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert len(results) == 4
+    assert len(set(results)) == 1

@@ -16,7 +16,7 @@ from kinpole_ros.bags._replay import NODE_NAME, Replayed, replay
 from kinpole_ros.bags._schema import definition, message_class, type_name
 from kinpole_ros.bags._simulate import simulate
 from kinpole_ros.bags._warnings import warnings_of
-from kinpole_ros.bags._writer import BagWriter
+from kinpole_ros.bags._writer import BagWriter, in_place_of
 
 __all__ = [
     'NODE_NAME',
@@ -31,6 +31,7 @@ __all__ = [
     'definition',
     'import_csv',
     'import_points',
+    'in_place_of',
     'message_class',
     'read_blocks',
     'read_frames',

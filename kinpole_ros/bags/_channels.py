@@ -66,6 +66,11 @@ class Channels:
         else:
             self._chosen[record.id] = None
 
+    @property
+    def topics(self) -> dict[int, str]:
+        """The topics of the channels whose messages are handed out."""
+        return {number: row[0] for number, row in self._chosen.items() if row is not None}
+
     def want_any(self, ids: Collection[int]) -> bool:
         return any(self._chosen.get(channel_id, True) for channel_id in ids)
 

@@ -5,6 +5,7 @@ neither disk nor memory, whatever it claims to hold.
 """
 
 import io
+import os
 import re
 import struct
 from contextlib import suppress
@@ -18,14 +19,17 @@ from mcap.exceptions import EndOfFile
 from mcap.records import Header
 from mcap.writer import MCAP0_MAGIC
 
+from kinpole_ros.files import cut, cut_line, open_regular, printable, read_limited
+from kinpole_ros.files.bounded_yaml import MOST_YAML, load_yaml
+
 LIBRARY = 'kinpole_ros'  # who writes bags here that can be made again
 RECORDER = 'kinpole record'  # and those that cannot
 _HEADER = 1000  # bytes of the first record that are looked at
 ZSTD_MAGIC = b'\x28\xb5\x2f\xfd'  # no CDR starts with it
 _FARTHEST = 2**62
 _PIECE = 1 << 20
-# Of YAML: dates and numbers that are none, other things than expected, nesting without end.
-_MALFORMED = (ValueError, LookupError, TypeError, AttributeError, RecursionError)
+# Of YAML and of records: other things than expected.
+_MALFORMED = (ValueError, LookupError, TypeError, AttributeError)
 _FOREIGN = {
     b'SQLite f': 'is a bag in sqlite3',
     b'#ROSBAG ': 'is a ROS 1 bag',
@@ -38,7 +42,7 @@ class BagError(ValueError):
 
 
 class Truncated(BagError):
-    """The end of a bag is missing or damaged; all that comes before was handed out."""
+    """A bag that was cut, is damaged or lacks messages; the rest of it was handed out."""
 
 
 def bag_files(path: str | Path) -> list[Path]:
@@ -71,48 +75,80 @@ def bag_files(path: str | Path) -> list[Path]:
 
 def _folder_files(folder: Path) -> list[Path]:
     metadata = folder / 'metadata.yaml'
-    if not metadata.exists():
+    if not os.path.lexists(metadata):
         plain = {file.name for file in folder.glob('*.mcap')}
         # What was being compressed when its recorder died is there as both.
         packed = {file.name for file in folder.glob('*.mcap.zstd')}
         names = plain | {name for name in packed if name.removesuffix('.zstd') not in plain}
-        files = [folder / name for name in sorted(names, key=_by_number)]
-        if not files:
+        if not names:
             if any(folder.glob('*.db3')):
                 raise BagError(f'{folder} is a bag in sqlite3; {_CONVERT.format(folder)}')
             raise BagError(
                 f'{folder} has neither metadata.yaml nor .mcap files; '
                 'fix: give an .mcap file or a rosbag2 folder'
             )
-        return files
+        return _inside(folder, sorted(names, key=_by_number))
+    _inside(folder, [metadata.name])
     try:
-        about = yaml.safe_load(metadata.read_text('utf-8'))['rosbag2_bagfile_information']
+        content = load_yaml(read_limited(metadata, MOST_YAML))
+        about = content['rosbag2_bagfile_information']
         storage, listed = about['storage_identifier'], about['relative_file_paths']
         compressed = about.get('compression_format')
-        paths = [PurePath(name) for name in listed]
+        if isinstance(listed, str) or not all(isinstance(name, str) for name in listed):
+            raise TypeError('no list of files')
     except (yaml.YAMLError, *_MALFORMED) as error:
+        known = isinstance(error, yaml.YAMLError)
+        why = f' ({cut_line(" ".join(str(error).split()), 300)})' if known else ''
         raise BagError(
-            f'{metadata} is not the metadata of a rosbag2 bag; '
+            f'{metadata} is not the metadata of a rosbag2 bag{printable(why)}; '
             f'fix: `ros2 bag reindex {folder}`, or remove it to read all .mcap files there'
         ) from error
     if storage != 'mcap' or compressed not in (None, '', 'zstd'):
-        wrong = f'compressed by rosbag2 ({compressed})' if compressed else f'in {storage}'
+        wrong = f'in {cut(str(storage))}'
+        if compressed:
+            wrong = f'compressed by rosbag2 ({cut(str(compressed))})'
         raise BagError(f'{folder} is a bag {wrong}; {_CONVERT.format(folder)}')
-    if not paths:
+    if not listed:
         raise BagError(f'{metadata} names no files; fix: `ros2 bag reindex {folder}`')
-    for name in paths:
-        # A bag from elsewhere must not make us read other files of this machine.
-        if name.is_absolute() or '..' in name.parts:
+    return _inside(folder, listed)
+
+
+def _inside(folder: Path, names: list[str]) -> list[Path]:
+    """
+    Files of a bag's folder by their names in it.
+
+    Raises BagError for what is none, is there twice, or is elsewhere: a bag from a stranger must
+    not make us wait, or read other files of this machine.
+    """
+    whole = folder.resolve()
+    found: dict[tuple[int, int], str] = {}
+    for name in names:
+        path, shown, is_name = folder / name, folder / cut(name), '\0' not in name
+        outside = PurePath(name).is_absolute() or '..' in PurePath(name).parts
+        if outside or (is_name and not path.resolve().is_relative_to(whole)):
             raise BagError(
-                f"{metadata}: '{name}' in relative_file_paths is outside of the folder; "
-                'fix: name files in the folder only'
+                f'{shown} is outside of the folder; fix: have all files of a bag in its folder, '
+                'and no links to others'
             )
-        if not (folder / name).is_file():
+        if not is_name or not path.exists():
             raise BagError(
-                f'{folder / name}, named by metadata.yaml, is not there; fix: put it back, '
-                'or `ros2 bag reindex`'
+                f'{shown}, named by metadata.yaml, is not there; fix: put it back, or '
+                '`ros2 bag reindex`'
             )
-    return [folder / name for name in paths]
+        if not path.is_file():
+            raise BagError(
+                f'{shown} is not a regular file; fix: take it out of the folder, or save what it '
+                'gives as a file'
+            )
+        about = path.stat()
+        identity = about.st_dev, about.st_ino
+        if identity in found:
+            raise BagError(
+                f"{shown} is the same file as '{cut(found[identity])}'; fix: have and name each "
+                'file once'
+            )
+        found[identity] = name
+    return [folder / name for name in names]
 
 
 def _by_number(name: str) -> list[int | str]:
@@ -120,7 +156,7 @@ def _by_number(name: str) -> list[int | str]:
 
 
 def check_magic(path: Path) -> None:
-    with open(path, 'rb') as file:
+    with open_regular(path) as file:
         magic = file.read(len(MCAP0_MAGIC))
     if not magic:
         raise Truncated(f'{path} is empty (0 bytes); fix: record again')
@@ -156,12 +192,20 @@ def recorder_of(path: str | Path) -> str:
 
 
 def unreadable(path: Path, error: OSError) -> BagError:
+    path = error.filename or path
     return BagError(f'{path} cannot be read: {error.strerror}; fix: check the path and its rights')
+
+
+def unwritable(path: str | Path, error: OSError) -> BagError:
+    return BagError(
+        f'{path} cannot be written: {error.strerror or error}; '
+        'fix: check the path, its rights and the space on the disk'
+    )
 
 
 def open_file(path: Path) -> BinaryIO:
     """A file of a bag, or the content of one that rosbag2 compressed as a whole."""
-    file = open(path, 'rb')  # noqa: SIM115 - whoever asks for it closes it
+    file = open_regular(path)
     packed = file.read(len(ZSTD_MAGIC)) == ZSTD_MAGIC
     file.seek(0)
     return cast('BinaryIO', io.BufferedReader(Unpacked(file), _PIECE)) if packed else file

@@ -17,13 +17,15 @@ def read_frames(
     topic: str | None = None,
     seconds: float | None = None,
     progress: Callable[[float], None] | None = None,
+    report: Callable[[Truncated], None] | None = None,
 ) -> tuple[list[MarkerFrames], str]:
     """
     Frames of a bag's markers, in order, of its first `seconds` or all, and the topic's full name.
 
     Without `topic` it is /markers, else the only one of a type that holds markers. A bag that is
-    cut off gives what is before the cut, and messages that cannot be read are left out. Raises
-    BagError when there is no bag, no such topic, or nothing on it that can be read.
+    not whole gives what there is, and `report` is called with what it lacks; messages that cannot
+    be read are left out. Raises BagError when there is no bag, no such topic, or nothing on it that
+    can be read.
     """
     name, kind = _topic(bag, topic)
     reader = MarkerReader(kind)
@@ -35,7 +37,9 @@ def read_frames(
     while True:
         try:
             block = next(blocks, None)
-        except Truncated:
+        except Truncated as error:
+            if report is not None:
+                report(error)
             break
         if block is None:
             break

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from kinpole_ros.bags._files import BagError
-from kinpole_ros.bags._writer import BagWriter
+from kinpole_ros.bags._writer import BagWriter, in_place_of
 from kinpole_ros.bags.formats import Points, Wanted, read_points, shown
 from kinpole_ros.messages import to_message
 
@@ -120,7 +120,7 @@ def _write(
     progress: Callable[[float], None] | None,
 ) -> None:
     step = math.ceil(len(stamps) / 200)
-    with BagWriter(output) as bag:
+    with in_place_of(output) as part, BagWriter(part, name=output) as bag:
         for count, (stamp, row) in enumerate(zip(stamps.tolist(), points, strict=True), start=1):
             bag.write(topic, to_message('marker_array', stamp, frame_id, names, row), stamp)
             if progress is not None and (count % step == 0 or count == len(stamps)):

@@ -20,6 +20,7 @@ from mcap.records import Channel, Chunk, ChunkIndex, Footer, Schema
 from mcap.writer import MCAP0_MAGIC
 
 from kinpole_ros.bags._channels import HEAD, LARGEST, MESSAGE, Channels, description, largest
+from kinpole_ros.bags._claims import TOLD, Claims
 from kinpole_ros.bags._files import BagError, Unpacked
 
 NEVER = 2**64  # later than any log time
@@ -32,13 +33,15 @@ _RUN = 1 << 20
 class Span(NamedTuple):
     """A stretch of the file that holds messages or describes them: a chunk, or plain records.
 
-    `time` is the earliest log time in it, ns.
+    `time` is the earliest log time in it, ns. A chunk is followed by `indexes` bytes of indexes of
+    its messages.
     """
 
     offset: int
     length: int
     chunk: bool
     time: int
+    indexes: int = 0
 
     @property
     def end(self) -> int:
@@ -48,12 +51,15 @@ class Span(NamedTuple):
 class Layout(NamedTuple):
     """Where the messages of a file are, in file order, and what is wrong ('' if nothing).
 
-    `size` is as far as it can be read, in bytes, unpacked.
+    `size` is as far as it can be read, in bytes, unpacked. `claims` is what the file says of
+    itself, and `doubt` what of that is wrong already.
     """
 
     spans: list[Span]
     trouble: str
     size: int
+    claims: Claims
+    doubt: str = ''
 
 
 def lay_out(path: Path, file: BinaryIO, channels: Channels) -> Layout:
@@ -66,11 +72,11 @@ def lay_out(path: Path, file: BinaryIO, channels: Channels) -> Layout:
         return layout
     size = file.seek(0, io.SEEK_END)
     with suppress(Exception):  # no index, or any kind of damage to it
-        return Layout(_indexed(file, size, channels), '', size)
+        return _indexed(file, size, channels)
     return _scan(file, size, size)
 
 
-def _indexed(file: BinaryIO, size: int, channels: Channels) -> list[Span]:
+def _indexed(file: BinaryIO, size: int, channels: Channels) -> Layout:
     """The layout by the index at the end of a file; raises if it is not as good as the file."""
     file.seek(size - _FOOTER_SIZE - len(MCAP0_MAGIC))
     tail = file.read()
@@ -86,6 +92,7 @@ def _indexed(file: BinaryIO, size: int, channels: Channels) -> list[Span]:
     crc = zlib.crc32(tail[: _FOOTER_SIZE - 4], zlib.crc32(summary))
     if footer.summary_crc not in (0, crc):
         raise ValueError('a damaged index')
+    claims = Claims()
     described: list[Schema | Channel] = []
     chunks: list[ChunkIndex] = []
     end = 0
@@ -93,6 +100,8 @@ def _indexed(file: BinaryIO, size: int, channels: Channels) -> list[Span]:
         opcode, length = HEAD.unpack_from(summary, end)
         body = summary[end + HEAD.size : end + HEAD.size + length]
         end += HEAD.size + length
+        if opcode in TOLD:
+            claims.note(opcode, body, 0)
         if opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
             described.append(description(opcode, body))
         elif opcode == Opcode.CHUNK_INDEX:
@@ -109,24 +118,34 @@ def _indexed(file: BinaryIO, size: int, channels: Channels) -> list[Span]:
         good = good and bool(inside) and inside <= ids
         good = good and not _messages_between(file, place, chunk.chunk_start_offset)
         place = chunk.chunk_start_offset + chunk.chunk_length + chunk.message_index_length
-    if not good or _messages_between(file, place, footer.summary_start):
+    if not good or _messages_between(file, place, footer.summary_start, claims):
         raise ValueError('an index that leaves out things')
     for record in sorted(described, key=lambda record: isinstance(record, Channel)):
         channels.add(record)
-    return [
-        Span(c.chunk_start_offset, c.chunk_length, True, c.message_start_time)
+    spans = [
+        Span(
+            c.chunk_start_offset,
+            c.chunk_length,
+            True,
+            c.message_start_time,
+            c.message_index_length,
+        )
         for c in chunks
         if channels.want_any(c.message_index_offsets)
     ]
+    doubt = claims.lacking([chunk.chunk_start_offset for chunk in chunks])
+    return Layout(spans, '', size, claims, doubt)
 
 
-def _messages_between(file: BinaryIO, place: int, end: int) -> bool:
+def _messages_between(file: BinaryIO, place: int, end: int, claims: Claims | None = None) -> bool:
     """Whether there are messages or chunks among the records there; raises if these do not fit."""
     while place < end:
         file.seek(place)
         opcode, length = HEAD.unpack(file.read(HEAD.size))
         if opcode in (Opcode.MESSAGE, Opcode.CHUNK):
             return True
+        if opcode == Opcode.DATA_END and claims is not None:
+            claims.note(opcode, file.read(min(length, _FOOTER_SIZE)), place)
         place += HEAD.size + length
     if place > end:
         raise ValueError('records where the index has others')
@@ -139,6 +158,7 @@ def _scan(file: BinaryIO, size: int, farthest: int) -> Layout:
     Goes only forward, and finds out by itself where the content ends, `farthest` at most.
     """
     spans: list[Span] = []
+    claims = Claims()
     offset = len(MCAP0_MAGIC)
     # Plain records in a row are read at once, but not so many that no progress could be seen.
     longest = min(_RUN, size // 200)
@@ -150,11 +170,21 @@ def _scan(file: BinaryIO, size: int, farthest: int) -> Layout:
         opcode, length = HEAD.unpack(head)
         if opcode == 0:  # no record has this, but a disk may leave a run of zeros
             trouble = f'is damaged at byte {offset} (zeros in place of a record)'
-            return Layout(spans, trouble, offset)
+            return Layout(spans, trouble, offset, claims)
+        if opcode in TOLD and length <= largest(size):
+            claims.note(opcode, file.read(length), offset)
+        if opcode == Opcode.MESSAGE_INDEX and spans and spans[-1].chunk:
+            last = spans[-1]
+            whole = last.indexes + HEAD.size + length
+            if whole > largest(size):
+                trouble = f'is damaged at byte {offset} (indexes that claim {whole} bytes)'
+                return Layout(spans, trouble, offset, claims)
+            if last.end + last.indexes == offset:
+                spans[-1] = last._replace(indexes=whole)
         if opcode in (Opcode.CHUNK, Opcode.MESSAGE, Opcode.SCHEMA, Opcode.CHANNEL):
             if length > largest(size):
                 trouble = f'is damaged at byte {offset} (a record that claims {length} bytes)'
-                return Layout(spans, trouble, offset)
+                return Layout(spans, trouble, offset, claims)
             time = NEVER
             if opcode in (Opcode.CHUNK, Opcode.MESSAGE):
                 if opcode == Opcode.MESSAGE:
@@ -178,20 +208,22 @@ def _scan(file: BinaryIO, size: int, farthest: int) -> Layout:
                 end = offset + len(MCAP0_MAGIC)
                 more = file.read(len(MCAP0_MAGIC)) == MCAP0_MAGIC
                 problem = f'holds another bag from byte {end} on, which needs a file of its own'
-                return Layout(spans, problem if more else '', offset)
+                doubt = claims.lacking([span.offset for span in spans if span.chunk])
+                return Layout(spans, problem if more else '', offset, claims, doubt)
             break
     end = file.seek(0, io.SEEK_END)
-    return Layout(spans, f'is cut off at byte {end}', end)
+    return Layout(spans, f'is cut off at byte {end}', end, claims)
 
 
-def records(file: BinaryIO, span: Span, layout: Layout) -> bytes:
-    """The records in a span, as far as the file goes."""
+def records(file: BinaryIO, span: Span, layout: Layout) -> tuple[bytes, bytes]:
+    """The records in a span, as far as the file goes, and the indexes behind a whole chunk."""
     if span.length > LARGEST:
         raise ValueError(f'a record that claims {span.length} bytes')
     file.seek(span.offset)
-    record = file.read(min(span.length, layout.size - span.offset))
+    record = file.read(min(span.length + span.indexes, layout.size - span.offset))
     if not span.chunk:
-        return record
+        return record, b''
+    record, index = record[: span.length], record[span.length :]
     if record[: HEAD.size] != HEAD.pack(Opcode.CHUNK, span.length - HEAD.size):
         raise ValueError('no record where the index has one')
     # Read this way, the data of a chunk that is cut are as short as the file leaves them.
@@ -215,4 +247,4 @@ def records(file: BinaryIO, span: Span, layout: Layout) -> bytes:
             raise ValueError('a chunk of the wrong size')
         if chunk.uncompressed_crc not in (0, zlib.crc32(content)):
             raise ValueError('the checksum of a chunk is wrong')
-    return content
+    return content, index

@@ -5,7 +5,9 @@ order, whole or not, by the same code. Messages are handed on as soon as no late
 an earlier one, so memory stays bounded.
 """
 
+import struct
 from bisect import bisect_right
+from collections import Counter
 from collections.abc import Callable, Collection, Iterator
 from contextlib import suppress
 from heapq import heappop, heappush
@@ -15,6 +17,7 @@ from pathlib import Path
 from typing import BinaryIO
 
 from kinpole_ros.bags._channels import BagMessage, Channels, largest
+from kinpole_ros.bags._claims import indexed_times
 from kinpole_ros.bags._files import (
     BagError,
     Truncated,
@@ -26,7 +29,7 @@ from kinpole_ros.bags._files import (
 from kinpole_ros.bags._layout import NEVER, lay_out, records
 
 _LATEST = 2**63 - 1  # ns; ROS has no later time
-_LOG_TIME = attrgetter('log_time')
+_LOG_TIME, _TOPIC = attrgetter('log_time'), attrgetter('topic')
 # What a block holds at most, but for single messages larger than that.
 _BLOCK_MESSAGES = 1000
 _BLOCK_BYTES = 1 << 20
@@ -112,7 +115,7 @@ def _file_topics(path: Path, file: BinaryIO) -> dict[str, str]:
     if not channels.types:
         with suppress(Exception):  # damaged bytes: what came before them counts
             for span in layout.spans:
-                channels.read(records(file, span, layout), [])
+                channels.read(records(file, span, layout)[0], [])
     return channels.types
 
 
@@ -150,18 +153,23 @@ def _read_file(
 ) -> Iterator[list[BagMessage]]:
     channels = Channels(path, wanted)
     layout = lay_out(path, file, channels)
-    trouble = layout.trouble
+    trouble, doubt = layout.trouble, layout.doubt
+    counts: Counter[str] = Counter()
     # The earliest log time from each span on to the end of the file.
     times = [span.time for span in reversed(layout.spans)]
     earliest = [*accumulate(times, min, initial=NEVER)][::-1]
     waiting = _Waiting()
     most = largest(path.stat().st_size)
     count = last = 0
+    first, latest = NEVER, 0
     for number, (span, horizon) in enumerate(zip(layout.spans, earliest[1:], strict=True)):
         found: list[BagMessage] = []
         try:
-            channels.read(records(file, span, layout), found)
+            content, index = records(file, span, layout)
+            channels.read(content, found)
             found.sort(key=_LOG_TIME)
+            if index and not doubt and (unlike := _unlike(index, found, channels)):
+                doubt = f'the index of its chunk at byte {span.offset} {unlike}'
             if found and found[-1].log_time > _LATEST:
                 del found[bisect_right(found, _LATEST, key=_LOG_TIME) :]
                 raise ValueError('a log time after the year 2262')
@@ -172,7 +180,10 @@ def _read_file(
             if span.end <= layout.size:
                 trouble = f'is damaged at byte {span.offset} ({error})'
         if found:
+            first = min(first, found[0].log_time)
+            latest = max(latest, found[-1].log_time)
             count += len(found)
+            counts.update(map(_TOPIC, found))
             waiting.add(number, found)
         for part in waiting.until(horizon):
             last = part[-1].log_time
@@ -185,12 +196,34 @@ def _read_file(
                 f'them would have to be held; fix: `mcap sort {path} -o NEW.mcap`'
             )
         report(span.end / layout.size)
+    if not trouble:
+        told = doubt or layout.claims.miscounted(counts, channels.topics)
+        if count:
+            told = told or layout.claims.untimely(first, latest)
+        if told := told or layout.claims.wrong_sum(file):
+            raise Truncated(
+                f'{path} has lost messages, or was changed: {told}; {count} messages were read; '
+                f'fix: record again, or `mcap recover {path} -o NEW.mcap` for what is left'
+            )
     if trouble:
         read = f'{count} messages up to stamp {last / 1e9:.3f} s (log time) were read'
         raise Truncated(
             f'{path} {trouble}: {read if count else "there is no message before that"}; '
             f'fix: record again, or `mcap recover {path} -o NEW.mcap`'
         )
+
+
+def _unlike(index: bytes, found: list[BagMessage], channels: Channels) -> str:
+    """How the indexes of a chunk differ from its messages, in order; '' if they do not."""
+    try:
+        times = indexed_times(index, channels.topics)
+    except (ValueError, struct.error):
+        return 'is damaged'
+    if times == [message.log_time for message in found]:
+        return ''
+    if len(times) == len(found):
+        return 'has messages of other times'
+    return f'has {len(times)} messages, there are {len(found)}'
 
 
 class _Waiting:

@@ -1,7 +1,7 @@
 """A bag of markers through the same tracker as the live node, to a bag or a table of results."""
 
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import ExitStack
+from contextlib import AbstractContextManager, ExitStack
 from itertools import chain
 from pathlib import Path
 from typing import NamedTuple, TypeAlias
@@ -11,7 +11,7 @@ from diagnostic_msgs.msg import DiagnosticArray
 
 from kinpole_ros.bags._reader import BagError, Truncated, bag_files, read_blocks, topics
 from kinpole_ros.bags._table import CsvTable, ParquetTable
-from kinpole_ros.bags._writer import BagWriter
+from kinpole_ros.bags._writer import BagWriter, in_place_of
 from kinpole_ros.linkage.theory import Comparison, DeviationSummary, load_theory
 from kinpole_ros.messages import (
     ROS_TYPE_NAMES,
@@ -109,9 +109,25 @@ def replay(
     Results go to `output`, an .mcap under /kinpole/..., and to the tables `csv` and `parquet`;
     `take` is called with them, some instants at a time.
     Deterministic: the bag's stamps drive everything. A bag that is cut off gives the results of
-    all that is before the cut.
+    all that is before the cut. Results take the place of what was there when all of them are whole;
+    until then they are beside it, as NAME.….part.
     Raises BagError when the bag, its topic or an output cannot be used.
     """
+    return replay_to(in_place_of, bag, settings, output, csv, topic, progress, parquet, take)
+
+
+def replay_to(
+    place: Callable[[str | Path], AbstractContextManager[str | Path]],
+    bag: str | Path,
+    settings: Settings,
+    output: str | Path | None = None,
+    csv: str | Path | None = None,
+    topic: str | None = None,
+    progress: Callable[[float], None] | None = None,
+    parquet: str | Path | None = None,
+    take: Callable[[Estimate], None] | None = None,
+) -> Replayed:
+    """The same to where `place`, which ends when all is whole, says for each of the results."""
     name, kind = _marker_topic(bag, settings, topic)
     files = bag_files(bag)
     taken = {_identity(file): 'the bag to be replayed' for file in files}
@@ -156,10 +172,17 @@ def replay(
     absent = {body: list(markers) for body, markers in settings.bodies.items() if markers}
     if settings.marker_identity == 'shape':
         absent = {body: names for body, names in absent.items() if body not in settings.shapes}
-    with ExitStack() as stack:
-        writer = stack.enter_context(BagWriter(output)) if output is not None else None
+    with ExitStack() as results, ExitStack() as stack:
+        parts = {
+            target: results.enter_context(place(target))
+            for target in (output, csv, parquet)
+            if target is not None
+        }
+        writer = None
+        if output is not None:
+            writer = stack.enter_context(BagWriter(parts[output], name=output))
         tables = [
-            stack.enter_context(kind(target, settings))
+            stack.enter_context(kind(parts[target], settings, target))
             for kind, target in ((CsvTable, csv), (ParquetTable, parquet))
             if target is not None
         ]
@@ -204,10 +227,10 @@ def replay(
             for row in outputs:
                 writer.add_topic(f'/{NODE_NAME}/{row.topic}', row.message_type)
             writer.add_topic('/diagnostics', DiagnosticArray)
+        counts = tracker.counts
+        if counts['unreadable'] and not counts['frames']:
+            raise BagError(f'{bag}: no message on {name} can be read: {problem}')
     space = updated(space, tracker.space())
-    counts = tracker.counts
-    if counts['unreadable'] and not counts['frames']:
-        raise BagError(f'{bag}: no message on {name} can be read: {problem}')
     share = {
         body: {pole: count / max(estimates, 1) for pole, count in poles.items()}
         for body, poles in found.items()

@@ -16,7 +16,7 @@ from rclpy.serialization import serialize_message
 
 from kinpole_ros.bags._reader import BagError
 from kinpole_ros.bags._replay import NODE_NAME, result_columns
-from kinpole_ros.bags._writer import BagWriter
+from kinpole_ros.bags._writer import BagWriter, in_place_of
 from kinpole_ros.mechanism import Scene, marker_positions
 from kinpole_ros.messages import MARKER_TYPES, result_outputs, to_message
 from kinpole_ros.pipeline.estimate import Estimate
@@ -117,7 +117,7 @@ def simulate(
     position_covariance = _diagonal((_EXACT * (np.abs(position).max(axis=1) + size)) ** 2)
     angle_covariance = _diagonal((_EXACT * np.abs(angle).max(axis=1)) ** 2)
     outputs = [row for row in result_outputs(bodies, 'xy') if row.message_type in _EXACT_TYPES]
-    with BagWriter(output) as writer:
+    with in_place_of(output) as part_file, BagWriter(part_file, name=output) as writer:
         for first in range(0, count, _AT_ONCE):
             part = slice(first, min(first + _AT_ONCE, count))
             markers = [

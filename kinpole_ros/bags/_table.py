@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from kinpole_ros.bags._reader import BagError
+from kinpole_ros.bags._files import BagError, unwritable
 from kinpole_ros.pipeline.estimate import POLE_NAMES, RATE_NAMES, Estimate, Numbers, Vectors
 from kinpole_ros.pipeline.parameters import Settings
 
@@ -88,11 +88,14 @@ class _Table(ABC):
     """
     A file that estimates are written to; use it in a `with` block.
 
+    `name` is what messages call it, where that is not its path.
     Raises BagError when it cannot be written.
     """
 
-    def __init__(self, path: str | Path, settings: Settings) -> None:
-        self._path = Path(path)
+    def __init__(
+        self, path: str | Path, settings: Settings, name: str | Path | None = None
+    ) -> None:
+        self._path, self._name = Path(path), name or path
         self._order = settings.derivative_order or 4
         self._names = column_names(tuple(settings.bodies), self._order)
         self._guard(self._open)
@@ -130,10 +133,7 @@ class _Table(ABC):
         try:
             do()
         except OSError as error:
-            raise BagError(
-                f'{self._path} cannot be written: {error.strerror or error}; '
-                'check the path, its rights and the space on the disk'
-            ) from None
+            raise unwritable(self._name, error) from None
 
 
 class CsvTable(_Table):
@@ -168,7 +168,7 @@ class ParquetTable(_Table):
             from pyarrow import parquet
         except ImportError:
             raise BagError(
-                f"{self._path} needs pyarrow; fix: pip install 'kinpole_ros[parquet]', "
+                f"{self._name} needs pyarrow; fix: pip install 'kinpole_ros[parquet]', "
                 'or write a CSV table'
             ) from None
         self._arrow: Any = pyarrow

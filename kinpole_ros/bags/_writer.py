@@ -6,8 +6,8 @@ long for a message, which is half of what a replay with all topics costs.
 
 import struct
 import zlib
-from collections.abc import Iterable, Sequence
-from contextlib import suppress
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
@@ -32,8 +32,9 @@ from mcap.records import (
 from mcap.writer import MCAP0_MAGIC
 from rclpy.serialization import serialize_message
 
-from kinpole_ros.bags._files import LIBRARY, BagError
+from kinpole_ros.bags._files import LIBRARY, BagError, unwritable
 from kinpole_ros.bags._schema import definition, message_class, type_name
+from kinpole_ros.files import whole
 
 # What a kill can lose, and what a reader must hold: small enough for both, large for zstd.
 _CHUNK_SIZE = 256 * 1024
@@ -96,6 +97,16 @@ class _Chunk:
         self.size += int(sizes.sum())
 
 
+@contextmanager
+def in_place_of(path: str | Path) -> Iterator[Path]:
+    """A place to write what is to become `path`, as `files.whole`; raises BagError."""
+    try:
+        with whole(path) as part:
+            yield part
+    except OSError as error:
+        raise unwritable(path, error) from error
+
+
 class BagWriter:
     """Writes ROS 2 messages to an .mcap file; use it in a `with` block.
 
@@ -105,14 +116,17 @@ class BagWriter:
     or the machine goes in; but rclpy leaves the padding in its data to chance, so compare what
     `write` wrote by decoded messages.
 
-    `library` is what the file says made it.
+    `library` is what the file says made it, and `name` what messages call the file, where that is
+    not its path.
 
     Raises BagError when the file cannot be written; after that the file is left as it is, and
     what was written before can be read.
     """
 
-    def __init__(self, path: str | Path, library: str = LIBRARY) -> None:
-        self._path = Path(path)
+    def __init__(
+        self, path: str | Path, library: str = LIBRARY, name: str | Path | None = None
+    ) -> None:
+        self._path = Path(name or path)
         self._channels: dict[str, _Channel] = {}
         self._schemas: dict[str, Schema] = {}
         self._chunk = _Chunk()
@@ -122,8 +136,8 @@ class BagWriter:
         self._chunk_count = 0
         self._earliest, self._latest = 2**64, 0
         try:
-            self._path.parent.mkdir(parents=True, exist_ok=True)
-            self._file = open(self._path, 'wb')  # noqa: SIM115 - close() does
+            Path(path).parent.mkdir(parents=True, exist_ok=True)
+            self._file = open(path, 'wb')  # noqa: SIM115 - close() does
             self._put(MCAP0_MAGIC + _packed(Header('ros2', library)))
             # A recording that cannot be should not seem to run until something comes.
             self._file.flush()
@@ -356,10 +370,7 @@ class BagWriter:
         if hasattr(self, '_file'):
             with suppress(OSError):
                 self._file.close()
-        return BagError(
-            f'{self._path} cannot be written: {error.strerror}; '
-            'fix: check the path, its rights and the space on the disk'
-        )
+        return unwritable(self._path, error)
 
 
 def _packed(*records: McapRecord) -> bytes:

@@ -13,6 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from kinpole_ros.files import whole
 from kinpole_ros.mechanism._assembly import GROUND, Revolute
 from kinpole_ros.mechanism._centers import extent
 from kinpole_ros.mechanism._loops import LinkageError
@@ -167,8 +168,8 @@ def write_pitch_curves(path: str | Path, curves: Centrodes) -> None:
     if write is None:
         raise LinkageError(f'{path} is no pitch curves; end its name in one of csv, svg')
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        write(path, curves)
+        with whole(path) as part:
+            write(part, curves)
     except OSError as error:
         raise LinkageError(
             f'{path} cannot be written: {error.strerror}; '

@@ -15,6 +15,8 @@ import numpy as np
 import numpy.typing as npt
 import yaml
 
+from kinpole_ros.files import cut_line, read_limited
+from kinpole_ros.files.bounded_yaml import MOST_YAML, Loader, load_yaml
 from kinpole_ros.mechanism._assembly import GROUND, Assembly, Strut
 from kinpole_ros.mechanism._drive import Drive, constant_rate, sine, smooth_step, table
 from kinpole_ros.mechanism._joints import (
@@ -100,7 +102,7 @@ def load_scene(path_or_name: str | Path) -> Scene:
         with np.errstate(all='ignore'):
             return _scene(path, data)
     except (SceneError, LinkageError) as error:
-        raise SceneError(f'{path}: {error}') from None
+        raise SceneError(f'{path}: {cut_line(str(error))}') from None
 
 
 def _scene(path: Path, data: Any) -> Scene:
@@ -415,33 +417,10 @@ def _markers(said: Any, bodies: tuple[str, ...]) -> dict[str, dict[str, complex]
 # Files
 
 
-class _Loader(yaml.SafeLoader):
-    """YAML of texts, numbers as people write them, lists, and keys with values, none given twice.
+class _Loader(Loader):
+    """With numbers as people write them."""
 
-    PyYAML would take `on` for true, 1:30 for 90 and 010 for 8, as YAML 1.1 has it, and silently
-    keep the last of two keys.
-    """
-
-    yaml_constructors = {  # noqa: RUF012
-        tag: make
-        for tag, make in yaml.SafeLoader.yaml_constructors.items()
-        if tag is None or tag.endswith((':null', ':str', ':seq', ':map'))
-    }
-    yaml_implicit_resolvers = {  # noqa: RUF012
-        first: [(tag, pattern) for tag, pattern in known if tag.endswith((':null', ':merge'))]
-        for first, known in yaml.SafeLoader.yaml_implicit_resolvers.items()
-    }
-
-    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
-        """Return the mapping, or raise as the base class does for other faults."""
-        seen = set()
-        for key, _ in node.value if isinstance(node, yaml.MappingNode) else ():
-            name = str(key.value)
-            if name in seen:
-                problem = f"the key '{name}' is given twice: keep one"
-                raise yaml.constructor.ConstructorError(None, None, problem, key.start_mark)
-            seen.add(name)
-        return super().construct_mapping(node, deep)
+    longest, most = 1000, 5000
 
 
 def _number(loader: _Loader, node: yaml.ScalarNode) -> int | float:
@@ -468,7 +447,7 @@ def _scene_path(path_or_name: str | Path) -> Path:
             known = f'{here}, or a name: {", ".join(scene_names())}'
         except FileNotFoundError as error:
             raise SceneError(str(error)) from None
-    if not path.is_file():
+    if not path.exists():
         raise SceneError(f'{path}: there is no such scene file: give the path of one{known}')
     return path
 
@@ -476,11 +455,11 @@ def _scene_path(path_or_name: str | Path) -> Path:
 def _read(path: Path) -> Any:
     """Return what the YAML file holds."""
     try:
-        return yaml.load(path.read_bytes(), _Loader)
+        return load_yaml(read_limited(path, MOST_YAML), _Loader)
     except OSError as error:
-        raise SceneError(f'{path}: cannot be read: {error.strerror}') from None
-    except RecursionError:
-        raise SceneError(f'{path}: not a usable YAML file: nested beyond all use') from None
+        raise SceneError(
+            f'{path}: cannot be read: {error.strerror}; give the path of a scene file'
+        ) from None
     # ValueError: a whole number of thousands of digits.
     except (yaml.YAMLError, ValueError) as error:
         mark = getattr(error, 'problem_mark', None)

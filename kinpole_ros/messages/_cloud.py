@@ -4,6 +4,7 @@ A message comes from anywhere, so every size and offset is checked against the d
 before an array is made.
 """
 
+from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -77,6 +78,7 @@ def cloud_places(cloud: PointCloud2) -> CloudPlaces:
     if x is None or y is None:
         missing = 'x' if x is None else 'y'
         raise MessageError(f"PointCloud2 has no field '{missing}': publish x and y (and z)")
+    _refuse_overlap({'x': x, 'y': y, 'z': z})
     spacing = y[1] - x[1]
     if spacing <= 0 or y != (x[0], x[1] + spacing) or z != (x[0], y[1] + spacing):
         spacing = 0
@@ -143,6 +145,18 @@ def _place(cloud: PointCloud2, name: str, datatypes: dict[int, str]) -> tuple[st
             'correct its offset or point_step'
         )
     return ('>' if cloud.is_bigendian else '<') + code, offset
+
+
+def _refuse_overlap(places: dict[str, tuple[str, int] | None]) -> None:
+    """Raise MessageError where two of the fields have bytes in common."""
+    known = [(place[1], int(place[0][2]), name) for name, place in places.items() if place]
+    known.sort()
+    for (first, size, name), (second, _, other) in pairwise(known):
+        if second < first + size:
+            raise MessageError(
+                f"PointCloud2 fields '{name}' at offset {first} and '{other}' at {second} overlap: "
+                'correct their offsets'
+            )
 
 
 def _shape(cloud: PointCloud2) -> tuple[int, int]:

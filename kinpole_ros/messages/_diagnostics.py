@@ -53,7 +53,7 @@ _WORDS = {
 # Markers are warned of that err so many times as much as the others of their body.
 _ERRS = 3.0
 # Troubles despite which figures still come.
-_MILD = ('other types', 'sources', 'rivals')
+_MILD = ('clock', 'other types', 'sources', 'rivals')
 
 
 class DiagnosticsMaker:

@@ -14,6 +14,9 @@ from typing import Any
 
 import yaml
 
+from kinpole_ros.files import cut, cut_line, read_limited
+from kinpole_ros.files.bounded_yaml import MOST_YAML, load_yaml
+from kinpole_ros.pipeline._ros_yaml import RosLoader
 from kinpole_ros.rigid.plane import AXES, FIT, PlaneSetting
 
 
@@ -282,18 +285,8 @@ AUTOSTART = Parameter(
     'true or false',
     fixed=True,
 )
-# Characters of a value or name.
-_MOST_SAID = 80
-# Not YAML; the others are what PyYAML lets through of a malformed date or number, or !!bool of what
-# is none.
-_MALFORMED = (
-    yaml.YAMLError,
-    ValueError,
-    LookupError,
-    TypeError,
-    AttributeError,
-    RecursionError,
-)
+# Not YAML; the others are what PyYAML lets through.
+_MALFORMED = (yaml.YAMLError, ValueError, LookupError, TypeError, AttributeError)
 # What ROS itself, or the node alone, understands in the same file.
 _NODE_ONLY = ('use_sim_time', 'autostart', 'start_type_description_service')
 
@@ -311,9 +304,9 @@ def settings_from(values: Mapping[str, Any]) -> Settings:
             hint = ''
             body, _, last = name.rpartition('.')
             if last in ('markers', 'shape'):
-                hint = f'; {_cut(body)} is not among the bodies {", ".join(names)}'
+                hint = f'; {cut(body)} is not among the bodies {", ".join(names)}'
             raise ParameterError(
-                f'unknown parameter {_cut(name)}{hint}; known are {", ".join(sorted(known))}'
+                f'unknown parameter {cut(name)}{hint}; known are {", ".join(sorted(known))}'
             )
     _checked('autostart', AUTOSTART, values)
     checked = {name: _checked(name, row, values) for name, row in known.items()}
@@ -372,23 +365,8 @@ def _checked(name: str, row: Parameter, values: Mapping[str, Any]) -> Any:
     try:
         return row.check(value)
     except (TypeError, ValueError, OverflowError):
-        shown = _cut(repr(value))
+        shown = cut(repr(value))
         raise ParameterError(f'parameter {name} is {shown}; it must be {row.allowed}') from None
-
-
-def _cut(text: str) -> str:
-    """As much as there is room for in a line: anyone on the network may set any name and value."""
-    text = text if text.isprintable() else repr(text)
-    return text if len(text) <= _MOST_SAID else f'{text[:_MOST_SAID]}...'
-
-
-class _Loader(yaml.SafeLoader):
-    """YAML as ROS reads it, where 1e-3 is a number although it has no point."""
-
-
-_Loader.add_implicit_resolver(
-    'tag:yaml.org,2002:float', re.compile(r'[-+]?\d+(\.\d*)?[eE][-+]?\d+$'), list('-+0123456789')
-)
 
 
 def load_settings(
@@ -401,11 +379,11 @@ def load_settings(
     anything that cannot be used.
     """
     try:
-        document = _parse(Path(path).read_text(encoding='utf-8'))
+        document = load_yaml(read_limited(path, MOST_YAML), RosLoader)
     except OSError as error:
         raise ParameterError(f'{path}: {error.strerror}; name a readable parameter file') from None
     except _MALFORMED as error:
-        reason = ' '.join(str(error).split())
+        reason = cut_line(' '.join(str(error).split()))
         raise ParameterError(f'{path}: not YAML ({reason})') from None
     wanted = {'/**', node_name, f'/{node_name}'}
     sections = document if isinstance(document, dict) else {}
@@ -419,7 +397,10 @@ def load_settings(
                 f'{path}: {key} must hold the key ros__parameters, and that the parameters'
             )
         found = True
-        values.update(_flat(section['ros__parameters']))
+        try:
+            values.update(_flat(section['ros__parameters']))
+        except ParameterError as error:
+            raise ParameterError(f'{path}: {error}') from None
     if not found:
         raise ParameterError(
             f'{path}: no section for this node; write {node_name}: or /**: and under it '
@@ -442,26 +423,35 @@ def assignments(words: Iterable[str]) -> dict[str, Any]:
     for word in words:
         name, sign, text = word.partition(':=')
         if not sign or not name:
-            raise ParameterError(f'{_cut(word)} is not NAME:=VALUE, such as lag:=0.05')
+            raise ParameterError(f'{cut(word)} is not NAME:=VALUE, such as lag:=0.05')
         try:
-            values.update(_flat({name: _parse(text)}))
+            value = load_yaml(text, RosLoader)
         except _MALFORMED as error:
-            reason = ' '.join(str(error).split())
-            raise ParameterError(f'{_cut(word)}: the value is not YAML ({reason})') from None
+            reason = cut_line(' '.join(str(error).split()))
+            raise ParameterError(f'{cut(word)}: the value is not YAML ({reason})') from None
+        values.update(_flat({name: value}))
     return values
 
 
-def _parse(text: str) -> Any:
-    """What YAML says, as ROS reads it; raises one of _MALFORMED."""
-    return yaml.load(text, _Loader)
-
-
 def _flat(section: Mapping[str, Any], prefix: str = '') -> dict[str, Any]:
-    """Names as ROS has them: nested keys with dots between them."""
+    """
+    Names as ROS has them: nested keys with dots between them.
+
+    Raises ParameterError for what the node does not take either: no value, and lists of values of
+    several types, of which there are none in ROS.
+    """
     values: dict[str, Any] = {}
     for key, value in section.items():
-        if isinstance(value, dict):
-            values.update(_flat(value, f'{prefix}{key}.'))
-        else:
-            values[f'{prefix}{key}'] = value
+        name = f'{prefix}{key}'
+        if value is None or value in ({}, []):
+            raise ParameterError(f'parameter {cut(name)} has no value; leave it out or give it one')
+        if isinstance(value, list) and len({type(each) for each in value}) > 1:
+            raise ParameterError(
+                f'parameter {cut(name)} is {cut(repr(value))}, a list of several types; give all '
+                'numbers of a list a point, as in [0.0, 1.0], or all texts quotes'
+            )
+        new = _flat(value, f'{name}.') if isinstance(value, dict) else {name: value}
+        if twice := values.keys() & new.keys():
+            raise ParameterError(f'parameter {cut(min(twice))} is given twice; keep one')
+        values.update(new)
     return values

@@ -8,7 +8,9 @@ Header stamps drive it; it never asks for the time.
 
 import itertools
 from collections import Counter
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+from threading import Lock
 
 import numpy as np
 
@@ -44,21 +46,40 @@ class Tracker:
     `samples` is how many frames the window holds. `counts` says what became of the frames, for
     diagnostics: frames, repeated, late, lost, resets, frame_changes, markers_not_seen,
     markers_unknown, and the markers_... that were corrected, see `correct_swaps`.
+
+    Trackers in threads of their own do not meet. One tracker is for one thread at a time: `add`,
+    `add_parts`, `settle` and `reset` raise RuntimeError while another thread is in one of them, and
+    what they changed may be asked for when they are done.
     """
 
     def __init__(self, settings: Settings) -> None:
         self.settings = settings
         self.bodies = tuple(settings.bodies)
+        self._in_use = Lock()
         self.counts: Counter[str] = Counter()
         # By body, '' for all frames.
         self._outages: dict[str, Outage] = {}
         self._wrong = np.zeros(len(self.bodies), int)
         self._frame_id = ''
-        self.reset()
+        self._start(None)
 
     def reset(self) -> None:
         """Forget all samples, and the shapes and noise learned from them."""
-        self._start(None)
+        with self._alone():
+            self._start(None)
+
+    @contextmanager
+    def _alone(self) -> Iterator[None]:
+        """Refuse a second thread; raises RuntimeError."""
+        if not self._in_use.acquire(blocking=False):
+            raise RuntimeError(
+                'this Tracker is at work in another thread; give each thread a Tracker of its own, '
+                'or have them take turns'
+            )
+        try:
+            yield
+        finally:
+            self._in_use.release()
 
     def _start(self, before: Timeline | None) -> None:
         """Start anew; `before` a jump of the stamps frames were as in that timeline."""
@@ -176,6 +197,10 @@ class Tracker:
         Each is taken before the next is asked for: then the tracker is as it was with the last
         frame of that part. Instants are `due` by the number of the frame in all parts.
         """
+        with self._alone():
+            return self._add_parts(parts, order)
+
+    def _add_parts(self, parts: Iterable[MarkerFrames], order: int | None) -> list[Estimate]:
         found: list[Estimate] = []
         before = 0
         for frames in parts:
@@ -187,7 +212,7 @@ class Tracker:
                 if len(self._timeline):
                     found += self._estimates(order)
                     self.counts['frame_changes'] += 1
-                    self.reset()
+                    self._start(None)
                 self._frame_id = frames.frame_id
             first = 0
             while first < len(stamps):
@@ -224,10 +249,11 @@ class Tracker:
 
     def settle(self) -> None:
         """Learn from what is due, while nobody waits for it; else the next `add` does."""
-        self._rigid.settle()
-        self._space.settle()
-        if self._timeline.look_due:
-            self._look(None)
+        with self._alone():
+            self._rigid.settle()
+            self._space.settle()
+            if self._timeline.look_due:
+                self._look(None)
 
     def _look(self, order: int | None) -> list[Estimate]:
         """Look at the clock of the stamps; what waits is estimated before it changes anything."""

@@ -14,7 +14,9 @@ from typing import Any
 
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
+from lifecycle_msgs.srv import ChangeState
 from rcl_interfaces.msg import SetParametersResult
+from rcl_interfaces.srv import SetParameters, SetParametersAtomically
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
 from rclpy.duration import Duration
@@ -25,6 +27,7 @@ from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackRet
 from rclpy.logging import LoggingSeverity, set_logger_level
 from rclpy.parameter import Parameter as RosParameter
 from rclpy.utilities import remove_ros_args
+from rosgraph_msgs.msg import Clock as ClockMessage
 
 from kinpole_ros.linkage.theory import load_theory
 from kinpole_ros.messages import (
@@ -41,7 +44,7 @@ from kinpole_ros.pipeline.parameters import PARAMETERS, ParameterError, settings
 from kinpole_ros.pipeline.tracker import Tracker
 from kinpole_ros.ros.declare import declare, given_in_vain, given_to, values_of
 from kinpole_ros.ros.executor import MessagesFirst
-from kinpole_ros.ros.private import RCLError, wrap_change_state
+from kinpole_ros.ros.private import RCLError, wrap_service
 from kinpole_ros.ros.process import reason_of, start_ros
 from kinpole_ros.ros.source import MarkerSource, publishers_of
 
@@ -84,6 +87,8 @@ class KinpoleNode(LifecycleNode):
         self._wanted: list[tuple[Output, Any]] = []
         self._publishers_made: dict[str, Any] = {}
         self._amid_markers = False
+        # While a request sets several parameters, and whether it changed one of ours.
+        self._setting = self._changed = False
         # Of the frames since the last diagnostics.
         self._stamps: list[int] = []
         self._latest: Estimate | None = None
@@ -103,7 +108,9 @@ class KinpoleNode(LifecycleNode):
         self.create_timer(_LOOK_EVERY, self._look, clock=self._steady)
         self.add_on_set_parameters_callback(self._check_parameters)
         self.add_post_set_parameters_callback(self._take_parameters)
-        wrap_change_state(self, _change_if_possible)
+        wrap_service(self, ChangeState, _change_if_possible)
+        for kind in (SetParameters, SetParametersAtomically):
+            wrap_service(self, kind, self._set_at_once)
         if self.get_parameter('autostart').value:
             self.trigger_configure()
             if self.trigger_activate() != TransitionCallbackReturn.SUCCESS:
@@ -131,6 +138,43 @@ class KinpoleNode(LifecycleNode):
                 return result
         return super().set_parameters_atomically(parameter_list)
 
+    def create_subscription(
+        self, msg_type: Any, topic: str, callback: Callable[..., Any], *words: Any, **more: Any
+    ) -> Any:
+        """As in rclpy, but of a clock leave out what is before 0, where it raises."""
+
+        def take_clock(message: ClockMessage) -> None:
+            if message.clock.sec >= 0:
+                callback(message)
+                return
+            self._note(
+                'clock',
+                f'/clock tells of {message.clock.sec} s, and ROS has no time before 0; that is '
+                'left out: see to what publishes it',
+            )
+
+        take = take_clock if msg_type is ClockMessage else callback
+        return super().create_subscription(msg_type, topic, take, *words, **more)
+
+    def _set_at_once(self, set_all: Callable[..., Any], request: Any, response: Any) -> Any:
+        """Answer a request to set parameters: start anew once, and not by what has no end."""
+        count, most = len(request.parameters), len(given_to(self))
+        if count > most:
+            reason = f'{count} parameters in one request, and this node has {most}: set each once'
+            refused = SetParametersResult(successful=False, reason=reason)
+            if isinstance(response, SetParameters.Response):
+                response.results = [refused] * count
+            else:
+                response.result = refused
+            return response
+        self._setting, self._changed = True, False
+        try:
+            return set_all(request, response)
+        finally:
+            self._setting = False
+            if self._changed:
+                self._use_parameters()
+
     def _check_parameters(self, changes: Sequence[RosParameter]) -> SetParametersResult:
         for p in changes:
             # rclpy declares them itself, to be set, and reads them when it subscribes.
@@ -144,9 +188,14 @@ class KinpoleNode(LifecycleNode):
         return SetParametersResult(successful=True)
 
     def _take_parameters(self, changes: Sequence[RosParameter]) -> None:
+        if any(self._is_ours(p.name) for p in changes):
+            if self._setting:
+                self._changed = True
+            else:
+                self._use_parameters()
+
+    def _use_parameters(self) -> None:
         """Start anew with the changed settings; publishers that stay in use are not touched."""
-        if not any(self._is_ours(p.name) for p in changes):
-            return
         self.settings = settings_from(values_of(self))
         self._theory = load_theory(self.settings)
         self._start_anew()
@@ -342,7 +391,7 @@ class KinpoleNode(LifecycleNode):
         stamp = min(max(0, self.get_clock().now().nanoseconds), _LATEST_STAMP)
         self.source.note_turns()
         self._note_rivals()
-        for passing in {'message', 'failure'} - self._noted:
+        for passing in {'message', 'failure', 'clock'} - self._noted:
             self._note(passing, '')
         self._noted.clear()
         array = self._diagnostics.make(

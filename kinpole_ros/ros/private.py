@@ -10,9 +10,7 @@ from contextlib import ExitStack
 from functools import partial
 from typing import Any
 
-from lifecycle_msgs.srv import ChangeState
 from rclpy.impl.implementation_singleton import rclpy_implementation
-from rclpy.lifecycle import LifecycleNode
 from rclpy.node import Node
 from rclpy.subscription import Subscription
 from rclpy.topic_endpoint_info import TopicEndpointInfo
@@ -73,12 +71,13 @@ def has_known_node(endpoint: TopicEndpointInfo) -> bool:
     return bool(endpoint.node_name != '_NODE_NAME_UNKNOWN_')
 
 
-def wrap_change_state(node: LifecycleNode, wrapper: Callable[..., Any]) -> None:
+def wrap_service(node: Node, kind: type, wrapper: Callable[..., Any]) -> None:
     """
-    Have `wrapper(callback, request, response)` answer requests for a transition of a managed node.
+    Have `wrapper(callback, request, response)` answer requests of this kind, of rclpy's own.
 
-    rclpy raises out of the executor for a transition that is not possible now. Public would be a
-    method to override; rclpy's has a mangled name.
+    ChangeState: rclpy raises out of the executor for a transition that is not possible now.
+    SetParameters: it sets one after the other, however many. Public would be methods to override;
+    rclpy's have mangled names.
     """
-    (service,) = (each for each in node.services if each.srv_type is ChangeState)
+    (service,) = (each for each in node.services if each.srv_type is kind)
     service.callback = partial(wrapper, service.callback)

@@ -11,12 +11,14 @@ import os
 import shutil
 import signal
 import sys
+import threading
 import time
 from collections.abc import Callable, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager, nullcontext, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from kinpole_ros.files import cut_line, printable
 from kinpole_ros.tools.usage import make_parser
 
 if TYPE_CHECKING:
@@ -35,6 +37,11 @@ _FIXES = {
     'matplotlib': "drawing needs matplotlib; install it with pip install 'kinpole_ros[plot]'",
     'mcap': "reading and writing bags needs mcap; install it with pip install 'mcap>=1.5'",
 }
+# Characters: a bag may have any number of topics, and markers, with any names.
+_LONGEST_LINE = 5000
+# What SIGTERM ends as Ctrl-C does: nothing is left of results that are not whole, and of a player
+# others do not believe for many seconds that it is there.
+_ENDED = ('replay', 'simulate', 'solve', 'discover', 'plot', 'import', 'play')
 _NO_ROS = 'source a ROS 2 installation first, or the .venv that `make demo` sets up'
 
 
@@ -52,7 +59,8 @@ def main(args: Sequence[str] | None = None) -> int:
 
             return run_node(['kinpole', *words[1:]])
         options = make_parser().parse_args(words)
-        return _COMMANDS[options.command](options)
+        with _ended_by_sigterm() if options.command in _ENDED else nullcontext():
+            return _COMMANDS[options.command](options)
     except KeyboardInterrupt:
         return 130
     except BrokenPipeError:
@@ -65,6 +73,19 @@ def main(args: Sequence[str] | None = None) -> int:
             raise
         print(f'kinpole {words[0]}: {_line(error)}', file=sys.stderr)
         return 2
+
+
+@contextmanager
+def _ended_by_sigterm() -> 'Iterator[None]':
+    """Have SIGTERM end it in good order meanwhile."""
+    here = threading.current_thread() is threading.main_thread()
+    end = lambda number, _: sys.exit(128 + number)  # noqa: E731
+    before = signal.signal(signal.SIGTERM, end) if here else None
+    try:
+        yield
+    finally:
+        if here:
+            signal.signal(signal.SIGTERM, before)
 
 
 def node() -> int:
@@ -106,7 +127,7 @@ def _line(error: object) -> str:
         ros = package == 'rclpy' or package.endswith(('_msgs', '_interfaces'))
         fix = _NO_ROS if ros else f'install it with pip install {package}'
         return _FIXES.get(package, f'the Python package {package} cannot be imported; {fix}')
-    text = ' '.join(str(error).split())
+    text = cut_line(printable(' '.join(str(error).split())), _LONGEST_LINE)
     if isinstance(error, OSError) and error.strerror:
         # From wherever nobody had words of his own for it.
         fix = 'check the path, its rights and the space on the disk'
@@ -114,6 +135,13 @@ def _line(error: object) -> str:
     if isinstance(error, MemoryError):
         return f'the memory is too small for this ({text or "full"}); fix: do it in shorter parts'
     return text
+
+
+def _told(command: str, troubles: list[object]) -> int:
+    """Tell what a bag lacks of which all the rest was used; the exit status."""
+    for trouble in troubles:
+        print(f'kinpole {command}: {_line(trouble)}', file=sys.stderr)
+    return 2 if troubles else 0
 
 
 def _on_terminal() -> bool:
@@ -169,7 +197,7 @@ def _replay(options: argparse.Namespace) -> int:
     if result.space.plane is not None and settings.plane not in AXES:
         print(f'plane: {plane_words(result.space.plane)}')
     for line in warnings_of(result, settings):
-        print(f'kinpole replay: {line}', file=sys.stderr)
+        print(f'kinpole replay: {_line(line)}', file=sys.stderr)
     if result.truncated is not None:
         print(f'kinpole replay: {_line(result.truncated)}', file=sys.stderr)
     return 2 if result.truncated is not None or result.unknown else 0
@@ -194,7 +222,7 @@ def _batch(options: argparse.Namespace) -> int:
             if trouble:
                 name = '' if row['bag'] in trouble else f'{row["bag"]}: '
                 clear = _cleared() if _on_terminal() else ''
-                print(f'{clear}kinpole batch: {name}{_line(trouble)}', file=sys.stderr)
+                print(f'{clear}kinpole batch: {_line(f"{name}{trouble}")}', file=sys.stderr)
 
     with _progress('batch') as progress:
         rows = batch(
@@ -281,9 +309,9 @@ def _plot(options: argparse.Namespace) -> int:
     from kinpole_ros.tools.plot import plot
 
     with _progress('plot') as progress:
-        plot(options.bag, options.output, progress)
+        cut = plot(options.bag, options.output, progress)
     print(f'drawn to {options.output}')
-    return 0
+    return _told('plot', [cut] if cut else [])
 
 
 def _report(options: argparse.Namespace) -> int:
@@ -328,8 +356,6 @@ def _import(options: argparse.Namespace) -> int:
 def _play(options: argparse.Namespace) -> int:
     from kinpole_ros.ros.live import play
 
-    # As Ctrl-C ends it: of what is killed others believe for many seconds that it is there.
-    signal.signal(signal.SIGTERM, lambda number, _: sys.exit(128 + number))
     with _progress('play') as progress:
         count = play(options.bag, options.topic, options.speed, progress=progress)
     print(f'{count} messages played')
@@ -359,7 +385,7 @@ def _solve(options: argparse.Namespace) -> int:
         options.plot,
         options.pitch,
     )
-    print('\n'.join(lines))
+    print('\n'.join(map(printable, lines)))
     return 0
 
 
@@ -367,6 +393,7 @@ def _discover(options: argparse.Namespace) -> int:
     from kinpole_ros.tools.discover import discover_rig
 
     _keep(options.source, options.output, options.scene, options.plot)
+    troubles: list[object] = []
     with _progress('discover') as progress:
         lines = discover_rig(
             options.source,
@@ -376,9 +403,10 @@ def _discover(options: argparse.Namespace) -> int:
             options.scene,
             options.plot,
             progress,
+            troubles.append,
         )
-    print('\n'.join(lines))
-    return 0
+    print('\n'.join(map(printable, lines)))
+    return _told('discover', troubles)
 
 
 def _demo(options: argparse.Namespace) -> int:

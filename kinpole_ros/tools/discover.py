@@ -7,7 +7,7 @@ Reads a bag or listens to a topic, has `linkage` find what there is, and writes 
 from collections.abc import Callable
 from pathlib import Path
 
-from kinpole_ros.bags import BagError, read_frames
+from kinpole_ros.bags import BagError, Truncated, in_place_of, read_frames
 from kinpole_ros.linkage import UndiscoveredError, discover, draft, parameter_file, table
 from kinpole_ros.pipeline.frame import MarkerFrames
 
@@ -26,12 +26,14 @@ def discover_rig(
     scene: str | Path | None = None,
     picture: str | Path | None = None,
     progress: Callable[[float], None] | None = None,
+    report: Callable[[Truncated], None] | None = None,
 ) -> list[str]:
     """
     What the markers of a bag or topic show, as lines to print; also writes the files named.
 
-    `output` is the parameter file, `scene` the draft scene, `picture` what was found, drawn. Raises
-    BagError for what cannot be read, found or written, with the fix.
+    `output` is the parameter file, `scene` the draft scene, `picture` what was found, drawn;
+    `report` is called with what a bag lacks that is not whole. Raises BagError for what cannot be
+    read, found or written, with the fix.
     """
     if seconds is not None and not 0 < seconds < float('inf'):
         raise BagError(f'--seconds is {seconds}; it must be more than 0')
@@ -39,7 +41,7 @@ def discover_rig(
     def part(first: float, share: float) -> Callable[[float], None] | None:
         return None if progress is None else (lambda done: progress(first + share * done))
 
-    parts, name, live = _read(source, topic, seconds, part(0.0, _READING))
+    parts, name, live = _read(source, topic, seconds, part(0.0, _READING), report)
     try:
         found = discover(parts, part(_READING, 0.9 - _READING))
     except UndiscoveredError as error:
@@ -73,10 +75,11 @@ def _read(
     topic: str | None,
     seconds: float | None,
     progress: Callable[[float], None] | None,
+    report: Callable[[Truncated], None] | None,
 ) -> tuple[list[MarkerFrames], str, bool]:
     """The frames, the topic, and whether it is live."""
     if Path(source).exists() or source.endswith('.mcap') or topic is not None:
-        parts, name = read_frames(source, topic, seconds or _OF_A_BAG, progress)
+        parts, name = read_frames(source, topic, seconds or _OF_A_BAG, progress, report)
         return parts, name, False
     from kinpole_ros.ros.listen import listen
 
@@ -85,11 +88,5 @@ def _read(
 
 
 def _write(path: str | Path, text: str) -> None:
-    try:
-        Path(path).parent.mkdir(parents=True, exist_ok=True)
-        Path(path).write_text(text, encoding='utf-8')
-    except OSError as error:
-        raise BagError(
-            f'{path} cannot be written: {error.strerror}; fix: check the path, its rights and the '
-            'space on the disk'
-        ) from error
+    with in_place_of(path) as part:
+        part.write_text(text, encoding='utf-8')

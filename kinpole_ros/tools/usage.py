@@ -45,8 +45,8 @@ def make_parser() -> argparse.ArgumentParser:
         'replay',
         help='a bag of markers to results, as fast as the machine goes',
         description='Runs the markers of a bag through the same pipeline as the node. The same '
-        'bag and parameters give the same figures every time. What is written before a kill or a '
-        'full disk can be read; a Parquet table only when whole.',
+        'bag and parameters give the same figures every time. Results take the place of earlier '
+        'ones only when whole; what a killed run wrote is beside them, as NAME.….part.',
     )
     replay.add_argument(
         'bag',

@@ -5,6 +5,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory, TemporaryFile
 from typing import Any
 
+from kinpole_ros.bags._files import unwritable
 from kinpole_ros.bags.batch import _store
 from kinpole_ros.bags.batch._results import (
     Row,
@@ -12,7 +13,6 @@ from kinpole_ros.bags.batch._results import (
     finished_in_store,
     name_of,
     shard_of,
-    unwritable,
     write_summary,
 )
 from kinpole_ros.pipeline.parameters import Settings

@@ -17,14 +17,18 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 from kinpole_ros import __version__
-from kinpole_ros.bags import BagError, bag_files, replay, warnings_of
+from kinpole_ros.bags import BagError, bag_files, warnings_of
+from kinpole_ros.bags._files import unwritable
+from kinpole_ros.bags._replay import replay_to
 from kinpole_ros.bags.batch import _store
+from kinpole_ros.files import read_limited
 from kinpole_ros.mechanism import LinkageError, SceneError
 from kinpole_ros.pipeline.parameters import ParameterError, Settings
 
 KINDS = ('mcap', 'csv', 'parquet')
 EXPECTED = (BagError, LinkageError, ParameterError, SceneError, OSError)
 _LONGEST_NAME = 200  # bytes
+_MOST = 16 << 20  # bytes of what is known of a bag
 _FIRST = ('bag', 'error', 'truncated', 'results', 'frames', 'estimates', 'start', 'end', 'seconds')
 
 # What the summary says of one bag: text and numbers by the name of their column.
@@ -73,7 +77,8 @@ def _make(
     parts = {kind: folder / f'{name}.{kind}.part' for kind in kinds}
     made_of = _made_of(bag, settings, topic)
     with _store.fetched(bag) if _store.is_url(bag) else nullcontext(bag) as source:
-        result = replay(
+        result = replay_to(
+            nullcontext,
             source,
             settings,
             output=parts.get('mcap'),
@@ -189,9 +194,9 @@ def finished_in_store(
 def _recorded_row(bag: str, folder: Path, made_of: list[Any]) -> Row | None:
     """The row of the results of a bag that are there, if they were made of this."""
     try:
-        record = json.loads((folder / f'{name_of(bag)}.json').read_text('utf-8'))
+        record = json.loads(read_limited(folder / f'{name_of(bag)}.json', _MOST))
         row = record['row'] if record['made_of'] == made_of else None
-    except (OSError, ValueError, LookupError, TypeError):
+    except (OSError, ValueError, LookupError, TypeError, RecursionError):
         return None
     return row if isinstance(row, dict) and row.get('bag') == bag else None
 
@@ -208,9 +213,9 @@ def is_result(path: str, folder: Path) -> bool:
     if folder not in (result.parent, result.parent.parent):
         return False
     try:
-        record = json.loads(result.with_suffix('.json').read_text('utf-8'))
+        record = json.loads(read_limited(result.with_suffix('.json'), _MOST))
         return name_of(record['row']['bag']) == result.stem
-    except (OSError, ValueError, LookupError, TypeError):
+    except (OSError, ValueError, LookupError, TypeError, RecursionError):
         return False
 
 
@@ -262,10 +267,3 @@ def _write_whole(path: Path, text: str) -> None:
         part.replace(path)
     finally:
         part.unlink(missing_ok=True)
-
-
-def unwritable(path: Path, error: OSError) -> BagError:
-    return BagError(
-        f'{path} cannot be written: {error.strerror}; '
-        'fix: check the path, its rights and the space on the disk'
-    )

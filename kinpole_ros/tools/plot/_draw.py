@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from kinpole_ros.bags import BagError
+from kinpole_ros.bags import BagError, in_place_of
 from kinpole_ros.tools.plot._read import Body, Centrodes, Results, Series, centrodes, read_results
 
 _MOST_BODIES = 4
@@ -44,13 +44,14 @@ _HALO: dict[str, Any] = {'facecolor': 'white', 'edgecolor': 'none', 'alpha': 0.7
 
 def plot(
     bag: str | Path, output: str | Path, progress: Callable[[float], None] | None = None
-) -> None:
+) -> str:
     """
     Draw the results in `bag` (an .mcap file or a rosbag2 folder) to `output`.
 
     The format goes by the suffix of `output`: png, pdf, svg or whatever else matplotlib writes;
-    folders above it are made. `progress` is called with the share done, by time. Raises BagError
-    when the bag holds no results, `output` cannot be written or matplotlib is missing.
+    folders above it are made. `progress` is called with the share done, by time. Returns what a bag
+    that is not whole lacks, '' for one that is. Raises BagError when the bag holds no results,
+    `output` cannot be written or matplotlib is missing.
     """
     try:
         from matplotlib.figure import Figure
@@ -61,25 +62,20 @@ def plot(
     # A Figure of its own, without pyplot: whoever draws in the same process keeps his state.
     figure = Figure(figsize=(_WIDTH, 1), layout='constrained')
     formats = sorted(figure.canvas.get_supported_filetypes())
-    if Path(output).suffix[1:].lower() not in formats:
+    kind = Path(output).suffix[1:].lower()
+    if kind not in formats:
         raise BagError(f'{output} is no picture; end its name in one of {", ".join(formats)}')
     reading = None if progress is None else lambda share: progress(_READING * share)
     results = read_results(bag, reading)
     # A file name need not be text.
     _draw(figure, os.fsencode(Path(bag).name).decode(errors='replace'), results)
-    try:
-        Path(output).parent.mkdir(parents=True, exist_ok=True)
-        with warnings.catch_warnings():
-            # A letter that the font lacks is drawn as a box.
-            warnings.filterwarnings('ignore', 'Glyph .* missing from', UserWarning)
-            figure.savefig(output, dpi=_DPI)
-    except OSError as error:
-        raise BagError(
-            f'{output} cannot be written: {error.strerror}; '
-            'fix: check the path, its rights and the space on the disk'
-        ) from error
+    with in_place_of(output) as part, warnings.catch_warnings():
+        # A letter that the font lacks is drawn as a box.
+        warnings.filterwarnings('ignore', 'Glyph .* missing from', UserWarning)
+        figure.savefig(part, format=kind, dpi=_DPI)
     if progress is not None:
         progress(1.0)
+    return results.cut
 
 
 def _draw(figure: Any, bag: str, results: Results) -> None:

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from kinpole_ros.bags import BagError
+from kinpole_ros.bags import BagError, in_place_of
 from kinpole_ros.linkage import Linkage
 from kinpole_ros.linkage._draft import first_frame
 
@@ -31,21 +31,16 @@ def draw_linkage(linkage: Linkage, output: str | Path, title: str) -> None:
         ) from error
     figure = Figure(figsize=_SIZE, layout='constrained')
     formats = sorted(figure.canvas.get_supported_filetypes())
-    if Path(output).suffix[1:].lower() not in formats:
+    kind = Path(output).suffix[1:].lower()
+    if kind not in formats:
         raise BagError(f'{output} is no picture; end its name in one of {", ".join(formats)}')
     axis = figure.add_subplot()
     _draw(axis, linkage)
     axis.set_title(f'{title}: {_about(linkage)}', fontsize=10, parse_math=False)
-    try:
-        Path(output).parent.mkdir(parents=True, exist_ok=True)
-        with warnings.catch_warnings():
-            warnings.filterwarnings('ignore', 'Glyph .* missing from', UserWarning)
-            figure.savefig(output, dpi=_DPI)
-    except OSError as error:
-        raise BagError(
-            f'{output} cannot be written: {error.strerror}; '
-            'fix: check the path, its rights and the space on the disk'
-        ) from error
+    with in_place_of(output) as part, warnings.catch_warnings():
+        # A letter that the font lacks is drawn as a box.
+        warnings.filterwarnings('ignore', 'Glyph .* missing from', UserWarning)
+        figure.savefig(part, format=kind, dpi=_DPI)
 
 
 def _about(linkage: Linkage) -> str:

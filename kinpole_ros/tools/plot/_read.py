@@ -56,13 +56,14 @@ class Results(NamedTuple):
     """
     A result bag: its plane, the bodies, and relative instant centers by names (j, i).
 
-    `along` says what x and y of the plane are in the frame of the markers.
+    `cut` says what a bag that is not whole lacks, '' for one that is, and `along` what x and y of
+    the plane are in the frame of the markers.
     """
 
     plane: str
     bodies: list[Body]
     relative: dict[tuple[str, str], Series]
-    cut: bool
+    cut: str
     along: tuple[str, str]
 
 
@@ -227,10 +228,10 @@ def decode(type_name: str, data: bytes) -> Any:
 
 def _read(
     bag: str | Path, wanted: Collection[str], progress: Callable[[float], None] | None
-) -> tuple[dict[str, tuple[np.ndarray, np.ndarray]], bool]:
-    """Stamps (T,) and numbers (T, ...) of each topic with messages, and if the bag is cut off."""
+) -> tuple[dict[str, tuple[np.ndarray, np.ndarray]], str]:
+    """Stamps (T,) and numbers (T, ...) of each topic with messages, and where the bag is cut."""
     found: dict[str, dict[int, list[float]]] = {}
-    cut = False
+    cut = ''
     try:
         for message in read_messages(bag, wanted, progress):
             row = _ROWS.get(message.type_name)
@@ -239,8 +240,8 @@ def _read(
             decoded = decode(message.type_name, message.data)
             # A bag played in a loop says the same of an instant again: the last word counts.
             found.setdefault(message.topic, {})[stamp_to_ns(decoded.header.stamp)] = row(decoded)
-    except Truncated:
-        cut = True
+    except Truncated as error:
+        cut = str(error)
     arrays = {}
     for topic, rows in found.items():
         stamp = np.fromiter(rows, np.int64, len(rows))

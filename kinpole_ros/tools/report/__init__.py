@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from kinpole_ros import __version__
-from kinpole_ros.bags import BagError, replay, warnings_of
+from kinpole_ros.bags import BagError, in_place_of, replay, warnings_of
 from kinpole_ros.linkage.theory import DeviationSummary, load_theory
 from kinpole_ros.mechanism import load_scene
 from kinpole_ros.pipeline.parameters import Settings
@@ -148,16 +148,5 @@ def _about(record: Record) -> str:
 
 def _write(output: str | Path, text: str) -> None:
     """In place of what is there only when it is whole."""
-    path = Path(output)
-    part = path.with_name(f'.{path.name}.part')
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
+    with in_place_of(output) as part:
         part.write_text(text, encoding='utf-8')
-        part.replace(path)
-    except OSError as error:
-        raise BagError(
-            f'{output} cannot be written: {error.strerror}; '
-            'fix: check the path, its rights and the space on the disk'
-        ) from error
-    finally:
-        part.unlink(missing_ok=True)

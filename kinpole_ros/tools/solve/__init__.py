@@ -8,6 +8,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
+from kinpole_ros import files
 from kinpole_ros.mechanism import SceneError, centrodes, load_scene, write_pitch_curves
 from kinpole_ros.tools.solve._lines import (
     center_lines,
@@ -58,8 +59,8 @@ def solve_scene(
     if statics:
         lines += static_lines(whole if sweep else here)
     if table:
-        with _writing(table):
-            write_table(Path(table), whole if sweep else here, centers, statics)
+        with _writing(table) as part:
+            write_table(part, whole if sweep else here, centers, statics)
         lines.append(f'written to {table}')
     if pitch:
         one, other, file = pitch
@@ -73,18 +74,19 @@ def solve_scene(
     if picture:
         from kinpole_ros.tools.solve._picture import draw
 
-        _check_picture(Path(picture))
-        with _writing(picture):
-            draw(Path(picture), whole, drawn(whole, here), centers)
+        kind = _kind_of(Path(picture))
+        with _writing(picture) as part:
+            draw(part, kind, whole, drawn(whole, here), centers)
         lines.append(f'written to {picture}')
     return lines
 
 
 @contextmanager
-def _writing(path: str | Path) -> Iterator[None]:
-    """Say which file it was that could not be written."""
+def _writing(path: str | Path) -> Iterator[Path]:
+    """A place to write it to until it is whole; says which file it was that could not be."""
     try:
-        yield
+        with files.whole(path) as part:
+            yield part
     except OSError as error:
         raise SceneError(
             f'{path} cannot be written: {error.strerror}; '
@@ -92,10 +94,12 @@ def _writing(path: str | Path) -> Iterator[None]:
         ) from None
 
 
-def _check_picture(path: Path) -> None:
-    """Raise SceneError for a kind of picture that matplotlib does not draw."""
+def _kind_of(path: Path) -> str:
+    """The kind of picture, by its suffix; raises SceneError for what matplotlib does not draw."""
     from matplotlib.backend_bases import FigureCanvasBase
 
     known = sorted(FigureCanvasBase.get_supported_filetypes())
-    if path.suffix.lower().lstrip('.') not in known:
+    kind = path.suffix.lower().lstrip('.')
+    if kind not in known:
         raise SceneError(f'{path} is no picture; end its name in one of {", ".join(known)}')
+    return kind

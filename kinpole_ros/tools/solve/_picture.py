@@ -21,11 +21,11 @@ _GRAYS = ('#000000', '#0060a8', '#a83200', '#00785a', '#7a4fa0', '#777777')
 _ARROW, _FAR = 0.35, 1.2
 
 
-def draw(path: Path, solved: Solved, here: Solved, centers: bool) -> None:
+def draw(path: Path, kind: str, solved: Solved, here: Solved, centers: bool) -> None:
     """
-    Draw the range of `solved` with the linkage at the one position `here` to a file.
+    Draw the range of `solved` with the linkage at the one position `here` to a file of that kind.
 
-    Raises OSError where it cannot be written, ValueError for a kind of file that cannot be drawn.
+    Raises OSError where it cannot be written.
     """
     from matplotlib.figure import Figure
 
@@ -57,8 +57,7 @@ def draw(path: Path, solved: Solved, here: Solved, centers: bool) -> None:
     # A scene is called after its file, whose name may hold what text or formulas must not.
     scene = os.fsencode(solved.scene.name).decode(errors='replace')
     figure.suptitle(f'{scene} at {label} = {value:.6g}, driven at {rate}', parse_math=False)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(path, dpi=_DPI)
+    figure.savefig(path, format=kind, dpi=_DPI)
 
 
 def _tame(axis: Any, values: np.ndarray) -> None:

@@ -64,7 +64,6 @@ def write_table(path: Path, solved: Solved, centers: bool, statics: bool) -> Non
                 columns[f'{joint}_force_x'] = forces.force[j].real
                 columns[f'{joint}_force_y'] = forces.force[j].imag
                 columns[f'{joint}_moment'] = forces.moment[j]
-    path.parent.mkdir(parents=True, exist_ok=True)
     with path.open('w', newline='', encoding='utf-8') as file:
         rows = csv.writer(file)
         rows.writerow(columns)
