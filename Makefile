@@ -30,7 +30,7 @@ EXTRAS := batch,parquet,plot,test
 SITE := --system-site-packages
 else
 KIND := wheels
-EXTRAS := batch,parquet,plot,test,wheels
+EXTRAS := batch,parquet,plot,ros,test
 # The wheels have one middleware, and no use for parts of a ROS that belongs to another Python.
 unexport RMW_IMPLEMENTATION $(if $(AMENT_PREFIX_PATH),AMENT_PREFIX_PATH PYTHONPATH LD_LIBRARY_PATH)
 endif

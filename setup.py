@@ -6,6 +6,8 @@ from setuptools import Extension, find_packages, setup
 
 NAME = 'kinpole_ros'
 SHARE = f'share/{NAME}'
+# rclpy and its messages as wheels, for Linux on x86-64.
+ROS = ['ros-jazzy-rclpy', 'ros-jazzy-common-interfaces', 'ros-jazzy-rmw-fastrtps-cpp']
 
 setup(
     name=NAME,
@@ -32,14 +34,19 @@ setup(
         (f'{SHARE}/bags', glob('bags/*.mcap')),
     ],
     python_requires='>=3.10',
-    # rclpy and the message packages come with ROS, or with the extra wheels: see the README.
-    install_requires=['numpy>=1.26', 'mcap>=1.5', 'PyYAML>=6'],
+    # Message types are those of ROS where it is there, else those of rosbags. Only the live node
+    # needs rclpy, which comes with ROS or with the extra ros.
+    install_requires=[
+        'lz4>=4',
+        'mcap>=1.5',
+        'numpy>=1.26',
+        'PyYAML>=6',
+        'rosbags>=0.10',
+        'zstandard>=0.18',
+    ],
     extras_require={
-        'wheels': [
-            'ros-jazzy-rclpy',
-            'ros-jazzy-common-interfaces',
-            'ros-jazzy-rmw-fastrtps-cpp',
-        ],
+        'ros': ROS,
+        'wheels': ROS,
         'batch': ['dask>=2023.5', 'distributed>=2023.5'],
         'bench': ['matplotlib>=3.7', 'pynumdiff>=0.3', 'scipy>=1.11'],
         'parquet': ['pyarrow>=12'],
@@ -53,7 +60,6 @@ setup(
             'mypy==2.4.*',
             'pytest>=7.4',
             'pytest-xdist>=3.3',
-            'rosbags>=0.10',
             'ruff==0.17.*',
         ],
     },

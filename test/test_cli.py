@@ -824,9 +824,10 @@ def test_missing_matplotlib_is_told_with_the_mend(
 @pytest.mark.parametrize(
     'package, words, told',
     [
-        ('rclpy', ['replay', 'a.mcap'], 'rclpy cannot be imported; source a ROS 2 installation'),
         ('rclpy', ['node'], 'rclpy cannot be imported; source a ROS 2 installation'),
+        ('rclpy', ['play', 'a.mcap'], 'rclpy cannot be imported; source a ROS 2 installation'),
         ('rclpy', ['solve', 'five_bar'], 'five_bar.yaml: there is no such scene'),
+        ('mcap', ['solve', 'five_bar'], 'five_bar.yaml: there is no such scene'),
         ('mcap', ['import', 'a.csv', '--output', 'x'], "install it with pip install 'mcap>=1.5'"),
         ('yaml', ['solve', 'four_bar'], 'yaml cannot be imported; install it with'),
     ],

@@ -35,7 +35,10 @@ _FIXES = {
     'matplotlib': "drawing needs matplotlib; install it with pip install 'kinpole_ros[plot]'",
     'mcap': "reading and writing bags needs mcap; install it with pip install 'mcap>=1.5'",
 }
-_NO_ROS = 'source a ROS 2 installation first, or the .venv that `make demo` sets up'
+_NO_ROS = (
+    'source a ROS 2 installation first, or the .venv that `make demo` sets up, or get the wheels '
+    "for Linux on x86-64 with pip install 'kinpole_ros[ros]'"
+)
 
 
 def main(args: Sequence[str] | None = None) -> int:
@@ -87,7 +90,7 @@ def _is_for_the_user(error: Exception) -> bool:
     from kinpole_ros.pipeline.parameters import ParameterError
 
     ours: tuple[type[Exception], ...] = (LinkageError, ParameterError, SceneError)
-    with suppress(ImportError):  # without ROS, nothing can have raised it
+    with suppress(ImportError):  # without mcap, nothing can have raised it
         from kinpole_ros.bags import BagError
 
         ours = (*ours, BagError)
@@ -240,7 +243,7 @@ def _keep(given: str | None, *outputs: str | None) -> None:
 
 
 def _recorder_of(path: str) -> str:
-    with suppress(ImportError):  # solve does without ROS
+    with suppress(ImportError):  # solve does without mcap
         from kinpole_ros.bags import recorder_of
 
         return recorder_of(path)
