@@ -100,12 +100,14 @@ def replay(
     topic: str | None = None,
     progress: Callable[[float], None] | None = None,
     parquet: str | Path | None = None,
+    take: Callable[[Estimate], None] | None = None,
 ) -> Replayed:
     """
     Run the markers of a bag through the tracker, as fast as the machine goes.
 
     `bag` is an .mcap file or a rosbag2 folder; `topic` overrides the settings' marker topic.
-    Results go to `output`, an .mcap under /kinpole/..., and to the tables `csv` and `parquet`.
+    Results go to `output`, an .mcap under /kinpole/..., and to the tables `csv` and `parquet`;
+    `take` is called with them, some instants at a time.
     Deterministic: the bag's stamps drive everything. A bag that is cut off gives the results of
     all that is before the cut.
     Raises BagError when the bag, its topic or an output cannot be used.
@@ -188,6 +190,8 @@ def replay(
                     comparison.add(estimate)
                 for table in tables:
                     table.add(estimate)
+                if take is not None:
+                    take(estimate)
             if writer is not None:
                 # Known as soon as the frames came that they fell due with.
                 columns = [
