@@ -309,7 +309,14 @@ def _play(options: argparse.Namespace) -> int:
     # As Ctrl-C ends it: of what is killed others believe for many seconds that it is there.
     signal.signal(signal.SIGTERM, lambda number, _: sys.exit(128 + number))
     with _progress('play') as progress:
-        count = play(options.bag, options.topic, options.speed, progress=progress)
+        count = play(
+            options.bag,
+            options.topic,
+            options.speed,
+            progress=progress,
+            loop=options.loop,
+            clock=options.clock,
+        )
     print(f'{count} messages played')
     return 0
 
