@@ -1,6 +1,7 @@
 """The package as pip and colcon build it; its version is also in package.xml and __init__.py."""
 
 from glob import glob
+from pathlib import Path
 
 from setuptools import Extension, find_packages, setup
 
@@ -35,14 +36,14 @@ setup(
     ],
     python_requires='>=3.10',
     # Message types are those of ROS where it is there, else those of rosbags. Only the live node
-    # needs rclpy, which comes with ROS or with the extra ros.
+    # needs rclpy, which comes with ROS or with the extra ros. `make oldest` tries these bounds.
     install_requires=[
-        'lz4>=4',
+        'lz4>=4.0.2',
         'mcap>=1.5',
         'numpy>=1.26',
-        'PyYAML>=6',
+        'PyYAML>=6.0.1',
         'rosbags>=0.10',
-        'zstandard>=0.18',
+        'zstandard>=0.19',
     ],
     extras_require={
         'ros': ROS,
@@ -67,7 +68,21 @@ setup(
     maintainer='kinpole_ros maintainers',
     maintainer_email='maintainers@users.noreply.github.com',
     description='Live planar kinematics of real mechanisms from tracked markers',
+    long_description=(Path(__file__).parent / 'README.md').read_text(encoding='utf-8'),
+    long_description_content_type='text/markdown',
+    url='https://index.ros.org/p/kinpole_ros/',
     license='Apache-2.0',
+    keywords=['ROS 2', 'kinematics', 'mechanism', 'motion capture', 'centrode', 'instant center'],
+    classifiers=[
+        'Development Status :: 4 - Beta',
+        'Intended Audience :: Science/Research',
+        'Operating System :: OS Independent',
+        'Programming Language :: C',
+        'Programming Language :: Python :: 3 :: Only',
+        *(f'Programming Language :: Python :: 3.{minor}' for minor in range(10, 15)),
+        'Topic :: Scientific/Engineering :: Physics',
+        'Typing :: Typed',
+    ],
     entry_points={
         'console_scripts': [
             'kinpole = kinpole_ros.tools.cli:main',
