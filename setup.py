@@ -42,7 +42,7 @@ setup(
         'mcap>=1.5',
         'numpy>=1.26',
         'PyYAML>=6.0.1',
-        'rosbags>=0.10',
+        'rosbags>=0.10.8',
         'zstandard>=0.19',
     ],
     extras_require={
