@@ -28,7 +28,9 @@ def said(run: Callable[[], Any]) -> str:
 def test_examples_print_what_they_say(path: Path) -> None:
     """The same words; a number may differ by half, as measured ones do from estimator to next."""
     printed = said(lambda: runpy.run_path(str(path)))
-    expected = str(ast.get_docstring(ast.parse(path.read_text()))).partition('Prints:\n')[2] + '\n'
+    expected = (
+        str(ast.get_docstring(ast.parse(path.read_text('utf-8')))).partition('Prints:\n')[2] + '\n'
+    )
     assert NUMBER.sub('#', printed) == NUMBER.sub('#', expected)
     numbers = [[float(x) for x in NUMBER.findall(text)] for text in (printed, expected)]
     assert numbers[0] == pytest.approx(numbers[1], rel=0.5, abs=0.01)
