@@ -45,8 +45,15 @@ def serialize_message(message: Any) -> bytes:
 
 
 def deserialize_message(data: bytes, cls: Any) -> Any:
-    """The message of this class that is in CDR data; raises what rosbags makes of bad data."""
-    return _STORE.deserialize_cdr(data, cls.__msgtype__)
+    """
+    The message of this class that is in CDR data; raises what rosbags makes of bad data.
+
+    As with rclpy more may follow. Stricter than rclpy: text must be UTF-8.
+    """
+    # Not the store's own, which refuses what follows.
+    kind = _STORE.get_msgdef(cls.__msgtype__)
+    read = kind.deserialize_cdr_le if data[1] else kind.deserialize_cdr_be
+    return read(data[4:], 0, kind.cls, _STORE)[0]
 
 
 def fields(cls: Any) -> dict[str, str]:
