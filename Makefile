@@ -30,13 +30,13 @@ ifneq ($(AMENT_PREFIX_PATH),)
 KIND := $(shell "$(BASE)" -c 'import rclpy' 2>/dev/null && echo ros)
 endif
 ifeq ($(KIND),ros)
-EXTRAS := batch,parquet,plot,test
+EXTRAS := batch,formats,parquet,plot,test
 SITE := --system-site-packages
 # What is there of numpy and the like belongs to that ROS.
 INSTALL = $(PIP) --editable '.[$(EXTRAS)]'
 else
 KIND := wheels
-EXTRAS := batch,parquet,plot,ros,test
+EXTRAS := batch,formats,parquet,plot,ros,test
 INSTALL = $(if $(CONSTRAINTS),$(PIP) --require-hashes --requirement $(CONSTRAINTS) && \
   $(PIP) --no-deps --no-build-isolation --editable .,$(PIP) --editable '.[$(EXTRAS)]')
 # The wheels have one middleware, and no use for parts of a ROS that belongs to another Python.
@@ -80,8 +80,8 @@ fuzz: $(STAMP)  ## read 10,000 corrupted bags and 100,000 corrupted messages
 
 # For Python 3.10 to 3.14. The compiler of constraints is uv: pip install uv.
 constraints:  ## choose the newest versions for constraints.txt, with their hashes
-	@echo 'setuptools>=64' | uv pip compile setup.py - --extra batch --extra parquet --extra plot \
-	  --extra ros --extra test --universal --python-version 3.10 --upgrade --generate-hashes \
+	@echo 'setuptools>=64' | uv pip compile setup.py - --extra batch --extra formats \
+	  --extra parquet --extra plot --extra ros --extra test --universal --python-version 3.10 --upgrade --generate-hashes \
 	  --no-header --no-annotate --quiet --output-file constraints.txt
 
 clean:  ## remove .venv and all else that can be made again

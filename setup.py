@@ -14,7 +14,7 @@ setup(
     name=NAME,
     version='0.1.0',
     packages=find_packages(include=[NAME, f'{NAME}.*']),
-    package_data={NAME: ['py.typed']},
+    package_data={NAME: ['py.typed'], f'{NAME}.tools.report': ['page/*']},
     # Without a compiler there is none, and all is the same but for the time it takes.
     ext_modules=[
         Extension(
@@ -48,8 +48,9 @@ setup(
     extras_require={
         'ros': ROS,
         'wheels': ROS,
-        'batch': ['dask>=2023.5', 'distributed>=2023.5'],
+        'batch': ['dask>=2023.5', 'distributed>=2023.5', 'fsspec>=2023.5'],
         'bench': ['matplotlib>=3.7', 'pynumdiff>=0.3', 'scipy>=1.11'],
+        'formats': ['c3d>=0.6', 'h5py>=3.8'],
         'parquet': ['pyarrow>=12'],
         'plot': ['matplotlib>=3.7'],
         'test': [
@@ -59,6 +60,7 @@ setup(
             'mpmath>=1.3',
             # Fixed, since later ones find fault with what these let pass.
             'mypy==2.4.*',
+            'playwright>=1.40',
             'pytest>=7.4',
             'pytest-xdist>=3.3',
             'ruff==0.17.*',

@@ -23,7 +23,7 @@ from conftest import bodies_of, decoded, write_config
 import kinpole_ros.bags.batch as module
 from kinpole_ros.bags import BagError
 from kinpole_ros.bags import replay as replay_one
-from kinpole_ros.bags.batch import _cluster, _lock, _results, batch
+from kinpole_ros.bags.batch import _cluster, _lock, _places, _results, batch
 from kinpole_ros.bags.batch._results import finished, replay_bag
 from kinpole_ros.pipeline.parameters import Settings
 from kinpole_ros.tools.cli import main
@@ -76,6 +76,29 @@ def summary(folder: Path) -> list[dict[str, str]]:
 def files(folder: Path) -> dict[str, int]:
     """When each file but the summary was written."""
     return {p.name: p.stat().st_mtime_ns for p in folder.iterdir() if p.name != 'summary.csv'}
+
+
+@contextmanager
+def in_turn(*_: Any) -> Iterator[mock.Mock]:
+    """A cluster that does everything at once, in this thread."""
+
+    def submit(do: Callable[..., Any], *words: Any, pure: bool) -> mock.Mock:
+        row = do(*words)
+        return mock.Mock(exception=lambda: None, result=lambda: row)
+
+    yield mock.Mock(submit=submit, nthreads=lambda: {'here': 1})
+
+
+class Completed:
+    """Its as_completed: futures in the order in which they were made."""
+
+    def __init__(self, futures: list[Any]) -> None:
+        self.add = futures.append
+        self._futures = futures
+
+    def __iter__(self) -> Iterator[Any]:
+        while self._futures:
+            yield self._futures.pop(0)
 
 
 def link(bag: Path, *places: Path) -> list[Path]:
@@ -355,7 +378,7 @@ def test_what_cannot_be_used_is_one_line(
         assert complaint in line
     with monkeypatch.context() as read_only:
         refused = OSError(errno.EROFS, 'Read-only file system')
-        read_only.setattr(module, 'TemporaryFile', mock.Mock(side_effect=refused))
+        read_only.setattr(_places, 'TemporaryFile', mock.Mock(side_effect=refused))
         assert main(['batch', bag, '--output', 'out']) == 2
     line = capsys.readouterr().err
     assert f'{tmp_path}/out cannot be written: Read-only file system; fix: ' in line
@@ -500,3 +523,103 @@ def test_on_windows_a_lock_is_asked_for_until_it_is_there(
         assert asked == [held.fileno()] * 3
         with pytest.raises(BlockingIOError):
             _lock.lock(held, wait=False)
+
+
+def test_bags_are_named_by_a_file_too(
+    simulated: Simulated, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(module, 'cluster', in_turn)
+    monkeypatch.setattr('distributed.as_completed', Completed)
+    bag = simulated('cardan', rate=100, duration=0.3)
+    named = link(bag, tmp_path / 'a.mcap', tmp_path / 'b c.mcap')
+    names = tmp_path / 'names.txt'
+    names.write_text(f'# of monday\n{named[0]}\n\n  {named[1]}  \r\n{named[0]}\n')
+    assert main(['batch', '--list', str(names), '--output', str(tmp_path / 'out')]) == 0
+    assert [row['bag'] for row in summary(tmp_path / 'out')] == [str(path) for path in named]
+
+
+def test_a_list_without_bags_is_one_line(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / 'names.txt').write_text('# none\n\n')
+    for words, complaint in (
+        ([], 'no bags are named; give some, or a file that names them by --list'),
+        (['--list', str(tmp_path / 'names.txt')], 'names no bags; fix: '),
+        (['--list', str(tmp_path / 'none.txt')], 'cannot be read: No such file'),
+    ):
+        assert main(['batch', *words]) == 2
+        line = capsys.readouterr().err
+        assert complaint in line
+        assert line.count('\n') == 1
+
+
+def test_results_of_very_many_bags_lie_in_folders_and_are_found_where_they_were(
+    simulated: Simulated, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    bag = simulated('cardan', rate=100, duration=0.3)
+    bags = link(bag, *(tmp_path / f'{name}.mcap' for name in 'abc'))
+    out = tmp_path / 'out'
+    monkeypatch.setattr(module, 'cluster', in_turn)
+    monkeypatch.setattr('distributed.as_completed', Completed)
+    (flat,) = batch(bags[:1], out, SETTINGS)
+    monkeypatch.setattr(_places, '_MOST_IN_FOLDER', 2)
+    rows = batch(bags, out, SETTINGS)
+    assert rows[0] == flat
+    for row in rows[1:]:
+        shard, _, name = row['results'].partition('/')
+        assert shard == name.removesuffix('.mcap')[-10:-8]
+        assert (out / row['results']).is_file()
+    written = {path: path.stat().st_mtime_ns for path in out.rglob('*.mcap')}
+    assert len(written) == 3
+    # Fewer again, and results among the bags: nothing is made anew.
+    assert batch(bags[1:], out, SETTINGS) == rows[1:]
+    assert batch([*bags, *written], out, SETTINGS) == rows
+    assert {path: path.stat().st_mtime_ns for path in out.rglob('*.mcap')} == written
+    assert not list(out.rglob('*.part'))
+
+
+def test_bags_and_results_may_be_in_a_store(
+    simulated: Simulated, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    fsspec = pytest.importorskip('fsspec')
+    store = fsspec.filesystem('memory')
+    bag = simulated('cardan', rate=100, duration=0.3)
+    store.pipe('/lab/runs/one.mcap', bag.read_bytes())
+    store.pipe('/lab/runs/two/part_0.mcap', bag.read_bytes())
+    store.pipe('/lab/runs/three.mcap', b'no bag')
+    local = tmp_path / 'run.mcap'
+    os.link(bag, local)
+    names = ['memory://lab/runs/one.mcap', 'memory://lab/runs/two', local.as_uri()]
+    rows = batch([*names, 'memory://lab/runs/three.mcap'], 'memory://lab/out', SETTINGS)
+    assert [row['bag'] for row in rows[:3]] == [*names[:2], str(local)]
+    replay_one(bag, SETTINGS, tmp_path / 'one.mcap')
+    expected = decoded(tmp_path / 'one.mcap')
+    for row in rows[:3]:
+        (tmp_path / 'got.mcap').write_bytes(store.cat(f'/lab/out/{row["results"]}'))
+        assert decoded(tmp_path / 'got.mcap') == expected
+    assert 'is not an MCAP file' in rows[3]['error']
+    assert store.cat('/lab/out/summary.csv').decode().count('\n') == 5
+
+    # Again: what is there is not made anew, but of a bag that changed.
+    monkeypatch.setattr(module, 'cluster', in_turn)
+    monkeypatch.setattr('distributed.as_completed', Completed)
+    before = {name: about['created'] for name, about in store.find('/lab/out', detail=True).items()}
+    store.pipe('/lab/runs/one.mcap', bag.read_bytes())
+    again = batch(names, 'memory://lab/out', SETTINGS)
+    assert [row['results'] for row in again] == [row['results'] for row in rows[:3]]
+    after = {name: about['created'] for name, about in store.find('/lab/out', detail=True).items()}
+    made = {name for name in before if after[name] != before[name]}
+    assert made == {f'/lab/out/{rows[0]["results"]}', '/lab/out/summary.csv'} | {
+        f'/lab/out/{Path(rows[0]["results"]).stem}.json'
+    }
+    # Into a folder of this machine.
+    (row,) = batch(names[:1], (tmp_path / 'out').as_uri(), SETTINGS)
+    assert decoded(tmp_path / 'out' / row['results']) == expected
+    (row,) = batch(['memory://lab/none.mcap'], tmp_path / 'out', SETTINGS)
+    assert 'memory://lab/none.mcap cannot be read: No such file or folder; fix: ' in row['error']
+
+
+def test_a_store_that_is_unknown_is_one_line(tmp_path: Path) -> None:
+    with pytest.raises(BagError, match='nowhere://x cannot be read: Protocol not known') as error:
+        batch(['a.mcap'], 'nowhere://x', SETTINGS)
+    assert str(error.value).count('\n') == 0

@@ -272,7 +272,7 @@ def test_some_messages_left_out_are_told_and_the_rest_is_done(
     [
         ('t,a_x,a_y\n0,1,two\n', "line 2, column a_y: 'two' is not a number"),
         ('t,a_x\n0,1\n', 'no column a_y'),
-        ('a_x,a_y\n0,1\n', 'no column t'),
+        ('a_x,a_y\n0,1\n', 'has no times; fix: give --rate'),
         ('', 'is empty'),
     ],
 )
@@ -759,7 +759,10 @@ def test_a_table_of_points_becomes_results(kinpole: Any, tmp_path: Path) -> None
     table.write_text('\n'.join(['a_x,a_y,b_x,b_y', *lines]))
     words = ['--rate', '100', '--scale', '0.01', '--y-down', '--output', bag]
     said = kinpole('import', table, *words)
-    assert (said.status, said.out) == (0, f'60 frames written to {bag}\n')
+    assert (said.status, said.out) == (
+        0,
+        f'60 frames of 2 markers (table, 1 unit = 0.01 m) written to {bag}\n',
+    )
     assert kinpole('replay', bag, '--output', tmp_path / 'out.mcap').status == 0
     found = decoded(tmp_path / 'out.mcap')
     for icr, omega in zip(

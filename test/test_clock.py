@@ -8,9 +8,10 @@ from hypothesis import strategies as st
 from kinpole_ros.mechanism import marker_positions
 from kinpole_ros.mechanism._motions import ORDERS, BodyMotion
 from kinpole_ros.messages import DiagnosticsMaker
-from kinpole_ros.pipeline.clock import Clock, FrameCounter, find_clock
+from kinpole_ros.pipeline.clock import Clock, FrameCounter, find_clock, follow_clock
 from kinpole_ros.pipeline.frame import MarkerFrames
 from kinpole_ros.pipeline.parameters import settings_from
+from kinpole_ros.pipeline.ticks import course_costs
 from kinpole_ros.pipeline.tracker import Tracker
 
 START = 10**18
@@ -98,6 +99,41 @@ def test_counts_as_frames_come():
     off = np.array(sure) - numbers[392 : 392 + len(sure)]
     assert (off == off[0]).mean() > 0.995
     assert max(pending) < 8
+
+
+def test_frames_to_come_are_not_before_their_ticks():
+    early = 0
+    for seed in range(100):
+        numbers = frames_kept(500, seed=seed)
+        stamps = late(numbers / 200, '0.003', seed)
+        known = int((numbers < 400).sum())
+        clock, *_ = follow_clock(stamps[:known], numbers[:known])
+        # The ticks themselves are the stamps of frames that are not late.
+        ticks = clock.ticks(late(numbers / 200, 'none'))
+        first = round(float(np.median(ticks[:known] - numbers[:known])))
+        early += ticks[-1] < numbers[-1] + first
+    assert early <= 5
+
+
+def test_a_motion_too_fast_for_a_cubic_does_not_say_that_a_frame_was_late():
+    """Twelve and a half frames a turn, one of them lost."""
+    number = np.delete(np.arange(9), 7)
+    noise, wrong = 1e-4, 0
+    for seed in range(40):
+        turned = 2 * np.pi * 8 / 100 * number + seed
+        angle = -0.35 * np.sin(turned)
+        position = 0.1 * np.exp(1j * turned) + 0.1 * np.exp(1j * angle)
+        rng = np.random.default_rng(seed)
+        frames = np.zeros(8, [('poses', float, (2, 2)), ('information', float, 2), ('count', int)])
+        frames['poses'][:, 0, 0] = angle + noise / 0.1 * rng.normal(size=8)
+        frames['poses'][:, 1, 0] = position.real + noise / 2 * rng.normal(size=8)
+        frames['poses'][:, 1, 1] = position.imag + noise / 2 * rng.normal(size=8)
+        frames['information'] = 0.01, 4.0
+        frames['count'] = number
+        counts = np.array([[8], [7]])
+        costs = course_costs(frames, 7, counts, np.array([noise]))
+        wrong += costs[0] > costs[1] + 4.6
+    assert wrong == 0
 
 
 @pytest.mark.parametrize('kind', ['uniform', '0.001', 'rounded'])

@@ -1,5 +1,6 @@
 """Tables of tracked points become bags; a cell that is wrong is named by line and column."""
 
+import os
 from pathlib import Path
 
 import numpy as np
@@ -7,7 +8,7 @@ import pytest
 from rclpy.serialization import deserialize_message
 from visualization_msgs.msg import MarkerArray
 
-from kinpole_ros.bags import BagError, import_csv, read_messages, topics
+from kinpole_ros.bags import BagError, import_csv, import_points, read_messages, topics
 
 DATA = Path(__file__).parents[2] / 'shared' / 'data' / 'double_pendulum' / 'run16.csv'
 
@@ -16,7 +17,7 @@ def import_text(folder: Path, text: str | bytes, **options) -> list[tuple[int, d
     """Stamp and marker positions by name of each frame of the bag made from a CSV text."""
     table, bag = folder / 'table.csv', folder / 'out.mcap'
     table.write_bytes(text if isinstance(text, bytes) else text.encode())
-    count = import_csv(table, bag, **options)
+    count = import_points(table, bag, **options).frames
     frames = []
     for message in read_messages(bag):
         markers = deserialize_message(message.data, MarkerArray).markers
@@ -103,17 +104,16 @@ def test_rate_wins_over_t_and_does_not_drift(tmp_path):
         ('t,a_x,a_y\nnow,0,0\n', None, "line 2, column t: 'now' is not a number"),
         ('t,a_x,a_y\n1,0,0\n,0,0\n', None, "line 3, column t: '' is not a time"),
         ('t,a_x,a_y\n,0,0\n1,0,0\n', None, "line 2, column t: '' is not a time"),
-        ('t,a_x,a_y\n1,0,0\nnan,0,0\n', None, "line 3, column t: 'nan' is not a time"),
+        ('t,a_x,a_y\n1,0,0\nnan,0,0\n', None, "line 3, column t: '' is not a time"),
         # An int32 has no more seconds.
         ('t,a_x,a_y\n2147483648,0,0\n', None, "'2147483648' is not a time in seconds"),
         ('t,a_x,a_y\n1,0,0\n2,0,0\n2,0,0\n', None, "line 4, column t: '2' is not later"),
         ('t,a_x,a_y\n0,0,0\n-1,0,0\n', None, "line 3, column t: '-1' is not later"),
-        ('a_x,a_y\n1,2\n', None, 'has no column t'),
+        ('a_x,a_y\n1,2\n', None, 'has no times'),
         ('t,a_x\n1,2\n', None, "marker 'a' has no column a_y"),
         ('t,a_y\n1,2\n', None, "marker 'a' has no column a_x"),
         ('t,a_x,a_y,b_z\n1,2,3,4\n', None, "marker 'b' has no column b_x"),
         ('t,a,b\n1,2,3\n', None, 'no column is named NAME_x'),
-        ('t;a_x;a_y\n1;2;3\n', None, 'line 1: cells are not separated by commas'),
         ('t,_x,_y\n1,2,3\n', None, 'no column is named NAME_x'),
         ('t,a_x,a_y,a_x\n1,2,3,4\n', None, "line 1: column 'a_x' is there twice"),
         ('t,a_x,a_y\n1,2\n', None, 'line 2: 2 cells under 3 names'),
@@ -140,6 +140,21 @@ def test_bad_table_is_one_line_and_leaves_the_output_alone(tmp_path, text, rate,
     assert (tmp_path / 'out.mcap').read_text() == 'precious'
 
 
+def test_more_columns_than_a_rig_has_are_refused(tmp_path):
+    header = 't,' + ','.join(f'm{k}_x,m{k}_y' for k in range(5000))
+    with pytest.raises(BagError, match='line 1: 10001 columns; fix: give 10000 at most'):
+        import_text(tmp_path, f'{header}\n')
+
+
+def test_plain_tables_by_their_former_name(tmp_path):
+    (tmp_path / 'table.csv').write_text('a_x,a_y\n1,2\n3,4\n')
+    words = tmp_path / 'table.csv', tmp_path / 'out.mcap', 10.0, 0.5, True
+    assert import_csv(*words) == 2
+    (first, _) = read_messages(tmp_path / 'out.mcap')
+    place = deserialize_message(first.data, MarkerArray).markers[0].pose.position
+    assert (place.x, place.y) == (0.5, -1.0)
+
+
 @pytest.mark.parametrize('scale', [0.0, -1.0, 1e308, np.inf, np.nan])
 def test_bad_scale_is_refused(tmp_path, scale):
     with pytest.raises(BagError, match='scale is'):
@@ -148,19 +163,24 @@ def test_bad_scale_is_refused(tmp_path, scale):
 
 def test_missing_table_and_table_as_output(tmp_path):
     with pytest.raises(BagError, match='cannot be read: No such file'):
-        import_csv(tmp_path / 'none.csv', tmp_path / 'out.mcap')
+        import_points(tmp_path / 'none.csv', tmp_path / 'out.mcap')
     table = tmp_path / 'table.csv'
     table.write_text('t,a_x,a_y\n1,2,3\n')
-    with pytest.raises(BagError, match='is the table itself'):
-        import_csv(table, tmp_path / '.' / 'table.csv')
+    with pytest.raises(BagError, match='is the file of points itself'):
+        import_points(table, tmp_path / '.' / 'table.csv')
     assert table.read_text() == 't,a_x,a_y\n1,2,3\n'
 
 
-@pytest.mark.skipif(not Path('/dev/zero').exists(), reason='needs /dev/zero')
-def test_table_without_end_is_refused(tmp_path):
+def test_too_large_and_endless_files_are_refused(tmp_path):
+    with open(tmp_path / 'large.csv', 'wb') as file:
+        file.truncate((256 << 20) + 1)  # no blocks on the disk
     with pytest.raises(BagError, match='larger than 256 MiB; fix: cut it into parts'):
-        import_csv('/dev/zero', tmp_path / 'out.mcap')
-    assert not list(tmp_path.iterdir())
+        import_points(tmp_path / 'large.csv', tmp_path / 'out.mcap')
+    os.mkfifo(tmp_path / 'pipe')
+    for endless in ('/dev/zero', tmp_path / 'pipe'):
+        with pytest.raises(BagError, match='is not a regular file; fix: save what it gives as one'):
+            import_points(endless, tmp_path / 'out.mcap')
+    assert not (tmp_path / 'out.mcap').exists()
 
 
 def test_progress_rises_to_one(tmp_path):

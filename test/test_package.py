@@ -26,7 +26,10 @@ PACKAGE_XML = ET.parse(ROOT / 'package.xml').getroot()
 PYTHON_PACKAGES = {
     # Ours, beside the package.
     'bench': None,
+    'c3d': None,
     'distributed': None,
+    'fsspec': None,
+    'h5py': None,
     'lz4': None,
     'matplotlib': None,
     'hypothesis': 'python3-hypothesis',

@@ -1,8 +1,8 @@
-"""MCAP bags in rosbag2's conventions, in and out, and spreadsheets into them."""
+"""MCAP bags in rosbag2's conventions, in and out, and files of tracked points into them."""
 
 from kinpole_ros.bags._files import RECORDER, recorder_of
 from kinpole_ros.bags._frames import read_frames
-from kinpole_ros.bags._import import import_csv
+from kinpole_ros.bags._import import Imported, import_csv, import_points
 from kinpole_ros.bags._reader import (
     BagError,
     BagMessage,
@@ -25,11 +25,13 @@ __all__ = [
     'BagError',
     'BagMessage',
     'BagWriter',
+    'Imported',
     'Replayed',
     'Truncated',
     'bag_files',
     'definition',
     'import_csv',
+    'import_points',
     'message_class',
     'read_blocks',
     'read_frames',

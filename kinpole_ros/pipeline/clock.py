@@ -38,7 +38,10 @@ _EARLY = 0.2
 _MOST_PENDING = 16
 # Deviation of the slope of a line along the edge of n points, by the inverse of their density there
 # over n^2 (simulated); so many points nearest to the edge tell the density.
-_EDGE, _NEAREST = 4.0, 6
+_EDGE, _NEAREST = 8.0, 6
+# The edge is known from n frames and is gone by for a quarter of n more: it may be off by so many
+# deviations of its slope, by n, two on the far side of the middle (simulated: 0.96 are within).
+_AHEAD = 1.5
 # Nats by which the newest frames must be likelier at a rate of their own for it to have changed.
 _CHANGED = 20.0
 # Stamps that are late by no more than this share of the interval leave no doubt of any count.
@@ -269,7 +272,8 @@ def _fit(
     late -= phase
     # A frame is too early by less than half of what no frame's lateness has left free before the
     # next tick, and else by what the edge may be off.
-    edge = float(ranked[min(4, len(ranked) - 1)]) - phase + deviation * len(ranked) / 2 + resolution
+    edge = float(ranked[min(4, len(ranked) - 1)]) - phase + resolution
+    edge += _AHEAD * deviation * len(ranked)
     parts = np.sort(late % interval)
     free = interval - float(parts[-1 - len(parts) // _RARE])
     clock = Clock(
@@ -356,8 +360,6 @@ class FrameCounter:
     def __init__(self, clock: Clock, count: int) -> None:
         self.count = count
         self._forget()
-        # So many fewer were lost than it seemed, of late, and since the clock was found.
-        self.early = 0
         self._stamp = 0
         self.follow(clock)
 
@@ -409,7 +411,6 @@ class FrameCounter:
             early = self.count + number - math.floor(tick + _EARLY)
             if early > 0:
                 self._shift += early
-                self.early += early
             most = 0
         if not most:
             # Nor were any lost before those that are pending.

@@ -319,21 +319,32 @@ class Estimate:
         """Why each quantity of a body at one instant is undetermined, of those of this order."""
         if self.missing[body]:
             return {'all': str(self.missing[body])}
+        found = {name: str(why[body]) for name, why in self.withheld().items()}
+        return {name: why for name, why in found.items() if why}
+
+    def withheld(self) -> dict[str, np.ndarray]:
+        """
+        Why each quantity (T, B) of this order is undetermined, '' where it is determined.
+
+        Poles and, from order 3 on, the curvature of the centrode; only what is in `missing` is
+        the reason for all.
+        """
         found = {}
         for order in range(1, self.order + 1):
             pole = self.pole(order)
-            if not pole.determined[body]:
-                far = np.abs(pole.value[body] - self.position[0, body])
-                reason = 'lost in its noise' if self.pole(1).determined[body] else 'no rotation'
-                if far > FARTHEST * self.size[body]:
-                    reason = 'pole at infinity'
-                found[POLE_NAMES[order - 1]] = reason
-        if self.order >= 3 and not self.centrode_curvature.determined[body]:
-            if self.icr_moves[body]:
-                found['centrode_curvature'] = 'lost in its noise'
-            elif self.pole(1).determined[body]:
-                found['centrode_curvature'] = 'pinned: the ICR stands still'
-        return found
+            with np.errstate(invalid='ignore'):
+                far = np.abs(pole.value - self.position[0]) > FARTHEST * self.size
+            reason = np.where(self.pole(1).determined, 'lost in its noise', 'no rotation')
+            reason = np.where(far, 'pole at infinity', reason)
+            found[POLE_NAMES[order - 1]] = np.where(pole.determined, '', reason)
+        if self.order >= 3:
+            pinned = np.where(self.pole(1).determined, 'pinned: the ICR stands still', '')
+            reason = np.where(self.icr_moves, 'lost in its noise', pinned)
+            known = self.centrode_curvature.determined
+            found['centrode_curvature'] = np.where(known, '', reason)
+        return {
+            name: np.where(self.missing == '', why, self.missing) for name, why in found.items()
+        }
 
 
 def _at(instant: int, figure: _Figure) -> _Figure:

@@ -26,14 +26,12 @@ _MOST_NATS = 50.0
 # Neighbors on each side that predict a pose, and frames for the first evidence.
 _SIDE = 3
 _FEWEST_EVIDENCE = 16
-# Only losses since so many frames may have been none.
-_TAKEN_BACK = 32
 # Newest frames whose ticks are not sure enough to say anything.
 _UNCERTAIN = 8
 # One prediction does not count for more than so many mean squares.
 _OUTLIER = 9.0
-# Of the polynomial that places a lost frame.
-_DEGREE = 3
+# Of the polynomial that places a lost frame, and the highest of those that tell frames' counts.
+_DEGREE, _HIGHEST = 3, 6
 # Frames on each side that tell how long a gap is, nats that contradict what it was taken for, and
 # mean squares up to which a polynomial follows the motion. So many gaps are corrected at once.
 _OFF_CLOCK, _CONTRADICTS, _FOLLOWED, _MOST_CORRECTED = 4, 20.0, 4.0, 16
@@ -85,8 +83,6 @@ class Ticks:
         self.counts = np.zeros(0, np.int64)
         # Whether frames are regular only since stamps are rounded.
         self._rounded = False
-        # Only frames after so many can still be corrected.
-        self._corrected = 0
         self._taken = np.zeros(0, bool)
         self._new: list[tuple[np.ndarray, np.ndarray]] = []
         # Poses of frames taken, with what they are known by, that are still to be looked at.
@@ -114,15 +110,6 @@ class Ticks:
     def uncount(self, number: int) -> None:
         """The counts of so many of the newest frames are to be found."""
         self.counts = self.counts[: len(self.counts) - number]
-
-    def take_back(self, early: int) -> None:
-        """So many fewer frames were lost than it seemed, if any were of late."""
-        # If that is wrong the next look mends it.
-        begin = max(len(self.counts) - _TAKEN_BACK, self._corrected, 1)
-        more = np.diff(self.counts[begin - 1 :]) - 1
-        lost = more.nonzero()[0]
-        if len(lost):
-            self.counts[: begin + lost[-1]] += min(early, int(more[lost[-1]]))
 
     def look(self, noise: Real, newest: np.ndarray | None) -> bool:
         """
@@ -176,7 +163,6 @@ class Ticks:
             self._stamps, counts = self._stamps[self._taken], counts[self._taken]
             self._taken = np.ones(len(counts), bool)
         self.counts = counts
-        self._corrected = len(counts) - (2 * _SIDE + _UNCERTAIN) + _OFF_CLOCK
         return same
 
     def _may_be_rounded(self, step: float) -> bool:
@@ -399,15 +385,24 @@ def course_costs(frames: np.ndarray, begin: int, counts: np.ndarray, noise: Real
 
 
 def _misfit(times: np.ndarray, values: Real) -> Real:
-    """Half the squares (H,) that polynomials in `times` (H, N) leave of `values` (N, S)."""
-    degree = min(_DEGREE, len(values) - 3)
-    if degree < 1:
+    """
+    How unlikely (H,), nats, polynomials in `times` (H, N) make `values` (N, S), in deviations.
+
+    Each signal has the degree that its evidence is best with, by Schwarz's criterion: a fast motion
+    that a cubic cannot follow would else say that a frame was lost, or was not.
+    """
+    count = len(values)
+    highest = min(_HIGHEST, count - 3)
+    if highest < 1:
         return np.zeros(len(times))
-    scaled = times / max(np.ptp(times), 1)
-    basis, _ = np.linalg.qr(scaled[..., None] ** np.arange(degree + 1))
+    scaled = (times - times.mean(axis=1, keepdims=True)) / max(np.ptp(times), 1)
+    basis, _ = np.linalg.qr(scaled[..., None] ** np.arange(highest + 1))
     values = values - values.mean(axis=0)
-    rest = values - basis @ (basis.swapaxes(1, 2) @ values)
-    left = (rest**2).sum(axis=1)
+    squares = (basis.swapaxes(1, 2) @ values) ** 2
+    left = (values**2).sum(axis=0) - squares.cumsum(axis=1)  # (H, degrees, S)
+    left = np.maximum(left[:, 1:], 0.0)
+    degrees = np.arange(1, highest + 1)[:, None]
     # Where no polynomial follows the motion, or the noise is not known.
-    scale = np.maximum(left.min(axis=0) / (len(values) - degree - 1), 1.0)
-    return np.asarray((left / scale).sum(axis=1) / 2)
+    scale = np.maximum((left / (count - degrees - 1)).min(axis=(0, 1)), 1.0)
+    costs = (left / scale + degrees * math.log(count)).min(axis=1) / 2
+    return np.asarray(costs.sum(axis=1))

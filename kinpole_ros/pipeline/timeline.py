@@ -284,9 +284,6 @@ class Timeline:
             begin += len(sure)
             every['behind'][first + k] = counter.pending
             self._ticks.count(sure)
-            if counter.early:
-                self._ticks.take_back(counter.early)
-                counter.early = 0
         every['count'][begin:] = counter.likely
         every['time'][here:] = self._times(every['count'][here:])
 

@@ -175,7 +175,8 @@ class Continuity:
         for b in sorted({*far.nonzero()[0].tolist(), *self._runs}):
             both = [b, self._bodies + b]
             run = self._runs.setdefault(b, [])
-            if not far[b] and self._back(off[both], run, b):
+            near = not far[b] and np.isfinite(off[both]).all()
+            if near and self._back(signals[0, both], float(stamp), run, b):
                 # The suspect poses may have been taken for so many turns more.
                 more = np.rint((signals[0, b] - off[b] - ahead[b]).real / _TURN)
                 turns[0, b] -= more
@@ -286,17 +287,30 @@ class Continuity:
         best = degree + np.where(np.isnan(share), np.inf, share)[:, degree:].argmin(axis=1)
         return ahead[rows, best], off[rows, best], share[rows, best] > 1
 
-    def _back(self, off: Complex, run: list[tuple[float, Complex]], b: int) -> bool:
-        """Whether a sample that is `off` (2,) its prediction is back from where the run was."""
-        for stamp, here in run:
-            times = np.append(self._stamps[:, b], stamp)
-            weights = _lagrange(times, np.arange(len(times)))
-            for part, signal in enumerate((b, self._bodies + b)):
-                values = np.append(self._signals[:, signal], here[part])
-                _, away, far = self._predicted(signal, values, weights)
-                if far[0] and not abs(off[part]) <= _BACK * abs(away[0]):
+    def _back(self, here: Complex, stamp: float, run: list[tuple[float, Complex]], b: int) -> bool:
+        """
+        Whether a sample `here` (2,) is back from where the run was.
+
+        By any of the degrees: what follows the motion best from frame to frame has the noise grow
+        most over several.
+        """
+        for part, signal in enumerate((b, self._bodies + b)):
+            off = self._ahead(signal, stamp, here[part])[0]
+            for time, there in run:
+                away, far = self._ahead(signal, time, there[part])
+                if far and not (np.abs(off) <= _BACK * np.abs(away)).any():
                     return False
-        return bool(np.isfinite(off).all())
+        return True
+
+    def _ahead(self, signal: int, stamp: float, value: complex) -> tuple[Complex, bool]:
+        """How far (degrees,) a sample is off what each predicts; whether that is too far."""
+        times = np.append(self._stamps[:, signal % self._bodies], stamp)
+        weights = _lagrange(times, np.arange(len(times)))
+        values = np.append(self._signals[:, signal], value)
+        off = value - weights[0] @ values[:_POINTS]
+        if signal < self._bodies:
+            off = _wrapped(off.real) + 0j
+        return off, bool(self._predicted(signal, values, weights)[2][0])
 
     def _goes_evenly(self, stamps: np.ndarray, signals: Complex) -> bool:
         """Whether frames of all bodies go on by the even step."""

@@ -180,12 +180,15 @@ def _replay(options: argparse.Namespace) -> int:
 
 def _batch(options: argparse.Namespace) -> int:
     from kinpole_ros.bags import BagError
-    from kinpole_ros.bags.batch import KINDS, batch
+    from kinpole_ros.bags.batch import KINDS, batch, listed_bags
 
     if options.workers is not None and options.workers < 1:
         raise BagError(f'--workers is {options.workers}; it must be 1 or more')
     if options.workers is not None and options.scheduler is not None:
         raise BagError('--workers is for this machine alone; leave it out with --scheduler')
+    bags = [*options.bags, *(listed_bags(options.list) if options.list else [])]
+    if not bags:
+        raise BagError('no bags are named; give some, or a file that names them by --list')
     settings = _settings(options)
     kinds = [kind for kind in KINDS if getattr(options, kind)] or ['mcap']
 
@@ -198,7 +201,7 @@ def _batch(options: argparse.Namespace) -> int:
 
     with _progress('batch') as progress:
         rows = batch(
-            options.bags,
+            bags,
             options.output,
             settings,
             options.topic,
@@ -286,20 +289,42 @@ def _plot(options: argparse.Namespace) -> int:
     return 0
 
 
-def _import(options: argparse.Namespace) -> int:
-    from kinpole_ros.bags import import_csv
+def _report(options: argparse.Namespace) -> int:
+    from kinpole_ros.tools.report import report, settings_for
 
-    _keep(options.csv, options.output)
+    _keep(options.config, options.output)
+    _keep(options.bag, options.output)
+    settings = settings_for(_settings(options), options.scene)
+    with _progress('report') as progress:
+        record = report(options.bag, options.output, settings, options.topic, progress)
+    thinned = '' if len(record.stamp) == record.total else f' of {record.total}'
+    print(f'{len(record.stamp)}{thinned} instants of {", ".join(record.bodies)}')
+    print(f'written to {options.output}')
+    return 0
+
+
+def _import(options: argparse.Namespace) -> int:
+    from kinpole_ros.bags import import_points
+
+    _keep(options.file, options.output)
     with _progress('import') as progress:
-        count = import_csv(
-            options.csv,
+        done = import_points(
+            options.file,
             options.output,
             rate=options.rate,
             scale=options.scale,
             y_down=options.y_down,
             progress=progress,
+            format=options.format,
+            likelihood=options.likelihood,
         )
-    print(f'{count} frames written to {options.output}')
+    for note in done.notes:
+        print(f'kinpole import: {_line(note)}', file=sys.stderr)
+    unit = f'in {done.unit}' if options.scale is None else f'1 unit = {done.scale:g} m'
+    print(
+        f'{done.frames} frames of {len(done.markers)} markers ({done.format}, {unit}) '
+        f'written to {options.output}'
+    )
     return 0
 
 
@@ -434,6 +459,7 @@ _COMMANDS: dict[str, Callable[[argparse.Namespace], int]] = {
     'solve': _solve,
     'discover': _discover,
     'plot': _plot,
+    'report': _report,
     'import': _import,
     'play': _play,
     'record': _record,

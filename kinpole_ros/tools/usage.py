@@ -14,9 +14,10 @@ _EPILOG = """examples:
   kinpole replay four_bar.mcap --config config/four_bar.yaml --output result.mcap
   kinpole batch runs/*.mcap --config rig.yaml --output results
   kinpole plot result.mcap --output result.png
+  kinpole report recording.mcap --config rig.yaml --output report.html
   kinpole discover recording.mcap --output rig.yaml --scene draft.yaml --plot rig.png
   kinpole solve four_bar --sweep --centers --plot four_bar.png
-  kinpole import tracked.csv --rate 240 --scale 0.001 --y-down --output markers.mcap
+  kinpole import walk.trc --output walk.mcap
   kinpole node --ros-args --params-file config/kinpole.yaml
 """
 
@@ -78,7 +79,9 @@ def make_parser() -> argparse.ArgumentParser:
         'went wrong. A bag that fails is reported, and the rest go on. Run again, it does what is\n'
         'not done yet: results appear under their names only when whole, and stay as long as bag\n'
         'and settings are the same. A folder is one bag: name recordings that lie in one folder\n'
-        "by FOLDER/*.mcap. Needs Dask: pip install 'kinpole_ros[batch]'.",
+        'by FOLDER/*.mcap. Bags and output may be URLs of stores that fsspec knows, as s3://...\n'
+        'Of more than 10,000 bags results lie in 256 folders of the output.\n'
+        "Needs Dask: pip install 'kinpole_ros[batch]'.",
         epilog='examples:\n'
         '  kinpole batch runs/*.mcap --config rig.yaml --output results\n'
         '  kinpole batch runs/*/ --config rig.yaml --output results --parquet --workers 4\n'
@@ -91,13 +94,22 @@ def make_parser() -> argparse.ArgumentParser:
         'see the columns error, truncated, unknown and warnings.',
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    batch.add_argument('bags', metavar='BAG', nargs='+', help='.mcap files and rosbag2 folders')
+    batch.add_argument(
+        'bags',
+        metavar='BAG',
+        nargs='*',
+        help='.mcap files and rosbag2 folders, or URLs such as s3://lab/run.mcap',
+    )
+    batch.add_argument('--list', metavar='FILE', help='a file that names more bags, one a line')
     batch.add_argument(
         '--config', metavar='FILE', help='ROS 2 parameter file for all of them, as for replay'
     )
     _add_set(batch)
     batch.add_argument(
-        '--output', metavar='DIR', default='batch', help='folder for results and summary (batch)'
+        '--output',
+        metavar='DIR',
+        default='batch',
+        help='folder for results and summary, or its URL (batch)',
     )
     batch.add_argument('--topic', metavar='T', help="topic of the markers (config's, /markers)")
     batch.add_argument(
@@ -209,21 +221,8 @@ def make_parser() -> argparse.ArgumentParser:
     plot.add_argument('bag', metavar='BAG', help='bag of results, from replay or recorded live')
     plot.add_argument('--output', metavar='FILE.png', required=True, help='picture to write')
 
-    imported = commands.add_parser(
-        'import',
-        help='tracked points from a spreadsheet to a bag',
-        description='Columns NAME_x, NAME_y and maybe NAME_z make the marker NAME; empty cells are '
-        'markers that were not seen. Column t holds seconds, unless --rate is given.',
-    )
-    imported.add_argument('csv', metavar='CSV', help='the table')
-    imported.add_argument('--output', metavar='BAG', required=True, help='.mcap file to write')
-    imported.add_argument('--rate', type=float, metavar='HZ', help='frames per second')
-    imported.add_argument(
-        '--scale', type=float, default=1.0, metavar='M_PER_UNIT', help='m per unit of the table (1)'
-    )
-    imported.add_argument(
-        '--y-down', action='store_true', help='y of the table points down, as in pictures'
-    )
+    _add_report(commands)
+    _add_import(commands)
 
     play = commands.add_parser(
         'play',
@@ -315,6 +314,31 @@ def _add_set(command: argparse.ArgumentParser) -> None:
     )
 
 
+def _add_report(commands: Any) -> None:
+    report = commands.add_parser(
+        'report',
+        help='a recording to move through: one HTML file that works anywhere, without a network',
+        description='Writes one HTML file: the linkage in motion with its poles, centrodes and\n'
+        'velocities, all figures over time with their bands, and what was withheld and why.\n'
+        'It needs a browser and nothing else. A bag of markers is replayed first.',
+        epilog='examples:\n'
+        '  kinpole report recording.mcap --config rig.yaml --output report.html\n'
+        '  kinpole report recording.mcap --scene four_bar --output report.html\n'
+        '  kinpole report result.mcap --output report.html\n',
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    report.add_argument('bag', metavar='BAG', help='bag of markers, or of results')
+    report.add_argument('--output', metavar='FILE.html', required=True, help='report to write')
+    report.add_argument('--config', metavar='FILE', help='parameter file, as for replay')
+    _add_set(report)
+    report.add_argument('--topic', metavar='T', help="topic of the markers (config's, /markers)")
+    report.add_argument(
+        '--scene',
+        metavar='SCENE',
+        help='draw its theory beside the measurement; without --config its bodies are tracked',
+    )
+
+
 def _add_discover(commands: Any) -> None:
     discover = commands.add_parser(
         'discover',
@@ -351,6 +375,54 @@ def _add_discover(commands: Any) -> None:
     discover.add_argument('--output', metavar='RIG.yaml', help='parameter file to write')
     discover.add_argument('--scene', metavar='SCENE.yaml', help='draft scene to write')
     discover.add_argument('--plot', metavar='FILE.png', help='picture of what was found')
+
+
+def _add_import(commands: Any) -> None:
+    imported = commands.add_parser(
+        'import',
+        help='tracked points from the files of other programs to a bag',
+        description='Reads tracked points as other programs write them. What a file says of units\n'
+        'and times is used; what it does not say is asked for. Pixels count y down.\n'
+        '\n'
+        '  table       columns NAME_x, NAME_y, maybe NAME_z, and t in seconds, lengths in m\n'
+        '  deeplabcut  .csv or .h5 (the latter by kinpole_ros[formats]), one animal or several\n'
+        '  sleap       analysis .csv\n'
+        '  kinovea     trajectories as .csv\n'
+        '  tracker     data files of Tracker (Open Source Physics), one track or several\n'
+        '  motive      .csv of OptiTrack\n'
+        '  vicon       .csv of Nexus\n'
+        '  trc         .trc of OpenSim, Cortex and others\n'
+        '  c3d         .c3d, by kinpole_ros[formats]\n'
+        '\n'
+        'Cells are separated by commas, semicolons or tabs; with the latter two, decimals may be\n'
+        'commas. Empty cells are markers that were not seen.',
+        epilog='examples:\n'
+        '  kinpole import walk.trc --output walk.mcap\n'
+        '  kinpole import videoDLC_resnet50.csv --rate 240 --scale 0.00051 --output video.mcap\n',
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    imported.add_argument('file', metavar='FILE', help='the file of points')
+    imported.add_argument('--output', metavar='BAG', required=True, help='.mcap file to write')
+    imported.add_argument(
+        '--format', default='auto', metavar='NAME', help='one of the above (auto: by content)'
+    )
+    imported.add_argument(
+        '--rate', type=float, metavar='HZ', help='frames per second, instead of times of the file'
+    )
+    imported.add_argument(
+        '--scale', type=float, metavar='M_PER_UNIT', help='m per unit of the file (as it says)'
+    )
+    imported.add_argument(
+        '--y-down',
+        action=argparse.BooleanOptionalAction,
+        help='y points down, as in pictures (as the format has it)',
+    )
+    imported.add_argument(
+        '--likelihood',
+        type=float,
+        metavar='P',
+        help='least at which a point counts as seen (DeepLabCut 0.6, SLEAP 0)',
+    )
 
 
 class _ListScenes(argparse.Action):

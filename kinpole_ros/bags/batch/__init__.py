@@ -12,28 +12,47 @@ import uuid
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import nullcontext, suppress
 from dataclasses import replace
+from itertools import islice
 from pathlib import Path
-from tempfile import TemporaryFile
 from typing import Any
 
 from kinpole_ros.bags import BagError, bag_files
+from kinpole_ros.bags.batch import _store
 from kinpole_ros.bags.batch._cluster import cluster
+from kinpole_ros.bags.batch._places import Places, absolute
 from kinpole_ros.bags.batch._results import (
     EXPECTED,
     KINDS,
     Row,
     alone,
-    finished,
     is_result,
     replay_bag,
-    unwritable,
-    write_summary,
 )
 from kinpole_ros.pipeline.parameters import Settings
 
-__all__ = ['KINDS', 'batch']
+__all__ = ['KINDS', 'batch', 'listed_bags']
 
 _TOPIC = 'kinpole'  # of Dask's events
+# Bags that each worker of a cluster has waiting for it: its scheduler slows down under more.
+_AHEAD = 8
+
+
+def listed_bags(path: str | Path) -> list[str]:
+    """
+    The bags named by a file, one a line; empty lines and those that begin with # name none.
+
+    Raises BagError when it cannot be read or names none.
+    """
+    try:
+        lines = os.fsdecode(Path(path).read_bytes()).split('\n')
+    except OSError as error:
+        raise BagError(
+            f'{path} cannot be read: {error.strerror}; fix: give a file that names a bag a line'
+        ) from None
+    names = [line.strip() for line in lines if line.strip() and not line.startswith('#')]
+    if not names:
+        raise BagError(f'{path} names no bags; fix: write the path of a bag in each line')
+    return names
 
 
 def batch(
@@ -56,6 +75,10 @@ def batch(
     same files; without it, `workers` processes here (as many as cores). Bags that are finished
     with the same settings are not done again.
 
+    Bags and `output` may be URLs of any store that fsspec knows; a bag is then fetched to the disk
+    of its worker, and results are sent from there. Of more than 10,000 bags results lie in folders
+    of `output` named by two digits.
+
     A row has the bag and its results, frames, estimates, the span of time, noise, resets, what
     was unreadable, the share of instants with each pole, where the bag was cut off ('truncated'),
     bodies never estimated ('unknown'), and why it failed ('error'). A failed bag does not stop
@@ -64,14 +87,16 @@ def batch(
     among them. Raises BagError when there is no Dask, no scheduler, or no place to write. An
     interruption leaves what is finished, and a summary of it.
     """
-    folder = Path(os.path.abspath(output))
-    paths = [
-        path for path in dict.fromkeys(map(os.path.abspath, bags)) if not is_result(path, folder)
-    ]
+    places = Places(output)
+    folder = places.folder
+    paths = list(dict.fromkeys(map(absolute, bags)))
+    if isinstance(folder, Path):
+        paths = [path for path in paths if _store.is_url(path) or not is_result(path, folder)]
     if not paths:
         raise BagError(f'all bags named are results of earlier runs in {folder}; name others')
-    whole_folder = str(folder) in paths and not (folder / 'metadata.yaml').exists()
-    if 'mcap' in kinds and whole_folder:
+    places.divide(len(paths))
+    alone_in = isinstance(folder, Path) and not (folder / 'metadata.yaml').exists()
+    if 'mcap' in kinds and alone_in and str(folder) in paths:
         raise BagError(
             f'{folder} is a bag to be replayed, and results would become a part of it, which is '
             'all .mcap files of its folder; name another folder for the results'
@@ -79,16 +104,11 @@ def batch(
     if settings.scene and Path(settings.scene).is_file():
         settings = replace(settings, scene=os.path.abspath(settings.scene))
     kinds = [kind for kind in KINDS if kind in kinds]
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        # Said once now, not of every bag.
-        TemporaryFile(dir=folder).close()
-    except OSError as error:
-        raise unwritable(folder, error) from None
+    places.prepare()
     rows: dict[str, Row] = {}
     bar = None if progress is None else _Progress(progress)
     try:
-        for row in _rows(paths, folder, settings, topic, kinds, scheduler, workers, bar):
+        for row in _rows(paths, places, settings, topic, kinds, scheduler, workers, bar):
             rows[row['bag']] = row
             if report is not None:
                 with nullcontext() if bar is None else bar.lock:
@@ -96,16 +116,16 @@ def batch(
     finally:
         # What was finished while we were being stopped counts too.
         all_rows = [
-            rows.get(path) or finished(path, folder, settings, topic, kinds) for path in paths
+            rows.get(path) or places.finished(path, settings, topic, kinds) for path in paths
         ]
         listed = [row for row in all_rows if row is not None]
-        write_summary(folder / 'summary.csv', listed)
+        places.write_summary(listed)
     return listed
 
 
 def _rows(
     bags: list[str],
-    folder: Path,
+    places: Places,
     settings: Settings,
     topic: str | None,
     kinds: list[str],
@@ -116,45 +136,59 @@ def _rows(
     """The row of each bag as it comes: first those that are there, then those made now."""
     left = []
     for bag in bags:
-        row = finished(bag, folder, settings, topic, kinds)
+        row = places.finished(bag, settings, topic, kinds)
         if row is None:
             left.append(bag)
         else:
             yield row
     if not left:
         return
+    here = any(map(_store.lives_in_this_process, (*left, places.folder)))
+    jobs: dict[Any, int] = {}
     try:
-        with cluster(scheduler, min(workers or os.cpu_count() or 1, len(left))) as client:
+        with cluster(scheduler, min(workers or os.cpu_count() or 1, len(left)), here) as client:
             from distributed import as_completed
 
             if bar is not None:
                 bar.begin([_size(bag) for bag in left])
                 client.subscribe_topic(_TOPIC, lambda event: bar.take(*event[1]))
-            jobs: dict[Any, int] = {}
-            for number, bag in enumerate(left):
+
+            def begin(number: int) -> Any:
                 known_as = None if bar is None else (bar.run, number)
-                job = (bag, folder, settings, topic, kinds)
-                jobs[client.submit(_work, job, known_as, pure=False)] = number
-            for done in as_completed(jobs):
-                bag = left[jobs[done]]
+                home = places.home(left[number])
+                job = (left[number], home, settings, topic, kinds)
+                future = client.submit(_work, job, known_as, pure=False)
+                jobs[future] = number
+                return future
+
+            waiting = iter(range(len(left)))
+            ahead = _AHEAD * max(1, len(client.nthreads()))
+            running = as_completed([begin(number) for number in islice(waiting, ahead)])
+            for done in running:
+                number = jobs.pop(done)
+                for following in islice(waiting, 1):
+                    running.add(begin(following))
+                bag = left[number]
                 error = done.exception()
                 if bar is not None:
-                    bar.take(bar.run, jobs[done], 1.0)
+                    bar.take(bar.run, number, 1.0)
                 if error is None:
-                    yield done.result()
+                    yield places.as_seen(done.result())
                 else:  # a worker that died, or one without this package; or a fault of ours
                     text = ' '.join(f'{type(error).__name__}: {error}'.split())
                     yield {'bag': bag, 'error': text}
     finally:
         # Workers of our own are gone; others go on with what they began, and finish it.
         if scheduler is None:
-            for bag in left:
-                with suppress(OSError), alone(bag, folder, wait=False):
-                    pass
+            for number in jobs.values():
+                home = places.home(left[number])
+                if isinstance(home, Path):
+                    with suppress(OSError), alone(left[number], home, wait=False):
+                        pass
 
 
 def _work(
-    job: tuple[str, Path, Settings, str | None, list[str]], known_as: tuple[str, int] | None
+    job: tuple[str, Path | str, Settings, str | None, list[str]], known_as: tuple[str, int] | None
 ) -> Row:
     """`replay_bag` in a worker, telling how far it is to whoever has the bag `known_as` this."""
     if known_as is None:
@@ -196,6 +230,8 @@ class _Progress:
 def _size(bag: str) -> int:
     """Bytes of a bag, 1 at least."""
     try:
+        if _store.is_url(bag):
+            return max(1, _store.size(bag))
         return max(1, sum(file.stat().st_size for file in bag_files(bag)))
     except EXPECTED:
         return 1

@@ -13,8 +13,12 @@ _PATIENCE = 30  # s, for a scheduler and its first worker
 
 
 @contextmanager
-def cluster(scheduler: str | None, workers: int) -> Iterator[Any]:
-    """A client of the cluster at that address, or of processes of our own."""
+def cluster(scheduler: str | None, workers: int, here: bool = False) -> Iterator[Any]:
+    """
+    A client of the cluster at that address, or of processes of our own.
+
+    `here`: of one thread of this process instead, which alone can see some stores.
+    """
     try:
         from distributed import Client, LocalCluster
     except ImportError:
@@ -24,7 +28,8 @@ def cluster(scheduler: str | None, workers: int) -> Iterator[Any]:
         try:
             with _interrupts_ignored():
                 cluster = LocalCluster(
-                    n_workers=workers,
+                    n_workers=1 if here else workers,
+                    processes=not here,
                     threads_per_worker=1,
                     dashboard_address=None,
                     # It listens for browsers all the same: here, where nothing else does.

@@ -9,13 +9,15 @@ import hashlib
 import json
 import os
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager, nullcontext, suppress
 from io import StringIO
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 from kinpole_ros import __version__
 from kinpole_ros.bags import BagError, bag_files, replay, warnings_of
+from kinpole_ros.bags.batch import _store
 from kinpole_ros.bags.batch._lock import lock
 from kinpole_ros.mechanism import LinkageError, SceneError
 from kinpole_ros.pipeline.parameters import ParameterError, Settings
@@ -31,7 +33,7 @@ Row = dict[str, Any]
 
 def replay_bag(
     bag: str,
-    folder: Path,
+    folder: Path | str,
     settings: Settings,
     topic: str | None,
     kinds: list[str],
@@ -40,12 +42,20 @@ def replay_bag(
     """
     Replay one bag, in whatever process this is; what is wrong with it is in the row.
 
-    Where another run is at this bag, its end is awaited. `progress` is called with the share done.
+    `folder` is a URL where it is text. Where another run is at this bag, its end is awaited, but
+    in a store, where both do it. `progress` is called with the share done.
     """
     try:
+        if isinstance(folder, str):
+            name = name_of(bag)
+            with TemporaryDirectory(prefix='kinpole') as scratch:
+                row = _make(bag, Path(scratch), settings, topic, kinds, progress)
+                results = [f'{name}.{kind}' for kind in kinds]
+                _store.send(Path(scratch), results, f'{name}.json', folder)
+            return row
         with alone(bag, folder):
-            row = finished(bag, folder, settings, topic, kinds)
-            return row or _make(bag, folder, settings, topic, kinds, progress)
+            before = finished(bag, folder, settings, topic, kinds)
+            return before or _make(bag, folder, settings, topic, kinds, progress)
     except EXPECTED as error:
         return {'bag': bag, 'error': ' '.join(str(error).split())}
 
@@ -59,18 +69,19 @@ def _make(
     progress: Callable[[float], None] | None,
 ) -> Row:
     """Replay one bag and give its results their names; raises what replay does, and OSError."""
-    name = _name(bag)
+    name = name_of(bag)
     parts = {kind: folder / f'{name}.{kind}.part' for kind in kinds}
     made_of = _made_of(bag, settings, topic)
-    result = replay(
-        bag,
-        settings,
-        output=parts.get('mcap'),
-        csv=parts.get('csv'),
-        topic=topic,
-        progress=progress,
-        parquet=parts.get('parquet'),
-    )
+    with _store.fetched(bag) if _store.is_url(bag) else nullcontext(bag) as source:
+        result = replay(
+            source,
+            settings,
+            output=parts.get('mcap'),
+            csv=parts.get('csv'),
+            topic=topic,
+            progress=progress,
+            parquet=parts.get('parquet'),
+        )
     before = _recorded_row(bag, folder, made_of)
     there = [kind for kind in KINDS if kind in kinds or _has(before, bag, folder, kind)]
     row: Row = {
@@ -112,7 +123,7 @@ def alone(bag: str, folder: Path, wait: bool = True) -> Iterator[None]:
 
     Raises BlockingIOError when another run is at them and this one is not to `wait`.
     """
-    place = folder / f'{_name(bag)}.part'
+    place = folder / f'{name_of(bag)}.part'
     while True:
         with open(place, 'ab') as held:
             lock(held, wait)
@@ -139,7 +150,7 @@ def _remove_parts(bag: str, folder: Path) -> None:
     """Remove what is left of results that were not finished, of this run or of one before."""
     for kind in (*KINDS, 'json'):
         with suppress(OSError):
-            (folder / f'{_name(bag)}.{kind}.part').unlink()
+            (folder / f'{name_of(bag)}.{kind}.part').unlink()
 
 
 def finished(
@@ -153,10 +164,32 @@ def finished(
     return row if all(_has(row, bag, folder, kind) for kind in kinds) else None
 
 
+def finished_in_store(
+    bag: str,
+    home: str,
+    known: tuple[dict[str, Any], set[str]],
+    settings: Settings,
+    topic: str | None,
+    kinds: list[str],
+) -> Row | None:
+    """The same in a store, of which `known` is what it holds; `home` is the folder of the bag."""
+    records, names = known
+    place = f'{home}/{name_of(bag)}'.lstrip('/')
+    try:
+        record = records[place]
+        row, made_of = record['row'], record['made_of']
+        if row['bag'] != bag or made_of != _made_of(bag, settings, topic):
+            return None
+    except (LookupError, TypeError, *EXPECTED):
+        return None
+    there = all(f'{place}.{kind}' in names and f'.{kind}' in row['results'] for kind in kinds)
+    return row if there else None
+
+
 def _recorded_row(bag: str, folder: Path, made_of: list[Any]) -> Row | None:
     """The row of the results of a bag that are there, if they were made of this."""
     try:
-        record = json.loads((folder / f'{_name(bag)}.json').read_text('utf-8'))
+        record = json.loads((folder / f'{name_of(bag)}.json').read_text('utf-8'))
         row = record['row'] if record['made_of'] == made_of else None
     except (OSError, ValueError, LookupError, TypeError):
         return None
@@ -165,23 +198,28 @@ def _recorded_row(bag: str, folder: Path, made_of: list[Any]) -> Row | None:
 
 def _has(row: Row | None, bag: str, folder: Path, kind: str) -> bool:
     """Whether results of this kind are there and the row, if there is one, tells of them."""
-    name = f'{_name(bag)}.{kind}'
+    name = f'{name_of(bag)}.{kind}'
     return row is not None and name in str(row.get('results')) and (folder / name).is_file()
 
 
 def is_result(path: str, folder: Path) -> bool:
     """Whether it is a result of an earlier run into the folder of its bags, and no bag of these."""
     result = Path(path)
-    if result.parent != folder:
+    if folder not in (result.parent, result.parent.parent):
         return False
     try:
         record = json.loads(result.with_suffix('.json').read_text('utf-8'))
-        return _name(record['row']['bag']) == result.stem
+        return name_of(record['row']['bag']) == result.stem
     except (OSError, ValueError, LookupError, TypeError):
         return False
 
 
-def _name(bag: str) -> str:
+def shard_of(bag: str) -> str:
+    """The folder of the results of a bag among very many: one of 256."""
+    return name_of(bag)[-10:-8]
+
+
+def name_of(bag: str) -> str:
     """What the results of a bag are called: its own name, and a number that only its path has."""
     short = Path(bag).name.removesuffix('.zstd').removesuffix('.mcap')
     # A name of a file has 255 bytes, and there are endings to come.
@@ -191,7 +229,11 @@ def _name(bag: str) -> str:
 
 def _made_of(bag: str, settings: Settings, topic: str | None) -> list[Any]:
     """All that the results depend on, such that equal is unchanged."""
-    files = [(file.name, file.stat().st_size, file.stat().st_mtime_ns) for file in bag_files(bag)]
+    if _store.is_url(bag):
+        files: list[Any] = list(_store.identity(bag))
+    else:
+        stats = ((file.name, file.stat()) for file in bag_files(bag))
+        files = [(name, stat.st_size, stat.st_mtime_ns) for name, stat in stats]
     scene = Path(settings.scene)
     described = repr((__version__, topic, settings, files)).encode()
     if settings.scene and scene.is_file():

@@ -2,7 +2,15 @@
 
 from kinpole_ros.tools.plot._draw import plot
 from kinpole_ros.tools.plot._linkage import draw_linkage
-from kinpole_ros.tools.plot._read import Body, Centrodes, Results, Series, centrodes, read_results
+from kinpole_ros.tools.plot._read import (
+    Body,
+    Centrodes,
+    Results,
+    Series,
+    centrodes,
+    decode,
+    read_results,
+)
 
 __all__ = [
     'Body',
@@ -10,6 +18,7 @@ __all__ = [
     'Results',
     'Series',
     'centrodes',
+    'decode',
     'draw_linkage',
     'plot',
     'read_results',

@@ -15,7 +15,7 @@ from kinpole_ros.bags import BagError, Truncated, message_class, read_messages, 
 from kinpole_ros.messages import deserialize_message, stamp_to_ns
 from kinpole_ros.rigid.plane import AXES, Plane, as_parameter, plane_along, plane_of, upward
 
-POLES = ('icr', 'iap', 'ijp')
+POLES = ('icr', 'iap', 'ijp', 'isp')
 
 
 class Series(NamedTuple):
@@ -34,9 +34,9 @@ class Body(NamedTuple):
     """
     What a bag tells of one body: from odom at `stamp` (T,) in ns, the rest by topic in `series`.
 
-    `position` (T,) complex, m; `angle` (T,), rad; `rate` and its standard deviation `rate_sigma`
-    (T,), rad/s; `size`, m, is twice the root mean square distance of the markers from their mean,
-    NaN when it cannot be determined.
+    `position` (T,) complex, m, with `sigma` (T,) of a coordinate, and its `velocity`, m/s; `angle`
+    (T,), rad; `rate` and its standard deviation `rate_sigma` (T,), rad/s; `size`, m, is twice the
+    root mean square distance of the markers from their mean, NaN when it cannot be determined.
     """
 
     name: str
@@ -47,6 +47,8 @@ class Body(NamedTuple):
     rate_sigma: np.ndarray
     size: float
     series: dict[str, Series]
+    velocity: np.ndarray
+    sigma: np.ndarray
 
 
 class Results(NamedTuple):
@@ -78,10 +80,13 @@ class Centrodes(NamedTuple):
     sigma: np.ndarray
 
 
-def read_results(bag: str | Path, progress: Callable[[float], None] | None = None) -> Results:
+def read_results(
+    bag: str | Path, progress: Callable[[float], None] | None = None, every: bool = False
+) -> Results:
     """
     The results of a bag, whatever node published them; exact answers of simulate are left out.
 
+    Of the figures of a body, those that `plot` draws, or `every` one there is, with its deviation.
     `progress` is called with the fraction of bytes read. Raises BagError when there are none.
     """
     kinds = topics(bag)
@@ -104,7 +109,8 @@ def read_results(bag: str | Path, progress: Callable[[float], None] | None = Non
             f'{bag} holds no results (no odometry of a body); make them first: '
             f'kinpole replay {shlex.quote(str(bag))} --output RESULT.mcap'
         )
-    wanted = {f'{prefix}/{part}' for prefix in prefixes for part in ('odom', *_PARTS)}
+    of_body = _PARTS + _MORE_PARTS if every else _PARTS
+    wanted = {f'{prefix}/{part}' for prefix in prefixes for part in ('odom', *of_body)}
     # Of a pole that comes with its covariance the plain one says nothing more.
     wanted -= {
         t.removesuffix('/with_covariance')
@@ -127,11 +133,14 @@ def read_results(bag: str | Path, progress: Callable[[float], None] | None = Non
     }
     bodies = []
     for prefix, (stamp, values) in odometry.items():
-        parts = {part: rows[name] for part in _PARTS if (name := f'{prefix}/{part}') in rows}
+        parts = {part: rows[name] for part in of_body if (name := f'{prefix}/{part}') in rows}
         for pole in POLES:
             if f'{pole}/with_covariance' in parts:
                 parts[pole] = parts.pop(f'{pole}/with_covariance')
-        series = {part: _series(*found, plane, part in _NUMBERS) for part, found in parts.items()}
+        series = {
+            part: _series(*found, plane, part.removesuffix('/deviation') in _NUMBERS)
+            for part, found in parts.items()
+        }
         if f'{prefix}/{_CURVATURE}' in kinds:
             # Never estimated: the ICR was not seen to move, which is more than not recorded.
             series.setdefault(_CURVATURE, _series(np.empty(0, int), np.empty((0, 3)), plane, True))
@@ -163,8 +172,20 @@ def centrodes(body: Body) -> Centrodes:
 # A normal so near to an axis is along it; more than so much about other axes is of no one plane.
 _ROUNDING, _ELSEWHERE = 1e-9, 1e-3
 _CURVATURE = 'centrode_curvature'
-_NUMBERS = ('angular_acceleration', 'angular_jerk', _CURVATURE)
-_PARTS = (*_NUMBERS, *POLES, *(f'{pole}/with_covariance' for pole in POLES), 'icr_velocity')
+_NUMBERS = ('angular_acceleration', 'angular_jerk', _CURVATURE, 'angular_snap')
+_DRAWN, _DRAWN_POLES = _NUMBERS[:3], POLES[:3]
+_PARTS: tuple[str, ...] = (
+    *_DRAWN,
+    *_DRAWN_POLES,
+    *(f'{pole}/with_covariance' for pole in _DRAWN_POLES),
+    'icr_velocity',
+)
+_MORE_PARTS: tuple[str, ...] = (
+    'angular_snap',
+    'isp',
+    'isp/with_covariance',
+    *(f'{name}/deviation' for name in (*_NUMBERS, 'icr_velocity')),
+)
 
 
 def _xyz(part: Any) -> list[float]:
@@ -172,7 +193,7 @@ def _xyz(part: Any) -> list[float]:
 
 
 def _odometry_row(message: Any) -> list[float]:
-    """Place, turn and rate, and the covariances of the three: 3 + 4 + 3 + 3 * 9 numbers."""
+    """Place, turn, rate, the covariances of the three, velocity: 3 + 4 + 3 + 3 * 9 + 3 numbers."""
     pose, twist = message.pose, message.twist
     turn = pose.pose.orientation
     return [
@@ -183,6 +204,7 @@ def _odometry_row(message: Any) -> list[float]:
         *(pose.covariance[6 * row + column] for row in range(3) for column in range(3)),
         *(pose.covariance[6 * row + column] for row in range(3, 6) for column in range(3, 6)),
         *(twist.covariance[6 * row + column] for row in range(3, 6) for column in range(3, 6)),
+        *_xyz(twist.twist.linear),
     ]
 
 
@@ -197,6 +219,11 @@ _ROWS: dict[str, Callable[[Any], list[float]]] = {
 }
 
 
+def decode(type_name: str, data: bytes) -> Any:
+    """A message of a bag as an object of its type."""
+    return deserialize_message(data, message_class(type_name))
+
+
 def _read(
     bag: str | Path, wanted: Collection[str], progress: Callable[[float], None] | None
 ) -> tuple[dict[str, tuple[np.ndarray, np.ndarray]], bool]:
@@ -208,7 +235,7 @@ def _read(
             row = _ROWS.get(message.type_name)
             if row is None:
                 continue
-            decoded: Any = deserialize_message(message.data, message_class(message.type_name))
+            decoded = decode(message.type_name, message.data)
             # A bag played in a loop says the same of an instant again: the last word counts.
             found.setdefault(message.topic, {})[stamp_to_ns(decoded.header.stamp)] = row(decoded)
     except Truncated:
@@ -260,18 +287,22 @@ def _body(
     series: dict[str, Series],
 ) -> Body:
     first, normal = plane.basis[0], plane.normal
-    place, turn, rate = np.moveaxis(values[:, 10:].reshape(-1, 3, 3, 3), 1, 0)
+    place, turn, rate = np.moveaxis(values[:, 10:37].reshape(-1, 3, 3, 3), 1, 0)
     spread, turn_spread = first @ place @ first, normal @ turn @ normal
     with np.errstate(divide='ignore', invalid='ignore'):
         # The noise of the markers moves their mean and turns them about it: that ratio is a length.
         size = 2 * np.sqrt(np.median(spread) / np.median(turn_spread))
+    angle = 2 * np.arctan2(values[:, 3:6] @ normal, values[:, 6])
     return Body(
         name,
         stamp,
         plane.project(values[:, :3])[0],
-        2 * np.arctan2(values[:, 3:6] @ normal, values[:, 6]),
+        angle,
         values[:, 7:10] @ normal,
         np.sqrt(np.maximum(normal @ rate @ normal, 0)),
         float(size) if np.isfinite(size) else float('nan'),
         series,
+        # The twist is in the frame of the body.
+        plane.project(values[:, 37:40])[0] * np.exp(1j * angle),
+        np.sqrt(np.maximum(spread, 0)),
     )

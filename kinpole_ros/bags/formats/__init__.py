@@ -1,0 +1,81 @@
+"""
+Files of trackers, as their programs write them, to one plain record.
+
+A module a format: it says how the format is recognized and read, in a `FORMAT` of `_file.py`. A new
+one is a module like the others and its line below.
+"""
+
+from pathlib import Path
+
+from kinpole_ros.bags._files import BagError
+from kinpole_ros.bags.formats import (
+    _c3d,
+    _deeplabcut,
+    _kinovea,
+    _motive,
+    _plain,
+    _sleap,
+    _tracker,
+    _trc,
+    _vicon,
+)
+from kinpole_ros.bags.formats._file import File, Format, Points, Wanted, not_utf8, shown
+
+__all__ = ['FORMATS', 'Points', 'Wanted', 'read_points', 'shown']
+
+# Looked at in this order: the plain table is the least particular.
+FORMATS: dict[str, Format] = {
+    module.FORMAT.name: module.FORMAT
+    for module in (
+        _deeplabcut,
+        _sleap,
+        _kinovea,
+        _tracker,
+        _motive,
+        _vicon,
+        _trc,
+        _c3d,
+        _plain,
+    )
+}
+
+
+def read_points(
+    path: str | Path, name: str = 'auto', wanted: Wanted | None = None
+) -> tuple[str, Points]:
+    """
+    Read the points of a file, and the name of its format: `name`, or the one that is recognized.
+
+    Raises BagError when the format is unknown, or the file is not as its program writes it.
+    """
+    if name != 'auto' and name not in FORMATS:
+        raise BagError(f"format '{shown(name)}' is unknown; fix: auto, {', '.join(FORMATS)}")
+    file = File(Path(path))
+    if not file.data.strip():
+        raise BagError(f'{path} is empty; fix: give a line of names and a line for each frame')
+    for found in FORMATS.values() if name == 'auto' else [FORMATS[name]]:
+        if found.recognizes(file):
+            points = found.read(file, wanted or Wanted())
+            if not len(points.frames):
+                raise BagError(f'{path} has no frames; fix: give a line for each frame')
+            return found.name, points
+    raise _unknown(file, name)
+
+
+def _unknown(file: File, name: str) -> BagError:
+    """What was seen, and what would be read."""
+    if file.data[:2] in (b'\xff\xfe', b'\xfe\xff'):
+        return not_utf8(file.path, 1)
+    if file.is_text:
+        lines = [' '.join(row) for row in file.sheet.rows[:2]]
+        seen = f'begins with {" / ".join(repr(shown(line)) for line in lines)}'
+    else:
+        seen = f'is binary and begins with {file.data[:8].hex(" ")}'
+    if name == 'auto':
+        name = 'table'
+        known = ', '.join(other for other in FORMATS if other != name)
+        seen += f': of no format known here ({known}), and no column is named NAME_x'
+    else:
+        seen += f': not what {FORMATS[name].what} begins with'
+    example = ' / '.join(FORMATS[name].example.replace('\t', ' ').split('\n'))
+    return BagError(f'{file.path} {seen}; fix: give a file such as: {example}')

@@ -1,0 +1,266 @@
+"""What every format is read from, a file as bytes or as a sheet of cells, and what it becomes."""
+
+import csv
+import math
+import os
+import stat
+from collections import Counter
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from io import StringIO
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from kinpole_ros.bags._files import BagError
+
+# Bytes of a file, which is held as text and cell by cell; hours of tracked points are less.
+MOST = 256 << 20
+# m in the units that programs write, by their names in small letters.
+UNITS = {
+    **dict.fromkeys(('m', 'meter', 'meters', 'metre', 'metres'), 1.0),
+    **dict.fromkeys(('dm', 'decimeters', 'decimetres'), 0.1),
+    **dict.fromkeys(('cm', 'centimeter', 'centimeters', 'centimetres'), 0.01),
+    **dict.fromkeys(('mm', 'millimeter', 'millimeters', 'millimetres'), 0.001),
+    **dict.fromkeys(('um', 'µm', 'micrometers'), 1e-6),
+    **dict.fromkeys(('in', 'inch', 'inches'), 0.0254),
+    **dict.fromkeys(('ft', 'foot', 'feet'), 0.3048),
+}
+_MOST_COLUMNS = 10_000
+_SNIFFED = 50  # lines that show what separates cells
+_SHOWN = 40  # characters of a cell
+
+
+class Wanted(NamedTuple):
+    """What the user said of the file; None where nothing."""
+
+    rate: float | None = None  # Hz; times in the file do not count then
+    likelihood: float | None = None  # the least at which a point counts as seen
+
+
+@dataclass(frozen=True)
+class Points:
+    """Tracked points of any format: n markers in T frames."""
+
+    names: Sequence[str]  # n
+    points: np.ndarray  # (T, n, 3), in the unit of the file; NaN where a marker was not seen
+    frames: np.ndarray  # (T,), int64: number of each frame
+    times: np.ndarray | None  # (T,), s; None where the file has none or a rate is given
+    unit: str  # as the file calls it; '' where it does not say
+    y_down: bool = False
+    lines: Sequence[int] = ()  # of each frame, in a text file
+    time_column: str = 'Time'
+    notes: Sequence[str] = field(default=())  # what the user should know, a line each
+
+    @property
+    def scale(self) -> float | None:
+        """Metres a unit; None where only the user can say."""
+        return UNITS.get(self.unit.lower())
+
+
+class Format(NamedTuple):
+    """One format: how it is recognized and read."""
+
+    name: str  # for --format
+    what: str
+    example: str  # its first lines, shortened
+    recognizes: Callable[['File'], bool]
+    read: Callable[['File', Wanted], Points]
+
+
+class File:
+    """A file that is to be recognized. Raises BagError when it cannot be read."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.data = _read(path)
+
+    @cached_property
+    def sheet(self) -> 'Sheet':
+        """Its cells, where it is text; what is not UTF-8 is taken as of Windows."""
+        try:
+            text, fault = self.data.decode('utf-8-sig'), 0
+        except UnicodeDecodeError as error:
+            text = self.data.decode('cp1252', 'replace')
+            fault = self.data.count(b'\n', 0, error.start) + 1
+        if '\0' in text:
+            # UTF-16, or no text at all.
+            raise not_utf8(self.path, fault or 1)
+        return Sheet(self.path, text, fault)
+
+    @property
+    def is_text(self) -> bool:
+        """Whether it can be a sheet."""
+        return b'\0' not in self.data[:4096]
+
+
+class Sheet:
+    """
+    Cells of a text file, without its empty lines.
+
+    Cells are separated by what most lines have of tab, semicolon and comma; where it is not
+    commas, numbers may have decimal commas. Raises BagError when quotes do not match.
+    """
+
+    def __init__(self, path: Path, text: str, not_utf8_line: int = 0) -> None:
+        self.path = path
+        self.not_utf8_line = not_utf8_line  # 0: it is
+        first = [line for line in text[: 1 << 20].splitlines() if line.strip()][:_SNIFFED]
+        self.delimiter = next(
+            (mark for mark in '\t;' if sum(mark in line for line in first) * 2 > len(first)), ','
+        )
+        reader = csv.reader(StringIO(text, newline=''), delimiter=self.delimiter, strict=True)
+        self.rows: list[list[str]] = []
+        self.lines: list[int] = []
+        try:
+            for row in reader:
+                if row:
+                    if len(row) > _MOST_COLUMNS:
+                        raise BagError(
+                            f'{path}, line {reader.line_num}: {len(row)} columns; '
+                            f'fix: give {_MOST_COLUMNS} at most'
+                        )
+                    self.rows.append(row)
+                    self.lines.append(reader.line_num)
+        except csv.Error as error:
+            raise BagError(
+                f'{path}, line {reader.line_num}: {shown(str(error))}; '
+                'fix: save it as plain CSV, with commas'
+            ) from error
+
+    def cell(self, row: int, column: int) -> str:
+        """A cell without the spaces around it; '' where there is none."""
+        if row >= len(self.rows) or column >= len(self.rows[row]):
+            return ''
+        return self.rows[row][column].strip()
+
+    def head(self, row: int) -> list[str]:
+        """The cells of a row, without spaces around them."""
+        return [cell.strip() for cell in self.rows[row]] if row < len(self.rows) else []
+
+    def column(self, index: int, first: int, name: str = '', end: int | None = None) -> np.ndarray:
+        """Numbers of a column from row `first` on, float64, NaN where a cell is empty."""
+        rows = self.rows[first:end]
+        cells = [row[index].strip() or 'nan' if index < len(row) else 'nan' for row in rows]
+        if self.delimiter != ',':
+            cells = [cell.replace(',', '.') for cell in cells]
+        try:
+            numbers = np.array(cells, dtype=np.float64)
+        except ValueError:
+            numbers = np.array([_number_or_inf(cell) for cell in cells])
+        if (bad := np.isinf(numbers)).any():
+            row = first + int(bad.argmax())
+            raise BagError(
+                f'{self.path}, line {self.lines[row]}, column {shown(name or str(index + 1))}: '
+                f"'{shown(self.rows[row][index])}' is not a number; fix: write it with a decimal "
+                'point, and nothing where a marker was not seen'
+            )
+        return numbers
+
+    def points(
+        self, columns: Sequence[Sequence[int]], names: Sequence[str], first: int, end: int | None
+    ) -> np.ndarray:
+        """Points (T, n, 3) of rows first to end, from two or three columns each; z is else 0."""
+        points = np.zeros((len(self.rows[first:end]), len(columns), 3))
+        for index, (name, axes) in enumerate(zip(names, columns, strict=True)):
+            for axis, column in enumerate(axes):
+                points[:, index, axis] = self.column(column, first, f'{name} {"xyz"[axis]}', end)
+        return points
+
+
+def _read(path: Path) -> bytes:
+    try:
+        # A pipe would be waited for.
+        with open(
+            os.open(path, os.O_RDONLY | getattr(os, 'O_NONBLOCK', 0) | _BINARY), 'rb'
+        ) as file:
+            if not stat.S_ISREG(os.fstat(file.fileno()).st_mode):
+                raise BagError(f'{path} is not a regular file; fix: save what it gives as one')
+            too_large = os.fstat(file.fileno()).st_size > MOST
+            content = b'' if too_large else file.read(MOST)
+    except OSError as error:
+        raise BagError(
+            f'{path} cannot be read: {error.strerror}; fix: check the path and its rights'
+        ) from error
+    if too_large:
+        raise BagError(f'{path} is larger than {MOST >> 20} MiB; fix: cut it into parts')
+    return content
+
+
+_BINARY = getattr(os, 'O_BINARY', 0)
+
+
+def not_utf8(path: Path, line: int) -> BagError:
+    return BagError(f'{path}, line {line}: not UTF-8; fix: save it as CSV UTF-8')
+
+
+def shown(text: str) -> str:
+    """Text of a file for a message: cut, and harmless to a terminal."""
+    cut = text if len(text) <= _SHOWN else f'{text[:_SHOWN]}...'
+    return ''.join(
+        letter if letter.isprintable() else '\N{REPLACEMENT CHARACTER}' for letter in cut
+    )
+
+
+def no_points(path: Path, why: str, fix: str) -> BagError:
+    return BagError(f'{path} {why}; fix: {fix}')
+
+
+def check_names(path: Path, names: Sequence[str]) -> None:
+    """Raise BagError when two markers have one name, or there is none."""
+    if not names:
+        raise no_points(path, 'has no markers', 'export positions of markers, too')
+    name, count = Counter(names).most_common(1)[0]
+    if count > 1:
+        raise BagError(f"{path}: marker '{shown(name)}' is there {count} times; fix: rename one")
+
+
+def whole_numbers(path: Path, numbers: np.ndarray, lines: Sequence[int], name: str) -> np.ndarray:
+    """Numbers of frames as int64; raises BagError when they are not, or do not rise."""
+    whole = np.rint(np.nan_to_num(numbers, nan=-1.0)).astype(np.int64)
+    bad = ~(np.abs(whole - numbers) < 1e-6)
+    if not bad.any() and len(whole) > 1:
+        bad[1:] = np.diff(whole) <= 0
+    if bad.any():
+        row = int(bad.argmax())
+        raise BagError(
+            f'{path}, line {lines[row]}, column {name}: {numbers[row]:.10g} is not the number of a '
+            'frame after the one before; fix: a number for each frame, in order'
+        )
+    return whole
+
+
+def frame_times(
+    frames: np.ndarray, rate: float | None, times: np.ndarray | None = None, decimals: int = 9
+) -> np.ndarray | None:
+    """
+    Instants of frames, s: exact by the file's own rate, where that gives its times as it rounds
+    them to so many decimals; else the times; None where there is neither.
+    """
+    if rate is None or not (math.isfinite(rate) and rate > 0):
+        return times
+    even = frames / rate
+    if times is None or not len(times):
+        return even
+    start = times[0] - even[0]
+    # Both of the ends of a difference are rounded.
+    if np.nanmax(np.abs(times - even - start), initial=0.0) > 1.01 * 10.0**-decimals:
+        return times
+    return even + start
+
+
+def decimals_of(cells: Sequence[str]) -> int:
+    """The most digits behind the point of these numbers."""
+    plain = (cell.strip().replace(',', '.') for cell in cells)
+    return max(
+        (len(cell.partition('.')[2]) for cell in plain if 'e' not in cell.lower()), default=9
+    )
+
+
+def _number_or_inf(cell: str) -> float:
+    try:
+        return float(cell)
+    except ValueError:
+        return math.inf

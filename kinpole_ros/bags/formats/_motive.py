@@ -1,0 +1,103 @@
+"""
+Motive, of OptiTrack: takes exported as CSV.
+
+The first line has pairs of keys and values, rates and unit among them. Then rows that name each
+column by type, name and more, Position or Rotation, and the axis, below which frames begin. Only
+columns of type Marker are measured: those of rigid bodies and their markers are where Motive's
+model has them.
+"""
+
+import numpy as np
+
+from kinpole_ros.bags._files import BagError
+from kinpole_ros.bags.formats._file import (
+    File,
+    Format,
+    Points,
+    Sheet,
+    Wanted,
+    check_names,
+    decimals_of,
+    frame_times,
+    shown,
+    whole_numbers,
+)
+
+
+def _recognizes(file: File) -> bool:
+    return file.is_text and file.sheet.cell(0, 0) == 'Format Version'
+
+
+def _row_with(sheet: Sheet, title: str, columns: range, fix: str) -> int:
+    for row in range(1, min(12, len(sheet.rows))):
+        if any(sheet.cell(row, column) == title for column in columns):
+            return row
+    raise BagError(f'{sheet.path} has no row with {title} in its head; fix: {fix}')
+
+
+def _read(file: File, wanted: Wanted) -> Points:
+    sheet, path = file.sheet, file.path
+    fix = 'export the take again, with its header'
+    first = sheet.head(0)
+    about = dict(zip(first[::2], first[1::2], strict=False))
+    axes = _row_with(sheet, 'Frame', range(1), fix)
+    types = _row_with(sheet, 'Type', range(2), fix)
+    titles = _row_with(sheet, 'Name', range(2), fix)
+    columns: dict[str, list[int]] = {}
+    seen: dict[str, None] = {}
+    for column in range(2, len(sheet.rows[axes])):
+        kind = sheet.cell(types, column)
+        if kind:
+            seen[kind] = None
+        if kind == 'Marker' and sheet.cell(axes - 1, column) == 'Position':
+            columns.setdefault(sheet.cell(titles, column), []).append(column)
+    if not columns:
+        kinds = shown(', '.join(seen) or 'none')
+        raise BagError(
+            f'{path} has no columns of type Marker, only {kinds}, which are not measured; '
+            'fix: export the take again, with markers'
+        )
+    for name, places in columns.items():
+        if [sheet.cell(axes, column) for column in places] != ['X', 'Y', 'Z']:
+            raise BagError(
+                f"{path}: marker '{shown(name)}' has other columns than X, Y, Z; fix: "
+                'give each marker a name of its own in Motive'
+            )
+    names = list(columns)
+    check_names(path, names)
+    points = sheet.points(list(columns.values()), names, axes + 1, None)
+    lines = sheet.lines[axes + 1 :]
+    frames = whole_numbers(path, sheet.column(0, axes + 1, 'Frame'), lines, 'Frame')
+    return Points(
+        names,
+        points,
+        frames,
+        None if wanted.rate is not None else _times(sheet, axes, frames, about),
+        about.get('Length Units', ''),
+        lines=lines,
+        time_column='Time (Seconds)',
+    )
+
+
+def _times(sheet: Sheet, axes: int, frames: np.ndarray, about: dict[str, str]) -> np.ndarray | None:
+    rate = about.get('Export Frame Rate') or about.get('Capture Frame Rate', '')
+    try:
+        rate_hz = float(rate.replace(',', '.'))
+    except ValueError:
+        rate_hz = 0.0
+    if not sheet.cell(axes, 1).startswith('Time'):
+        return frame_times(frames, rate_hz)
+    times = sheet.column(1, axes + 1, sheet.cell(axes, 1))
+    digits = decimals_of([sheet.cell(row, 1) for row in range(axes + 1, len(sheet.rows))])
+    return frame_times(frames, rate_hz, times, digits)
+
+
+FORMAT = Format(
+    'motive',
+    'OptiTrack Motive .csv',
+    'Format Version,1.23,Capture Frame Rate,120,Length Units,Meters\n,Type,Marker,Marker,Marker\n'
+    ',Name,tip,tip,tip\n,,Position,Position,Position\nFrame,Time (Seconds),X,Y,Z\n'
+    '0,0.0,0.1,0.2,0.3',
+    _recognizes,
+    _read,
+)

@@ -1,0 +1,81 @@
+"""
+OpenSim and Cortex: Track Row Column (.trc), tab-separated.
+
+Five lines of head: file, keys, their values (rate and unit among them), names, axes. Motive, Vicon
+and Qualisys write it, too. Times are often rounded to ms, where the rate is exact.
+"""
+
+from kinpole_ros.bags._files import BagError
+from kinpole_ros.bags.formats._file import (
+    File,
+    Format,
+    Points,
+    Wanted,
+    check_names,
+    decimals_of,
+    frame_times,
+    shown,
+    whole_numbers,
+)
+
+_FIX = 'export it again as .trc'
+
+
+def _recognizes(file: File) -> bool:
+    return file.is_text and file.sheet.cell(0, 0).startswith('PathFileType')
+
+
+def _read(file: File, wanted: Wanted) -> Points:
+    sheet, path = file.sheet, file.path
+    about = dict(zip(sheet.head(1), sheet.head(2), strict=False))
+    titles = next((r for r in range(1, 5) if sheet.cell(r, 0).lower() in ('frame#', 'frame')), None)
+    if titles is None:
+        raise BagError(f'{path} has no line with Frame# and names of markers; fix: {_FIX}')
+    header = sheet.head(titles)
+    places = [c for c in range(2, len(header)) if header[c]]
+    names = [header[c] for c in places]
+    check_names(path, names)
+    for name, before, after in zip(names, places, places[1:], strict=False):
+        if after - before < 3:
+            raise BagError(
+                f"{path}, line {sheet.lines[titles]}: '{shown(name)}' has fewer than three columns;"
+                f' fix: {_FIX}'
+            )
+    first = titles + 1
+    while first < len(sheet.rows) and not sheet.cell(first, 0).isdecimal():
+        first += 1
+        if first > titles + 3:
+            raise BagError(f'{path}, line {sheet.lines[first - 1]}: no frames; fix: {_FIX}')
+    points = sheet.points([[c, c + 1, c + 2] for c in places], names, first, None)
+    lines = sheet.lines[first:]
+    frames = whole_numbers(path, sheet.column(0, first, 'Frame#'), lines, 'Frame#')
+    rate = sheet_number(about.get('DataRate', ''))
+    times = None
+    if wanted.rate is None:
+        cells = [sheet.cell(row, 1) for row in range(first, len(sheet.rows))]
+        known = any(cells)
+        numbers = sheet.column(1, first, 'Time') if known else None
+        times = frame_times(frames, rate, numbers, decimals_of(cells) if known else 9)
+    said = sheet_number(about.get('NumFrames', ''))
+    notes = []
+    if said and said != len(frames):
+        notes.append(f'{path} says that it has {said:.0f} frames, and has {len(frames)}')
+    return Points(names, points, frames, times, about.get('Units', ''), lines=lines, notes=notes)
+
+
+def sheet_number(cell: str) -> float:
+    """A number of the head; 0 where there is none."""
+    try:
+        return float(cell.replace(',', '.'))
+    except ValueError:
+        return 0.0
+
+
+FORMAT = Format(
+    'trc',
+    'OpenSim, Cortex .trc',
+    'PathFileType\t4\t(X/Y/Z)\trun.trc\nDataRate\t...\tUnits\n100.0\t...\tmm\n'
+    'Frame#\tTime\ttip\n\t\tX1\tY1\tZ1\n1\t0.00\t125.1\t250.2\t3.3',
+    _recognizes,
+    _read,
+)

@@ -1,0 +1,95 @@
+"""
+Vicon Nexus: trajectories exported as ASCII (.csv).
+
+A file has sections, one after the other: Devices, Joints, Model Outputs, Trajectories. Each begins
+with its name and its rate; Trajectories goes on with the names of markers, each above its X, then
+Frame, Sub Frame, X, Y, Z and so on, then units, then a line a frame.
+"""
+
+from kinpole_ros.bags._files import BagError
+from kinpole_ros.bags.formats._file import (
+    File,
+    Format,
+    Points,
+    Sheet,
+    Wanted,
+    check_names,
+    frame_times,
+    shown,
+    whole_numbers,
+)
+
+_SECTION = 'Trajectories'
+_FIX = 'export trajectories as ASCII from Nexus again'
+
+
+def _recognizes(file: File) -> bool:
+    return file.is_text and _section(file.sheet) is not None
+
+
+def _section(sheet: Sheet) -> int | None:
+    """The row in which trajectories begin."""
+    for row in range(len(sheet.rows)):
+        if sheet.cell(row, 0) == _SECTION and sheet.head(row + 3)[:2] == ['Frame', 'Sub Frame']:
+            return row
+    return None
+
+
+def _read(file: File, wanted: Wanted) -> Points:
+    sheet, path = file.sheet, file.path
+    row = _section(sheet)
+    if row is None:
+        raise BagError(f'{path} has no section {_SECTION}; fix: {_FIX}')
+    names_row, axes, units, first = row + 2, row + 3, row + 4, row + 5
+    columns: dict[str, list[int]] = {}
+    name = ''
+    for column in range(2, len(sheet.rows[axes])):
+        name = sheet.cell(names_row, column) or name
+        # With velocities there are X', too.
+        if name and sheet.cell(axes, column) in ('X', 'Y', 'Z'):
+            columns.setdefault(name, []).append(column)
+    for name, places in columns.items():
+        if len(places) != 3:
+            raise BagError(
+                f"{path}: marker '{shown(name)}' has other columns than X, Y, Z; fix: "
+                'give each marker a name of its own in Nexus'
+            )
+    names = list(columns)
+    check_names(path, names)
+    named = {sheet.cell(units, column) for places in columns.values() for column in places}
+    if len(named) > 1:
+        raise BagError(
+            f'{path}, line {sheet.lines[units]}: several units, '
+            f'{shown(" ".join(sorted(named)))}; fix: {_FIX}'
+        )
+    end = next(
+        (r for r in range(first, len(sheet.rows)) if not _is_frame(sheet.cell(r, 0))),
+        len(sheet.rows),
+    )
+    points = sheet.points(list(columns.values()), names, first, end)
+    lines = sheet.lines[first:end]
+    frames = whole_numbers(path, sheet.column(0, first, 'Frame', end), lines, 'Frame')
+    try:
+        rate = float(sheet.cell(row + 1, 0).replace(',', '.'))
+    except ValueError:
+        rate = 0.0
+    if wanted.rate is None and not rate > 0:
+        raise BagError(
+            f'{path}, line {sheet.lines[row + 1]}: no rate under {_SECTION}; fix: give --rate HZ'
+        )
+    times = None if wanted.rate is not None else frame_times(frames, rate)
+    return Points(names, points, frames, times, named.pop(), lines=lines)
+
+
+def _is_frame(cell: str) -> bool:
+    # Empty: a line of commas, as spreadsheets leave between sections.
+    return cell.isdecimal()
+
+
+FORMAT = Format(
+    'vicon',
+    'Vicon Nexus .csv',
+    'Trajectories\n100\n,,Rig:tip,,\nFrame,Sub Frame,X,Y,Z\n,,mm,mm,mm\n1,0,125.1,250.2,3.3',
+    _recognizes,
+    _read,
+)

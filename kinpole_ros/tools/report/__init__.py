@@ -1,0 +1,163 @@
+"""
+A report of a recording to look through: one HTML file that needs no network and no program.
+
+The page is in page/, as it is read; the figures are put into it here.
+"""
+
+import html
+import os
+import re
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from kinpole_ros import __version__
+from kinpole_ros.bags import BagError, replay, warnings_of
+from kinpole_ros.linkage.theory import DeviationSummary, load_theory
+from kinpole_ros.mechanism import load_scene
+from kinpole_ros.pipeline.parameters import Settings
+from kinpole_ros.rigid.plane import XY, as_parameter, plane_of
+from kinpole_ros.tools.report._pack import embedded, pack
+from kinpole_ros.tools.report._record import Collector, Record
+from kinpole_ros.tools.report._results import has_results, read_record
+
+__all__ = ['page', 'report', 'settings_for']
+
+_PAGE = Path(__file__).parent / 'page'
+# In this order: each uses those before it.
+_SCRIPTS = (
+    'data',
+    'geometry',
+    'marks',
+    'motion',
+    'stage',
+    'charts',
+    'table',
+    'strips',
+    'input',
+    'page',
+)
+# Nothing may be loaded from anywhere.
+_POLICY = "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; img-src data:"
+# More instants than these are no clearer on a screen; with more bodies than three they are fewer,
+# so that the page stays below some 4 MB.
+_MOST_INSTANTS, _MOST_POSES = 10_000, 30_000
+
+
+def settings_for(settings: Settings, scene: str | None) -> Settings:
+    """
+    These settings with a scene to be compared with, if any.
+
+    Its bodies are tracked where the settings name none. Raises SceneError.
+    """
+    if not scene:
+        return settings
+    bodies = settings.bodies
+    if bodies == Settings().bodies:
+        bodies = {body: tuple(names) for body, names in load_scene(scene).marker_names.items()}
+    return replace(settings, scene=scene, bodies=bodies)
+
+
+def report(
+    bag: str | Path,
+    output: str | Path,
+    settings: Settings,
+    topic: str | None = None,
+    progress: Callable[[float], None] | None = None,
+) -> Record:
+    """
+    Write the report of a bag to `output`, an .html file; returns what is in it.
+
+    A bag of results is shown as it is, unless a `topic` of markers is named; markers are replayed
+    with `settings` first. Raises BagError when there is nothing to show, or `output` cannot be
+    written.
+    """
+    theory: list[DeviationSummary] = []
+    if topic is None and has_results(bag):
+        if settings.scene:
+            raise BagError(
+                f'{bag} holds results; theory is held against markers: give the bag of these, or '
+                'leave the scene out'
+            )
+        record, notes = read_record(bag, _most_instants, progress)
+    else:
+        record, notes, theory = _replayed(bag, settings, topic, progress)
+    data = {
+        **pack(record),
+        'title': os.fsencode(Path(bag).resolve().name).decode(errors='replace'),
+        'about': _about(record),
+        'notes': notes,
+        'scene': Path(settings.scene).stem,
+        'deviations': [
+            [row.subject, row.what, f'{row.rms:.2g} {row.unit}', f'{row.deviations:.1f}']
+            for row in theory
+        ],
+        'made': f'kinpole {__version__}',
+    }
+    _write(output, page(data))
+    return record
+
+
+def _replayed(
+    bag: str | Path,
+    settings: Settings,
+    topic: str | None,
+    progress: Callable[[float], None] | None,
+) -> tuple[Record, list[str], list[DeviationSummary]]:
+    collector = Collector(_most_instants(len(settings.bodies)), load_theory(settings))
+    result = replay(bag, settings, topic=topic, progress=progress, take=collector.add)
+    notes = warnings_of(result, settings)
+    if result.truncated is not None:
+        notes.append(str(result.truncated))
+    if not collector.total:
+        raise BagError(f'{bag}: {notes[-1] if notes else "no results"}')
+    plane = result.space.plane or plane_of(settings.plane) or XY
+    along = (plane.name[0], plane.name[1])
+    if plane.axes is None:
+        along = (f'along {as_parameter(plane.basis[0])}', f'along {as_parameter(plane.basis[1])}')
+    return collector.record(along), notes, result.scene_deviations
+
+
+def page(data: dict[str, Any]) -> str:
+    """The whole page of what `pack` makes, and of what `report` adds to it."""
+    parts = {
+        'POLICY': _POLICY,
+        'TITLE': html.escape(data['title']),
+        'STYLE': (_PAGE / 'style.css').read_text(encoding='utf-8'),
+        'SCRIPT': '\n'.join(
+            (_PAGE / f'{name}.js').read_text(encoding='utf-8') for name in _SCRIPTS
+        ),
+        'DATA': embedded(data),
+    }
+    text = (_PAGE / 'page.html').read_text(encoding='utf-8')
+    return re.sub('@([A-Z]+)@', lambda place: parts[place[1]], text)
+
+
+def _most_instants(bodies: int) -> int:
+    return min(_MOST_INSTANTS, _MOST_POSES // bodies)
+
+
+def _about(record: Record) -> str:
+    seconds = (record.stamp[-1] - record.stamp[0]) * 1e-9
+    count = len(record.stamp)
+    thinned = '' if count == record.total else f' of {record.total}'
+    rate = f' at {(record.total - 1) / seconds:.4g} Hz' if seconds > 0 else ''
+    return f'{count}{thinned} instants in {seconds:.4g} s{rate}'
+
+
+def _write(output: str | Path, text: str) -> None:
+    """In place of what is there only when it is whole."""
+    path = Path(output)
+    part = path.with_name(f'.{path.name}.part')
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        part.write_text(text, encoding='utf-8')
+        part.replace(path)
+    except OSError as error:
+        raise BagError(
+            f'{output} cannot be written: {error.strerror}; '
+            'fix: check the path, its rights and the space on the disk'
+        ) from error
+    finally:
+        part.unlink(missing_ok=True)

@@ -1,0 +1,411 @@
+"""Files laid out as each program writes them import in one call, exactly, oddities and all."""
+
+import pickle
+import struct
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from rclpy.serialization import deserialize_message
+from visualization_msgs.msg import MarkerArray
+
+from kinpole_ros.bags import BagError, Imported, import_points, read_messages
+from kinpole_ros.bags.formats import FORMATS, read_points
+from kinpole_ros.tools.cli import main
+
+WALK = Path(__file__).parents[2] / 'shared' / 'data' / 'gait' / 'walk1.trc'
+NAN = float('nan')
+# Two markers in four frames; the second is hidden in one of them.
+SEEN = np.array(
+    [
+        [[10.5, 20.25, 1.5], [-30.0, 40.125, 2.0]],
+        [[11.5, 21.25, 1.0], [NAN, NAN, NAN]],
+        [[12.5, 22.25, 0.5], [-32.0, 42.125, 4.0]],
+        [[13.5, 23.25, 0.0], [-33.0, 43.125, 5.0]],
+    ]
+)
+FLAT = SEEN * [1, 1, 0]
+
+
+def bring(folder: Path, content: str | bytes, **options: Any) -> tuple[Imported, np.ndarray, Any]:
+    """What a file becomes: the record, stamps in s, and points by marker, NaN where hidden."""
+    file, bag = folder / 'points.dat', folder / 'out.mcap'
+    file.write_bytes(content if isinstance(content, bytes) else content.encode())
+    done = import_points(file, bag, **options)
+    points = np.full((done.frames, len(done.markers), 3), NAN)
+    stamps = []
+    for row, message in enumerate(read_messages(bag)):
+        stamps.append(message.log_time)
+        for marker in deserialize_message(message.data, MarkerArray).markers:
+            place = marker.pose.position
+            points[row, done.markers.index(marker.ns)] = place.x, place.y, place.z
+    return done, np.array(stamps) / 1e9, points
+
+
+def cells(values: np.ndarray, mark: str = ',', comma: bool = False) -> str:
+    texts = ['' if np.isnan(value) else f'{value:.6f}' for value in np.ravel(values)]
+    return mark.join(text.replace('.', ',') if comma else text for text in texts)
+
+
+def deeplabcut(animals: tuple[str, ...] = (), mark: str = ',', comma: bool = False) -> str:
+    """The CSV of analyze_videos: what is hidden has a place, too, of little likelihood."""
+    parts = ('tip', 'heel') if not animals else ('tip',)
+    columns = [(a, p, c) for a in animals or ('',) for p in parts for c in ('x', 'y', 'likelihood')]
+    head = [['scorer', *('DLC_resnet50_rigAug1' for _ in columns)]]
+    if animals:
+        head.append(['individuals', *(animal for animal, _, _ in columns)])
+    head += [['bodyparts', *(p for _, p, _ in columns)], ['coords', *(c for _, _, c in columns)]]
+    sure = np.where(np.isnan(SEEN[..., :1]), 0.2, 0.99)
+    values = np.concatenate((np.nan_to_num(SEEN[..., :2], nan=7.0), sure), axis=-1)
+    lines = [mark.join(row) for row in head]
+    lines += [f'{k}{mark}{cells(row, mark, comma)}' for k, row in enumerate(values)]
+    return '\n'.join(lines) + '\n'
+
+
+def sleap() -> str:
+    """The analysis CSV: an instance that was not found has no line."""
+    lines = ['track,frame_idx,instance.score,tip.x,tip.y,tip.score']
+    for track in range(2):
+        for frame, row in enumerate(SEEN[:, track, :2]):
+            if not np.isnan(row).any():
+                lines.append(f'rod_{track},{frame},0.9,{cells(row)},0.5')
+    return '\n'.join(lines)
+
+
+def kinovea(comma: bool) -> str:
+    """Every cell in quotes; the second trajectory has two points, as an angle has."""
+    mark = ';' if comma else ','
+    titles = ['Time', 'Tip/0/X', 'Tip/0/Y', 'Angle 1/a/X', 'Angle 1/a/Y', 'Angle 1/b/X',
+              'Angle 1/b/Y']  # fmt: skip
+    lines = [mark.join(f'"{title}"' for title in titles)]
+    for k, (first, second) in enumerate(SEEN[..., :2]):
+        values = [k * 0.04, *first, *second, *second]
+        texts = [f'{v:.6g}'.replace('.', ',' if comma else '.') for v in values]
+        quoted = ['' if text == 'nan' else f'"{text}"' for text in texts]
+        lines.append(mark.join(quoted))
+    return '\r\n'.join(lines) + '\r\n'
+
+
+def tracker_one(unit: str = '', comma: bool = False) -> str:
+    """One track, unformatted: ten digits with an exponent, in the decimals of the computer."""
+    lines = ['mass_A', f't\tx{unit}\ty{unit}\tv_{{x}}']
+    for k, row in enumerate(SEEN[:, 1, :2]):
+        texts = ['' if np.isnan(v) else f'{v:.9E}' for v in (k * 0.04, *row)] + ['']
+        line = '\t'.join(texts)
+        lines.append(line.replace('.', ',') if comma else line)
+    return '\r\n'.join(lines)
+
+
+def tracker_many() -> str:
+    lines = ['#multi:', '\tmass A\t\tmass B\t\t\t\t', 't\tx\ty\tx\ty\t']
+    lines += [f'{k * 0.04:.3f}\t{cells(row[:, :2], chr(9))}\t' for k, row in enumerate(SEEN)]
+    return '\n'.join(lines)
+
+
+def motive(unit: str) -> str:
+    """A take of format 1.23 with a rigid body, whose columns are no markers."""
+    kinds = ['Rigid Body'] * 8 + ['Rigid Body Marker'] * 4 + ['Marker'] * 6
+    names = ['rod'] * 8 + ['rod:Marker1'] * 4 + ['rod:Marker1'] * 3 + ['Unlabeled 1189'] * 3
+    what = ['Rotation'] * 4 + ['Position'] * 3 + ['Mean Marker Error'] + ['Position'] * 3
+    what += ['Marker Quality'] + ['Position'] * 6
+    axes = [*'XYZWXYZ', '', *'XYZ', '', *'XYZXYZ']
+    lines = [
+        'Format Version,1.23,Take Name,run 1,Take Notes,,Capture Frame Rate,120.000000,'
+        'Export Frame Rate,120.000000,Capture Start Time,2026-08-04 03.25.39.000 PM,'
+        f'Total Frames in Take,4,Rotation Type,Quaternion,Length Units,{unit},'
+        'Coordinate Space,Global',
+        '',
+        ',Type,' + ','.join(kinds),
+        ',Name,' + ','.join(names),
+        ',ID,' + ','.join('"4CF0B31A"' for _ in kinds),
+        ',,' + ','.join(what),
+        'Frame,Time (Seconds),' + ','.join(axes),
+    ]
+    for k, row in enumerate(SEEN):
+        lines.append(f'{k},{k / 120:.6f},{"0.1," * 12}{cells(row)}')
+    return '\n'.join(lines) + '\n'
+
+
+def vicon(unit: str = 'mm') -> str:
+    """Trajectories behind another section, with velocities, in a file that begins with a blank."""
+    lines = ['', 'Model Outputs', '200', ',,Rig:Angle,,', 'Frame,Sub Frame,X,Y,Z',
+             ',,deg,deg,deg', '101,0,1,2,3', '102,0,1,2,3', '', 'Trajectories', '200',
+             ',,Rig:tip,,,,,,Rig:heel,,,,,', 'Frame,Sub Frame' + ",X,Y,Z,X',Y',Z'" * 2,
+             ',,' + ','.join(([unit] * 3 + [f'{unit}/s'] * 3) * 2)]  # fmt: skip
+    for k, (tip, heel) in enumerate(SEEN):
+        lines.append(f'{101 + k},0,{cells(tip)},1,1,1,{cells(heel)},1,1,1')
+    return '\n'.join([*lines, '', 'Devices', '1000', '1,0,5'])
+
+
+def trc(unit: str = 'mm', frames: int = 4) -> bytes:
+    """As Cortex writes it: a path in the letters of Windows, times in ms, tabs at the ends."""
+    lines = [
+        'PathFileType\t4\t(X/Y/Z)\tC:\\Läufe\\run.trc',
+        'DataRate\tCameraRate\tNumFrames\tNumMarkers\tUnits\tOrigDataRate',
+        f'150.00\t150.00\t{frames}\t2\t{unit}\t150.00',
+        'Frame#\tTime\tR.tip\t\t\tR.heel\t\t\t',
+        '\t\tX1\tY1\tZ1\tX2\tY2\tZ2\t',
+        '',
+    ]
+    lines += [f'{k + 1}\t{k / 150:.3f}\t{cells(row, chr(9))}\t' for k, row in enumerate(SEEN)]
+    return '\r\n'.join(lines).encode('cp1252')
+
+
+def c3d_file(unit: str = 'mm') -> bytes:
+    """Floats in Intel order, frames 5 to 8 at 200 Hz, and an angle among the points."""
+    pytest.importorskip('c3d')
+    names = ['tip', 'heel', 'Knee']
+
+    def group(number: int, name: str) -> bytes:
+        return struct.pack('<bb', len(name), -number) + name.encode() + struct.pack('<hb', 3, 0)
+
+    def value(name: str, kind: int, size: tuple[int, ...], data: bytes, of: int = 1) -> bytes:
+        tail = struct.pack('<bB', kind, len(size)) + bytes(size) + data + b'\0'
+        return struct.pack('<bb', len(name), of) + name.encode() + struct.pack('<h', 2 + len(tail)) + tail  # noqa: E501  # fmt: skip
+
+    def texts(*words: str) -> tuple[int, tuple[int, ...], bytes]:
+        return -1, (8, len(words)), b''.join(word.ljust(8).encode() for word in words)
+
+    parameters = b'\0\0\x01\x54' + group(1, 'POINT')
+    parameters += value('USED', 2, (), struct.pack('<h', 3))
+    parameters += value('SCALE', 4, (), struct.pack('<f', -1.0))
+    parameters += value('RATE', 4, (), struct.pack('<f', 200.0))
+    parameters += value('DATA_START', 2, (), struct.pack('<h', 3))
+    parameters += value('FRAMES', 2, (), struct.pack('<h', 4))
+    parameters += value('LABELS', *texts(*names)) + value('UNITS', -1, (4,), unit.ljust(4).encode())
+    parameters += value('ANGLES', *texts('Knee')) + b'\0\0'
+    assert len(parameters) < 512
+    header = struct.pack('<BBHHHHHfHHf', 2, 0x50, 3, 0, 5, 8, 10, -1.0, 3, 0, 200.0)
+    data = b''
+    for row in SEEN:
+        for point in (*row, np.full(3, 90.0)):
+            # A point that is not seen has places of any kind, and a negative residual.
+            lost = np.isnan(point).any()
+            data += struct.pack('<4f', *(np.zeros(3) if lost else point), -1.0 if lost else 0.5)
+    blocks = header.ljust(512, b'\0') + parameters.ljust(512, b'\0')
+    return blocks + data.ljust(-(-len(data) // 512) * 512, b'\0')
+
+
+def deeplabcut_h5(names: bytes = b'') -> bytes:
+    """What pandas writes by PyTables: names of columns are a pickle in an attribute."""
+    h5py = pytest.importorskip('h5py')
+    from io import BytesIO
+
+    columns = [('DLC', p, c) for p in ('tip', 'heel') for c in ('x', 'y', 'likelihood')]
+    sure = np.where(np.isnan(SEEN[..., :1]), 0.2, 0.99)
+    values = np.concatenate((np.nan_to_num(SEEN[..., :2], nan=7.0), sure), axis=-1).reshape(4, 6)
+    table = np.zeros(4, [('index', '<i8'), ('values_block_0', '<f8', (6,))])
+    table['index'], table['values_block_0'] = np.arange(4), values
+    with BytesIO() as file:
+        with h5py.File(file, 'w') as content:
+            written = content.create_dataset('df_with_missing/table', data=table)
+            written.attrs['values_block_0_kind'] = np.bytes_(names or pickle.dumps(columns, 0))
+        return file.getvalue()
+
+
+# Of each: what it is, the file, what must be given, markers, stamps, places.
+def even(rate: float, first: float) -> np.ndarray:
+    return first + np.arange(4) / rate
+
+
+PIXELS = {'rate': 100.0, 'scale': 0.5}
+TIP_HEEL = ('tip', 'heel')
+IN_PIXELS = FLAT * [0.5, -0.5, 1]
+CASES: dict[str, tuple[str, Callable[[], str | bytes], dict[str, Any], Any, Any, np.ndarray]] = {
+    'dlc': ('deeplabcut', deeplabcut, PIXELS, TIP_HEEL, even(100, 1), IN_PIXELS),
+    'dlc, animals, decimal commas': (
+        'deeplabcut', lambda: deeplabcut(('a', 'b'), ';', comma=True), PIXELS,
+        ('a.tip', 'b.tip'), even(100, 1), IN_PIXELS,
+    ),
+    'dlc .h5': ('deeplabcut', deeplabcut_h5, PIXELS, TIP_HEEL, even(100, 1), IN_PIXELS),
+    'sleap': ('sleap', sleap, PIXELS, ('rod_0.tip', 'rod_1.tip'), even(100, 1), IN_PIXELS),
+    'kinovea': (
+        'kinovea', lambda: kinovea(False), {'scale': 1.0},
+        ('Tip', 'Angle 1.a', 'Angle 1.b'), even(25, 1), FLAT[:, [0, 1, 1]],
+    ),
+    'kinovea, decimal commas, BOM': (
+        'kinovea', lambda: b'\xef\xbb\xbf' + kinovea(True).encode(), {'scale': 1.0},
+        ('Tip', 'Angle 1.a', 'Angle 1.b'), even(25, 1), FLAT[:, [0, 1, 1]],
+    ),
+    'tracker': ('tracker', tracker_one, {'scale': 1.0}, ('mass_A',), even(25, 1), FLAT[:, 1:]),
+    'tracker, unit, decimal commas': (
+        'tracker', lambda: tracker_one(' (cm)', comma=True), {},
+        ('mass_A',), even(25, 1), FLAT[:, 1:] * 0.01,
+    ),
+    'tracker, many': (
+        'tracker', tracker_many, {'scale': 0.01}, ('mass A', 'mass B'), even(25, 1), FLAT * 0.01
+    ),
+    'motive': (
+        'motive', lambda: motive('Meters'), {},
+        ('rod:Marker1', 'Unlabeled 1189'), even(120, 1), SEEN,
+    ),
+    'motive, mm': (
+        'motive', lambda: motive('Millimeters'), {},
+        ('rod:Marker1', 'Unlabeled 1189'), even(120, 1), SEEN * 1e-3,
+    ),
+    'vicon': ('vicon', vicon, {}, ('Rig:tip', 'Rig:heel'), even(200, 0.505), SEEN * 1e-3),
+    'trc': ('trc', trc, {}, ('R.tip', 'R.heel'), even(150, 1), SEEN * 1e-3),
+    'trc, inches': ('trc', lambda: trc('in'), {}, ('R.tip', 'R.heel'), even(150, 1), SEEN * 0.0254),
+    'trc, told otherwise': (
+        'trc', trc, {'scale': 1.0, 'rate': 50.0, 'y_down': True},
+        ('R.tip', 'R.heel'), even(50, 1), SEEN * [1, -1, 1],
+    ),
+    'c3d': ('c3d', c3d_file, {}, TIP_HEEL, even(200, 0.025), SEEN * 1e-3),
+    'c3d, m': ('c3d', lambda: c3d_file('m'), {}, TIP_HEEL, even(200, 0.025), SEEN),
+    'table, decimal commas': (
+        'table', lambda: 't;a_x;a_y\n' + '\n'.join(
+            f'{k};{cells(row, ";", comma=True)}' for k, row in enumerate(SEEN[:, 1, :2])
+        ), {}, ('a',), even(1, 1), FLAT[:, 1:],
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize('case', CASES)
+def test_a_file_as_its_program_writes_it_is_recognized_and_exact(tmp_path, case):
+    kind, content, options, markers, stamps, places = CASES[case]
+    done, got_stamps, got = bring(tmp_path, content(), **options)
+    assert (done.format, done.markers) == (kind, markers)
+    np.testing.assert_allclose(got_stamps, stamps, rtol=0, atol=1e-9)
+    # float32 is what a C3D has.
+    np.testing.assert_allclose(got, places, rtol=1e-7 if kind == 'c3d' else 1e-12, atol=1e-12)
+    named, *_ = bring(tmp_path, content(), format=kind, **options)
+    assert named == done
+
+
+@pytest.mark.parametrize('case', CASES)
+def test_a_damaged_file_is_read_or_refused_in_one_line(tmp_path, case):
+    kind, content, options, *_ = CASES[case]
+    sound = content()
+    sound = sound if isinstance(sound, bytes) else sound.encode()
+    draw = np.random.default_rng(7)
+    for count in range(20):
+        damaged = bytearray(sound)
+        for place in draw.integers(len(sound), size=1 + count % 3).tolist():
+            piece = [b'', b',', b'\n', b'"', b'\xff', b'\t'][draw.integers(6)]
+            damaged[place : place + int(draw.integers(30))] = piece
+        try:
+            bring(tmp_path, bytes(damaged), format=kind if count % 2 else 'auto', **options)
+        except BagError as error:
+            assert 'fix: ' in str(error)
+            assert str(error).isprintable()
+
+
+def test_likelihood_decides_what_is_seen(tmp_path):
+    _, _, points = bring(tmp_path, deeplabcut(), likelihood=0.1, **PIXELS)
+    assert np.array_equal(points[1, 1], [3.5, -3.5, 0])
+    _, _, points = bring(tmp_path, sleap(), likelihood=0.6, **PIXELS)
+    assert np.isnan(points).all()
+
+
+def test_labeled_images_are_frames_by_their_number_and_have_no_likelihood(tmp_path):
+    head = 'scorer,,,me,me,me\nbodyparts,,,tip,tip,tip\ncoords,,,x,y,likelihood\n'
+    rows = 'labeled-data,run 1,img07.png,1,2,\nlabeled-data,run 1,img09.png,,,\n'
+    _, stamps, points = bring(tmp_path, head + rows, **PIXELS)
+    np.testing.assert_allclose(stamps, [1.0, 1.02], atol=1e-9)
+    assert np.array_equal(points[:, 0], [[0.5, -1, 0], [NAN] * 3], equal_nan=True)
+
+
+def test_frames_without_a_line_leave_a_gap(tmp_path):
+    lines = deeplabcut().splitlines()
+    _, stamps, _ = bring(tmp_path, '\n'.join(lines[:4] + lines[5:]), **PIXELS)
+    np.testing.assert_allclose(stamps, [1.0, 1.02, 1.03], atol=1e-9)
+    lines = kinovea(False).splitlines()
+    _, stamps, _ = bring(tmp_path, '\n'.join(lines[:3] + lines[4:]), rate=50.0, scale=1.0)
+    np.testing.assert_allclose(stamps, [1.0, 1.02, 1.06], atol=1e-9)
+
+
+def test_times_that_are_not_the_rates_are_kept(tmp_path):
+    late = trc().decode('cp1252').replace('\t0.020\t', '\t0.050\t')
+    _, stamps, _ = bring(tmp_path, late)
+    np.testing.assert_allclose(stamps, [1.0, 1.007, 1.013, 1.05], atol=1e-9)
+
+
+def test_what_a_head_says_and_the_file_lacks_is_noted(tmp_path):
+    done, *_ = bring(tmp_path, trc(frames=9))
+    assert any('says that it has 9 frames, and has 4' in note for note in done.notes)
+    done, *_ = bring(tmp_path, motive('Meters').replace(cells(SEEN[:, 0]), ''))
+    assert not done.notes
+    hidden = 't,a_x,a_y,b_x,b_y\n1,,,3,4\n2,,,5,6\n'
+    done, *_ = bring(tmp_path, hidden)
+    assert done.notes == ('seen in no frame: a',)
+
+
+SCORED = 'frame_idx,track,tip.x,tip.y\n0,,1,2\n0,,3,4\n'
+
+
+@pytest.mark.parametrize(
+    ('content', 'options', 'complaint'),
+    [
+        (deeplabcut, {'rate': 100.0}, r'\(deeplabcut\) is in px; fix: give --scale'),
+        (deeplabcut, {'scale': 1.0}, 'has no times; fix: give --rate'),
+        (sleap, {'rate': 100.0}, r'\(sleap\) is in px; fix: give --scale'),
+        (tracker_one, {}, r'\(tracker\) is in a unit that the file does not say; fix: give --sc'),
+        (lambda: tracker_one(' (furlong)'), {}, 'is in furlong; fix: give --scale'),
+        (lambda: trc('au'), {}, 'is in au; fix: give --scale'),
+        (
+            lambda: kinovea(False).replace('"0.0', '"4').replace('"0.1', '"9'),
+            {'scale': 1.0},
+            'line, frames or milliseconds.*fix: give --rate HZ',
+        ),
+        (lambda: motive('Meters').replace(',Marker', ',Bone'), {}, 'no columns of type Marker, on'),
+        (lambda: motive('Meters').replace('Unlabeled 1189', 'rod:Marker1'), {}, 'a name of its ow'),
+        (lambda: vicon().replace('mm,mm,mm', 'mm,cm,mm', 1), {}, 'several units, cm mm; fix'),
+        (lambda: vicon().replace('s\n200\n,,Rig:t', 's\nfast\n,,Rig:t'), {}, 'no rate under Traj'),
+        (lambda: trc().replace(b'R.heel', b'R.tip'), {}, "marker 'R.tip' is there 2 times"),
+        (lambda: trc().replace(b'\n2\t', b'\n7\t'), {}, 'line 9, column Frame#: 3 is not the numb'),
+        (lambda: trc().replace(b'10.5', b'1o.5'), {}, "line 7, column R.tip x: '1o.500000' is not"),
+        (lambda: SCORED, PIXELS, 'frame 0 has 2 instances of track .*fix: track them in SLEAP'),
+        (lambda: deeplabcut().replace('\n0,', '\nfirst,'), PIXELS, 'line 4, column 1: nan is not'),
+        (lambda: deeplabcut().replace('heel,heel', 'heel,tip'), PIXELS, 'one coordinate twice'),
+        (lambda: deeplabcut_h5(pickle.dumps([print], 0)), PIXELS, 'is not an .h5 of DeepLabCut'),
+        (lambda: deeplabcut_h5(b'(lp99999999999\n.'), PIXELS, 'has 6 columns, 0 names'),
+        (lambda: deeplabcut_h5()[:900], PIXELS, 'is not an .h5 of DeepLabCut'),
+        (lambda: c3d_file()[:530], {}, 'is not a C3D file that can be read|has no frames'),
+        (lambda: 'time\tpos\x1b[2J\n1\t2\n', {},
+         "begins with 'time pos�.2J' / '1 2': of no format known here .deeplabcut, sleap.*fix: .*"
+         't,tip_x,tip_y'),
+        (lambda: b'\x89PNG\r\n\x1a\n\0\0', {}, 'is binary and begins with 89 50 4e 47'),
+    ],
+)  # fmt: skip
+def test_what_a_file_lacks_is_asked_for_in_one_line(tmp_path, content, options, complaint):
+    (tmp_path / 'out.mcap').write_text('precious')
+    with pytest.raises(BagError, match=complaint) as error:
+        bring(tmp_path, content(), **options)
+    assert 'fix: ' in str(error.value)
+    assert str(error.value).isprintable()
+    assert (tmp_path / 'out.mcap').read_text() == 'precious'
+
+
+def test_a_format_by_a_wrong_name_and_a_file_of_another(tmp_path):
+    with pytest.raises(BagError, match=f"'qtm' is unknown; fix: auto, {', '.join(FORMATS)}"):
+        bring(tmp_path, trc(), format='qtm')
+    for name in FORMATS:
+        if name != 'trc':
+            with pytest.raises(BagError, match='fix: '):
+                bring(tmp_path, trc(), format=name)
+
+
+def test_the_command_says_what_it_recognized(tmp_path, capsys):
+    (tmp_path / 'run.trc').write_bytes(trc(frames=9))
+    assert main(['import', str(tmp_path / 'run.trc'), '--output', str(tmp_path / 'run.mcap')]) == 0
+    out, err = capsys.readouterr()
+    assert out.startswith('4 frames of 2 markers (trc, in mm) written to ')
+    assert 'says that it has 9 frames' in err
+    words = ['--rate', '100', '--scale', '0.5', '--no-y-down', '--likelihood', '0.1']
+    (tmp_path / 'dlc.csv').write_text(deeplabcut())
+    arguments = ['import', str(tmp_path / 'dlc.csv'), '--output', str(tmp_path / 'dlc.mcap')]
+    assert main([*arguments, *words, '--format', 'deeplabcut']) == 0
+    message = next(iter(read_messages(tmp_path / 'dlc.mcap')))
+    assert deserialize_message(message.data, MarkerArray).markers[0].pose.position.y == 10.125
+
+
+@pytest.mark.skipif(not WALK.exists(), reason='the measured gait is not on this machine')
+def test_measured_gait_has_its_rate_and_unit():
+    name, read = read_points(WALK)
+    assert (name, read.points.shape, read.scale) == ('trc', (364, 28, 3), 0.001)
+    assert read.times is not None
+    np.testing.assert_allclose(read.times, np.arange(364) / 150, atol=1e-9)
+    knee = read.points[0, list(read.names).index('R.Knee')]
+    assert knee.tolist() == [-255.79147, 532.41669, -490.22989]

@@ -1,0 +1,402 @@
+"""Reports: the figures in the page are those of the replay, and a browser shows them so."""
+
+import base64
+import copy
+import itertools
+import json
+import os
+import re
+import shutil
+import zlib
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from kinpole_ros.bags import BagError, replay
+from kinpole_ros.linkage.theory import load_theory
+from kinpole_ros.pipeline.estimate import RATE_NAMES
+from kinpole_ros.pipeline.parameters import Settings, load_settings
+from kinpole_ros.tools.cli import main
+from kinpole_ros.tools.report import _pack, report, settings_for
+from kinpole_ros.tools.report._record import Collector
+from kinpole_ros.tools.report._theory import theory_rates
+
+ROOT = Path(__file__).parents[1]
+BAG = ROOT / 'bags' / 'four_bar.mcap'
+
+
+@pytest.fixture(scope='module')
+def made(tmp_path_factory) -> Path:
+    """The report of a four-bar."""
+    # No name that HTML or a regular expression would take for something else.
+    output = tmp_path_factory.mktemp('report') / 'four <b>bar.html'
+    report(BAG, output, load_settings(ROOT / 'config' / 'four_bar.yaml'))
+    return output
+
+
+@pytest.fixture(scope='module')
+def blocks() -> list[Any]:
+    """The estimates it is made of."""
+    found: list[Any] = []
+    replay(BAG, load_settings(ROOT / 'config' / 'four_bar.yaml'), take=found.append)
+    return found
+
+
+def data_of(made: Path) -> dict[str, Any]:
+    (text,) = re.findall(r'<script id="data"[^>]*>([^<]*)</script>', made.read_text())
+    data: dict[str, Any] = json.loads(zlib.decompress(base64.b64decode(text)))
+    return data
+
+
+def test_report_of_four_seconds_is_one_file_under_250_kB(made) -> None:
+    assert made.stat().st_size < 250_000
+    text = made.read_text()
+    assert not re.search(r'(src|href)\s*=|https?://|@import|url\(', text.split('<script id')[0])
+
+
+def test_figures_are_those_of_the_replay_to_a_tenth_of_their_deviation(made, blocks) -> None:
+    data = data_of(made)
+    assert len(data['t']) == sum(map(len, blocks)) == data['total']
+    for b, body in enumerate(data['bodies']):
+        for name, order in (('angular_velocity', 1), ('angular_snap', 4)):
+            rates = [block.rate(order) for block in blocks]
+            sigma = np.sqrt(np.concatenate([rate.variance[:, b] for rate in rates]))
+            value = np.concatenate([rate.value[:, b] for rate in rates])
+            shown = np.array(body[name]['value'], float)
+            assert (np.abs(shown - value) <= 0.06 * sigma).all()
+            np.testing.assert_allclose(np.array(body[name]['sigma'], float), sigma, rtol=0.06)
+        poles = [block.pole(2) for block in blocks]
+        known = np.concatenate([pole.determined[:, b] for pole in poles])
+        shown = np.array([x is not None for x in body['iap']['x']])
+        np.testing.assert_array_equal(shown, known)
+        # What is not shown has its reason, and nothing else has.
+        withheld = np.zeros(len(known), bool)
+        for start, end, reason in body['withheld']['iap']:
+            assert reason
+            withheld[start:end] = True
+        np.testing.assert_array_equal(withheld, ~known)
+
+
+def test_pins_are_found_and_nothing_else(made) -> None:
+    joints = [joint['bodies'] for joint in data_of(made)['joints']]
+    assert joints == [['crank'], ['rocker'], ['coupler', 'crank'], ['rocker', 'coupler']]
+
+
+@pytest.mark.parametrize(
+    'value, sigma, expected',
+    [
+        (1.23456, 0.01, 1.235),
+        (-123456.0, 3000.0, -123500.0),
+        (0.00012345, 1e-12, 0.00012345),
+        (np.nan, 1.0, None),
+    ],
+)
+def test_figures_are_rounded_by_their_deviation(value, sigma, expected) -> None:
+    assert _pack.rounded(np.array([value]), np.array([sigma])) == [expected]
+
+
+def test_long_recordings_are_thinned_evenly_and_say_so(blocks) -> None:
+    collector = Collector(100)
+    for block in blocks:
+        for k in range(0, len(block), 7):
+            collector.add(block[k : k + 7])
+    kept = collector.record(('x', 'y'))
+    stamps = np.concatenate([block.stamp for block in blocks])
+    assert kept.total == len(stamps)
+    np.testing.assert_array_equal(kept.stamp, stamps[::4])
+    value = np.concatenate([block.rate(1).value[:, 2] for block in blocks])
+    np.testing.assert_array_equal(kept.columns['rocker', 'angular_velocity'], value[::4])
+
+
+def test_report_of_results_is_that_of_their_markers(made, tmp_path) -> None:
+    settings = load_settings(ROOT / 'config' / 'four_bar.yaml')
+    results, output = tmp_path / 'results.mcap', tmp_path / 'results.html'
+    replay(BAG, settings, results)
+    report(results, output, Settings())
+    shown, expected = data_of(output), data_of(made)
+    assert shown['t'] == expected['t']
+    for one, other in zip(shown['bodies'], expected['bodies'], strict=True):
+        for name in ('vx', 'vy', 'x', 'y'):
+            np.testing.assert_allclose(one[name], other[name], atol=1e-4, err_msg=name)
+        assert one['angular_velocity'] == other['angular_velocity']
+        assert one['ijp'] == other['ijp']
+        numbers = [np.array(body['angular_snap']['value']) for body in (one, other)]
+        sigma = np.array(other['angular_snap']['sigma'])
+        assert (np.abs(numbers[0] - numbers[1]) < 0.2 * sigma).all()
+    icr = [
+        np.array([one is None for one in data['pairs'][1]['icr']['x']])
+        for data in (shown, expected)
+    ]
+    np.testing.assert_array_equal(*icr)
+    assert [joint['bodies'] for joint in shown['joints']] == [
+        ['crank'],
+        ['rocker'],
+        ['coupler', 'crank'],
+        ['rocker', 'coupler'],
+    ]
+    # As its diagnostics said.
+    with pytest.raises(BagError, match='give the bag of these'):
+        report(results, output, settings_for(settings, 'four_bar'))
+    reasons = {reason for _, _, reason in shown['bodies'][1]['withheld']['isp']}
+    assert 'lost in its noise' in reasons
+
+
+def test_scene_names_the_bodies_unless_a_file_does() -> None:
+    scene = settings_for(Settings(), 'four_bar')
+    assert list(scene.bodies) == ['crank', 'coupler', 'rocker']
+    given = Settings(bodies={'crank': ('crank_1', 'crank_2')})
+    assert settings_for(given, 'four_bar').bodies == given.bodies
+
+
+def test_theory_of_the_scene_lies_in_the_bands_of_the_measurement(tmp_path) -> None:
+    output = tmp_path / 'a.html'
+    settings = load_settings(ROOT / 'config' / 'four_bar.yaml')
+    report(BAG, output, settings_for(settings, 'four_bar'))
+    data = data_of(output)
+    assert (data['scene'], data['bodies'][0]['theory']) == ('four_bar', {})
+    for body in data['bodies'][1:]:
+        for name, theory in body['theory'].items():
+            off = np.array(body[name]['value']) - np.array(theory, float)
+            assert np.isfinite(off).all()
+            assert np.median(np.abs(off / np.array(body[name]['sigma']))) < 1.5, name
+        assert list(body['theory']) == list(RATE_NAMES)
+    assert [row[0] for row in data['deviations']] == ['coupler', 'rocker', 'A', 'B']
+
+
+def test_theory_does_not_depend_on_how_the_frames_of_bodies_lie(blocks) -> None:
+    theory = load_theory(settings_for(Settings(), 'four_bar'))
+    assert theory is not None
+    turned = copy.deepcopy(blocks[-1])
+    turned.angle[0] += 1.0
+    turned.shape *= np.exp(-1j)
+    expected = theory_rates(theory, blocks[-1])
+    for body, rates in theory_rates(theory, turned).items():
+        np.testing.assert_allclose(rates, expected[body], rtol=1e-6, atol=1e-6)
+
+
+def test_report_refuses_in_one_line_what_it_cannot_show(tmp_path, capsys) -> None:
+    output = str(tmp_path / 'a.html')
+    assert main(['report', str(tmp_path / 'none.mcap'), '--output', output]) == 2
+    assert main(['report', str(BAG), '--output', str(BAG)]) == 2
+    assert len(capsys.readouterr().err.splitlines()) == 2
+    assert not os.path.exists(output)
+    with pytest.raises(BagError, match='no results'):
+        report(BAG, output, Settings(window=1.0, lag=100.0))
+
+
+# ---- In a browser ----
+
+
+def browser_path() -> str:
+    names = ('chromium', 'chromium-browser', 'google-chrome', 'google-chrome-stable')
+    found = [path for name in names if (path := shutil.which(name))]
+    if not found:
+        pytest.skip(f'no browser: none of {", ".join(names)} is installed')
+    return found[0]
+
+
+@pytest.fixture(scope='module')
+def browser() -> Iterator[Any]:
+    playwright = pytest.importorskip('playwright.sync_api', reason='playwright is not installed')
+    path = browser_path()
+    with playwright.sync_playwright() as driver:
+        # As root, as in containers, it runs without a sandbox only.
+        browser = driver.chromium.launch(executable_path=path, args=['--no-sandbox'])
+        yield browser
+        browser.close()
+
+
+@pytest.fixture
+def opened(browser, made) -> Iterator[Any]:
+    """`opened(width, height)` is a page with the report at 1.1 s; no error, no request."""
+    troubles: list[str] = []
+    contexts = []
+
+    def open_page(width: int = 1280, height: int = 800, at: str = '#t=1.1', **more: Any) -> Any:
+        context = browser.new_context(viewport={'width': width, 'height': height}, **more)
+        contexts.append(context)
+        page = context.new_page()
+        page.on('console', lambda message: troubles.append(message.text))
+        page.on('pageerror', lambda error: troubles.append(str(error)))
+        page.on('request', lambda request: troubles.append(request.url))
+        page.goto(made.as_uri() + at)
+        page.wait_for_selector('html[data-ready]')
+        drawn(page)
+        return page
+
+    yield open_page
+    for context in contexts:
+        context.close()
+    assert [text for text in troubles if not text.startswith(made.as_uri())] == []
+
+
+def drawn(page: Any) -> None:
+    """Wait until all is drawn that was asked for."""
+    page.evaluate('new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)))')
+
+
+def colored(page: Any, selector: str, color: str) -> int:
+    """How many pixels of the canvases of an element are nearly of the color."""
+    code = """([selector, color]) => [...document.querySelectorAll(selector)].reduce(
+    (sum, canvas) => {
+      const copy = new OffscreenCanvas(canvas.width, canvas.height);
+      const context = copy.getContext('2d', { willReadFrequently: true });
+      context.drawImage(canvas, 0, 0);
+      const { data } = context.getImageData(0, 0, canvas.width, canvas.height);
+      const wanted = [1, 3, 5].map((k) => parseInt(color.slice(k, k + 2), 16));
+      for (let k = 0; k < data.length; k += 4) {
+        if (data[k + 3] > 250 && wanted.every((w, c) => Math.abs(w - data[k + c]) < 8)) sum++;
+      }
+      return sum;
+    }, 0)"""
+    count: int = page.evaluate(code, [selector, color])
+    return count
+
+
+def cell(page: Any, name: str, column: int) -> str:
+    text: str = page.locator(f'#now tr[data-name={name}] td').nth(column).inner_text()
+    return text.replace('−', '-')
+
+
+BLUE, RED, GREEN = '#0072b2', '#d55e00', '#007a5a'
+
+
+def test_page_shows_the_linkage_its_curves_and_the_figures_at_the_cursor(opened) -> None:
+    page = opened()
+    assert page.locator('h1').inner_text() == 'four_bar.mcap'
+    assert page.locator('#clock').inner_text() == 't = 1.100 s'
+    for color in (BLUE, RED, GREEN):
+        assert colored(page, '#stage canvas', color) > 100
+        assert colored(page, '[data-name=angular_velocity] canvas', color) > 40
+    # All of the first chart and the stage are on the first screen.
+    for selector in ('#stage', '#transport', '.chart[data-name=angular_velocity]'):
+        box = page.locator(selector).bounding_box()
+        assert box['y'] + box['height'] <= 800, selector
+    value, spread = cell(page, 'angular_velocity', 0).split('±')
+    assert abs(float(value) - 2 * np.pi) < float(spread) < 0.1
+    assert cell(page, 'icr', 2) == 'no rotation'
+    assert cell(page, 'centrode_curvature', 0) == 'pinned: the ICR stands still'
+    assert '0.5% lost in its noise' in page.locator('#lacking').inner_text()
+    strips = page.locator('[data-name=withheld]')
+    strips.scroll_into_view_if_needed()
+    assert 'pinned: the ICR stands still' in strips.inner_text()
+    # As the whole of two strips is: that of the crank, and nearly that of the rocker.
+    width = strips.bounding_box()['width'] - 58 - 92
+    assert 1.9 < colored(page, '[data-name=withheld] canvas', '#d9a441') / (13 * width) <= 2
+
+
+def test_keys_buttons_slider_and_chart_move_one_cursor(opened) -> None:
+    page = opened()
+    clock = page.locator('#clock')
+    before = page.locator('#stage canvas').nth(1).screenshot()
+    for keys, expected in (
+        ('ArrowRight', 't = 1.110 s'),
+        ('Shift+ArrowRight', 't = 1.210 s'),
+        ('ArrowLeft', 't = 1.200 s'),
+        ('End', 't = 3.890 s'),
+        ('Home', 't = 0.000 s'),
+    ):
+        page.keyboard.press(keys)
+        drawn(page)
+        assert clock.inner_text() == expected
+    assert page.locator('#stage canvas').nth(1).screenshot() != before
+    page.locator('#ahead').click()
+    page.locator('#scrub').evaluate("e => { e.value = 200; e.dispatchEvent(new Event('input')); }")
+    drawn(page)
+    assert clock.inner_text() == 't = 2.000 s'
+    plot = page.locator('[data-name=angular_velocity] .plot').bounding_box()
+    # In the middle of the time axis.
+    page.mouse.click(plot['x'] + 58 + (plot['width'] - 58 - 92) / 2, plot['y'] + 40)
+    drawn(page)
+    assert clock.inner_text() in ('t = 1.940 s', 't = 1.950 s')
+    page.locator('#play').focus()
+    page.keyboard.press(' ')
+    page.locator('#clock', has_text=re.compile('t = 2.[1-9]')).wait_for()
+    page.keyboard.press(' ')
+    assert page.locator('#play').inner_text() == 'play'
+
+
+def test_bodies_and_layers_are_hidden_and_shown(opened) -> None:
+    page = opened()
+    page.keyboard.press('2')
+    drawn(page)
+    assert colored(page, '#stage canvas', RED) == 0
+    assert colored(page, '[data-name=angular_velocity] canvas', RED) == 0
+    assert page.locator('#bodies button').nth(1).get_attribute('aria-pressed') == 'false'
+    page.keyboard.press('2')
+    for layer in ('bodies', 'velocities', 'names', 'ICR', 'IAP', 'moving centrode'):
+        page.locator('#layers button', has_text=layer).first.click()
+    drawn(page)
+    assert colored(page, '#stage canvas', BLUE) == 0
+    assert colored(page, '[data-name=angular_velocity] canvas', RED) > 100
+
+
+def test_wheel_drag_and_buttons_come_closer_and_fit_goes_back(opened) -> None:
+    page = opened()
+    stage, chart = (page.locator(f'{name} canvas').first for name in ('#stage', '.chart'))
+
+    def pictures() -> tuple[str, str]:
+        drawn(page)
+        first, second = (one.evaluate('e => e.toDataURL()') for one in (stage, chart))
+        return first, second
+
+    seen = [pictures()]
+    box = page.locator('#stage').bounding_box()
+    page.mouse.move(box['x'] + 200, box['y'] + 200)
+    page.mouse.wheel(0, -300)
+    seen.append(pictures())
+    page.mouse.down()
+    page.mouse.move(box['x'] + 260, box['y'] + 230)
+    page.mouse.up()
+    seen.append(pictures())
+    page.locator('#farther').click()
+    seen.append(pictures())
+    pairs = itertools.pairwise(seen)
+    assert all(one[0] != other[0] and one[1] == other[1] for one, other in pairs)
+    page.locator('#shorter').click()
+    assert pictures()[1] != seen[0][1]
+    page.keyboard.press('f')
+    assert pictures() == seen[0]
+
+
+def test_first_screen_of_a_telephone_has_the_linkage_and_figures_and_taps_work(opened) -> None:
+    page = opened(390, 844, has_touch=True, is_mobile=True)
+    assert page.evaluate('document.documentElement.scrollWidth') == 390
+    heading = page.locator('#now thead').first
+    box = heading.bounding_box()
+    assert box['y'] + box['height'] < 844
+    chart = page.locator('[data-name=angular_acceleration] .plot')
+    chart.scroll_into_view_if_needed()
+    plot = chart.bounding_box()
+    page.touchscreen.tap(plot['x'] + plot['width'] - 93, plot['y'] + 40)
+    drawn(page)
+    assert page.locator('#clock').inner_text() > 't = 3.8'
+
+
+def test_motion_starts_by_itself_unless_the_reader_asked_for_rest(opened) -> None:
+    page = opened(at='')
+    page.locator('#clock', has_text=re.compile(r't = (0\.[1-9]|[1-3])')).wait_for()
+    assert page.locator('#play').inner_text() == 'pause'
+    resting = opened(at='', reduced_motion='reduce')
+    assert resting.locator('#play').inner_text() == 'play'
+
+
+def test_print_holds_all_charts_and_no_buttons(opened) -> None:
+    page = opened()
+    page.emulate_media(media='print')
+    drawn(page)
+    assert not page.locator('#transport').is_visible()
+    charts = page.locator('.chart')
+    names = [charts.nth(k).get_attribute('data-name') for k in range(charts.count())]
+    assert names.pop() == 'withheld'
+    assert len(names) == 7
+    for name in names:
+        curves = sum(colored(page, f'[data-name={name}] canvas', c) for c in (RED, '#56a0d0'))
+        assert curves > 50, name
+    # Twice as fine as on the screen.
+    canvas = page.locator('.chart canvas').first
+    assert canvas.evaluate('e => e.width / e.getBoundingClientRect().width') > 1.9
+    assert page.pdf(format='A4').startswith(b'%PDF')
