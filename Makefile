@@ -3,15 +3,19 @@
 
 PYTHON ?= python3
 PYTEST_ARGS ?=
+# What .venv is made of, by version and hash; empty takes the newest there are.
+CONSTRAINTS ?= constraints.txt
 RUN := .venv/bin/python
+PIP = $(RUN) -m pip install --disable-pip-version-check
+PYTEST := -m pytest -p xdist -n auto --dist loadfile
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test lint bags fuzz clean
+.PHONY: help demo test oldest newest lint bags fuzz constraints clean
 
 help:  ## list these targets
 	@sed -n 's/^\([a-z]*\):.*## \(.*\)/make \1\t\2/p' $(MAKEFILE_LIST)
 
-ifneq ($(filter-out help clean,$(MAKECMDGOALS)),)
+ifneq ($(filter-out help clean constraints,$(MAKECMDGOALS)),)
 # The Python beneath an active environment, which may be the very .venv that is to be made.
 FOUND := $(shell $(PYTHON) -c 'import os, sys; v = "%d.%d" % sys.version_info[:2]; \
   print(v, sys.executable if sys.prefix == sys.base_prefix else \
@@ -28,9 +32,13 @@ endif
 ifeq ($(KIND),ros)
 EXTRAS := batch,formats,parquet,plot,test
 SITE := --system-site-packages
+# What is there of numpy and the like belongs to that ROS.
+INSTALL = $(PIP) --editable '.[$(EXTRAS)]'
 else
 KIND := wheels
-EXTRAS := batch,formats,parquet,plot,test,wheels
+EXTRAS := batch,formats,parquet,plot,ros,test
+INSTALL = $(if $(CONSTRAINTS),$(PIP) --require-hashes --requirement $(CONSTRAINTS) && \
+  $(PIP) --no-deps --no-build-isolation --editable .,$(PIP) --editable '.[$(EXTRAS)]')
 # The wheels have one middleware, and no use for parts of a ROS that belongs to another Python.
 unexport RMW_IMPLEMENTATION $(if $(AMENT_PREFIX_PATH),AMENT_PREFIX_PATH PYTHONPATH LD_LIBRARY_PATH)
 endif
@@ -42,7 +50,18 @@ demo: $(STAMP)  ## track a four-bar live over DDS; a table, and a picture under 
 
 test: lint  ## lint, types and all tests; PYTEST_ARGS='-k wheel' for some of them
 	@PYTEST_DISABLE_PLUGIN_AUTOLOAD=1 OPENBLAS_NUM_THREADS=1 \
-	  $(RUN) -m pytest -p xdist -n auto --dist loadfile $(PYTEST_ARGS)
+	  $(RUN) $(PYTEST) $(PYTEST_ARGS)
+
+oldest:  ## all tests with the oldest versions that setup.py allows, in .venv-oldest
+newest:  ## all tests with the newest versions there are, in .venv-newest
+oldest newest:
+	@"$(BASE)" -m venv --clear $(SITE) .venv-$@
+	@$(if $(filter oldest,$@),grep -oE "'[A-Za-z][A-Za-z0-9_-]*>=[0-9.]+'" setup.py,:) \
+	  | tr -d "'" | sed 's/>=/==/' > .venv-$@/bounds.txt
+	@.venv-$@/bin/python -m pip install --quiet --constraint .venv-$@/bounds.txt \
+	  --editable '.[$(EXTRAS)]'
+	@PYTEST_DISABLE_PLUGIN_AUTOLOAD=1 OPENBLAS_NUM_THREADS=1 \
+	  .venv-$@/bin/python $(PYTEST) $(PYTEST_ARGS)
 
 lint: $(STAMP)  ## style and types
 	@$(RUN) -m ruff check
@@ -59,22 +78,28 @@ fuzz: $(STAMP)  ## read 10,000 corrupted bags and 100,000 corrupted messages
 	@$(RUN) test/fuzz_bags.py
 	@$(RUN) test/fuzz_messages.py
 
+# For Python 3.10 to 3.14. The compiler of constraints is uv: pip install uv.
+constraints:  ## choose the newest versions for constraints.txt, with their hashes
+	@echo 'setuptools>=64' | uv pip compile setup.py - --extra batch --extra formats \
+	  --extra parquet --extra plot --extra ros --extra test --universal --python-version 3.10 --upgrade --generate-hashes \
+	  --no-header --no-annotate --quiet --output-file constraints.txt
+
 clean:  ## remove .venv and all else that can be made again
-	rm -rf .venv build *.egg-info .hypothesis .mypy_cache .pytest_cache .ruff_cache
+	rm -rf .venv .venv-oldest .venv-newest build *.egg-info
+	rm -rf .hypothesis .mypy_cache .pytest_cache .ruff_cache
 	rm -f out/demo.mcap out/demo.png kinpole_ros/derivatives/*.so
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +
 
 # Begun anew for another Python, and when ROS 2 has come or gone. The kernel is built along with it
 # if there is a compiler, and nothing is said if there is none.
-$(STAMP): setup.py $(wildcard kinpole_ros/derivatives/_kernel*.[ch])
+$(STAMP): setup.py $(CONSTRAINTS) $(wildcard kinpole_ros/derivatives/_kernel*.[ch])
 	@"$(BASE)" -c 'import ensurepip, venv' 2>/dev/null || { echo '$(BASE) has no venv: install it' \
 	  '(Debian and Ubuntu: sudo apt install python3-venv), then make again' >&2; exit 1; }
 	@echo 'Setting up .venv: a minute or two ...'
 	@{ grep -qs 'system-site-packages = $(if $(SITE),true,false)' .venv/pyvenv.cfg && $(RUN) -c \
 	  'import pip, sys; sys.exit("%d.%d" % sys.version_info[:2] != "$(VERSION)")' 2>/dev/null; } \
 	  || "$(BASE)" -m venv --clear $(SITE) .venv
-	@$(RUN) -m pip install --disable-pip-version-check --editable '.[$(EXTRAS)]' \
-	  > .venv/install.log 2>&1 || { tail -n 25 .venv/install.log >&2; \
+	@{ $(INSTALL); } > .venv/install.log 2>&1 || { tail -n 25 .venv/install.log >&2; \
 	  echo 'The installation failed, see above; all it said is in .venv/install.log.' \
 	  $(if $(SITE),,'Without ROS 2 it needs Linux on x86-64.') >&2; exit 1; }
 	@touch $@

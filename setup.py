@@ -1,11 +1,14 @@
 """The package as pip and colcon build it; its version is also in package.xml and __init__.py."""
 
 from glob import glob
+from pathlib import Path
 
 from setuptools import Extension, find_packages, setup
 
 NAME = 'kinpole_ros'
 SHARE = f'share/{NAME}'
+# rclpy and its messages as wheels, for Linux on x86-64.
+ROS = ['ros-jazzy-rclpy', 'ros-jazzy-common-interfaces', 'ros-jazzy-rmw-fastrtps-cpp']
 
 setup(
     name=NAME,
@@ -32,14 +35,19 @@ setup(
         (f'{SHARE}/bags', glob('bags/*.mcap')),
     ],
     python_requires='>=3.10',
-    # rclpy and the message packages come with ROS, or with the extra wheels: see the README.
-    install_requires=['numpy>=1.26', 'mcap>=1.5', 'PyYAML>=6'],
+    # Message types are those of ROS where it is there, else those of rosbags. Only the live node
+    # needs rclpy, which comes with ROS or with the extra ros. `make oldest` tries these bounds.
+    install_requires=[
+        'lz4>=4.0.2',
+        'mcap>=1.5',
+        'numpy>=1.26',
+        'PyYAML>=6.0.1',
+        'rosbags>=0.10.8',
+        'zstandard>=0.19',
+    ],
     extras_require={
-        'wheels': [
-            'ros-jazzy-rclpy',
-            'ros-jazzy-common-interfaces',
-            'ros-jazzy-rmw-fastrtps-cpp',
-        ],
+        'ros': ROS,
+        'wheels': ROS,
         'batch': ['dask>=2023.5', 'distributed>=2023.5', 'fsspec>=2023.5'],
         'bench': ['matplotlib>=3.7', 'pynumdiff>=0.3', 'scipy>=1.11'],
         'formats': ['c3d>=0.6', 'h5py>=3.8'],
@@ -55,7 +63,6 @@ setup(
             'playwright>=1.40',
             'pytest>=7.4',
             'pytest-xdist>=3.3',
-            'rosbags>=0.10',
             'ruff==0.17.*',
         ],
     },
@@ -63,7 +70,21 @@ setup(
     maintainer='kinpole_ros maintainers',
     maintainer_email='maintainers@users.noreply.github.com',
     description='Live planar kinematics of real mechanisms from tracked markers',
+    long_description=(Path(__file__).parent / 'README.md').read_text(encoding='utf-8'),
+    long_description_content_type='text/markdown',
+    url='https://index.ros.org/p/kinpole_ros/',
     license='Apache-2.0',
+    keywords=['ROS 2', 'kinematics', 'mechanism', 'motion capture', 'centrode', 'instant center'],
+    classifiers=[
+        'Development Status :: 4 - Beta',
+        'Intended Audience :: Science/Research',
+        'Operating System :: OS Independent',
+        'Programming Language :: C',
+        'Programming Language :: Python :: 3 :: Only',
+        *(f'Programming Language :: Python :: 3.{minor}' for minor in range(10, 15)),
+        'Topic :: Scientific/Engineering :: Physics',
+        'Typing :: Typed',
+    ],
     entry_points={
         'console_scripts': [
             'kinpole = kinpole_ros.tools.cli:main',

@@ -1,3 +1,18 @@
 """Live planar kinematics of real mechanisms from tracked markers."""
 
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from kinpole_ros.api import BodyMotion, PairMotion, Tracked, replay, track
+
 __version__ = '0.1.0'
+__all__ = ['BodyMotion', 'PairMotion', 'Tracked', 'replay', 'track']
+
+
+def __getattr__(name: str) -> Any:
+    # Imported when asked for: the command line needs none of it to begin.
+    if name not in __all__:
+        raise AttributeError(f'module {__name__!r} has no attribute {name!r}')
+    from kinpole_ros import api
+
+    return getattr(api, name)

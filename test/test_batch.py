@@ -24,7 +24,7 @@ import kinpole_ros.bags.batch as module
 from kinpole_ros.bags import BagError
 from kinpole_ros.bags import replay as replay_one
 from kinpole_ros.bags._replay import replay_to
-from kinpole_ros.bags.batch import _cluster, _places, _results, batch
+from kinpole_ros.bags.batch import _cluster, _lock, _places, _results, batch
 from kinpole_ros.bags.batch._results import finished, replay_bag
 from kinpole_ros.pipeline.parameters import Settings
 from kinpole_ros.tools.cli import main
@@ -499,6 +499,31 @@ def test_a_summary_that_does_not_fit_the_disk_leaves_the_one_before(tmp_path: Pa
     assert [(file.name, file.read_bytes()) for file in tmp_path.iterdir()] == [
         ('summary.csv', before)
     ]
+
+
+def test_on_windows_a_lock_is_asked_for_until_it_is_there(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Tried with what Windows has taken for it: it raises PermissionError where another has it."""
+    asked: list[int] = []
+
+    class Windows:
+        LK_NBLCK = 2
+
+        @staticmethod
+        def locking(number: int, mode: int, size: int) -> None:
+            asked.append(number)
+            if len(asked) % 3:
+                raise PermissionError(13, 'Permission denied')
+
+    monkeypatch.setattr(_lock, '_fcntl', None)
+    monkeypatch.setattr(_lock, '_msvcrt', Windows)
+    monkeypatch.setattr(_lock, '_AGAIN', 0.0)
+    with open(tmp_path / 'held', 'ab') as held:
+        _lock.lock(held, wait=True)
+        assert asked == [held.fileno()] * 3
+        with pytest.raises(BlockingIOError):
+            _lock.lock(held, wait=False)
 
 
 def test_bags_are_named_by_a_file_too(

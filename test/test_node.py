@@ -29,7 +29,7 @@ from rclpy.qos import QoSProfile
 from visualization_msgs.msg import Marker, MarkerArray
 
 from kinpole_ros.bags import BagError, BagWriter, read_messages, replay
-from kinpole_ros.messages import MARKER_TYPES, read_markers, to_message
+from kinpole_ros.messages import MARKER_TYPES, read_markers, stamp_to_ns, to_message
 from kinpole_ros.pipeline.estimate import Estimate
 from kinpole_ros.pipeline.frame import MarkerFrames
 from kinpole_ros.pipeline.parameters import PARAMETERS, Settings
@@ -617,6 +617,39 @@ def test_play_says_to_what_nobody_listens(unheard: Path, capfd: pytest.CaptureFi
 
 def test_a_topic_to_be_played_may_lack_its_slash(unheard: Path) -> None:
     assert play(unheard, ['unheard'], wait=0.1) == 3
+
+
+def test_play_loops_until_interrupted_with_the_time_of_the_bag_on_clock(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    bag, second = tmp_path / 'two.mcap', 1_000_000_000
+    with BagWriter(bag) as writer:
+        for stamp in (5 * second, 5 * second + second // 5):
+            cloud = to_message('point_cloud2', stamp, 'world', ['a'], np.zeros((1, 3)))
+            writer.write('/unheard', cloud, stamp)
+    said: list[tuple[str, Any]] = []
+
+    def publish(publisher: Publisher, message: Any) -> None:
+        said.append((publisher.topic_name, message))
+        if [topic for topic, _ in said].count('/unheard') == 5:
+            raise KeyboardInterrupt
+
+    monkeypatch.setattr(Publisher, 'publish', publish)
+    with pytest.raises(KeyboardInterrupt):
+        play(bag, wait=0.0, loop=True, clock=100.0)
+    ends = [k for k, (topic, _) in enumerate(said) if topic == '/unheard'][1::2]
+    times = [
+        [stamp_to_ns(m.clock) for t, m in said[a:b] if t == '/clock']
+        for a, b in [(0, ends[0]), (ends[0], ends[1])]
+    ]
+    for round_ in times:
+        # Many between the two messages, from the first on, never back and never ahead of the next.
+        assert len(round_) > 2
+        assert round_[0] == 5 * second
+        assert round_ == sorted(round_)
+        assert round_[-1] <= 5 * second + second // 5
+    with pytest.raises(BagError, match='--clock is 0'):
+        play(bag, clock=0.0)
 
 
 def test_play_can_be_interrupted_while_it_waits_for_a_reader_that_has_stopped(

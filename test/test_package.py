@@ -21,8 +21,8 @@ from kinpole_ros.pipeline.parameters import load_settings
 
 ROOT = Path(__file__).parents[1]
 PACKAGE_XML = ET.parse(ROOT / 'package.xml').getroot()
-# Imports that are no ROS packages, and what package.xml calls them; None: no rosdep key, or comes
-# with mcap, or an extra, as the README says.
+# Imports that are no ROS packages, and what package.xml calls them; None: no rosdep key, as
+# package.xml says, or an extra.
 PYTHON_PACKAGES = {
     # Ours, beside the package.
     'bench': None,
@@ -38,6 +38,7 @@ PYTHON_PACKAGES = {
     'numpy': 'python3-numpy',
     'pyarrow': None,
     'pytest': 'python3-pytest',
+    'rosbags': None,
     'yaml': 'python3-yaml',
     'zstandard': None,
 }

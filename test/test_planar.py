@@ -269,7 +269,10 @@ def test_bodies_in_a_batch_come_out_as_one_by_one() -> None:
     together = at_once(d, weights)
     assert together.icr.shape == (3, 5, 2)
     assert together.angular_snap.shape == together.centrode_curvature.shape == (3, 5)
-    assert together.position.shape == together.angle.shape == (5, 3, 5)
+    assert together.position.shape == (5, 3, 5, 2)
+    assert together.angle.shape == (5, 3, 5)
+    mean = (weights[..., None] * d[0]).sum(axis=-2) / weights.sum(axis=-1)[..., None]
+    assert together.position[0] == pytest.approx(mean)
     for index in np.ndindex(3, 5):
         alone = at_once(d[:, index[0], index[1]], weights[index])
         for name in (*RATES, *POLES, 'icr_velocity', 'centrode_curvature'):

@@ -13,10 +13,11 @@ from kinpole_ros.bags._reader import (
     topics,
 )
 from kinpole_ros.bags._replay import NODE_NAME, Replayed, replay
-from kinpole_ros.bags._schema import definition, message_class, type_name
+from kinpole_ros.bags._schema import definition, message_class
 from kinpole_ros.bags._simulate import simulate
 from kinpole_ros.bags._warnings import warnings_of
 from kinpole_ros.bags._writer import BagWriter, in_place_of
+from kinpole_ros.messages import type_name
 
 __all__ = [
     'NODE_NAME',

@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import NamedTuple, TypeAlias
 
 import numpy as np
-from diagnostic_msgs.msg import DiagnosticArray
 
 from kinpole_ros.bags._reader import BagError, Truncated, bag_files, read_blocks, topics
 from kinpole_ros.bags._table import CsvTable, ParquetTable
@@ -15,6 +14,7 @@ from kinpole_ros.bags._writer import BagWriter, in_place_of
 from kinpole_ros.linkage.theory import Comparison, DeviationSummary, load_theory
 from kinpole_ros.messages import (
     ROS_TYPE_NAMES,
+    DiagnosticArray,
     DiagnosticsMaker,
     MarkerReader,
     MessageError,

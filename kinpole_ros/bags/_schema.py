@@ -1,25 +1,15 @@
-"""Bags carry the text of their message types; here it is made from the installed classes.
+"""Bags carry the text of their message types; here it is made from the classes.
 
 The .msg files do not come with every installation of rclpy, the classes do.
 """
 
 import re
 from functools import cache
-from importlib import import_module
-from importlib.util import find_spec
-from pathlib import Path
 from typing import Any
 
+from kinpole_ros import messages
 from kinpole_ros.bags._reader import BagError
-
-# rosidl names basic types as IDL does; .msg files use their own names for these.
-_BASIC = {'boolean': 'bool', 'octet': 'byte', 'float': 'float32', 'double': 'float64'}
-
-
-def type_name(message_class: type) -> str:
-    """Full name of a message class, such as 'geometry_msgs/msg/PointStamped'."""
-    package, kind = message_class.__module__.split('.')[:2]
-    return f'{package}/{kind}/{message_class.__name__}'
+from kinpole_ros.messages import constants, fields
 
 
 def message_class(name: str) -> type:
@@ -28,23 +18,12 @@ def message_class(name: str) -> type:
     Raises BagError when the type is not installed.
     """
     try:
-        package, *_, short = name.split('/')
-        if not _has_messages(package):
-            raise ImportError(package)
-        found = getattr(import_module(f'{package}.msg'), short)
-    except (ImportError, AttributeError, ValueError) as error:
+        found: type = messages.message_class(name)
+    except (LookupError, ValueError) as error:
         raise BagError(
             f"message type '{name}' is not installed; fix: source the workspace that has it"
         ) from error
     return found
-
-
-@cache
-def _has_messages(package: str) -> bool:
-    """Whether it is a package of messages: names in bags must not have anything else imported."""
-    found = find_spec(package) if package.isidentifier() else None
-    places = found.submodule_search_locations if found is not None else None
-    return any((Path(place) / 'msg').is_dir() for place in places or ())
 
 
 @cache
@@ -65,8 +44,8 @@ def definition(message_class: type) -> str:
 
 
 def _add_dependencies(cls: Any, texts: dict[str, str]) -> None:
-    for idl_type in cls.get_fields_and_field_types().values():
-        name = re.sub(r'\[.*|<.*', '', _msg_type(idl_type))
+    for kind in fields(cls).values():
+        name = re.sub(r'\[.*|<.*', '', kind)
         if '/' in name and name not in texts:
             dependency = message_class(name)
             texts[name] = _own_text(dependency)
@@ -74,22 +53,8 @@ def _add_dependencies(cls: Any, texts: dict[str, str]) -> None:
 
 
 def _own_text(cls: Any) -> str:
-    # Where a class lists its constants for its metaclass; the same dict has defaults of fields.
-    listed = type(cls).__prepare__(cls.__name__, ())
-    lines = [_constant(k, v) for k, v in listed.items() if not k.endswith('__DEFAULT')]
-    fields = cls.get_fields_and_field_types().items()
-    return '\n'.join([*lines, *(f'{_msg_type(idl_type)} {name}' for name, idl_type in fields), ''])
-
-
-def _msg_type(idl: str) -> str:
-    """'sequence<double, 3>' becomes 'float64[<=3]', and so on."""
-    if found := re.fullmatch(r'sequence<(.+?)(?:, (\d+))?>', idl):
-        return _msg_type(found[1]) + (f'[<={found[2]}]' if found[2] else '[]')
-    if found := re.fullmatch(r'(.+)(\[\d+\])', idl):
-        return _msg_type(found[1]) + found[2]
-    if found := re.fullmatch(r'(w?string)<(\d+)>', idl):
-        return f'{found[1]}<={found[2]}'
-    return _BASIC.get(idl, idl)
+    lines = [_constant(name, value) for name, value in constants(cls).items()]
+    return '\n'.join([*lines, *(f'{kind} {name}' for name, kind in fields(cls).items()), ''])
 
 
 def _constant(name: str, value: Any) -> str:

@@ -10,15 +10,18 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from geometry_msgs.msg import PointStamped, Vector3Stamped
-from nav_msgs.msg import Odometry
-from rclpy.serialization import serialize_message
 
 from kinpole_ros.bags._reader import BagError
 from kinpole_ros.bags._replay import NODE_NAME, result_columns
 from kinpole_ros.bags._writer import BagWriter, in_place_of
 from kinpole_ros.mechanism import Scene, marker_positions
-from kinpole_ros.messages import MARKER_TYPES, result_outputs, to_message
+from kinpole_ros.messages import (
+    MARKER_TYPES,
+    message_class,
+    result_outputs,
+    serialize_message,
+    to_message,
+)
 from kinpole_ros.pipeline.estimate import Estimate
 
 # Exact to so many digits: below it the answers themselves are noise (a pinned body's centrode).
@@ -29,9 +32,13 @@ _AT_ONCE = 1000
 # ROS stamps hold hardly more, in s.
 _LONGEST = 2e9
 # Loci and covariances of an exact motion say nothing more.
-_EXACT_TYPES = (Odometry, PointStamped, Vector3Stamped)
-# Doubles after the header (and child_frame_id) of these.
-_DOUBLES = {Odometry: 85, PointStamped: 3, Vector3Stamped: 3}
+# Those of which it does, and their doubles after the header (and child_frame_id).
+_ODOMETRY = message_class('nav_msgs/msg/Odometry')
+_DOUBLES = {
+    _ODOMETRY: 85,
+    message_class('geometry_msgs/msg/PointStamped'): 3,
+    message_class('geometry_msgs/msg/Vector3Stamped'): 3,
+}
 
 
 def simulate(
@@ -116,7 +123,7 @@ def simulate(
     size = np.array([_diameter(scene.markers[body]) for body in bodies])
     position_covariance = _diagonal((_EXACT * (np.abs(position).max(axis=1) + size)) ** 2)
     angle_covariance = _diagonal((_EXACT * np.abs(angle).max(axis=1)) ** 2)
-    outputs = [row for row in result_outputs(bodies, 'xy') if row.message_type in _EXACT_TYPES]
+    outputs = [row for row in result_outputs(bodies, 'xy') if row.message_type in _DOUBLES]
     with in_place_of(output) as part_file, BagWriter(part_file, name=output) as writer:
         for first in range(0, count, _AT_ONCE):
             part = slice(first, min(first + _AT_ONCE, count))
@@ -213,7 +220,7 @@ def _turned(kind: type, data: Sequence[bytes], turn: np.ndarray) -> list[bytes]:
     tail = rows[:, -8 * _DOUBLES[kind] :]
     figures = tail.copy().view('<f8')
     figures[:, :3] = figures[:, :3] @ turn.T
-    if kind is Odometry:
+    if kind is _ODOMETRY:
         half = np.arctan2(turn[2, 1], turn[1, 1]) / 2
         # Quaternions: (cos half, sin half, 0, 0) times (w, x, y, z) of the body in its plane.
         x, y, z, w = (part.copy() for part in figures[:, 3:7].T)

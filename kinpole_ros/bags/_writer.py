@@ -30,11 +30,11 @@ from mcap.records import (
     SummaryOffset,
 )
 from mcap.writer import MCAP0_MAGIC
-from rclpy.serialization import serialize_message
 
 from kinpole_ros.bags._files import LIBRARY, BagError, unwritable
-from kinpole_ros.bags._schema import definition, message_class, type_name
+from kinpole_ros.bags._schema import definition, message_class
 from kinpole_ros.files import whole
+from kinpole_ros.messages import serialize_message, type_name
 
 # What a kill can lose, and what a reader must hold: small enough for both, large for zstd.
 _CHUNK_SIZE = 256 * 1024
@@ -160,7 +160,7 @@ class BagWriter:
                 self.close()
 
     def write(self, topic: str, message: Any, log_time: int) -> None:
-        """Write an rclpy message; `log_time` in ns."""
+        """Write a message object; `log_time` in ns."""
         self.write_raw(topic, type(message), serialize_message(message), log_time)
 
     def write_raw(self, topic: str, message_type: type | str, data: bytes, log_time: int) -> None:

@@ -11,8 +11,8 @@ from collections.abc import Sequence
 from functools import lru_cache
 
 import numpy as np
-from diagnostic_msgs.msg import DiagnosticArray
 
+from kinpole_ros.messages._types import DiagnosticArray
 from kinpole_ros.messages._walk import HEAD, LITTLE
 
 _SECOND = 1_000_000_000
@@ -106,7 +106,8 @@ def diagnostics_data(array: DiagnosticArray) -> bytes:
     writer.header(stamp.sec * _SECOND + stamp.nanosec, array.header.frame_id)
     writer.pack('I', len(array.status))
     for status in array.status:
-        writer.data += status.level
+        level = status.level
+        writer.data += bytes((level,)) if isinstance(level, int) else level
         for text in (status.name, status.message, status.hardware_id):
             writer.string(text)
         writer.pack('I', len(status.values))

@@ -8,8 +8,8 @@ from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
-from sensor_msgs.msg import PointCloud2, PointField
-from std_msgs.msg import Header
+
+from kinpole_ros.messages._types import Header, PointCloud2, PointField, octets
 
 _FLOATS = {PointField.FLOAT32: 'f4', PointField.FLOAT64: 'f8'}
 _INTEGERS = {
@@ -118,7 +118,7 @@ def make_cloud(header: Header, points: np.ndarray) -> PointCloud2:
         for axis, name in enumerate('xyz')
     ]
     cloud.is_dense = bool(np.isfinite(points).all())
-    cloud.data.frombytes(points.astype('<f8').tobytes())
+    cloud.data = octets(points.astype('<f8').tobytes())
     return cloud
 
 

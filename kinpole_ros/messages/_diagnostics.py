@@ -4,7 +4,6 @@ from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 
 from kinpole_ros.derivatives import FEWEST_SAMPLES
 from kinpole_ros.linkage.theory import Theory, joint_offsets, rate_differences
@@ -18,6 +17,7 @@ from kinpole_ros.messages._space import (
     unit_fault,
 )
 from kinpole_ros.messages._stamps import jitter_costs, stamp_faults, stamp_values
+from kinpole_ros.messages._types import DiagnosticArray, DiagnosticStatus, KeyValue
 from kinpole_ros.pipeline.bodies import Outage
 from kinpole_ros.pipeline.estimate import Estimate
 from kinpole_ros.pipeline.tracker import Tracker

@@ -5,9 +5,9 @@ from collections.abc import Callable
 from typing import TypeAlias
 
 import numpy as np
-from visualization_msgs.msg import Marker
 
 from kinpole_ros.messages._cdr import Writer, path
+from kinpole_ros.messages._types import Marker
 from kinpole_ros.pipeline.estimate import POLE_NAMES, Estimate
 from kinpole_ros.rigid.plane import Plane
 

@@ -9,13 +9,20 @@ from operator import attrgetter
 from typing import Any
 
 import numpy as np
-from builtin_interfaces.msg import Time
-from geometry_msgs.msg import Point, Pose, PoseArray, Vector3
-from sensor_msgs.msg import PointCloud2
-from std_msgs.msg import ColorRGBA, Header
-from visualization_msgs.msg import Marker, MarkerArray
 
 from kinpole_ros.messages._cloud import MessageError, cloud_ids, cloud_places, make_cloud
+from kinpole_ros.messages._types import (
+    ColorRGBA,
+    Header,
+    Marker,
+    MarkerArray,
+    Point,
+    PointCloud2,
+    Pose,
+    PoseArray,
+    Time,
+    Vector3,
+)
 from kinpole_ros.pipeline.frame import MarkerFrames
 
 MARKER_TYPES: dict[str, type] = {

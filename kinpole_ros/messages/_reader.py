@@ -14,8 +14,6 @@ from itertools import groupby
 from typing import Any, NamedTuple
 
 import numpy as np
-from rclpy.serialization import deserialize_message
-from visualization_msgs.msg import Marker
 
 from kinpole_ros.messages._cloud import MessageError, cloud_places, id_column
 from kinpole_ros.messages._markers import (
@@ -28,6 +26,7 @@ from kinpole_ros.messages._markers import (
     read_markers,
     remaining,
 )
+from kinpole_ros.messages._types import Marker, deserialize_message
 from kinpole_ros.messages._walk import LITTLE, MarkerPlaces, Walk
 from kinpole_ros.pipeline.frame import MarkerFrames, part_of
 

@@ -10,18 +10,19 @@ from itertools import combinations
 from typing import NamedTuple, TypeAlias
 
 import numpy as np
-from geometry_msgs.msg import (
+
+from kinpole_ros.linkage.theory import Theory, balance
+from kinpole_ros.messages._cdr import stamped_doubles
+from kinpole_ros.messages._loci import Build, Built, Trail, centrode, scene
+from kinpole_ros.messages._types import (
+    MarkerArray,
+    Odometry,
+    Path,
     PointStamped,
     PoseWithCovarianceStamped,
     Vector3Stamped,
     WrenchStamped,
 )
-from nav_msgs.msg import Odometry, Path
-from visualization_msgs.msg import MarkerArray
-
-from kinpole_ros.linkage.theory import Theory, balance
-from kinpole_ros.messages._cdr import stamped_doubles
-from kinpole_ros.messages._loci import Build, Built, Trail, centrode, scene
 from kinpole_ros.pipeline.estimate import POLE_NAMES, RATE_NAMES, Estimate, Numbers, Vectors
 from kinpole_ros.rigid.plane import XY, Plane, PlaneSetting, plane_of
 

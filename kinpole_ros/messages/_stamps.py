@@ -3,8 +3,8 @@
 from collections.abc import Sequence
 
 import numpy as np
-from diagnostic_msgs.msg import DiagnosticStatus
 
+from kinpole_ros.messages._types import DiagnosticStatus
 from kinpole_ros.pipeline.ticks import StampState
 
 # Steps of the stamps over those of the arrivals; a bag played at ten times its pace is in order.

@@ -7,7 +7,7 @@ It costs a signal for each marker. The poses are what to use: this is there to c
 import numpy as np
 
 from kinpole_ros.derivatives import Derivatives, Poses, Windows, derive_poses
-from kinpole_ros.planar import landmark_kinematics
+from kinpole_ros.planar import landmark_kinematics, to_complex
 from kinpole_ros.planar._plane import Complex, Real
 
 
@@ -53,9 +53,8 @@ def derive_landmarks(
             for each in (found.span, found.freedom)
         )
     some = slice(order + 1)
-    return Derivatives(
-        motion.position[some], motion.angle[some], of_position, of_angle, span, freedom
-    )
+    mean = to_complex(motion.position[some])
+    return Derivatives(mean, motion.angle[some], of_position, of_angle, span, freedom)
 
 
 def _squared_arms(points: Real, here: np.ndarray) -> Real:

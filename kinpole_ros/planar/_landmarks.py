@@ -21,8 +21,9 @@ class LandmarkKinematics:
     Planar kinematics of bodies, each field of shape (...) or (..., 2); NaN where undetermined.
 
     Rates in rad/s, rad/s^2, rad/s^3 and rad/s^4; poles in the unit of the points; `icr_velocity`
-    in that unit per second; `centrode_curvature` in its inverse. `position` and `angle` keep the
-    weighted mean of the landmarks and the angle with their derivatives, (5, ...), order first.
+    in that unit per second; `centrode_curvature` in its inverse. `position` (5, ..., 2) and `angle`
+    (5, ...) are the weighted mean of the landmarks and the angle with their derivatives, order
+    first.
     """
 
     angular_velocity: Real
@@ -35,7 +36,7 @@ class LandmarkKinematics:
     isp: Real
     icr_velocity: Real
     centrode_curvature: Real
-    position: Complex
+    position: Real
     angle: Real
 
 
@@ -122,7 +123,7 @@ def landmark_kinematics(
         isp=poles[3],
         icr_velocity=velocity,
         centrode_curvature=curvature,
-        position=position,
+        position=to_plane(position),
         angle=angle,
     )
 
@@ -135,9 +136,9 @@ def point_derivatives(kinematics: LandmarkKinematics, points: ArrayLike) -> tupl
     that does not turn as well. NaN in the orders whose derivatives were not given.
     """
     p = to_complex(check_vectors(points, 'points'))
+    position = to_complex(kinematics.position)
     return tuple(
-        to_plane(body_point_derivative(k, p, kinematics.position, kinematics.angle))
-        for k in range(1, 5)
+        to_plane(body_point_derivative(k, p, position, kinematics.angle)) for k in range(1, 5)
     )
 
 

@@ -18,6 +18,7 @@ from rclpy.duration import Duration
 from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.exceptions import NameValidationException
 from rclpy.node import Node
+from rclpy.publisher import Publisher
 from rclpy.qos import (
     DurabilityPolicy,
     QoSCompatibility,
@@ -26,6 +27,7 @@ from rclpy.qos import (
     qos_check_compatible,
 )
 from rclpy.subscription import Subscription
+from rosgraph_msgs.msg import Clock as ClockMessage
 
 from kinpole_ros.bags import (
     RECORDER,
@@ -36,6 +38,7 @@ from kinpole_ros.bags import (
     topics,
     type_name,
 )
+from kinpole_ros.messages import ns_to_stamp
 from kinpole_ros.ros.executor import MessagesFirst, SubscriptionGroup
 from kinpole_ros.ros.private import RCLError, take, wait_for_messages
 from kinpole_ros.ros.process import check_domain, reason_of, start_ros
@@ -54,18 +57,27 @@ def play(
     speed: float = 1.0,
     wait: float = 10.0,
     progress: Callable[[float], None] | None = None,
+    loop: bool = False,
+    clock: float | None = None,
 ) -> int:
     """
     Publish a bag's messages at the pace they were recorded, times `speed`.
 
+    With `loop` over and over, until Ctrl-C. With `clock`, Hz, the time of the bag is on /clock so
+    many times a second, for nodes with use_sim_time.
+
     `only` names the topics, None for all but the exact answers that simulate adds to the
     markers. Waits up to `wait` s for a subscriber of each, and at the end until reliable ones have
     everything. Returns the number of messages. Raises BagError as reading does, and for a speed
-    that is not more than 0.
+    or clock that is not more than 0.
     """
     if not (math.isfinite(speed) and speed > 0):
         raise BagError(f'--speed is {speed}; it must be more than 0')
+    if clock is not None and not (math.isfinite(clock) and clock > 0):
+        raise BagError(f'--clock is {clock}; it must be more than 0 Hz')
     there = topics(bag)
+    if clock is not None:
+        there.pop('/clock', None)
     only = [_whole(name) for name in only or []]
     ordinary = [name for name in there if '/truth/' not in name]
     for name in only:
@@ -82,6 +94,7 @@ def play(
                 name: node.create_publisher(message_class(there[name]), name, qos)
                 for name in chosen
             }
+            clocks = None if clock is None else node.create_publisher(ClockMessage, '/clock', 1)
         except NameValidationException as error:
             reason = ' '.join(str(error).rstrip(' ^\n').split())
             raise BagError(f'{bag}: {reason}; name other topics with --topic') from None
@@ -94,16 +107,17 @@ def play(
             counts = {name: p.get_subscription_count() for name, p in publishers.items()}
             if unheard := [name for name, count in counts.items() if not count]:
                 node.get_logger().warning(f'nobody listens to {", ".join(unheard)}')
-        start, first = time.monotonic(), None
-        for message in read_messages(bag, chosen, progress):
-            first = message.log_time if first is None else first
-            late = start + (message.log_time - first) * 1e-9 / speed - time.monotonic()
-            if late > 0:
-                time.sleep(late)
-            if not context.ok():
-                break
-            publishers[message.topic].publish(message.data)
-            count += 1
+        again = True
+        while again and context.ok():
+            pace = _Pace(speed, clocks, clock)
+            before = count
+            for message in read_messages(bag, chosen, progress):
+                pace.wait(message.log_time)
+                if not context.ok():
+                    break
+                publishers[message.topic].publish(message.data)
+                count += 1
+            again = loop and count > before
         for publisher in publishers.values():
             # Step by step, so that Ctrl-C ends it: who reads may have stopped to.
             while not publisher.wait_for_all_acked(Duration(seconds=_LOOK_EVERY)):
@@ -112,6 +126,33 @@ def play(
         node.destroy_node()
         context.try_shutdown()
     return count
+
+
+class _Pace:
+    """The pace of a bag, times `speed`, and its time on the topic of `clocks`, `rate` times a s."""
+
+    def __init__(self, speed: float, clocks: Publisher | None, rate: float | None) -> None:
+        self._speed = speed
+        self._clocks = clocks
+        self._period = math.inf if rate is None else 1 / rate
+        self._next = 0.0
+        self._start = time.monotonic()
+        self._first: int | None = None
+
+    def wait(self, log_time: int) -> None:
+        """Until a message of that time, ns, is due."""
+        first = self._first = log_time if self._first is None else self._first
+        while True:
+            passed = time.monotonic() - self._start
+            left = (log_time - first) * 1e-9 / self._speed - passed
+            if self._clocks is not None and passed >= self._next:
+                # No later than the message that it waits for.
+                now = min(first + int(passed * self._speed * 1e9), log_time)
+                self._clocks.publish(ClockMessage(clock=ns_to_stamp(now)))
+                self._next = passed + self._period
+            if left <= 0:
+                return
+            time.sleep(min(left, self._period))
 
 
 def _whole(topic: str) -> str:

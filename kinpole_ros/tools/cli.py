@@ -42,7 +42,10 @@ _LONGEST_LINE = 5000
 # What SIGTERM ends as Ctrl-C does: nothing is left of results that are not whole, and of a player
 # others do not believe for many seconds that it is there.
 _ENDED = ('replay', 'simulate', 'solve', 'discover', 'plot', 'import', 'play')
-_NO_ROS = 'source a ROS 2 installation first, or the .venv that `make demo` sets up'
+_NO_ROS = (
+    'source a ROS 2 installation first, or the .venv that `make demo` sets up, or get the wheels '
+    "for Linux on x86-64 with pip install 'kinpole_ros[ros]'"
+)
 
 
 def main(args: Sequence[str] | None = None) -> int:
@@ -108,7 +111,7 @@ def _is_for_the_user(error: Exception) -> bool:
     from kinpole_ros.pipeline.parameters import ParameterError
 
     ours: tuple[type[Exception], ...] = (LinkageError, ParameterError, SceneError)
-    with suppress(ImportError):  # without ROS, nothing can have raised it
+    with suppress(ImportError):  # without mcap, nothing can have raised it
         from kinpole_ros.bags import BagError
 
         ours = (*ours, BagError)
@@ -271,7 +274,7 @@ def _keep(given: str | None, *outputs: str | None) -> None:
 
 
 def _recorder_of(path: str) -> str:
-    with suppress(ImportError):  # solve does without ROS
+    with suppress(ImportError):  # solve does without mcap
         from kinpole_ros.bags import recorder_of
 
         return recorder_of(path)
@@ -357,7 +360,14 @@ def _play(options: argparse.Namespace) -> int:
     from kinpole_ros.ros.live import play
 
     with _progress('play') as progress:
-        count = play(options.bag, options.topic, options.speed, progress=progress)
+        count = play(
+            options.bag,
+            options.topic,
+            options.speed,
+            progress=progress,
+            loop=options.loop,
+            clock=options.clock,
+        )
     print(f'{count} messages played')
     return 0
 

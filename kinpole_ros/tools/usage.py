@@ -232,6 +232,15 @@ def make_parser() -> argparse.ArgumentParser:
     play.add_argument('bag', metavar='BAG', help='an .mcap file or a rosbag2 folder')
     play.add_argument('--topic', action='append', metavar='T', help='only this one; repeatable')
     play.add_argument('--speed', type=float, default=1.0, metavar='X', help='times the pace (1)')
+    play.add_argument('--loop', action='store_true', help='over and over, until Ctrl-C')
+    play.add_argument(
+        '--clock',
+        type=float,
+        nargs='?',
+        const=40.0,
+        metavar='HZ',
+        help='have the time of the bag on /clock too, for nodes with use_sim_time (40 Hz)',
+    )
 
     record = commands.add_parser(
         'record',

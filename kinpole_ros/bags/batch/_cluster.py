@@ -39,7 +39,8 @@ def cluster(scheduler: str | None, workers: int, here: bool = False) -> Iterator
         except (OSError, RuntimeError) as error:
             raise BagError(
                 f'no worker processes can be started ({error}); fix: see to the memory and the '
-                'processes this machine has to spare, or give fewer --workers'
+                'processes this machine has to spare, and that /dev/shm, where there is one, can '
+                'be written to; or give fewer --workers'
             ) from None
         with cluster, Client(cluster) as client:
             yield client

@@ -5,7 +5,6 @@ A small file next to them says what they are made of, so that they are not made 
 """
 
 import csv
-import fcntl
 import hashlib
 import json
 import os
@@ -21,6 +20,7 @@ from kinpole_ros.bags import BagError, bag_files, warnings_of
 from kinpole_ros.bags._files import unwritable
 from kinpole_ros.bags._replay import replay_to
 from kinpole_ros.bags.batch import _store
+from kinpole_ros.bags.batch._lock import lock
 from kinpole_ros.files import read_limited
 from kinpole_ros.mechanism import LinkageError, SceneError
 from kinpole_ros.pipeline.parameters import ParameterError, Settings
@@ -131,12 +131,7 @@ def alone(bag: str, folder: Path, wait: bool = True) -> Iterator[None]:
     place = folder / f'{name_of(bag)}.part'
     while True:
         with open(place, 'ab') as held:
-            try:
-                fcntl.flock(held, fcntl.LOCK_EX | (0 if wait else fcntl.LOCK_NB))
-            except BlockingIOError:
-                raise
-            except OSError:
-                pass  # a file system without locks
+            lock(held, wait)
             # Who was here before removed the file, and somebody else may be at a new one.
             try:
                 mine = os.path.samestat(os.fstat(held.fileno()), os.stat(place))
@@ -147,8 +142,13 @@ def alone(bag: str, folder: Path, wait: bool = True) -> Iterator[None]:
                     yield
                 finally:
                     _remove_parts(bag, folder)
-                    place.unlink(missing_ok=True)
-                return
+                    # Windows removes no open file, nor one that others have opened meanwhile.
+                    with suppress(PermissionError):
+                        place.unlink(missing_ok=True)
+                break
+    if os.name == 'nt':
+        with suppress(PermissionError):
+            place.unlink(missing_ok=True)
 
 
 def _remove_parts(bag: str, folder: Path) -> None:

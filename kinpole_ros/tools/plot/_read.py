@@ -10,10 +10,9 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from rclpy.serialization import deserialize_message
 
 from kinpole_ros.bags import BagError, Truncated, message_class, read_messages, topics
-from kinpole_ros.messages import stamp_to_ns
+from kinpole_ros.messages import deserialize_message, stamp_to_ns
 from kinpole_ros.rigid.plane import AXES, Plane, as_parameter, plane_along, plane_of, upward
 
 POLES = ('icr', 'iap', 'ijp', 'isp')

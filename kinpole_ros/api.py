@@ -1,0 +1,268 @@
+"""
+For Python, without ROS: markers in an array, or a bag, to the motion of bodies in real arrays.
+
+The same pipeline as that of node and replay, so the figures are the same too.
+"""
+
+import warnings
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, fields
+from itertools import combinations
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from kinpole_ros.pipeline.estimate import POLE_NAMES, RATE_NAMES, Estimate, Numbers, Vectors
+from kinpole_ros.pipeline.frame import MarkerFrames
+from kinpole_ros.pipeline.parameters import Settings, load_settings, settings_from
+from kinpole_ros.pipeline.tracker import Tracker
+from kinpole_ros.planar import to_plane
+
+# Frames that the tracker is given at once, as replay does.
+_AT_ONCE = 1000
+
+
+@dataclass(frozen=True)
+class BodyMotion:
+    """
+    The motion of one body at M instants; NaN where undetermined, or beyond `derivative_order`.
+
+    SI units and rad. Numbers are (M,) and come with NAME_sigma, one standard deviation; vectors are
+    (M, 2), along the axes of the plane, and come with NAME_covariance (M, 2, 2). `position` and
+    `angle` are those of the body's frame. `missing` (M,) says why nothing is known, '' else.
+    """
+
+    position: np.ndarray
+    angle: np.ndarray
+    missing: np.ndarray
+    angular_velocity: np.ndarray
+    angular_velocity_sigma: np.ndarray
+    angular_acceleration: np.ndarray
+    angular_acceleration_sigma: np.ndarray
+    angular_jerk: np.ndarray
+    angular_jerk_sigma: np.ndarray
+    angular_snap: np.ndarray
+    angular_snap_sigma: np.ndarray
+    icr: np.ndarray
+    icr_covariance: np.ndarray
+    iap: np.ndarray
+    iap_covariance: np.ndarray
+    ijp: np.ndarray
+    ijp_covariance: np.ndarray
+    isp: np.ndarray
+    isp_covariance: np.ndarray
+    icr_velocity: np.ndarray
+    icr_velocity_covariance: np.ndarray
+    centrode_curvature: np.ndarray
+    centrode_curvature_sigma: np.ndarray
+
+
+@dataclass(frozen=True)
+class PairMotion:
+    """How body j moves with respect to body i at M instants, in arrays as those of a body."""
+
+    angular_velocity: np.ndarray
+    angular_velocity_sigma: np.ndarray
+    icr: np.ndarray
+    icr_covariance: np.ndarray
+
+
+@dataclass(frozen=True)
+class Tracked:
+    """
+    The motion of bodies at M instants: `tracked['crank'].angular_velocity` (M,), and so on.
+
+    `stamp` (M,) int64, ns, and the same as `t` (M,), s. `pairs` are relative motions by names
+    (j, i), i before j in `bodies`.
+    """
+
+    t: np.ndarray
+    stamp: np.ndarray
+    bodies: Mapping[str, BodyMotion]
+    pairs: Mapping[tuple[str, str], PairMotion]
+
+    def __getitem__(self, body: str) -> BodyMotion:
+        return self.bodies[body]
+
+
+def track(
+    points: ArrayLike,
+    stamps: ArrayLike,
+    bodies: Mapping[str, Sequence[int]] | None = None,
+    **parameters: Any,
+) -> Tracked:
+    """
+    Follow bodies by their markers: `points` (T, n, 2) or (T, n, 3), m, NaN where one is not seen.
+
+    `stamps` (T,) int64, ns. `bodies` says which columns of the points are on which body; without
+    it, all are on one, `body`. Others are the parameters of the node by their names, such as
+    window=0.3, lag=0.1, noise=2e-4, derivative_order=3, plane='fit'. Points with two coordinates
+    are in the plane xy. An instant is known `lag` after its frame, so the last ones are left out.
+
+    What makes results fewer is warned of. Raises ValueError for shapes that do not fit, and
+    ParameterError, which is one, for a parameter.
+    """
+    there = np.asarray(points, float)
+    if there.ndim != 3 or there.shape[2] not in (2, 3):
+        raise ValueError(f'points must have shape (T, n, 2) or (T, n, 3), not {there.shape}')
+    times = np.asarray(stamps)
+    if times.shape != there.shape[:1] or times.dtype.kind not in 'iu':
+        raise ValueError(
+            f'stamps must be integers, ns, of shape {there.shape[:1]}, not {times.dtype} of shape '
+            f'{times.shape}'
+        )
+    if there.shape[2] == 2:
+        if parameters.get('plane', 'xy') != 'xy':
+            raise ValueError('points of two coordinates are in the plane xy; give three for others')
+        there = np.concatenate((there, np.zeros((*there.shape[:2], 1))), axis=2)
+    count = there.shape[1]
+    settings = settings_from({**parameters, **_markers(bodies, count)})
+    tracker = Tracker(settings)
+    names = tuple(map(str, range(count)))
+    found: list[Estimate] = []
+    for first in range(0, len(times), _AT_ONCE):
+        part = slice(first, first + _AT_ONCE)
+        frames = MarkerFrames(times[part].astype(np.int64), '', names, there[part])
+        found += tracker.add(frames, _order(settings))
+    _warn(_left_out(tracker, found))
+    return _tracked(found, settings)
+
+
+def replay(
+    bag: str | Path, config: str | Path | None = None, topic: str | None = None, **parameters: Any
+) -> Tracked:
+    """
+    The same of the markers in a bag, an .mcap file or a rosbag2 folder.
+
+    `config` is a ROS 2 parameter file; `parameters`, by name, override what it says, as
+    **{'crank.markers': ['0', '1']} does for names with a dot; `topic` overrides the marker topic.
+    Warns of what `kinpole replay` prints on stderr. Raises BagError for a bag that cannot be used,
+    and ParameterError for a parameter.
+    """
+    from kinpole_ros import bags
+
+    if config is None:
+        settings = settings_from(parameters)
+    else:
+        settings = load_settings(config, changes=parameters)
+    found: list[Estimate] = []
+    result = bags.replay(bag, settings, topic=topic, take=found.append)
+    _warn(bags.warnings_of(result, settings))
+    if result.truncated is not None:
+        _warn([str(result.truncated)])
+    return _tracked(found, settings)
+
+
+def _markers(bodies: Mapping[str, Sequence[int]] | None, count: int) -> dict[str, Any]:
+    """Parameters that say which of `count` markers are on which body."""
+    if bodies is None:
+        return {}
+    values: dict[str, Any] = {'bodies': list(bodies)}
+    for body, columns in bodies.items():
+        wrong = [k for k in columns if k not in range(count)]
+        if wrong:
+            raise ValueError(
+                f'bodies: {body} has the marker {wrong[0]!r}; points have those from 0 to '
+                f'{count - 1}'
+            )
+        values[f'{body}.markers'] = [str(int(k)) for k in columns]
+    return values
+
+
+def _left_out(tracker: Tracker, found: list[Estimate]) -> Iterable[str]:
+    """What became of frames that there are no results of, and of bodies."""
+    for key, what in (
+        ('repeated', 'frames have the stamp of the one before, and are left out'),
+        ('late', 'frames are older than the one before, and are left out'),
+        ('resets', 'jumps of the stamps, at which all starts anew'),
+    ):
+        if tracker.counts[key]:
+            yield f'{tracker.counts[key]} {what}'
+    for b, body in enumerate(tracker.bodies):
+        if all((estimate.missing[:, b] != '').all() for estimate in found):
+            why = found[-1].missing[-1, b] if found else 'too few frames for window and lag'
+            yield f'{body} was never estimated: {why}'
+
+
+def _warn(lines: Iterable[str]) -> None:
+    for line in lines:
+        warnings.warn(line, stacklevel=3)
+
+
+def _order(settings: Settings) -> int:
+    return settings.derivative_order or 4
+
+
+def _tracked(found: list[Estimate], settings: Settings) -> Tracked:
+    """Estimates, one after the other, as one record."""
+    names = tuple(settings.bodies)
+    stamp = np.concatenate([np.empty(0, np.int64), *(one.stamp for one in found)])
+    bodies = {
+        name: BodyMotion(**_joined(BodyMotion, [_body(one, b) for one in found]))
+        for b, name in enumerate(names)
+    }
+    pairs = {
+        (j, i): PairMotion(**_joined(PairMotion, [_pair(one, k) for one in found]))
+        for k, (i, j) in enumerate(combinations(names, 2))
+    }
+    return Tracked(stamp * 1e-9, stamp, bodies, pairs)
+
+
+def _body(estimate: Estimate, b: int) -> dict[str, np.ndarray]:
+    known = estimate.missing[:, b] == ''
+    figures = {
+        'position': np.where(known[:, None], to_plane(estimate.origin(0)[:, b]), np.nan),
+        'angle': np.where(known, estimate.angle[0, :, b], np.nan),
+        'missing': estimate.missing[:, b].astype(str),
+    }
+    for order in range(1, estimate.order + 1):
+        figures |= _number(RATE_NAMES[order - 1], estimate.rate(order), b)
+        figures |= _vector(POLE_NAMES[order - 1], estimate.pole(order), b)
+    if estimate.order >= 2:
+        figures |= _vector('icr_velocity', estimate.icr_velocity, b)
+    if estimate.order >= 3:
+        figures |= _number('centrode_curvature', estimate.centrode_curvature, b)
+    return figures
+
+
+def _pair(estimate: Estimate, k: int) -> dict[str, np.ndarray]:
+    rate = _number(RATE_NAMES[0], estimate.relative_rate, k)
+    return rate | _vector(POLE_NAMES[0], estimate.relative_icr, k)
+
+
+def _number(name: str, numbers: Numbers, k: int) -> dict[str, np.ndarray]:
+    known = numbers.determined[:, k]
+    with np.errstate(invalid='ignore'):
+        sigma = np.sqrt(numbers.variance[:, k])
+    return {
+        name: np.where(known, numbers.value[:, k], np.nan),
+        f'{name}_sigma': np.where(known, sigma, np.nan),
+    }
+
+
+def _vector(name: str, vectors: Vectors, k: int) -> dict[str, np.ndarray]:
+    known = vectors.determined[:, k]
+    covariance = np.where(known[:, None, None], vectors.covariance[:, k], np.nan)
+    return {
+        name: np.where(known[:, None], to_plane(vectors.value[:, k]), np.nan),
+        f'{name}_covariance': covariance,
+    }
+
+
+def _joined(kind: type, parts: list[dict[str, np.ndarray]]) -> dict[str, np.ndarray]:
+    """The fields of that kind of record, of all parts; NaN where the parts have none."""
+    count = sum(len(part['angular_velocity']) for part in parts)
+    joined = {}
+    for name in (field.name for field in fields(kind)):
+        if parts and name in parts[0]:
+            joined[name] = np.concatenate([part[name] for part in parts])
+        elif name == 'missing':
+            joined[name] = np.empty(0, str)
+        elif name.endswith('_covariance'):
+            joined[name] = np.full((count, 2, 2), np.nan)
+        else:
+            vector = name in (*POLE_NAMES, 'icr_velocity', 'position')
+            joined[name] = np.full((count, 2) if vector else count, np.nan)
+    return joined

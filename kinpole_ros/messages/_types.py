@@ -1,0 +1,96 @@
+"""
+Message classes and their bytes, with ROS or without: rclpy's where it is there, else rosbags'.
+
+All outside of ros/ takes them from here, so nothing but the live node needs ROS.
+"""
+
+from typing import TYPE_CHECKING
+
+try:
+    from rclpy.serialization import deserialize_message, serialize_message
+
+    WITH_ROS = True
+# A ROS of another Python is none either.
+except ImportError:
+    from kinpole_ros.messages._rosbags import deserialize_message, serialize_message
+
+    WITH_ROS = False
+
+if WITH_ROS or TYPE_CHECKING:
+    from builtin_interfaces.msg import Time
+    from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+    from geometry_msgs.msg import (
+        Point,
+        PointStamped,
+        Pose,
+        PoseArray,
+        PoseWithCovarianceStamped,
+        Vector3,
+        Vector3Stamped,
+        WrenchStamped,
+    )
+    from nav_msgs.msg import Odometry, Path
+    from sensor_msgs.msg import PointCloud2, PointField
+    from std_msgs.msg import ColorRGBA, Header
+    from visualization_msgs.msg import Marker, MarkerArray
+
+    from kinpole_ros.messages._rosidl import constants, fields, message_class, octets, type_name
+else:
+    from kinpole_ros.messages._rosbags import (
+        ColorRGBA,
+        DiagnosticArray,
+        DiagnosticStatus,
+        Header,
+        KeyValue,
+        Marker,
+        MarkerArray,
+        Odometry,
+        Path,
+        Point,
+        PointCloud2,
+        PointField,
+        PointStamped,
+        Pose,
+        PoseArray,
+        PoseWithCovarianceStamped,
+        Time,
+        Vector3,
+        Vector3Stamped,
+        WrenchStamped,
+        constants,
+        fields,
+        message_class,
+        octets,
+        type_name,
+    )
+
+__all__ = [
+    'WITH_ROS',
+    'ColorRGBA',
+    'DiagnosticArray',
+    'DiagnosticStatus',
+    'Header',
+    'KeyValue',
+    'Marker',
+    'MarkerArray',
+    'Odometry',
+    'Path',
+    'Point',
+    'PointCloud2',
+    'PointField',
+    'PointStamped',
+    'Pose',
+    'PoseArray',
+    'PoseWithCovarianceStamped',
+    'Time',
+    'Vector3',
+    'Vector3Stamped',
+    'WrenchStamped',
+    'constants',
+    'deserialize_message',
+    'fields',
+    'message_class',
+    'octets',
+    'serialize_message',
+    'type_name',
+]

@@ -1,0 +1,125 @@
+"""The door for Python: arrays in, arrays out, the figures of replay."""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from conftest import bodies_of, write_config
+
+import kinpole_ros
+from kinpole_ros import replay, track
+from kinpole_ros.bags import read_frames
+from kinpole_ros.bags import replay as replay_bag
+from kinpole_ros.pipeline.parameters import ParameterError, Settings
+
+
+@pytest.fixture(scope='module')
+def rig(simulated: Callable[..., Path]) -> Path:
+    return simulated('four_bar', duration=0.5, noise=2e-4, dropout=0.02)
+
+
+def all_arrays(tracked: kinpole_ros.Tracked) -> dict[str, np.ndarray]:
+    parts = {**tracked.bodies, **{'/'.join(pair): one for pair, one in tracked.pairs.items()}}
+    return {
+        f'{name}.{key}': array for name, one in parts.items() for key, array in vars(one).items()
+    }
+
+
+def test_replay_has_the_cells_of_the_table(rig: Path, tmp_path: Path) -> None:
+    settings = Settings(bodies=bodies_of('four_bar'))
+    config = write_config(tmp_path / 'rig.yaml', settings)
+    replay_bag(rig, settings, csv=tmp_path / 'result.csv')
+    table = np.genfromtxt(tmp_path / 'result.csv', delimiter=',', names=True)
+    found = replay(rig, config)
+    coupler = found['coupler']
+    assert found.t == pytest.approx(table['t'])
+    for ours, column in (
+        (coupler.position[:, 1], 'coupler_y'),
+        (coupler.angular_jerk, 'coupler_angular_jerk'),
+        (coupler.angular_jerk_sigma, 'coupler_angular_jerk_sigma'),
+        (coupler.iap[:, 0], 'coupler_iap_x'),
+        (np.sqrt(coupler.iap_covariance[:, 0, 0]), 'coupler_iap_x_sigma'),
+        (coupler.icr_velocity[:, 1], 'coupler_icr_velocity_y'),
+        (coupler.centrode_curvature, 'coupler_centrode_curvature'),
+        (coupler.centrode_curvature_sigma, 'coupler_centrode_curvature_sigma'),
+        (found.pairs['rocker', 'coupler'].icr[:, 0], 'rocker_wrt_coupler_icr_x'),
+    ):
+        assert np.array_equal(ours, table[column], equal_nan=True), column
+    assert {array.dtype.kind for array in all_arrays(found).values()} == {'f', 'U'}
+
+
+def test_track_is_replay_of_an_array(rig: Path) -> None:
+    parts, _ = read_frames(rig)
+    count = max(part.points.shape[1] for part in parts)
+    names = next(part.identities for part in parts if part.points.shape[1] == count)
+    points = np.full((sum(len(part.stamps) for part in parts), count, 3), np.nan)
+    row = 0
+    for part in parts:
+        columns = [names.index(name) for name in part.identities]
+        points[row : row + len(part.stamps), columns] = part.points
+        row += len(part.stamps)
+    stamps = np.concatenate([part.stamps for part in parts])
+    bodies = {
+        body: [k for k, name in enumerate(names) if name.split('/')[0] in markers]
+        for body, markers in bodies_of('four_bar').items()
+    }
+    # Markers that are not seen are NaN here, and absent from the messages of the bag.
+    expected = replay(
+        rig,
+        **{'bodies': list(bodies), **{f'{k}.markers': v for k, v in bodies_of('four_bar').items()}},
+    )
+    for given in (points, points[..., :2]):
+        found = track(given, stamps, bodies)
+        assert np.array_equal(found.stamp, expected.stamp)
+        for name, array in all_arrays(expected).items():
+            ours = all_arrays(found)[name]
+            if array.dtype.kind == 'U':
+                assert (ours == array).all()
+            else:
+                assert ours == pytest.approx(array, rel=1e-6, abs=1e-9, nan_ok=True), name
+
+
+def test_less_is_nan_and_nothing_is_empty_and_warned_of() -> None:
+    stamps = np.arange(60) * 5_000_000
+    angle = 2e-9 * stamps
+    arms = np.array([0.1, 0.1j])
+    places = np.exp(1j * angle)[:, None] * arms
+    points = np.stack((places.real, places.imag), axis=-1)
+    body = track(points, stamps, derivative_order=1)['body']
+    assert np.isfinite(body.angular_velocity).all()
+    for none in (body.angular_acceleration, body.iap, body.icr_velocity_covariance):
+        assert np.isnan(none).all()
+    assert body.iap.shape == (len(body.angle), 2)
+    with pytest.warns(UserWarning, match='body was never estimated: too few frames'):
+        few = track(points[:3], stamps[:3])
+    assert few['body'].icr_covariance.shape == (0, 2, 2)
+    assert few.t.shape == few['body'].missing.shape == (0,)
+    with pytest.warns(UserWarning, match='1 frames have the stamp of the one before'):
+        track(points, np.where(np.arange(60) == 30, stamps[29], stamps))
+
+
+@pytest.mark.parametrize(
+    'words, told',
+    [
+        ({'points': np.zeros((5, 2))}, r'points must have shape \(T, n, 2\)'),
+        ({'stamps': np.arange(5.0)}, 'stamps must be integers, ns'),
+        ({'stamps': np.arange(4)}, r'of shape \(5,\)'),
+        ({'bodies': {'rod': [0, 7]}}, 'rod has the marker 7; points have those from 0 to 2'),
+        ({'plane': 'yz'}, 'points of two coordinates are in the plane xy'),
+        ({'windo': 0.3}, 'unknown parameter windo'),
+        ({'lag': -1.0}, 'parameter lag is -1.0'),
+    ],
+)
+def test_what_does_not_fit_is_refused(words: dict[str, Any], told: str) -> None:
+    given = {'points': np.zeros((5, 3, 2)), 'stamps': np.arange(5), **words}
+    with pytest.raises(ValueError, match=told):
+        track(**given)
+
+
+def test_replay_warns_as_the_command_does(rig: Path) -> None:
+    with pytest.warns(UserWarning, match='tip'):
+        replay(rig, **{'bodies': ['rod'], 'rod.markers': ['tip', 'heel']})
+    with pytest.raises(ParameterError, match='windo'):
+        replay(rig, windo=1)

@@ -1,0 +1,138 @@
+"""All but the live node does without ROS, and gives the same to the last bit."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+from rclpy.serialization import deserialize_message, serialize_message
+
+from kinpole_ros.bags import BagError, definition, message_class, read_messages
+from kinpole_ros.messages import _rosbags, _types
+from kinpole_ros.tools import cli
+
+ROOT = Path(__file__).parents[1]
+# What a machine without ROS has none of; a file that Python runs before all else sees to that.
+HIDDEN = """
+import sys
+
+class Hidden:
+    def find_spec(self, name, path=None, target=None):
+        package = name.partition('.')[0]
+        ros = package.startswith(('rclpy', 'ament_', 'launch', 'rosidl_', 'rpyutils'))
+        if ros or package.endswith(('_msgs', '_interfaces')):
+            raise ModuleNotFoundError(f'No module named {name!r}', name=name)
+
+sys.meta_path.insert(0, Hidden())
+"""
+MESSAGES = [name for name in _types.__all__ if name[0].isupper() and name != 'WITH_ROS']
+
+
+@pytest.mark.parametrize('name', MESSAGES)
+def test_messages_without_ros_are_those_of_ros(name: str) -> None:
+    ours, other = getattr(_rosbags, name), getattr(_types, name)
+    full_name = _types.type_name(other)
+    assert _rosbags.type_name(ours) == full_name
+    assert message_class(full_name) is other
+    assert _rosbags.message_class(full_name) is ours
+    # Unset fields alike, as rclpy reads them; and what rclpy wrote is read the same.
+    data = _rosbags.serialize_message(ours())
+    assert deserialize_message(data, other) == other()
+    again = _rosbags.deserialize_message(serialize_message(other()), ours)
+    assert isinstance(again, ours)
+    assert _rosbags.serialize_message(again) == data
+    # A sender may fill up what it sends.
+    filled = _rosbags.deserialize_message(data + bytes(8), ours)
+    assert _rosbags.serialize_message(filled) == data
+
+
+PROGRAM = """
+import pkgutil, sys
+from importlib import import_module
+
+import kinpole_ros
+from kinpole_ros.messages import WITH_ROS
+from kinpole_ros.tools import cli
+from kinpole_ros.tools.plot._read import read_results
+
+assert not WITH_ROS
+for words in {words!r}:
+    assert cli.main(words) == 0, words
+# What plot draws is read from messages.
+assert [body.name for body in read_results({result!r}).bodies] == ['crank', 'coupler', 'rocker']
+for module in pkgutil.walk_packages(kinpole_ros.__path__, 'kinpole_ros.'):
+    if not module.name.startswith('kinpole_ros.ros') and module.name != 'kinpole_ros.tools.demo':
+        import_module(module.name)
+assert 'rclpy' not in sys.modules
+"""
+
+
+def without_ros(folder: Path, words: list[list[str]], result: str) -> None:
+    """Run commands, then read the bag `result`, in a process that finds no ROS."""
+    (folder / 'sitecustomize.py').write_text(HIDDEN)
+    program = PROGRAM.format(words=words, result=result)
+    path = os.pathsep.join(filter(None, [str(folder), str(ROOT), os.environ.get('PYTHONPATH')]))
+    done = subprocess.run(
+        [sys.executable, '-c', program],
+        cwd=folder,
+        env={**os.environ, 'PYTHONPATH': path},
+        capture_output=True,
+        text=True,
+        timeout=120,
+    )
+    assert done.returncode == 0, done.stderr
+
+
+def test_every_command_but_the_live_ones_gives_the_same_without_ros(tmp_path: Path) -> None:
+    (tmp_path / 'table.csv').write_text('t,a_x,a_y,b_x,b_y\n0,0,0,1,0\n0.1,0,0,1,0.1\n')
+    config = str(ROOT / 'config' / 'four_bar.yaml')
+    runs = {}
+    for name in ('with', 'without'):
+        folder = tmp_path / name
+        run, clouds, result, table = (
+            str(folder / file) for file in ('run.mcap', 'cloud.mcap', 'result.mcap', 'result.csv')
+        )
+        four_bar = ['simulate', 'four_bar', '--duration', '0.7', '--noise', '2e-4', '--output']
+        spoiled = ['--tilt', '10', '--unlabeled', '--message', 'point_cloud2']
+        runs[name] = [
+            [*four_bar, run],
+            [*four_bar, clouds, *spoiled],
+            ['replay', run, '--config', config, '--output', result, '--csv', table],
+            ['import', str(tmp_path / 'table.csv'), '--output', str(folder / 'imported.mcap')],
+        ]
+    more = [
+        ['discover', run, '--output', str(folder / 'rig.yaml')],
+        ['solve', 'four_bar', '--at', '45 deg', '--centers'],
+    ]
+    without_ros(tmp_path, [*runs['without'], *more], result)
+    for words in runs['with']:
+        assert cli.main(words) == 0, words
+    for file in ('result.csv', 'result.mcap'):
+        ours, other = (tmp_path / name / file for name in ('without', 'with'))
+        assert ours.read_bytes() == other.read_bytes(), file
+    for file in ('run.mcap', 'cloud.mcap', 'imported.mcap'):
+        ours, other = (tmp_path / name / file for name in ('without', 'with'))
+        assert all_in(ours) == all_in(other), file
+    assert (folder / 'rig.yaml').is_file()
+
+
+def all_in(bag: Path) -> list[tuple[str, str, int, Any]]:
+    """What a bag holds; its bytes will not do, since rclpy leaves padding to chance."""
+    return [
+        (one.topic, one.type_name, one.log_time, deserialize_message(one.data, cls))
+        for one in read_messages(bag)
+        for cls in [message_class(one.type_name)]
+    ]
+
+
+def test_definitions_without_ros_are_those_of_ros(monkeypatch: pytest.MonkeyPatch) -> None:
+    classes = [getattr(_types, name) for name in MESSAGES]
+    expected = [definition(cls) for cls in classes]
+    for name in ('fields', 'constants'):
+        monkeypatch.setattr(f'kinpole_ros.bags._schema.{name}', getattr(_rosbags, name))
+    monkeypatch.setattr('kinpole_ros.messages.message_class', _rosbags.message_class)
+    assert [definition(getattr(_rosbags, name)) for name in MESSAGES] == expected
+    with pytest.raises(BagError, match='acme_msgs/msg/Thing'):
+        message_class('acme_msgs/msg/Thing')
