@@ -11,6 +11,7 @@ import pytest
 import yaml
 from hypothesis import settings
 from rclpy.serialization import deserialize_message
+from rosbags.typesys import Stores, get_typestore
 
 from kinpole_ros.bags import message_class, read_messages, simulate
 from kinpole_ros.mechanism import load_scene
@@ -65,9 +66,15 @@ def decoded(bag: Path, *only: str) -> dict[str, list[Any]]:
     """The messages of a bag by topic, in order; of all topics if none is named."""
     found: dict[str, list[Any]] = {}
     for message in read_messages(bag, only or None):
-        cls = message_class(message.type_name)
-        found.setdefault(message.topic, []).append(deserialize_message(message.data, cls))
+        found.setdefault(message.topic, []).append(read_back(message.data, message.type_name))
     return found
+
+
+def read_back(data: bytes, kind: str) -> Any:
+    """The message of a type; that of frames also where tf2_msgs is not installed."""
+    if kind == 'tf2_msgs/msg/TFMessage':
+        return get_typestore(Stores.ROS2_JAZZY).deserialize_cdr(data, kind)
+    return deserialize_message(data, message_class(kind))
 
 
 def stamp_of(message: Any) -> int:

@@ -26,10 +26,11 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.parameter import Parameter
 from rclpy.publisher import Publisher
 from rclpy.qos import QoSProfile
+from std_srvs.srv import Trigger
 from visualization_msgs.msg import Marker, MarkerArray
 
 from kinpole_ros.bags import BagError, BagWriter, read_messages, replay
-from kinpole_ros.messages import MARKER_TYPES, read_markers, stamp_to_ns, to_message
+from kinpole_ros.messages import MARKER_TYPES, WITH_TF, read_markers, stamp_to_ns, to_message
 from kinpole_ros.pipeline.estimate import Estimate
 from kinpole_ros.pipeline.frame import MarkerFrames
 from kinpole_ros.pipeline.parameters import PARAMETERS, Settings
@@ -217,8 +218,10 @@ def said(arrays: list[Any], status: int = 0) -> dict[str, str]:
 
 def test_live_figures_are_those_of_replay(simulated: Bag, tmp_path: Path) -> None:
     bag = simulated('four_bar', rate=100, duration=2.0, noise=2e-4, dropout=0.02)
-    settings = Settings(bodies=bodies_of('four_bar'))
-    config = write_config(tmp_path / 'config.yaml', settings)
+    joints = {'elbow': ('crank', 'coupler'), 'shaft': ('ground', 'rocker')}
+    settings = Settings(bodies=bodies_of('four_bar'), joints=joints)
+    pairs = {name: {'bodies': list(pair)} for name, pair in joints.items()}
+    config = write_config(tmp_path / 'config.yaml', settings, joints=list(joints), **pairs)
     assert live_run(bag, config, tmp_path / 'live.mcap') == 200
     replay(bag, settings, tmp_path / 'replay.mcap')
     live = decoded(tmp_path / 'live.mcap')
@@ -226,7 +229,8 @@ def test_live_figures_are_those_of_replay(simulated: Bag, tmp_path: Path) -> Non
     live.pop('/kinpole/transition_event', None)
     found = figures(live)
     expected = figures(decoded(tmp_path / 'replay.mcap'))
-    assert len(found['/kinpole/coupler/odom']) == 190
+    for topic in ('coupler/odom', 'joint_states', 'crank/angular_velocity/deviation'):
+        assert len(found[f'/kinpole/{topic}']) == 190
     assert_alike(found, expected)
 
 
@@ -314,6 +318,24 @@ class TestOneNode:
         assert arrays[-1].status[0].level == DiagnosticStatus.ERROR
         assert int(said(arrays)['messages that could not be read']) > 0
 
+    def test_asked_to_relearn_it_begins_anew_with_the_shapes(
+        self, shared: Peer, simulated: Bag
+    ) -> None:
+        odom = shared.hear('/kinpole/rod/odom', Odometry)
+        messages = endless(simulated)
+        with shared.publisher(MARKER_TYPES['marker_array']) as publisher:
+            shared.feed(publisher, messages, lambda: len(odom) >= 40, 'results')
+            before = odom[-1]
+            answer = shared.call('/kinpole/relearn', Trigger, Trigger.Request())
+            assert answer.success and 'anew' in answer.message
+            odom.clear()
+            later = lambda: len(odom) and stamp_of(odom[-1]) > stamp_of(before) + 4e8  # noqa: E731
+            shared.feed(publisher, messages, later, 'results of what was learned anew')
+        # Axes of a body are along the ground's where it is first seen, 0.1 s before it is answered.
+        angles = [2 * np.arctan2(m.pose.pose.orientation.z, m.pose.pose.orientation.w)
+                  for m in odom]  # fmt: skip
+        assert min(np.abs(angles)) < 0.2
+
     def test_bad_values_set_live_are_refused_with_the_reason(self, shared: Peer) -> None:
         refused = {
             'window': (-1.0, 'Parameter window out of range Min: 1e-06, Max: 3600.0'),
@@ -322,6 +344,7 @@ class TestOneNode:
             'plane': ('xz', "parameter plane is 'xz'; it must be one of xy, yz, zx"),
             'derivative_order': (9, 'auto, 1, 2, 3 or 4'),
             'noise': ('low', 'a number from 0 to 1e+06 m'),
+            **({} if WITH_TF else {'publish_tf': (True, 'tf2_msgs is not installed; install')}),
             'bodies': (['other'], 'read-only'),
             'windows': (0.3, 'unknown parameter windows; known are bodies, '),
         }

@@ -100,6 +100,9 @@ WRONG = [
     ('method', ['poses', 0, None], 'pose, landmarks'),
     ('scene', [0, None, ['four_bar'], True], 'the name of a scene'),
     ('autostart', ['no', 0, 1, None], 'true or false'),
+    ('publish_tf', ['yes', 0, None], 'true or false'),
+    ('frame_prefix', ['a b', 3, None, 'é!', 'a\n'], 'letters, digits and any of _ / . -'),
+    ('joints', [[''], ['a', 'a'], 'a', ['a b'], [1]], 'a list of different names'),
     (
         'body.shape',
         [[0, 0, 1], [0, 0, 0, 0], [0, 0], 'a', 7, ['a', 0, 1, 1], [0, 0, True, 1], [0, 0, 1e9, 1]],
@@ -122,6 +125,22 @@ def test_a_bad_value_is_refused_with_its_name_and_what_is_allowed(
     assert allowed in text
 
 
+@pytest.mark.parametrize(
+    ('values', 'told'),
+    [
+        ({'joints': ['j']}, 'parameter j.bodies is []; it must be two different names of bodies'),
+        ({'joints': ['j'], 'j.bodies': ['body']}, 'two different names of bodies'),
+        ({'joints': ['j'], 'j.bodies': ['body', 'body']}, 'two different names of bodies'),
+        ({'joints': ['j'], 'j.bodies': ['body', 'b']}, 'j.bodies names b; a joint is between two'),
+        ({'j.bodies': ['ground', 'body']}, 'unknown parameter j.bodies; j is not among the joints'),
+    ],
+)
+def test_a_joint_is_between_two_bodies_or_the_ground(values: dict[str, Any], told: str) -> None:
+    assert told in refusal(values)
+    good = settings_from({'joints': ['j'], 'j.bodies': ['ground', 'body']})
+    assert good.joints == {'j': ('ground', 'body')}
+
+
 def test_a_value_or_name_of_any_length_is_refused_in_one_line() -> None:
     for values in ({'plane': 'é\n' * 9999}, {'b\n' * 9999: 1}, {f'{"c" * 9999}.markers': ['a']}):
         text = refusal(values)
@@ -130,7 +149,8 @@ def test_a_value_or_name_of_any_length_is_refused_in_one_line() -> None:
 
 
 def test_all_parameters_are_tried_with_bad_values() -> None:
-    assert {name for name, *_ in WRONG} == {*PARAMETERS, 'autostart', 'body.markers', 'body.shape'}
+    own = {'autostart', 'body.markers', 'body.shape'}
+    assert {name for name, *_ in WRONG} == {*PARAMETERS, *own}
 
 
 @pytest.mark.parametrize(

@@ -21,7 +21,7 @@ from kinpole_ros.messages import (
     Output,
     diagnostics_data,
     identity_lines,
-    result_outputs,
+    outputs_of,
 )
 from kinpole_ros.pipeline.bodies import Outage
 from kinpole_ros.pipeline.estimate import POLE_NAMES, Estimate
@@ -154,11 +154,7 @@ def replay_to(
     tracker = Tracker(settings)
     reader = MarkerReader(kind, settings.marker_identity)
     order = settings.derivative_order or 4
-    outputs = [
-        row
-        for row in result_outputs(tuple(settings.bodies), settings.plane, theory)
-        if row.order <= order
-    ]
+    outputs = outputs_of(settings, theory)
     periodic = _PeriodicDiagnostics(DiagnosticsMaker(NODE_NAME, theory, name))
     comparison = Comparison(theory) if theory is not None else None
     found = {body: dict.fromkeys(POLE_NAMES[:order], 0) for body in tracker.bodies}
@@ -225,7 +221,7 @@ def replay_to(
         if writer is not None:
             # A topic that never had anything to say is still there to be asked for.
             for row in outputs:
-                writer.add_topic(f'/{NODE_NAME}/{row.topic}', row.message_type)
+                writer.add_topic(row.under(f'/{NODE_NAME}'), row.message_type)
             writer.add_topic('/diagnostics', DiagnosticArray)
         counts = tracker.counts
         if counts['unreadable'] and not counts['frames']:
@@ -393,7 +389,8 @@ def result_columns(
     for row in outputs:
         instants, data = row.build(estimate)
         if data:
-            yield f'{prefix}/{row.topic}', row.message_type, log_times[instants].tolist(), data
+            topic = row.under(prefix)
+            yield topic, row.message_type, log_times[instants].tolist(), data
 
 
 def _count(found: dict[str, dict[str, int]], estimate: Estimate) -> None:

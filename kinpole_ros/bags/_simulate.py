@@ -123,7 +123,11 @@ def simulate(
     size = np.array([_diameter(scene.markers[body]) for body in bodies])
     position_covariance = _diagonal((_EXACT * (np.abs(position).max(axis=1) + size)) ** 2)
     angle_covariance = _diagonal((_EXACT * np.abs(angle).max(axis=1)) ** 2)
-    outputs = [row for row in result_outputs(bodies, 'xy') if row.message_type in _DOUBLES]
+    outputs = [
+        row
+        for row in result_outputs(bodies, 'xy')
+        if row.message_type in _DOUBLES and not row.topic.endswith('/deviation')
+    ]
     with in_place_of(output) as part_file, BagWriter(part_file, name=output) as writer:
         for first in range(0, count, _AT_ONCE):
             part = slice(first, min(first + _AT_ONCE, count))

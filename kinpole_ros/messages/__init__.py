@@ -21,16 +21,18 @@ from kinpole_ros.messages._markers import (
     to_message,
 )
 from kinpole_ros.messages._reader import MarkerReader
-from kinpole_ros.messages._results import DRAWING, Output, result_outputs
+from kinpole_ros.messages._results import DRAWING, Output, outputs_of, result_outputs
 from kinpole_ros.messages._space import (
     plane_words,
     shape_fault,
     tilt_fault,
     unit_fault,
 )
+from kinpole_ros.messages._stack import TF
 from kinpole_ros.messages._stamps import jitter_costs
 from kinpole_ros.messages._types import (
     WITH_ROS,
+    WITH_TF,
     DiagnosticArray,
     constants,
     deserialize_message,
@@ -45,7 +47,9 @@ __all__ = [
     'MARKER_TYPES',
     'ROS_TYPE_NAMES',
     'SMOOTHED',
+    'TF',
     'WITH_ROS',
+    'WITH_TF',
     'DiagnosticArray',
     'DiagnosticsMaker',
     'MarkerReader',
@@ -63,6 +67,7 @@ __all__ = [
     'not_there',
     'nothing_drawn',
     'ns_to_stamp',
+    'outputs_of',
     'plane_words',
     'read_markers',
     'result_outputs',

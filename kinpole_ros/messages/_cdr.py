@@ -51,25 +51,58 @@ class Writer:
 
 
 def stamped_doubles(
-    stamps: np.ndarray, frame_id: str, figures: np.ndarray, child: str | None = None
+    stamps: np.ndarray,
+    frame_id: str,
+    figures: np.ndarray,
+    child: str | None = None,
+    listed: bool = False,
 ) -> list[bytes]:
     """
     Messages of a header and doubles, one of each row of `figures` (T, n); `stamps` (T,) in ns.
 
-    `child` is the second string of those that have one: Odometry's child_frame_id.
+    `child` is the second string of those that have one: Odometry's child_frame_id. If `listed`
+    the message is a list, and that is all that is in it, as in TFMessage.
     """
-    head = _head(frame_id, child)
+    head = _head(frame_id, child, listed)
+    first = HEAD + 4 * listed
     doubles = figures.astype('<f8', copy=False)
     if len(doubles) == 1:
         # As the live node needs it: without the rows, a third of the time.
         time = _TIME.pack(*divmod(int(stamps[0]), _SECOND))
-        return [head[:HEAD] + time + head[HEAD + _TIME.size :] + doubles.tobytes()]
-    size = len(head) + doubles.strides[0]
-    rows = np.empty((len(doubles), size), np.uint8)
+        return [head[:first] + time + head[first + _TIME.size :] + doubles.tobytes()]
+    rows = np.empty((len(doubles), len(head) + doubles.strides[0]), np.uint8)
     rows[:, : len(head)] = np.frombuffer(head, np.uint8)
-    rows[:, HEAD : HEAD + _TIME.size] = _times(stamps)
+    rows[:, first : first + _TIME.size] = _times(stamps)
     rows[:, len(head) :] = doubles.view(np.uint8)
-    data = rows.tobytes()
+    return _messages(rows)
+
+
+def joint_data(
+    stamps: np.ndarray, names: Sequence[str], positions: np.ndarray, velocities: np.ndarray
+) -> list[bytes]:
+    """A sensor_msgs/JointState of each of `stamps` (T,), of n joints; figures are (T, n)."""
+    writer, zero, places = Writer(), np.zeros(len(names)), []
+    writer.header(0, '')
+    writer.pack('I', len(names))
+    for name in names:
+        writer.string(name)
+    for _ in (positions, velocities):
+        writer.pack('I', len(names))
+        writer.doubles(zero)
+        places.append(slice(len(writer.data) - zero.nbytes, len(writer.data)))
+    # No efforts, but where they would begin.
+    writer.pack('I', 0)
+    writer.align(8)
+    rows = np.tile(np.frombuffer(bytes(writer.data), np.uint8), (len(stamps), 1))
+    rows[:, HEAD : HEAD + _TIME.size] = _times(stamps)
+    for place, figures in zip(places, (positions, velocities), strict=True):
+        rows[:, place] = np.ascontiguousarray(figures, '<f8').view(np.uint8)
+    return _messages(rows)
+
+
+def _messages(rows: np.ndarray) -> list[bytes]:
+    """Rows of bytes (T, n) one by one."""
+    data, size = rows.tobytes(), rows.shape[1]
     return [data[first : first + size] for first in range(0, len(data), size)]
 
 
@@ -126,9 +159,11 @@ def _times(stamps: np.ndarray) -> np.ndarray:
 
 # As many as there are frames of bodies, and of what moves them.
 @lru_cache(maxsize=256)
-def _head(frame_id: str, child: str | None) -> bytes:
+def _head(frame_id: str, child: str | None, listed: bool = False) -> bytes:
     """All before the doubles, with the stamp 0."""
     writer = Writer()
+    if listed:
+        writer.pack('I', 1)
     writer.header(0, frame_id)
     if child is not None:
         writer.string(child)

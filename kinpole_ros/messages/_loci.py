@@ -100,8 +100,8 @@ class _DrawingSchedule:
         return due
 
 
-def centrode(b: int, given: Plane, trail: Trail, fixed: bool) -> Build:
-    """Paths of the centrode of body `b`, on the ground or on the body."""
+def centrode(b: int, given: Plane, trail: Trail, frame: str | None) -> Build:
+    """Paths of the centrode of body `b`, on the ground, or on the body in the `frame` it has."""
     schedule = _DrawingSchedule()
 
     def build(estimate: Estimate) -> Built:
@@ -112,8 +112,8 @@ def centrode(b: int, given: Plane, trail: Trail, fixed: bool) -> Build:
         due = schedule.due(estimate.stamp, drawn.nonzero()[0])
         if not due:
             return [], []
-        frame_id = estimate.frame_id if fixed else estimate.bodies[b]
-        values, heights = (trail.fixed, trail.heights) if fixed else (trail.moving, 0.0)
+        frame_id = estimate.frame_id if frame is None else frame
+        values, heights = (trail.moving, 0.0) if frame else (trail.fixed, trail.heights)
         places = (estimate.plane or given).in_space(values, heights)
         parts = zip(due, trail.until(estimate.stamp[due]), strict=True)
         return due, [

@@ -5,31 +5,34 @@ Node, replay and simulate all walk this table, so a topic added here is there in
 is only built for a topic somebody reads.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from itertools import combinations
-from typing import NamedTuple, TypeAlias
+from typing import NamedTuple
 
 import numpy as np
 
 from kinpole_ros.linkage.theory import Theory, balance
 from kinpole_ros.messages._cdr import stamped_doubles
 from kinpole_ros.messages._loci import Build, Built, Trail, centrode, scene
+from kinpole_ros.messages._stack import TF, Chosen, frame_poses, frames, joint_states
 from kinpole_ros.messages._types import (
+    JointState,
     MarkerArray,
     Odometry,
     Path,
     PointStamped,
     PoseWithCovarianceStamped,
+    TFMessage,
     Vector3Stamped,
     WrenchStamped,
 )
 from kinpole_ros.pipeline.estimate import POLE_NAMES, RATE_NAMES, Estimate, Numbers, Vectors
+from kinpole_ros.pipeline.parameters import Settings
 from kinpole_ros.rigid.plane import XY, Plane, PlaneSetting, plane_of
 
 # The topic of what is drawn.
 DRAWING = 'visualization'
-# Instants, as an index of arrays.
-Chosen: TypeAlias = slice | np.ndarray
 # A variance for what a planar measurement says nothing about (m^2, rad^2, ...).
 _UNMEASURED = 1e6
 # The same in a plane that is oblique to the axes of the frame, where it adds to all cells of the
@@ -41,7 +44,7 @@ _SYMMETRIC = [0, 1, 2, 1, 4, 5, 2, 5, 8]
 
 class Output(NamedTuple):
     """
-    One topic under the node's name.
+    One topic, under the node's name unless it begins with a slash.
 
     `order` is the highest derivative it needs. `build` makes the messages of an estimate's
     instants: the indices of instants, in order, and a serialized message for each. There is none of
@@ -53,25 +56,40 @@ class Output(NamedTuple):
     order: int
     build: Build
 
+    def under(self, node: str) -> str:
+        """The whole name of the topic, of a node of this name; one of all nodes has its own."""
+        return self.topic if self.topic.startswith('/') else f'{node}/{self.topic}'
+
 
 def result_outputs(
-    bodies: Sequence[str], plane: PlaneSetting, theory: Theory | None = None
+    bodies: Sequence[str],
+    plane: PlaneSetting,
+    theory: Theory | None = None,
+    joints: Mapping[str, tuple[str, str]] | None = None,
+    frame_prefix: str = '',
 ) -> list[Output]:
     """
     All topics for these bodies, as DESIGN's table has them.
 
     `plane`, as the parameter has it, is that of estimates that do not say where they lie. With the
-    loads of a `theory` also what balances them: `balance`, and its standard deviation.
+    loads of a `theory` also what balances them: `balance`, and its standard deviation. `joints` are
+    pairs of bodies, or of the ground and a body. Frames of bodies have their names after a prefix.
     """
     given = plane_of(plane) or XY
+    frame_names = [frame_prefix + body for body in bodies]
     outputs: list[Output] = []
     trails = [Trail() for _ in bodies]
+
+    def add(topic: str, kind: type, order: int, build: Callable[[bool], Build]) -> None:
+        """One of those that have a topic beside them of their standard deviation."""
+        outputs.append(Output(topic, kind, order, build(False)))
+        outputs.append(Output(f'{topic}/deviation', kind, order, build(True)))
+
     for b, body in enumerate(bodies):
-        outputs.append(Output(f'{body}/odom', Odometry, 1, _odometry(b, given)))
+        outputs.append(Output(f'{body}/odom', Odometry, 1, _odometry(b, given, frame_names[b])))
         for order in range(1, 5):
-            rate = _numbers(_rate(order), b, given)
             name = f'{body}/{RATE_NAMES[order - 1]}'
-            outputs.append(Output(name, Vector3Stamped, order, rate))
+            add(name, Vector3Stamped, order, partial(_numbers, _rate(order), b, given))
         for order in range(1, 5):
             name = f'{body}/{POLE_NAMES[order - 1]}'
             point, pose = _points(_pole(order), b, given, b), _poses(_pole(order), b, given)
@@ -79,25 +97,36 @@ def result_outputs(
             outputs.append(
                 Output(f'{name}/with_covariance', PoseWithCovarianceStamped, order, pose)
             )
-        velocity = _points(lambda e: e.icr_velocity, b, given)
-        outputs.append(Output(f'{body}/icr_velocity', Vector3Stamped, 2, velocity))
-        curvature = _numbers(lambda e: e.centrode_curvature, b, given)
-        outputs.append(Output(f'{body}/centrode_curvature', Vector3Stamped, 3, curvature))
-        for name, fixed in (('fixed', True), ('moving', False)):
-            locus = centrode(b, given, trails[b], fixed)
+        velocity = partial(_points, lambda e: e.icr_velocity, b, given, None)
+        add(f'{body}/icr_velocity', Vector3Stamped, 2, velocity)
+        curvature = partial(_numbers, lambda e: e.centrode_curvature, b, given)
+        add(f'{body}/centrode_curvature', Vector3Stamped, 3, curvature)
+        for name, frame in (('fixed', None), ('moving', frame_names[b])):
+            locus = centrode(b, given, trails[b], frame)
             outputs.append(Output(f'{body}/centrode/{name}', Path, 1, locus))
     for k, (i, j) in enumerate(combinations(range(len(bodies)), 2)):
         name = f'{bodies[j]}/wrt/{bodies[i]}'
-        center = _points(lambda e: e.relative_icr, k, given, i)
-        rate = _numbers(lambda e: e.relative_rate, k, given)
-        outputs.append(Output(f'{name}/icr', PointStamped, 1, center))
-        outputs.append(Output(f'{name}/angular_velocity', Vector3Stamped, 1, rate))
+        center = partial(_points, lambda e: e.relative_icr, k, given, i)
+        rate = partial(_numbers, lambda e: e.relative_rate, k, given)
+        add(f'{name}/icr', PointStamped, 1, center)
+        add(f'{name}/angular_velocity', Vector3Stamped, 1, rate)
     drawing = scene(tuple(bodies), given, trails)
     outputs.append(Output(DRAWING, MarkerArray, 2, drawing))
+    if joints:
+        add('joint_states', JointState, 1, partial(joint_states, joints, bodies))
     if theory is not None and theory.balances:
-        outputs.append(Output('balance', WrenchStamped, 1, _balance(theory, given, False)))
-        outputs.append(Output('balance/deviation', WrenchStamped, 1, _balance(theory, given, True)))
+        add('balance', WrenchStamped, 1, partial(_balance, theory, given))
+    outputs.append(Output(TF, TFMessage, 1, frames(frame_names, given)))
     return outputs
+
+
+def outputs_of(settings: Settings, theory: Theory | None) -> list[Output]:
+    """All topics with these settings, up to the highest derivative."""
+    highest = settings.derivative_order or 4
+    rows = result_outputs(
+        tuple(settings.bodies), settings.plane, theory, settings.joints, settings.frame_prefix
+    )
+    return [row for row in rows if row.order <= highest]
 
 
 def _balance(theory: Theory, given: Plane, deviation: bool) -> Build:
@@ -140,14 +169,17 @@ def _messages(
     return when.tolist(), stamped_doubles(stamps, estimate.frame_id, figures(chosen), child)
 
 
-def _numbers(quantity: Callable[[Estimate], Numbers], k: int, given: Plane) -> Build:
-    """One quantity along the normal, of body or pair `k`, as a vector."""
+def _numbers(
+    quantity: Callable[[Estimate], Numbers], k: int, given: Plane, deviation: bool
+) -> Build:
+    """One quantity along the normal, of body or pair `k`, as a vector; or its deviation."""
 
     def build(estimate: Estimate) -> Built:
         found = quantity(estimate)
 
         def figures(chosen: Chosen) -> np.ndarray:
-            return (estimate.plane or given).along_normal(found.value[chosen, k])
+            values = np.sqrt(found.variance[chosen, k]) if deviation else found.value[chosen, k]
+            return (estimate.plane or given).along_normal(values)
 
         return _messages(estimate, found.determined[:, k], figures)
 
@@ -155,14 +187,26 @@ def _numbers(quantity: Callable[[Estimate], Numbers], k: int, given: Plane) -> B
 
 
 def _points(
-    quantity: Callable[[Estimate], Vectors], k: int, given: Plane, body: int | None = None
+    quantity: Callable[[Estimate], Vectors],
+    k: int,
+    given: Plane,
+    body: int | None,
+    deviation: bool = False,
 ) -> Build:
-    """One vector of body or pair `k`: a point at the height of `body`, or a free one without."""
+    """
+    One vector of body or pair `k`: a point at the height of `body`, or a free one without.
+
+    Or its deviations, along the axes of the frame.
+    """
 
     def build(estimate: Estimate) -> Built:
         found = quantity(estimate)
 
         def figures(chosen: Chosen) -> np.ndarray:
+            if deviation:
+                across = (estimate.plane or given).basis[:2]
+                cells = np.einsum('ia,tij,ja->ta', across, found.covariance[chosen, k], across)
+                return np.sqrt(np.maximum(cells, 0.0))
             heights = 0.0 if body is None else estimate.height[chosen, body]
             return (estimate.plane or given).in_space(found.value[chosen, k], heights)
 
@@ -194,19 +238,18 @@ def _poses(quantity: Callable[[Estimate], Vectors], k: int, given: Plane) -> Bui
     return build
 
 
-def _odometry(b: int, given: Plane) -> Build:
-    """Pose of the body in the frame of the markers, twist in the body's own frame (REP-105)."""
+def _odometry(b: int, given: Plane, frame: str) -> Build:
+    """Pose of the body in the frame of the markers, twist in the body's own `frame` (REP-105)."""
 
     def build(estimate: Estimate) -> Built:
         def figures(chosen: Chosen) -> np.ndarray:
-            position, velocity = (estimate.origin(order)[chosen, b] for order in (0, 1))
+            velocity = estimate.origin(1)[chosen, b]
             angle, rate = estimate.angle[:2, chosen, b]
             both = np.zeros((len(angle), 85))
             pose, twist = both[:, :43], both[:, 43:]
             plane = estimate.plane or given
-            pose[:, :3] = plane.in_space(position, estimate.height[chosen, b])
+            pose[:, :7] = frame_poses(estimate, b, chosen, given)
             turn = np.exp(0.5j * angle)
-            pose[:, 3:6], pose[:, 6] = plane.along_normal(turn.imag), turn.real
             twist[:, :3] = plane.in_space(velocity / turn**2, 0.0)
             twist[:, 3:6] = plane.along_normal(rate)
             of_angle = estimate.angle_covariance[:2, :2, chosen, b].transpose(2, 0, 1).copy()
@@ -235,7 +278,7 @@ def _odometry(b: int, given: Plane) -> Build:
                 part[:, -36:] = cells.reshape(-1, 36)
             return both
 
-        return _messages(estimate, estimate.missing[:, b] == '', figures, estimate.bodies[b])
+        return _messages(estimate, estimate.missing[:, b] == '', figures, frame)
 
     return build
 

@@ -63,3 +63,21 @@ def _msg_type(idl: str) -> str:
     if found := re.fullmatch(r'(w?string)<(\d+)>', idl):
         return f'{found[1]}<={found[2]}'
     return _BASIC.get(idl, idl)
+
+
+class _TFMessage:
+    """The type tf2_msgs/msg/TFMessage where that package is not installed: enough for a bag."""
+
+    @staticmethod
+    def get_fields_and_field_types() -> dict[str, str]:
+        """As the class has it."""
+        return {'transforms': 'sequence<geometry_msgs/TransformStamped>'}
+
+
+_TFMessage.__module__, _TFMessage.__name__ = 'tf2_msgs.msg', 'TFMessage'
+try:
+    TFMessage: Any = message_class('tf2_msgs/msg/TFMessage')
+    WITH_TF = True
+except LookupError:
+    TFMessage = _TFMessage
+    WITH_TF = False

@@ -30,17 +30,27 @@ if WITH_ROS or TYPE_CHECKING:
         WrenchStamped,
     )
     from nav_msgs.msg import Odometry, Path
-    from sensor_msgs.msg import PointCloud2, PointField
+    from sensor_msgs.msg import JointState, PointCloud2, PointField
     from std_msgs.msg import ColorRGBA, Header
     from visualization_msgs.msg import Marker, MarkerArray
 
-    from kinpole_ros.messages._rosidl import constants, fields, message_class, octets, type_name
+    from kinpole_ros.messages._rosidl import (
+        WITH_TF,
+        TFMessage,
+        constants,
+        fields,
+        message_class,
+        octets,
+        type_name,
+    )
 else:
     from kinpole_ros.messages._rosbags import (
+        WITH_TF,
         ColorRGBA,
         DiagnosticArray,
         DiagnosticStatus,
         Header,
+        JointState,
         KeyValue,
         Marker,
         MarkerArray,
@@ -53,6 +63,7 @@ else:
         Pose,
         PoseArray,
         PoseWithCovarianceStamped,
+        TFMessage,
         Time,
         Vector3,
         Vector3Stamped,
@@ -66,10 +77,12 @@ else:
 
 __all__ = [
     'WITH_ROS',
+    'WITH_TF',
     'ColorRGBA',
     'DiagnosticArray',
     'DiagnosticStatus',
     'Header',
+    'JointState',
     'KeyValue',
     'Marker',
     'MarkerArray',
@@ -82,6 +95,7 @@ __all__ = [
     'Pose',
     'PoseArray',
     'PoseWithCovarianceStamped',
+    'TFMessage',
     'Time',
     'Vector3',
     'Vector3Stamped',

@@ -42,6 +42,10 @@ class Settings:
     effort: str = 'normal'
     method: str = 'pose'
     scene: str = ''
+    # By name, of the second body, or the ground, against the first.
+    joints: Mapping[str, tuple[str, str]] = field(default_factory=dict)
+    publish_tf: bool = False
+    frame_prefix: str = ''
     # Of the bodies that have one given: places of their markers, complex, m.
     shapes: Mapping[str, tuple[complex, ...]] = field(default_factory=dict)
 
@@ -129,14 +133,32 @@ def _names(value: Any) -> tuple[str, ...]:
     return tuple(value)
 
 
-def _body_names(value: Any) -> tuple[str, ...]:
+def _identifiers(value: Any) -> tuple[str, ...]:
     names = _names(value)
-    if not names or not all(
+    if not all(
         name.isascii() and name.replace('_', 'a').isalnum() and not name[0].isdigit()
         for name in names
     ):
         raise ValueError
     return names
+
+
+def _body_names(value: Any) -> tuple[str, ...]:
+    names = _identifiers(value)
+    if not names:
+        raise ValueError
+    return names
+
+
+def _pair(value: Any) -> tuple[str, str]:
+    first, second = _names(value)
+    return first, second
+
+
+def _prefix(value: Any) -> str:
+    if not isinstance(value, str) or not re.fullmatch(r'[\w/.-]*', value):
+        raise ValueError
+    return value
 
 
 def _shape(value: Any) -> tuple[complex, ...]:
@@ -261,7 +283,33 @@ PARAMETERS: Mapping[str, Parameter] = {
         # Whoever is on the network must not name files of this machine.
         fixed=True,
     ),
+    'joints': Parameter(
+        [],
+        'Names of the joints on ~/joint_states. Each has a parameter <joint>.bodies.',
+        _identifiers,
+        'a list of different names of letters, digits and _',
+        fixed=True,
+    ),
+    'publish_tf': Parameter(
+        False,
+        'Whether /tf tells where the frames of the bodies are; needs tf2_msgs.',
+        _flag,
+        'true or false',
+    ),
+    'frame_prefix': Parameter(
+        '',
+        'What the name of a body is preceded by in the name of its frame, such as rig1/.',
+        _prefix,
+        'letters, digits and any of _ / . -',
+    ),
 }
+JOINT_BODIES = Parameter(
+    [],
+    'The two bodies of this joint, or ground and a body: the second moves against the first.',
+    _pair,
+    "two different names of bodies, or 'ground' and one, such as ['crank', 'coupler']",
+    fixed=True,
+)
 MARKERS = Parameter(
     [],
     'Markers on this body, as their identities; empty, where there is one body: all markers.',
@@ -285,6 +333,8 @@ AUTOSTART = Parameter(
     'true or false',
     fixed=True,
 )
+# In a joint, what does not move.
+GROUND = 'ground'
 # Not YAML; the others are what PyYAML lets through.
 _MALFORMED = (yaml.YAMLError, ValueError, LookupError, TypeError, AttributeError)
 # What ROS itself, or the node alone, understands in the same file.
@@ -298,13 +348,16 @@ def settings_from(values: Mapping[str, Any]) -> Settings:
     Raises ParameterError for a name that is not known and for a value out of its range.
     """
     names = _checked('bodies', PARAMETERS['bodies'], values)
-    known = {**PARAMETERS, **body_parameters(names)}
+    joints = _checked('joints', PARAMETERS['joints'], values)
+    known = {**PARAMETERS, **own_parameters(names, joints)}
     for name in values:
         if name not in known and name not in _NODE_ONLY and not name.startswith('qos_overrides.'):
             hint = ''
             body, _, last = name.rpartition('.')
             if last in ('markers', 'shape'):
                 hint = f'; {cut(body)} is not among the bodies {", ".join(names)}'
+            elif last == 'bodies':
+                hint = f'; {cut(body)} is not among the joints {", ".join(joints) or "(none)"}'
             raise ParameterError(
                 f'unknown parameter {cut(name)}{hint}; known are {", ".join(sorted(known))}'
             )
@@ -314,6 +367,13 @@ def settings_from(values: Mapping[str, Any]) -> Settings:
     checked['bodies'] = bodies
     shapes = {name: checked.pop(f'{name}.shape') for name in names}
     checked['shapes'] = shapes = {name: shape for name, shape in shapes.items() if shape}
+    checked['joints'] = {name: checked.pop(f'{name}.bodies') for name in joints}
+    for name, pair in checked['joints'].items():
+        if unknown := set(pair) - {*names, GROUND}:
+            raise ParameterError(
+                f'parameter {name}.bodies names {cut(", ".join(sorted(unknown)))}; a joint is '
+                f'between two of {", ".join(names)} and {GROUND}'
+            )
     by_shape = checked['marker_identity'] == 'shape'
     for name, shape in shapes.items():
         if bodies[name] and len(bodies[name]) != len(shape):
@@ -354,10 +414,11 @@ def settings_from(values: Mapping[str, Any]) -> Settings:
     return settings
 
 
-def body_parameters(bodies: Iterable[str]) -> dict[str, Parameter]:
-    """The rows of the parameters that each body has."""
+def own_parameters(bodies: Iterable[str], joints: Iterable[str]) -> dict[str, Parameter]:
+    """The rows of the parameters that each body and each joint has."""
     rows = {'markers': MARKERS, 'shape': SHAPE}
-    return {f'{body}.{name}': row for body in bodies for name, row in rows.items()}
+    own = {f'{body}.{name}': row for body in bodies for name, row in rows.items()}
+    return own | {f'{joint}.bodies': JOINT_BODIES for joint in joints}
 
 
 def _checked(name: str, row: Parameter, values: Mapping[str, Any]) -> Any:

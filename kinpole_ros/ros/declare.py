@@ -11,7 +11,7 @@ from kinpole_ros.pipeline.parameters import (
     PARAMETERS,
     ParameterError,
     Settings,
-    body_parameters,
+    own_parameters,
     settings_from,
 )
 
@@ -37,7 +37,7 @@ def declare(node: Node) -> Settings:
     if type(depth) is not int or depth < 1:
         raise ParameterError(f'parameter {name} is {depth!r}; it must be a whole number from 1 up')
     rows = {**PARAMETERS, 'autostart': AUTOSTART}
-    rows.update(body_parameters(settings.bodies))
+    rows.update(own_parameters(settings.bodies, settings.joints))
     for name, row in rows.items():
         descriptor = ParameterDescriptor(
             description=row.description,
@@ -64,7 +64,8 @@ def given_to(node: Node) -> dict[str, Any]:
 
 def values_of(node: Node) -> dict[str, Any]:
     """The parameters of the table, as they are set now."""
-    names = {*PARAMETERS, *body_parameters(node.get_parameter('bodies').value)}
+    named = (node.get_parameter(name).value for name in ('bodies', 'joints'))
+    names = {*PARAMETERS, *own_parameters(*named)}
     return {name: node.get_parameter(name).value for name in names}
 
 

@@ -90,10 +90,15 @@ def play(
     try:
         qos = QoSProfile(depth=_DEEP)
         try:
-            publishers = {
-                name: node.create_publisher(message_class(there[name]), name, qos)
-                for name in chosen
-            }
+            publishers = {}
+            for name in chosen:
+                try:
+                    publishers[name] = node.create_publisher(message_class(there[name]), name, qos)
+                except BagError as error:
+                    if only:
+                        raise
+                    node.get_logger().warning(f'{name} is not played: {error}')
+            chosen = list(publishers)
             clocks = None if clock is None else node.create_publisher(ClockMessage, '/clock', 1)
         except NameValidationException as error:
             reason = ' '.join(str(error).rstrip(' ^\n').split())

@@ -28,19 +28,22 @@ from rclpy.logging import LoggingSeverity, set_logger_level
 from rclpy.parameter import Parameter as RosParameter
 from rclpy.utilities import remove_ros_args
 from rosgraph_msgs.msg import Clock as ClockMessage
+from std_srvs.srv import Trigger
 
-from kinpole_ros.linkage.theory import load_theory
+from kinpole_ros.linkage.theory import Theory, load_theory
 from kinpole_ros.messages import (
     DRAWING,
+    TF,
+    WITH_TF,
     DiagnosticsMaker,
     MessageError,
     Output,
     nothing_drawn,
-    result_outputs,
+    outputs_of,
 )
 from kinpole_ros.pipeline.estimate import Estimate
 from kinpole_ros.pipeline.frame import MarkerFrames, part_of
-from kinpole_ros.pipeline.parameters import PARAMETERS, ParameterError, settings_from
+from kinpole_ros.pipeline.parameters import PARAMETERS, ParameterError, Settings, settings_from
 from kinpole_ros.pipeline.tracker import Tracker
 from kinpole_ros.ros.declare import declare, given_in_vain, given_to, values_of
 from kinpole_ros.ros.executor import MessagesFirst
@@ -79,7 +82,7 @@ class KinpoleNode(LifecycleNode):
                 f'{", ".join(in_vain)} set nothing: the markers come on {self.source.topic}; '
                 f'write qos_overrides.{self.source.topic}.subscription...'
             )
-        self._theory = load_theory(self.settings)
+        self._theory = _theory_of(self.settings)
         self._tracker = Tracker(self.settings)
         self._diagnostics = self._make_diagnostics()
         self._outputs: list[tuple[Output, Any]] = []
@@ -108,6 +111,7 @@ class KinpoleNode(LifecycleNode):
         self.create_timer(_LOOK_EVERY, self._look, clock=self._steady)
         self.add_on_set_parameters_callback(self._check_parameters)
         self.add_post_set_parameters_callback(self._take_parameters)
+        self.create_service(Trigger, '~/relearn', self._relearn)
         wrap_service(self, ChangeState, _change_if_possible)
         for kind in (SetParameters, SetParametersAtomically):
             wrap_service(self, kind, self._set_at_once)
@@ -182,7 +186,7 @@ class KinpoleNode(LifecycleNode):
                 reason = f'parameter {p.name} is read at the start only; set it there'
                 return SetParametersResult(successful=False, reason=reason)
         try:
-            load_theory(settings_from({**values_of(self), **{p.name: p.value for p in changes}}))
+            _theory_of(settings_from({**values_of(self), **{p.name: p.value for p in changes}}))
         except ParameterError as error:
             return SetParametersResult(successful=False, reason=str(error))
         return SetParametersResult(successful=True)
@@ -197,7 +201,7 @@ class KinpoleNode(LifecycleNode):
     def _use_parameters(self) -> None:
         """Start anew with the changed settings; publishers that stay in use are not touched."""
         self.settings = settings_from(values_of(self))
-        self._theory = load_theory(self.settings)
+        self._theory = _theory_of(self.settings)
         self._start_anew()
         if self._outputs:
             self._make_outputs()
@@ -215,8 +219,14 @@ class KinpoleNode(LifecycleNode):
         self._latest = None
         self._stamps = []
 
+    def _relearn(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        """Markers were moved on their bodies: learn shapes, noise and pins anew."""
+        self._start_anew()
+        response.success, response.message = True, 'all is learned anew from the next frame on'
+        return response
+
     def _is_ours(self, name: str) -> bool:
-        return name in PARAMETERS or name.endswith(('.markers', '.shape'))
+        return name in PARAMETERS or name.endswith(('.markers', '.shape', '.bodies'))
 
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Make the publishers."""
@@ -272,12 +282,10 @@ class KinpoleNode(LifecycleNode):
         return self.on_shutdown(state)
 
     def _make_outputs(self) -> None:
-        highest = self.settings.derivative_order or 4
-        bodies = tuple(self.settings.bodies)
         outputs = [
             output
-            for output in result_outputs(bodies, self.settings.plane, self._theory)
-            if output.order <= highest
+            for output in outputs_of(self.settings, self._theory)
+            if output.topic != TF or self.settings.publish_tf
         ]
         self._drop_outputs([output.topic for output in outputs])
         for output in outputs:
@@ -285,7 +293,7 @@ class KinpoleNode(LifecycleNode):
             if publisher is None:
                 publisher = self.create_lifecycle_publisher(
                     output.message_type,
-                    f'~/{output.topic}',
+                    output.under('~'),
                     _KEPT,
                     event_callbacks=_NO_EVENTS,
                 )
@@ -430,6 +438,16 @@ class KinpoleNode(LifecycleNode):
         self._tracker.counts['failures'] += 1
         text = ' '.join(str(error).split())
         self._note('failure', f'the node failed ({type(error).__name__}: {text}) and {what}')
+
+
+def _theory_of(settings: Settings) -> Theory | None:
+    """As `load_theory`, for settings that the node can do; raises ParameterError for others."""
+    if settings.publish_tf and not WITH_TF:
+        raise ParameterError(
+            'parameter publish_tf is true, and tf2_msgs is not installed; install '
+            'ros-jazzy-tf2-msgs, or set it to false'
+        )
+    return load_theory(settings)
 
 
 def _let_arrive(publishers: Sequence[Any]) -> None:

@@ -6,13 +6,14 @@ python -m kinpole_ros.ros.security [my_rig.yaml] > kinpole.policy.xml
 
 import sys
 from collections.abc import Iterable
+from dataclasses import replace
 from xml.sax.saxutils import escape, quoteattr
 
 from kinpole_ros.linkage.theory import load_theory
-from kinpole_ros.messages import result_outputs
+from kinpole_ros.messages import TF, outputs_of
 from kinpole_ros.pipeline.parameters import ParameterError, Settings, load_settings
 
-# Of every node, or every managed one, by rclpy.
+# Of every node, or every managed one, by rclpy; and one of its own.
 _SERVICES = (
     'change_state',
     'describe_parameters',
@@ -24,6 +25,7 @@ _SERVICES = (
     'get_transition_graph',
     'get_type_description',
     'list_parameters',
+    'relearn',
     'set_parameters',
     'set_parameters_atomically',
 )
@@ -38,8 +40,8 @@ def permitted(settings: Settings) -> dict[str, list[str]]:
     are publish, subscribe and reply. Raises ParameterError as load_theory does.
     """
     # Of all orders, since derivative_order may be set while the node runs.
-    outputs = result_outputs(tuple(settings.bodies), settings.plane, load_theory(settings))
-    results = [f'~/{output.topic}' for output in outputs]
+    outputs = outputs_of(replace(settings, derivative_order=4), load_theory(settings))
+    results = [o.under('~') for o in outputs if o.topic != TF or settings.publish_tf]
     return {
         'publish': sorted([*_PUBLISHED, *results]),
         'subscribe': sorted(['/clock', settings.marker_topic]),
