@@ -342,7 +342,10 @@ def test_markers_keep_their_names_and_are_deleted_when_gone() -> None:
                 # RViz shows nothing of what has no size, no color or a quaternion of zeros.
                 assert marker.scale.x > 0
                 assert marker.color.a > 0
-                assert marker.pose.orientation.w == 1.0
+                q = marker.pose.orientation
+                assert np.linalg.norm([q.x, q.y, q.z, q.w]) == pytest.approx(1)
+                # Goes by itself when the node does.
+                assert marker.lifetime.sec > 0
 
 
 def test_all_that_was_drawn_is_taken_away_by_one_marker() -> None:
@@ -372,6 +375,49 @@ def test_the_drawn_poles_are_the_published_ones_and_the_centrodes_touch_there() 
     np.testing.assert_array_equal(tail, icr)
     np.testing.assert_allclose(np.cross(head - tail, velocity), 0, atol=1e-12)
     assert (head - tail) @ velocity > 0
+
+
+@pytest.mark.parametrize('plane', [*PLANES, (0.0, -0.5, 0.8)])
+def test_the_ball_about_a_pole_is_of_two_deviations(plane: Any) -> None:
+    table = {row.topic: row for row in result_outputs(BODIES, plane)}
+    now = estimate()
+    array = decoded(table['visualization'])(now)
+    drawn = {marker.ns: marker for marker in array.markers}
+    for name in POLE_NAMES:
+        marker = drawn[f'crank/{name}/deviation']
+        pose = decoded(table[f'crank/{name}/with_covariance'])(now).pose
+        q, scale = marker.pose.orientation, xyz(marker.scale)
+        axes = np.stack([turned(q, axis) for axis in np.eye(3)])
+        ball = axes.T @ np.diag((scale * [1, 1, 0] / 4) ** 2) @ axes
+        expected = pose.covariance.reshape(6, 6)[:3, :3]
+        np.testing.assert_allclose(ball, expected, atol=1e-6 * expected.max())
+        np.testing.assert_array_equal(xyz(marker.pose.position), xyz(pose.pose.position))
+
+
+def test_bodies_are_drawn_as_outlines_of_their_markers_with_their_names() -> None:
+    now = estimate()
+    square = np.array([1 + 1j, -1 - 1j, 1 - 1j, -1 + 1j])
+    block = stacked([now])
+    block.shape = np.stack((square, np.array([0, 1, 2j, np.nan])))[None]
+    (row,) = [row for row in result_outputs(BODIES, 'xy') if row.topic == 'visualization']
+    array = read_back(row.build(block)[1][0], 'visualization_msgs/msg/MarkerArray')
+    drawn = {marker.ns: marker for marker in array.markers}
+    assert [drawn[f'{body}/name'].text for body in BODIES] == list(BODIES)
+    points = np.array([xyz(point) for point in drawn['crank/outline'].points])
+    turn = np.exp(1j * now.angle[0, 0])
+    corners = (points[:, 0] + 1j * points[:, 1] - now.origin(0)[0]) / turn
+    assert corners[0] == corners[-1]
+    # Around, not across.
+    np.testing.assert_allclose(np.abs(np.diff(corners)), 2)
+    assert set(np.round(corners, 6)) == set(square)
+    assert len(drawn['coupler/outline'].points) == 4
+
+
+def test_relative_centers_are_drawn_where_they_are_published() -> None:
+    now = estimate()
+    drawn = {marker.ns: marker for marker in rows()['visualization'].build(now).markers}
+    center = rows()['coupler/wrt/crank/icr'].build(now).point
+    assert xyz(drawn['coupler/wrt/crank/icr'].pose.position) == pytest.approx(xyz(center))
 
 
 def follow(build: Callable[[Estimate], Any], count: int, step: int = STEP // 2) -> list[Any]:

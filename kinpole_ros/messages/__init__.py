@@ -10,8 +10,8 @@ from kinpole_ros.messages._diagnostics import (
     not_there,
     unseen,
 )
+from kinpole_ros.messages._drawing import nothing_drawn
 from kinpole_ros.messages._identities import identity_lines
-from kinpole_ros.messages._loci import nothing_drawn
 from kinpole_ros.messages._markers import (
     MARKER_TYPES,
     ROS_TYPE_NAMES,

@@ -14,7 +14,8 @@ import numpy as np
 
 from kinpole_ros.linkage.theory import Theory, balance
 from kinpole_ros.messages._cdr import stamped_doubles
-from kinpole_ros.messages._loci import Build, Built, Trail, centrode, scene
+from kinpole_ros.messages._drawing import scene
+from kinpole_ros.messages._loci import Build, Built, Trail, centrode
 from kinpole_ros.messages._stack import TF, Chosen, frame_poses, frames, joint_states
 from kinpole_ros.messages._types import (
     JointState,
@@ -67,6 +68,7 @@ def result_outputs(
     theory: Theory | None = None,
     joints: Mapping[str, tuple[str, str]] | None = None,
     frame_prefix: str = '',
+    highest: int = 4,
 ) -> list[Output]:
     """
     All topics for these bodies, as DESIGN's table has them.
@@ -74,6 +76,7 @@ def result_outputs(
     `plane`, as the parameter has it, is that of estimates that do not say where they lie. With the
     loads of a `theory` also what balances them: `balance`, and its standard deviation. `joints` are
     pairs of bodies, or of the ground and a body. Frames of bodies have their names after a prefix.
+    There are only topics that need derivatives up to the `highest`.
     """
     given = plane_of(plane) or XY
     frame_names = [frame_prefix + body for body in bodies]
@@ -110,23 +113,26 @@ def result_outputs(
         rate = partial(_numbers, lambda e: e.relative_rate, k, given)
         add(f'{name}/icr', PointStamped, 1, center)
         add(f'{name}/angular_velocity', Vector3Stamped, 1, rate)
-    drawing = scene(tuple(bodies), given, trails)
-    outputs.append(Output(DRAWING, MarkerArray, 2, drawing))
+    drawing = scene(tuple(bodies), given, trails, highest)
+    outputs.append(Output(DRAWING, MarkerArray, highest, drawing))
     if joints:
         add('joint_states', JointState, 1, partial(joint_states, joints, bodies))
     if theory is not None and theory.balances:
         add('balance', WrenchStamped, 1, partial(_balance, theory, given))
     outputs.append(Output(TF, TFMessage, 1, frames(frame_names, given)))
-    return outputs
+    return [output for output in outputs if output.order <= highest]
 
 
 def outputs_of(settings: Settings, theory: Theory | None) -> list[Output]:
-    """All topics with these settings, up to the highest derivative."""
-    highest = settings.derivative_order or 4
-    rows = result_outputs(
-        tuple(settings.bodies), settings.plane, theory, settings.joints, settings.frame_prefix
+    """All topics with these settings."""
+    return result_outputs(
+        tuple(settings.bodies),
+        settings.plane,
+        theory,
+        settings.joints,
+        settings.frame_prefix,
+        settings.derivative_order or 4,
     )
-    return [row for row in rows if row.order <= highest]
 
 
 def _balance(theory: Theory, given: Plane, deviation: bool) -> Build:
