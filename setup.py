@@ -28,7 +28,7 @@ setup(
     data_files=[
         ('share/ament_index/resource_index/packages', [f'resource/{NAME}']),
         (SHARE, ['package.xml']),
-        (f'{SHARE}/config', glob('config/*.yaml')),
+        (f'{SHARE}/config', [*glob('config/*.yaml'), 'config/kinpole.rviz']),
         (f'{SHARE}/config/scenes', glob('config/scenes/*.yaml')),
         (f'{SHARE}/config/security', glob('config/security/*.xml')),
         (f'{SHARE}/launch', glob('launch/*.launch.py')),

@@ -2,10 +2,12 @@
 Start the node in a ROS installation, for one tracker or, with namespaces, for several.
 
 ros2 launch kinpole_ros kinpole.launch.py params_file:=my_rig.yaml markers:=/mocap/markers
+and rviz:=true frame:=FRAME, that of the markers, to see it.
 """
 
 from launch import LaunchDescription
 from launch.actions import DeclareLaunchArgument
+from launch.conditions import IfCondition
 from launch.substitutions import LaunchConfiguration, PathJoinSubstitution
 from launch_ros.actions import Node
 from launch_ros.substitutions import FindPackageShare
@@ -13,7 +15,9 @@ from launch_ros.substitutions import FindPackageShare
 
 def generate_launch_description() -> LaunchDescription:
     """Return the arguments and the node, which configures and activates itself."""
-    defaults = PathJoinSubstitution([FindPackageShare('kinpole_ros'), 'config', 'kinpole.yaml'])
+    config = PathJoinSubstitution([FindPackageShare('kinpole_ros'), 'config'])
+    defaults = PathJoinSubstitution([config, 'kinpole.yaml'])
+    drawings = PathJoinSubstitution([config, 'kinpole.rviz'])
     return LaunchDescription(
         [
             DeclareLaunchArgument(
@@ -34,6 +38,12 @@ def generate_launch_description() -> LaunchDescription:
                 default_value='false',
                 description='Whether the clock is /clock, of a simulation or a bag.',
             ),
+            DeclareLaunchArgument(
+                'rviz', default_value='false', description='Whether to start RViz too.'
+            ),
+            DeclareLaunchArgument(
+                'frame', default_value='world', description='Frame of the markers, for RViz.'
+            ),
             Node(
                 package='kinpole_ros',
                 executable='kinpole_node',
@@ -45,6 +55,13 @@ def generate_launch_description() -> LaunchDescription:
                 ],
                 remappings=[('markers', LaunchConfiguration('markers'))],
                 output='screen',
+            ),
+            Node(
+                package='rviz2',
+                executable='rviz2',
+                namespace=LaunchConfiguration('namespace'),
+                arguments=['-d', drawings, '-f', LaunchConfiguration('frame')],
+                condition=IfCondition(LaunchConfiguration('rviz')),
             ),
         ]
     )

@@ -213,6 +213,7 @@ def test_launch_file_starts_the_node_with_every_argument_it_declares(monkeypatch
     values = of_launch(
         monkeypatch, 'launch.substitutions', 'LaunchConfiguration', 'PathJoinSubstitution'
     )
+    conditions = of_launch(monkeypatch, 'launch.conditions', 'IfCondition')
     of_launch(monkeypatch, 'launch_ros', 'actions')
     nodes = of_launch(monkeypatch, 'launch_ros.actions', 'Node')
     of_launch(monkeypatch, 'launch_ros.substitutions', 'FindPackageShare')
@@ -222,11 +223,14 @@ def test_launch_file_starts_the_node_with_every_argument_it_declares(monkeypatch
     arguments = {
         e.args[0]: e.words for e in entities if isinstance(e, declare['DeclareLaunchArgument'])
     }
-    (node,) = (e.words for e in entities if isinstance(e, nodes['Node']))
+    node, viewer = (e.words for e in entities if isinstance(e, nodes['Node']))
     assert all(words['description'] for words in arguments.values())
-    share, *path = arguments['params_file']['default_value'].args[0]
-    assert share.args == ('kinpole_ros',)
-    load_settings(ROOT.joinpath(*path))
+    for file in (arguments['params_file']['default_value'], viewer['arguments'][1]):
+        folder, name = file.args[0]
+        share, config = folder.args[0]
+        assert share.args == ('kinpole_ros',)
+        assert (ROOT / config / name).is_file()
+    load_settings(ROOT / 'config' / arguments['params_file']['default_value'].args[0][1])
 
     assert node['package'] == 'kinpole_ros'
     scripts = setup_words()['entry_points']['console_scripts']
@@ -239,7 +243,10 @@ def test_launch_file_starts_the_node_with_every_argument_it_declares(monkeypatch
         'namespace': node['namespace'],
         'use_sim_time': parameters['use_sim_time'],
         'markers': markers,
+        'rviz': viewer['condition'].args[0],
+        'frame': viewer['arguments'][3],
     }
+    assert isinstance(viewer['condition'], conditions['IfCondition'])
     assert {name: value.args for name, value in used.items()} == {n: (n,) for n in arguments}
     assert all(isinstance(value, values['LaunchConfiguration']) for value in used.values())
 
