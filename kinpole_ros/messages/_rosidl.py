@@ -76,8 +76,9 @@ class _TFMessage:
 
 _TFMessage.__module__, _TFMessage.__name__ = 'tf2_msgs.msg', 'TFMessage'
 try:
-    TFMessage: Any = message_class('tf2_msgs/msg/TFMessage')
+    from tf2_msgs.msg import TFMessage
+
     WITH_TF = True
-except LookupError:
-    TFMessage = _TFMessage
+except ImportError:
+    TFMessage: Any = _TFMessage
     WITH_TF = False
