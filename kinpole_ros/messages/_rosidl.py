@@ -80,5 +80,5 @@ try:
 
     WITH_TF = True
 except ImportError:
-    TFMessage: Any = _TFMessage
+    TFMessage = _TFMessage
     WITH_TF = False
