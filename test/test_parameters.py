@@ -334,4 +334,6 @@ def test_the_files_that_come_along_are_good(path: Path) -> None:
 def test_the_commented_file_holds_every_parameter_with_its_default() -> None:
     assert load_settings(CONFIG / 'kinpole.yaml') == Settings()
     text = (CONFIG / 'kinpole.yaml').read_text()
-    assert all(f'\n    {name}: ' in text for name in PARAMETERS)
+    # An empty list is no value in such a file.
+    own = [name for name in PARAMETERS if name != 'joints']
+    assert all(f'\n    {name}: ' in text for name in own) and '\n    # joints: [' in text
