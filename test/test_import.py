@@ -178,7 +178,7 @@ def test_too_large_and_endless_files_are_refused(tmp_path):
         import_points(tmp_path / 'large.csv', tmp_path / 'out.mcap')
     os.mkfifo(tmp_path / 'pipe')
     for endless in ('/dev/zero', tmp_path / 'pipe'):
-        with pytest.raises(BagError, match='is not a regular file; fix: save what it gives as one'):
+        with pytest.raises(BagError, match='not a regular file'):
             import_points(endless, tmp_path / 'out.mcap')
     assert not (tmp_path / 'out.mcap').exists()
 

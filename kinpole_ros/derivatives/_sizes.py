@@ -11,7 +11,6 @@ import numpy as np
 
 from kinpole_ros.derivatives._cells import Cells
 from kinpole_ros.derivatives._models import FEWEST_SAMPLES
-from kinpole_ros.planar._plane import Real
 
 # More samples than this in a window are averaged in blocks.
 MOST = 128
@@ -75,14 +74,12 @@ def _all_sizes(
         there = (cells.weight > 0).all(axis=1)
     possible = (cells.ahead >= 0) & (np.count_nonzero(there, axis=0) >= FEWEST_SAMPLES)
     oldest = len(there) - there[::-1].argmax(axis=0)
-    # Not far beyond the oldest that is there; what is all but exact would have to be as good there.
-    larger = np.where(cells.exact, 1.0, _LARGER)
     sizes, longest = np.zeros(len(whole), int), blocks.copy()
     while np.count_nonzero(possible):
         for block in np.unique(blocks[possible]).tolist():
             some = np.flatnonzero(possible & (blocks == block))
-            seen, last = _blocks_seen(there[:, some], block), -(-oldest[some] // block)
-            ladder = _ladder(whole[some] // block, last, larger[some])
+            seen, last = _blocks_seen(there[:, some], block), oldest[some] // block
+            ladder = _ladder(whole[some] // block, last, cells.exact[some])
             found = _sizes(seen, cells.ahead[some] // block, ladder)
             lacking = found - seen[np.minimum(found, len(seen)) - 1, np.arange(len(some))]
             known = found > 0
@@ -118,14 +115,16 @@ def _sizes(seen: np.ndarray, ahead: np.ndarray, ladder: Iterator[np.ndarray]) ->
     return sizes
 
 
-def _ladder(full: np.ndarray, last: np.ndarray, larger: Real) -> Iterator[np.ndarray]:
+def _ladder(full: np.ndarray, last: np.ndarray, exact: np.ndarray) -> Iterator[np.ndarray]:
     """
     Sizes (S,) to try one after the other, from the `full` ones on, 0 for none.
 
-    They are so much `larger` at most than the `last` that is there.
+    They are not far beyond the `last` that is there, and for samples that are all but `exact` they
+    are what is there.
     """
+    there = np.minimum(full, last)
     for most in (full, *_SIZES[::-1]):
-        size = np.minimum(full, most)
-        yield np.where(size <= larger * last, size, 0)
-    # All there is, if the instant is the oldest of it.
-    yield np.minimum(full, last)
+        size = np.where(exact, there, np.minimum(full, most))
+        yield np.where(size <= _LARGER * last, size, 0)
+    # If the instant is the oldest of it.
+    yield there

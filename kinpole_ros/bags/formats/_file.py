@@ -1,9 +1,8 @@
 """What every format is read from, a file as bytes or as a sheet of cells, and what it becomes."""
 
 import csv
+import errno
 import math
-import os
-import stat
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
@@ -15,6 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from kinpole_ros.bags._files import BagError
+from kinpole_ros.files import printable, read_limited
 
 # Bytes of a file, which is held as text and cell by cell; hours of tracked points are less.
 MOST = 256 << 20
@@ -111,17 +111,18 @@ class Sheet:
         self.delimiter = next(
             (mark for mark in '\t;' if sum(mark in line for line in first) * 2 > len(first)), ','
         )
+        # Before they are split: a cell of nothing takes as much as 100 letters then.
+        for number, line in enumerate(text.split('\n'), 1):
+            if (columns := line.count(self.delimiter) + 1) > _MOST_COLUMNS:
+                raise BagError(
+                    f'{path}, line {number}: {columns} columns; fix: give {_MOST_COLUMNS} at most'
+                )
         reader = csv.reader(StringIO(text, newline=''), delimiter=self.delimiter, strict=True)
         self.rows: list[list[str]] = []
         self.lines: list[int] = []
         try:
             for row in reader:
                 if row:
-                    if len(row) > _MOST_COLUMNS:
-                        raise BagError(
-                            f'{path}, line {reader.line_num}: {len(row)} columns; '
-                            f'fix: give {_MOST_COLUMNS} at most'
-                        )
                     self.rows.append(row)
                     self.lines.append(reader.line_num)
         except csv.Error as error:
@@ -172,24 +173,15 @@ class Sheet:
 
 def _read(path: Path) -> bytes:
     try:
-        # A pipe would be waited for.
-        with open(
-            os.open(path, os.O_RDONLY | getattr(os, 'O_NONBLOCK', 0) | _BINARY), 'rb'
-        ) as file:
-            if not stat.S_ISREG(os.fstat(file.fileno()).st_mode):
-                raise BagError(f'{path} is not a regular file; fix: save what it gives as one')
-            too_large = os.fstat(file.fileno()).st_size > MOST
-            content = b'' if too_large else file.read(MOST)
+        return read_limited(path, MOST)
     except OSError as error:
+        if error.errno == errno.EFBIG:
+            raise BagError(
+                f'{path} is larger than {MOST >> 20} MiB; fix: cut it into parts'
+            ) from error
         raise BagError(
             f'{path} cannot be read: {error.strerror}; fix: check the path and its rights'
         ) from error
-    if too_large:
-        raise BagError(f'{path} is larger than {MOST >> 20} MiB; fix: cut it into parts')
-    return content
-
-
-_BINARY = getattr(os, 'O_BINARY', 0)
 
 
 def not_utf8(path: Path, line: int) -> BagError:
@@ -198,10 +190,7 @@ def not_utf8(path: Path, line: int) -> BagError:
 
 def shown(text: str) -> str:
     """Text of a file for a message: cut, and harmless to a terminal."""
-    cut = text if len(text) <= _SHOWN else f'{text[:_SHOWN]}...'
-    return ''.join(
-        letter if letter.isprintable() else '\N{REPLACEMENT CHARACTER}' for letter in cut
-    )
+    return printable(text if len(text) <= _SHOWN else f'{text[:_SHOWN]}...')
 
 
 def no_points(path: Path, why: str, fix: str) -> BagError:
