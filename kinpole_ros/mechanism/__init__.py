@@ -3,6 +3,7 @@
 from kinpole_ros.mechanism._assembly import Revolute, Rolling
 from kinpole_ros.mechanism._centers import Centers, center_name, explain, instant_centers
 from kinpole_ros.mechanism._centrodes import Centrodes, centrodes, write_pitch_curves
+from kinpole_ros.mechanism._equations import Dimension, Equation, Equations, Part
 from kinpole_ros.mechanism._loops import LinkageError
 from kinpole_ros.mechanism._mechanism import Mechanism, Motion
 from kinpole_ros.mechanism._motions import BodyMotion, marker_positions, rotation_derivatives
@@ -17,12 +18,16 @@ __all__ = [
     'BodyMotion',
     'Centers',
     'Centrodes',
+    'Dimension',
+    'Equation',
+    'Equations',
     'Force',
     'Holder',
     'LinkageError',
     'Load',
     'Mechanism',
     'Motion',
+    'Part',
     'Revolute',
     'Rolling',
     'Scene',

@@ -19,6 +19,7 @@ from kinpole_ros.files import cut_line, read_limited
 from kinpole_ros.files.bounded_yaml import MOST_YAML, Loader, load_yaml
 from kinpole_ros.mechanism._assembly import GROUND, Assembly, Strut
 from kinpole_ros.mechanism._drive import Drive, constant_rate, sine, smooth_step, table
+from kinpole_ros.mechanism._equations import Equations, equations_of_vectors
 from kinpole_ros.mechanism._joints import (
     Points,
     mapping,
@@ -51,7 +52,8 @@ class Scene:
     name, arrays (5, ...) in the ground's frame; it raises SceneError for a time at which the
     mechanism cannot follow its drivers. `points` maps names ('coupler.P', or of the loop form 'P')
     to the body and the place in its frame (complex, m); `loads` are those on it (N, N m), and
-    `held_by` what is asked to balance them, if that is not the drivers.
+    `held_by` what is asked to balance them, if that is not the drivers. `equations` are what its
+    joints say of the bodies' poses, whatever drives them.
     """
 
     name: str
@@ -62,6 +64,7 @@ class Scene:
     points: Points
     loads: tuple[Load, ...]
     held_by: Holder | None
+    equations: Equations
 
 
 class _Driven(NamedTuple):
@@ -112,11 +115,12 @@ def _scene(path: Path, data: Any) -> Scene:
         vectors = mapping("'vectors'", data['vectors'], 'r2: {length: 20 cm, angle: unknown}')
         need('the file', data, ('loops', 'drivers'), 'config/scenes/loader_cylinder.yaml')
         chains = mapping("'points'", data['points'], 'P: r2 + r3p') if 'points' in data else {}
-        assembly, points = read_vectors(vectors, data['loops'], chains)
+        assembly, points, read = read_vectors(vectors, data['loops'], chains)
+        equations = equations_of_vectors(read)
     else:
         refuse_unknown('the file', data, ('bodies', 'joints', *_EITHER))
         need('the file', data, ('bodies', 'drivers'), 'config/scenes/four_bar.yaml')
-        assembly, points = read_bodies(data['bodies'], data.get('joints'))
+        assembly, points, equations = read_bodies(data['bodies'], data.get('joints'))
     driven = _drivers(data['drivers'], assembly)
     said = _start(data.get('start'), assembly)
     drivers = tuple(one.driver for one in driven)
@@ -145,6 +149,7 @@ def _scene(path: Path, data: Any) -> Scene:
         points=points,
         loads=loads,
         held_by=held_by,
+        equations=equations,
     )
 
 

@@ -1,0 +1,112 @@
+"""
+Poses of a scene's bodies as measured, frame by frame, with their covariances.
+
+The tracker's frames lie anywhere in the bodies; the scene's markers tell how its own lie there.
+"""
+
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from kinpole_ros.linkage._residuals import place
+from kinpole_ros.mechanism import Equations
+from kinpole_ros.pipeline.estimate import Estimate
+from kinpole_ros.planar import fit_pose
+from kinpole_ros.planar._plane import Complex, Real
+
+
+class Lie(NamedTuple):
+    """
+    How a body of the scene lies among the tracked: it is their number `tracked`; `markers` (k,) of
+    its markers are the scene's, at `known` (k,) in the scene's frame of it, complex, m.
+    """
+
+    tracked: int
+    markers: np.ndarray
+    known: Complex
+
+
+class ScenePoses(NamedTuple):
+    """
+    Poses (T, B) of bodies in the plane of the markers: `position` (complex, m) and `angle` (rad).
+
+    `cofactor` (T, B, 3, 3) is the covariance of x, y and angle over the square of the `noise`
+    (T, B) of a marker, m; `seen` (T, B) is where all this is known, and `bodies` (B,) numbers them
+    among those of the equations.
+    """
+
+    stamp: np.ndarray
+    position: Complex
+    angle: Real
+    cofactor: Real
+    noise: Real
+    seen: np.ndarray
+    bodies: tuple[int, ...]
+
+    @property
+    def covariance(self) -> Real:
+        """That of x, y and angle (T, B, 3, 3)."""
+        return self.cofactor * self.noise[..., None, None] ** 2
+
+    def part(self, some: np.ndarray | slice) -> 'ScenePoses':
+        """Some of the instants."""
+        return ScenePoses(*(part[some] for part in self[:-1]), self.bodies)
+
+
+def scene_poses(
+    equations: Equations, values: Real, lies: Mapping[str, Lie], estimate: Estimate
+) -> ScenePoses | None:
+    """
+    The poses of the bodies of `equations` that estimates (T, B) tell, None if they keep none.
+
+    Dimensions are at `values`, which place what is on one body.
+    """
+    seen = estimate.frame_poses
+    if seen is None:
+        return None
+    parts, bodies = [], []
+    for body, lie in lies.items():
+        home, offset = equations.frames[body]
+        number = equations.bodies.index(home)
+        if number in bodies:
+            continue
+        bodies.append(number)
+        b = lie.tracked
+        shape = estimate.shape[:, b]
+        marked = shape[:, lie.markers]
+        frame = fit_pose(marked, lie.known, np.isfinite(marked).astype(float))
+        turn = np.exp(1j * frame.angle)
+        origin = frame.position - turn * place(offset, values)[0]
+        known = (seen.angle_information[:, b] > 0) & (estimate.missing[:, b] == '')
+        known &= np.isfinite(frame.angle)
+        about_angle = 1 / np.where(known, seen.angle_information[:, b], 1.0)
+        about_place = 1 / np.where(known, seen.position_information[:, b], 1.0)
+        facing = np.exp(1j * seen.angle[:, b])
+        middle = seen.middle[:, b]
+        of_middle = np.maximum(about_place - np.abs(middle) ** 2 * about_angle, 0.0)
+        arm = 1j * facing * (origin - middle)
+        by_angle = np.stack((arm.real, arm.imag, np.ones(len(arm))), axis=-1)
+        covariance = about_angle[:, None, None] * by_angle[:, :, None] * by_angle[:, None]
+        covariance[:, [0, 1], [0, 1]] += of_middle[:, None]
+        position = seen.position[:, b] + facing * origin
+        angle = seen.angle[:, b] + frame.angle
+        parts.append((position, angle, covariance, seen.noise[:, b], known))
+    stacked = [np.stack(part, axis=1) for part in zip(*parts, strict=True)]
+    return ScenePoses(estimate.stamp, *stacked, tuple(bodies))
+
+
+def joined(parts: Sequence[ScenePoses], most: int) -> ScenePoses:
+    """
+    All of them in one, of `most` instants at the most, evenly, with the noise as known last: in
+    the first frames it is hardly known.
+    """
+    whole = ScenePoses(
+        *(np.concatenate(part) for part in zip(*(p[:-1] for p in parts), strict=True)),
+        parts[0].bodies,
+    )
+    for b in range(len(whole.bodies)):
+        last = np.flatnonzero(whole.seen[:, b])[-1:]
+        whole.noise[:, b] = whole.noise[last, b] if len(last) else np.nan
+    count = len(whole.stamp)
+    return whole if count <= most else whole.part(np.arange(most) * count // most)

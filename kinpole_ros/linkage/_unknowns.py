@@ -1,0 +1,151 @@
+"""
+The unknowns that explain best what is left of measured poses: by least squares, with deviations.
+
+Where the ground of the scene lies, and how its wheels stand, are always unknown.
+"""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from kinpole_ros.linkage._adjust import Left, left_over
+from kinpole_ros.linkage._residuals import Anchors
+from kinpole_ros.linkage._scene_poses import ScenePoses
+from kinpole_ros.mechanism import Equations
+from kinpole_ros.planar._plane import Complex, Real
+
+# A column that the ones before leave so little of, squared, is told from them by nothing.
+_DEPENDENT = 1e-8
+# The ground is looked for from so many directions, on so many instants, in so many steps.
+_DIRECTIONS, _FEW, _LOOKS = 8, 40, 8
+# Steps of least squares; they end where all are a small share of their deviations.
+_MOST_STEPS, _SMALL = 20, 1e-3
+# Blocks by whose means it is seen whether residuals go on from instant to instant.
+_BLOCKS = 20
+
+
+class Solved(NamedTuple):
+    """
+    Dimensions `values` and the `ground` (3,) as fitted, what is `left`, and the `covariance`
+    of the unknowns `free`, numbered as in `Left`; those that nothing tells are `held`.
+
+    `chi_square` is over `freedom` degrees; `excess` (1 or more) is by how much variances are to be
+    larger, as residuals that go on from instant to instant tell.
+    """
+
+    values: Real
+    ground: Real
+    left: Left
+    free: tuple[int, ...]
+    held: tuple[int, ...]
+    covariance: Real
+    chi_square: float
+    freedom: int
+    excess: float
+
+
+def solve(
+    equations: Equations,
+    values: Real,
+    ground: Real,
+    poses: ScenePoses,
+    free: Sequence[int],
+    anchors: Anchors,
+    hidden: tuple[Complex, Real] | None = None,
+    steps: int = _MOST_STEPS,
+) -> Solved:
+    """Least squares with the dimensions `free`, the ground and what no scene states unknown."""
+    values, ground = values.copy(), ground.copy()
+    count = len(values)
+    starts = [joint.start for joint in equations.joints if joint.start is not None]
+    asked = [count, count + 1, count + 2, *starts, *free]
+    for _ in range(max(steps, 1)):
+        left = left_over(equations, values, ground, poses, anchors, hidden)
+        used, held, inverse = independent(left.by, asked)
+        step = -inverse @ np.einsum('tku,tk->u', left.by[..., used], left.value)
+        for k, by in zip(used, step.tolist(), strict=True):
+            if k < count:
+                values[k] += by
+            else:
+                ground[k - count] += by
+        deviation = np.sqrt(np.diag(inverse))
+        if (np.abs(step) <= _SMALL * deviation).all():
+            break
+    left = left_over(equations, values, ground, poses, anchors, hidden)
+    excess = excess_of(left.value)
+    return Solved(
+        values,
+        ground,
+        left,
+        tuple(used),
+        tuple(held),
+        inverse * excess,
+        float((left.value**2).sum()),
+        max(left.count - len(used), 1),
+        excess,
+    )
+
+
+def independent(by: Real, asked: Sequence[int]) -> tuple[list[int], list[int], Real]:
+    """
+    Which of the unknowns `asked`, in that order, are told from those before, which are not, and the
+    covariance of the former.
+    """
+    columns = by[..., list(asked)].reshape(-1, len(asked))
+    square = columns.T @ columns
+    size = np.sqrt(np.diag(square))
+    kept: list[int] = []
+    for k in range(len(asked)):
+        if size[k] == 0:
+            continue
+        trial = [*kept, k]
+        part = square[np.ix_(trial, trial)] / np.outer(size[trial], size[trial])
+        rest = 1.0
+        if kept:
+            rest = 1.0 - float(part[-1, :-1] @ np.linalg.solve(part[:-1, :-1], part[:-1, -1]))
+        if rest > _DEPENDENT:
+            kept.append(k)
+    inverse = np.linalg.inv(square[np.ix_(kept, kept)] / np.outer(size[kept], size[kept]))
+    inverse /= np.outer(size[kept], size[kept])
+    return [asked[k] for k in kept], [asked[k] for k in range(len(asked)) if k not in kept], inverse
+
+
+def excess_of(value: Real) -> float:
+    """
+    How much more the means of residuals (T, m) over blocks vary than those of independent ones.
+
+    1 at least. More is what lasts: markers that are not where they seem, joints with play.
+    """
+    used = value[:, (value != 0).any(axis=0)]
+    length = len(used) // min(_BLOCKS, max(len(used) // 5, 1))
+    if not used.size or not length:
+        return 1.0
+    blocks = used[: len(used) // length * length].reshape(-1, length, used.shape[1]).sum(axis=1)
+    return max(1.0, float((blocks**2).mean() / length))
+
+
+def find_ground(
+    equations: Equations,
+    values: Real,
+    poses: ScenePoses,
+    anchors: Anchors,
+    hidden: tuple[Complex, Real] | None = None,
+) -> Real:
+    """Where the ground of the scene lies (x, y, angle) so that joints fit best, from scratch."""
+    some = np.unique(np.linspace(0, len(poses.stamp) - 1, _FEW).astype(int))
+    few = poses.part(some)
+    best, least = np.zeros(3), np.inf
+    for direction in np.arange(_DIRECTIONS) * 2 * np.pi / _DIRECTIONS:
+        here = None
+        if hidden is not None:
+            turn = np.exp(1j * direction)
+            here = turn * hidden[0][some], hidden[1][some] + direction
+        begin = np.array([0.0, 0.0, direction])
+        try:
+            found = solve(equations, values, begin, few, (), anchors, here, _LOOKS)
+        except np.linalg.LinAlgError:
+            continue
+        if found.chi_square < 0.99 * least:
+            best, least = found.ground, found.chi_square
+    return best
