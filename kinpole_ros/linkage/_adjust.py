@@ -10,17 +10,19 @@ from typing import NamedTuple
 
 import numpy as np
 
-from kinpole_ros.linkage._residuals import Anchors, residuals
+from kinpole_ros.linkage._residuals import Anchors, Residuals, residuals
 from kinpole_ros.linkage._scene_poses import ScenePoses
 from kinpole_ros.mechanism import Equations
 from kinpole_ros.planar._plane import Complex, Real
 
 # A condition that follows from others, to this share of its variance, says nothing new.
-_REDUNDANT = 1e-7
+_REDUNDANT = 1e-5
 # Times that poses are moved and conditions taken anew there.
 _ROUNDS = 2
 # Steps to where a body without markers is.
 _STEPS = 8
+# m and rad: it is there.
+_THERE = 1e-9
 
 
 class Left(NamedTuple):
@@ -63,17 +65,30 @@ def left_over(
     position[:, -1], angle[:, -1] = complex(*ground[:2]), ground[2]
     position[:, measured], angle[:, measured] = poses.position, poses.angle
     unseen = [b for b in range(bodies - 1) if b not in measured]
-    start = residuals(equations, values, position, angle, anchors)
+    def lacks() -> Residuals:
+        now = residuals(equations, values, position, angle, anchors)
+        return now.without(np.isin(now.joint, unturned)) if unturned else now
+
+    # A wheel that nobody sees may have turned by any number of turns, and tells nothing.
+    unturned = [
+        k
+        for k, joint in enumerate(equations.joints)
+        if joint.radius is not None
+        and {equations.bodies.index(joint.one), equations.bodies.index(joint.other)} & {*unseen}
+    ]
+    start = lacks()
     joint = _joints(equations, start.value, start.by_pose, start.joint, poses)
-    for _ in range(_STEPS if unseen else 0):
-        now = residuals(equations, values, position, angle, anchors)
-        by = _flat(now.by_pose[:, :, unseen])
-        step = -np.einsum('tkm,tm->tk', np.linalg.pinv(by, rcond=1e-9), now.value)
-        step = step.reshape(count, -1, 3)
-        position[:, unseen] += step[..., 0] + 1j * step[..., 1]
-        angle[:, unseen] += step[..., 2]
     for _ in range(_ROUNDS):
-        now = residuals(equations, values, position, angle, anchors)
+        for _ in range(_STEPS if unseen else 0):
+            now = lacks()
+            by = _flat(now.by_pose[:, :, unseen])
+            step = -np.einsum('tkm,tm->tk', np.linalg.pinv(by, rcond=1e-9), now.value)
+            step = step.reshape(count, -1, 3)
+            position[:, unseen] += step[..., 0] + 1j * step[..., 1]
+            angle[:, unseen] += step[..., 2]
+            if np.abs(step).max() < _THERE:
+                break
+        now = lacks()
         apart = poses.position - position[:, measured]
         moved = np.stack((apart.real, apart.imag, poses.angle - angle[:, measured]), axis=-1)
         by = now.by_pose[:, :, measured]

@@ -5,13 +5,13 @@ All are tried by one linearized least squares: what a correction would take off 
 (the score test, as data snooping in geodesy: Baarda 1968), the best first, then what is left.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
 
 from kinpole_ros.linkage._residuals import point_dimensions
-from kinpole_ros.linkage._unknowns import Solved, excess_of, independent
+from kinpole_ros.linkage._unknowns import Normal, always_free, independent
 from kinpole_ros.mechanism import Equations
 from kinpole_ros.planar._plane import Real
 
@@ -20,6 +20,8 @@ _BY_CHANCE = (25.0, 28.7, 31.8)
 # Off for each unknown, where several explain the same; those as good but for this much are named.
 _PRICE, _AS_GOOD = 10.0, 15.0
 _MOST_FAULTS = 6
+# What others leave so little of, of its square, cannot be told from them.
+_DEPENDENT = 1e-7
 
 
 class Fault(NamedTuple):
@@ -39,61 +41,60 @@ class Fault(NamedTuple):
     others: tuple[str, ...]
 
 
-def faults(equations: Equations, solved: Solved, measured: Sequence[str]) -> list[Fault]:
+def faults(
+    equations: Equations,
+    normal: Normal,
+    measured: Sequence[str],
+    excess: Callable[[list[int], Real], float],
+) -> list[Fault]:
     """
     What is wrong with the scene that left so much; `measured` are the bodies with markers.
 
     A point is wrong in both coordinates; the markers of a body may sit elsewhere, all together.
+    `excess` tells by how much variances are to be larger, once unknowns are corrected by so much.
     """
     count = len(equations.dimensions)
-    tried = {name: rows for name, rows in point_dimensions(equations.dimensions).items()}
+    tried = point_dimensions(equations.dimensions)
     for b, body in enumerate(measured):
         first = count + 3 + 3 * b
         tried[f'the markers of {body}'] = [first, first + 1, first + 2]
-    value, by = solved.left.value, solved.left.by
-    known = list(solved.free)
+    known = always_free(equations)
     found: list[Fault] = []
-    while len(found) < _MOST_FAULTS:
-        base, _, _ = independent(by, known)
-        reduced, gradient = _reduced(by, value, base)
+    while len(found) < _MOST_FAULTS and tried:
+        base, _, _ = independent(normal.square, known)
+        reduced, gradient = _reduced(normal, base)
         best = []
         for name, rows in tried.items():
-            gain, step = _gain(reduced, gradient, rows)
+            gain, step = _gain(reduced, gradient, np.diag(normal.square), rows)
             best.append((gain - _PRICE * len(step), gain, name, step))
-        if not best:
-            break
         best.sort(key=lambda row: -row[0])
         price, gain, name, step = best[0]
-        if not step or gain < _BY_CHANCE[min(len(step), 3) - 1]:
+        if not step or gain < _BY_CHANCE[len(step) - 1]:
             break
         # What is left with it, and all before, corrected.
-        columns, _, inverse = independent(by, [*base, *step])
-        change = -inverse @ np.einsum('tku,tk->u', by[..., columns], value)
-        left = value + np.einsum('tku,u->tk', by[..., columns], change)
-        excess = excess_of(left)
-        if gain < _BY_CHANCE[min(len(step), 3) - 1] * excess:
+        columns, _, inverse = independent(normal.square, [*base, *step])
+        change = -inverse @ normal.gradient[columns]
+        more = excess(columns, change)
+        if gain < _BY_CHANCE[len(step) - 1] * more:
             break
-        own = [columns.index(k) for k in step if k in columns]
+        own = [columns.index(k) for k in step]
         lengths = [k for k in own if _kind(equations, columns[k]) == 'length'] or own
         off = change[lengths]
-        size = float(np.linalg.norm(off))
-        spread = inverse[np.ix_(lengths, lengths)] * excess
-        deviation = float(np.sqrt(off @ spread @ off)) / size if size else 0.0
-        others = tuple(row[2] for row in best[1:] if row[0] > price - _AS_GOOD * excess)
-        found.append(
-            Fault(
-                name,
-                {'length': 'm', 'angle': 'rad'}[_kind(equations, columns[lengths[0]])],
-                size,
-                deviation,
-                float(np.sqrt(gain / excess)),
-                {columns[k]: float(change[k]) for k in own},
-                others,
-            )
+        size = float(np.linalg.norm(off)) or 1e-300
+        spread = inverse[np.ix_(lengths, lengths)] * more
+        others = tuple(row[2] for row in best[1:] if row[0] > price - _AS_GOOD * more)
+        fault = Fault(
+            name,
+            {'length': 'm', 'angle': 'rad'}[_kind(equations, columns[lengths[0]])],
+            size,
+            float(np.sqrt(off @ spread @ off)) / size,
+            float(np.sqrt(gain / more)),
+            {columns[k]: float(change[k]) for k in own},
+            others,
         )
-        known += [k for k in step if k not in known]
-        for taken in (name,):
-            del tried[taken]
+        found.append(fault)
+        known += step
+        del tried[name]
     return found
 
 
@@ -105,31 +106,37 @@ def _kind(equations: Equations, unknown: int) -> str:
     return 'angle' if (unknown - count) % 3 == 2 else 'length'
 
 
-def _reduced(by: Real, value: Real, base: list[int]) -> tuple[Real, Real]:
+def _reduced(normal: Normal, base: list[int]) -> tuple[Real, Real]:
     """Normal matrix (U, U) and gradient (U,) of all unknowns with those of `base` eliminated."""
-    columns = by.reshape(-1, by.shape[-1])
-    square, gradient = columns.T @ columns, columns.T @ value.ravel()
-    if base:
-        size = np.sqrt(np.diag(square))[base]
-        inner = square[np.ix_(base, base)] / np.outer(size, size)
-        across = np.linalg.solve(inner, square[base] / size[:, None])
-        square = square - (square[:, base] / size) @ across
-        gradient = gradient - across.T @ (gradient[base] / size)
-    return square, gradient
+    square, gradient = normal.square, normal.gradient
+    if not base:
+        return square, gradient
+    size = np.sqrt(np.diag(square))[base]
+    inner = square[np.ix_(base, base)] / np.outer(size, size)
+    across = np.linalg.solve(inner, square[base] / size[:, None])
+    return (
+        square - (square[:, base] / size) @ across,
+        gradient - across.T @ (gradient[base] / size),
+    )
 
 
-def _gain(square: Real, gradient: Real, rows: list[int]) -> tuple[float, list[int]]:
-    """What correcting `rows` takes off the sum of squares, and which of them can be told."""
-    part = square[np.ix_(rows, rows)]
+def _gain(
+    square: Real, gradient: Real, before: Real, rows: Sequence[int]
+) -> tuple[float, list[int]]:
+    """
+    What correcting `rows` takes off the sum of squares, and which of them can be told.
+
+    `before` (U,) is the diagonal before anything was eliminated.
+    """
     used: list[int] = []
-    for k in range(len(rows)):
+    for k in rows:
         trial = [*used, k]
-        block = part[np.ix_(trial, trial)]
-        # Nothing is left of it beside what is known already.
-        if part[k, k] > 0 and np.linalg.cond(block) < 1e12:
-            used.append(k)
+        rest = square[k, k]
+        if used:
+            rest -= square[k, used] @ np.linalg.solve(square[np.ix_(used, used)], square[used, k])
+        if rest > _DEPENDENT * before[k]:
+            used = trial
     if not used:
         return 0.0, []
-    some = [rows[k] for k in used]
-    block = square[np.ix_(some, some)]
-    return float(gradient[some] @ np.linalg.solve(block, gradient[some])), some
+    part = np.linalg.solve(square[np.ix_(used, used)], gradient[used])
+    return float(gradient[used] @ part), used

@@ -26,6 +26,12 @@ class Residuals(NamedTuple):
     by_dimension: Real
     joint: np.ndarray
 
+    def without(self, rows: np.ndarray) -> 'Residuals':
+        """The same without some rows."""
+        left = ~rows
+        each = (part[:, left] for part in self[:3])
+        return Residuals(*each, self.joint[left])
+
 
 # How each wheel stood first, by its joint: slide or direction of the hub, angles of both bodies.
 Anchors = dict[int, tuple[float, float, float]]

@@ -11,7 +11,7 @@ import numpy as np
 
 from kinpole_ros.linkage._residuals import place
 from kinpole_ros.mechanism import Equations
-from kinpole_ros.pipeline.estimate import Estimate
+from kinpole_ros.pipeline.estimate import Estimate, FramePoses
 from kinpole_ros.planar import fit_pose
 from kinpole_ros.planar._plane import Complex, Real
 
@@ -53,18 +53,28 @@ class ScenePoses(NamedTuple):
         """Some of the instants."""
         return ScenePoses(*(part[some] for part in self[:-1]), self.bodies)
 
+    def of_bodies(self, some: np.ndarray) -> 'ScenePoses':
+        """Some of the bodies, by where they are among the B."""
+        each = (part[:, some] for part in self[1:-1])
+        return ScenePoses(self.stamp, *each, tuple(self.bodies[k] for k in some.tolist()))
+
 
 def scene_poses(
     equations: Equations, values: Real, lies: Mapping[str, Lie], estimate: Estimate
 ) -> ScenePoses | None:
     """
-    The poses of the bodies of `equations` that estimates (T, B) tell, None if they keep none.
+    The poses of the bodies of `equations` that estimates (T, B), or one (B,), tell, None if they
+    keep none.
 
     Dimensions are at `values`, which place what is on one body.
     """
-    seen = estimate.frame_poses
-    if seen is None:
+    if estimate.frame_poses is None:
         return None
+    about = np.asarray(estimate.stamp), estimate.shape, estimate.missing, *estimate.frame_poses
+    if not about[0].ndim:
+        about = tuple(np.asarray(part)[None] for part in about)
+    stamp, shapes, missing = about[:3]
+    seen = FramePoses(*about[3:])
     parts, bodies = [], []
     for body, lie in lies.items():
         home, offset = equations.frames[body]
@@ -73,12 +83,11 @@ def scene_poses(
             continue
         bodies.append(number)
         b = lie.tracked
-        shape = estimate.shape[:, b]
-        marked = shape[:, lie.markers]
+        marked = shapes[:, b, lie.markers]
         frame = fit_pose(marked, lie.known, np.isfinite(marked).astype(float))
         turn = np.exp(1j * frame.angle)
         origin = frame.position - turn * place(offset, values)[0]
-        known = (seen.angle_information[:, b] > 0) & (estimate.missing[:, b] == '')
+        known = (seen.angle_information[:, b] > 0) & (missing[:, b] == '')
         known &= np.isfinite(frame.angle)
         about_angle = 1 / np.where(known, seen.angle_information[:, b], 1.0)
         about_place = 1 / np.where(known, seen.position_information[:, b], 1.0)
@@ -93,7 +102,7 @@ def scene_poses(
         angle = seen.angle[:, b] + frame.angle
         parts.append((position, angle, covariance, seen.noise[:, b], known))
     stacked = [np.stack(part, axis=1) for part in zip(*parts, strict=True)]
-    return ScenePoses(estimate.stamp, *stacked, tuple(bodies))
+    return ScenePoses(stamp, *stacked, tuple(bodies))
 
 
 def joined(parts: Sequence[ScenePoses], most: int) -> ScenePoses:

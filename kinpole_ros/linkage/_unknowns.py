@@ -4,7 +4,7 @@ The unknowns that explain best what is left of measured poses: by least squares,
 Where the ground of the scene lies, and how its wheels stand, are always unknown.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -25,24 +25,64 @@ _MOST_STEPS, _SMALL = 20, 1e-3
 _BLOCKS = 20
 
 
+# Where the bodies may be that have no markers: of poses, and the ground's pose, (T, bodies) each.
+Guess = Callable[[ScenePoses, Real], tuple[Complex, Real]]
+
+
+class Normal(NamedTuple):
+    """
+    Normal equations of unknowns as `Left` numbers them: `square` (U, U), `gradient` (U,).
+
+    `chi_square` is the sum of squares without corrections, over `count` residuals.
+    """
+
+    square: Real
+    gradient: Real
+    chi_square: float
+    count: float
+
+    def corrected(self, unknowns: Sequence[int], change: Real) -> float:
+        """The sum of squares with the `unknowns` corrected by `change`."""
+        some = list(unknowns)
+        part = self.square[np.ix_(some, some)] @ change
+        return self.chi_square + float(change @ (part + 2 * self.gradient[some]))
+
+
 class Solved(NamedTuple):
     """
-    Dimensions `values` and the `ground` (3,) as fitted, what is `left`, and the `covariance`
-    of the unknowns `free`, numbered as in `Left`; those that nothing tells are `held`.
+    Dimensions `values` and the `ground` (3,) as fitted, and what is `left`.
 
-    `chi_square` is over `freedom` degrees; `excess` (1 or more) is by how much variances are to be
-    larger, as residuals that go on from instant to instant tell.
+    `covariance` is that of the unknowns `free`, numbered as in `Left`; those that nothing tells
+    are `held`. `excess` (1 or more) is by how much variances are to be larger, as residuals that go
+    on from instant to instant tell.
     """
 
     values: Real
     ground: Real
     left: Left
+    normal: Normal
     free: tuple[int, ...]
     held: tuple[int, ...]
     covariance: Real
-    chi_square: float
-    freedom: int
     excess: float
+
+    @property
+    def freedom(self) -> float:
+        """Residuals less unknowns."""
+        return max(self.normal.count - len(self.free), 1.0)
+
+
+def normal_of(left: Left) -> Normal:
+    """The normal equations of all instants."""
+    columns, value = left.by.reshape(-1, left.by.shape[-1]), left.value.ravel()
+    return Normal(columns.T @ columns, columns.T @ value, float(value @ value), left.count)
+
+
+def always_free(equations: Equations) -> list[int]:
+    """The unknowns that no scene tells: the pose of the ground, and how wheels stand."""
+    count = len(equations.dimensions)
+    starts = [joint.start for joint in equations.joints if joint.start is not None]
+    return [count, count + 1, count + 2, *starts]
 
 
 def solve(
@@ -52,18 +92,19 @@ def solve(
     poses: ScenePoses,
     free: Sequence[int],
     anchors: Anchors,
-    hidden: tuple[Complex, Real] | None = None,
+    guess: Guess | None = None,
     steps: int = _MOST_STEPS,
 ) -> Solved:
     """Least squares with the dimensions `free`, the ground and what no scene states unknown."""
     values, ground = values.copy(), ground.copy()
     count = len(values)
-    starts = [joint.start for joint in equations.joints if joint.start is not None]
-    asked = [count, count + 1, count + 2, *starts, *free]
+    asked = [*always_free(equations), *free]
+    hidden = None if guess is None else guess(poses, ground)
     for _ in range(max(steps, 1)):
         left = left_over(equations, values, ground, poses, anchors, hidden)
-        used, held, inverse = independent(left.by, asked)
-        step = -inverse @ np.einsum('tku,tk->u', left.by[..., used], left.value)
+        normal = normal_of(left)
+        used, held, inverse = independent(normal.square, asked)
+        step = -inverse @ normal.gradient[used]
         for k, by in zip(used, step.tolist(), strict=True):
             if k < count:
                 values[k] += by
@@ -78,22 +119,20 @@ def solve(
         values,
         ground,
         left,
+        normal_of(left),
         tuple(used),
         tuple(held),
         inverse * excess,
-        float((left.value**2).sum()),
-        max(left.count - len(used), 1),
         excess,
     )
 
 
-def independent(by: Real, asked: Sequence[int]) -> tuple[list[int], list[int], Real]:
+def independent(every: Real, asked: Sequence[int]) -> tuple[list[int], list[int], Real]:
     """
     Which of the unknowns `asked`, in that order, are told from those before, which are not, and the
-    covariance of the former.
+    covariance of the former, by the normal matrix of `every` unknown.
     """
-    columns = by[..., list(asked)].reshape(-1, len(asked))
-    square = columns.T @ columns
+    square = every[np.ix_(asked, asked)]
     size = np.sqrt(np.diag(square))
     kept: list[int] = []
     for k in range(len(asked)):
@@ -130,22 +169,18 @@ def find_ground(
     values: Real,
     poses: ScenePoses,
     anchors: Anchors,
-    hidden: tuple[Complex, Real] | None = None,
+    guess: Guess | None = None,
 ) -> Real:
     """Where the ground of the scene lies (x, y, angle) so that joints fit best, from scratch."""
     some = np.unique(np.linspace(0, len(poses.stamp) - 1, _FEW).astype(int))
     few = poses.part(some)
     best, least = np.zeros(3), np.inf
     for direction in np.arange(_DIRECTIONS) * 2 * np.pi / _DIRECTIONS:
-        here = None
-        if hidden is not None:
-            turn = np.exp(1j * direction)
-            here = turn * hidden[0][some], hidden[1][some] + direction
         begin = np.array([0.0, 0.0, direction])
         try:
-            found = solve(equations, values, begin, few, (), anchors, here, _LOOKS)
+            found = solve(equations, values, begin, few, (), anchors, guess, _LOOKS)
         except np.linalg.LinAlgError:
             continue
-        if found.chi_square < 0.99 * least:
-            best, least = found.ground, found.chi_square
+        if found.normal.chi_square < 0.99 * least:
+            best, least = found.ground, found.normal.chi_square
     return best

@@ -1,6 +1,6 @@
 """Mechanisms whose motion is known exactly: the truth that measured kinematics is held against."""
 
-from kinpole_ros.mechanism._assembly import Revolute, Rolling
+from kinpole_ros.mechanism._assembly import GROUND, Revolute, Rolling
 from kinpole_ros.mechanism._centers import Centers, center_name, explain, instant_centers
 from kinpole_ros.mechanism._centrodes import Centrodes, centrodes, write_pitch_curves
 from kinpole_ros.mechanism._equations import Dimension, Equation, Equations, Part
@@ -15,6 +15,7 @@ from kinpole_ros.mechanism._statics import Force, Holder, Load, Torque, advantag
 from kinpole_ros.mechanism._units import SceneError, quantity
 
 __all__ = [
+    'GROUND',
     'BodyMotion',
     'Centers',
     'Centrodes',
