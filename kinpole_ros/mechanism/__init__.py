@@ -8,7 +8,8 @@ from kinpole_ros.mechanism._loops import LinkageError
 from kinpole_ros.mechanism._mechanism import Mechanism, Motion
 from kinpole_ros.mechanism._motions import BodyMotion, marker_positions, rotation_derivatives
 from kinpole_ros.mechanism._reactions import freed_reactions, reactions, undetermined
-from kinpole_ros.mechanism._scene import Scene, load_scene, scene_names, scenes_folder
+from kinpole_ros.mechanism._rewrite import rewritten
+from kinpole_ros.mechanism._scene import Scene, load_scene, scene_names, scene_text, scenes_folder
 from kinpole_ros.mechanism._share import share_folder
 from kinpole_ros.mechanism._start import mobility
 from kinpole_ros.mechanism._statics import Force, Holder, Load, Torque, advantage, efforts, holding
@@ -48,7 +49,9 @@ __all__ = [
     'quantity',
     'reactions',
     'rotation_derivatives',
+    'rewritten',
     'scene_names',
+    'scene_text',
     'scenes_folder',
     'share_folder',
     'undetermined',

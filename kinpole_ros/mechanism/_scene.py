@@ -5,7 +5,7 @@ Whatever is wrong in one is refused in a line that names the file, the key and t
 """
 
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from math import pi
 from pathlib import Path
@@ -38,7 +38,7 @@ from kinpole_ros.mechanism._units import SceneError, quantity, vector
 from kinpole_ros.mechanism._vectors import read_vectors
 
 _GRAVITY = 9.80665
-_EITHER = ('drivers', 'start', 'loads', 'held_by', 'markers')
+_EITHER = ('drivers', 'start', 'loads', 'held_by', 'markers', 'free')
 _RATE_EXAMPLE = '{drive: crank, rate: 1 rev/s, start: 0 deg}'
 
 
@@ -53,7 +53,8 @@ class Scene:
     mechanism cannot follow its drivers. `points` maps names ('coupler.P', or of the loop form 'P')
     to the body and the place in its frame (complex, m); `loads` are those on it (N, N m), and
     `held_by` what is asked to balance them, if that is not the drivers. `equations` are what its
-    joints say of the bodies' poses, whatever drives them.
+    joints say of the bodies' poses, whatever drives them; `free` names the dimensions that are to
+    be fitted, none for all.
     """
 
     name: str
@@ -65,6 +66,7 @@ class Scene:
     loads: tuple[Load, ...]
     held_by: Holder | None
     equations: Equations
+    free: tuple[str, ...]
 
 
 class _Driven(NamedTuple):
@@ -91,15 +93,21 @@ def scene_names() -> list[str]:
     return sorted(path.stem for path in scenes_folder().glob('*.yaml'))
 
 
-def load_scene(path_or_name: str | Path) -> Scene:
-    """Return the scene of a YAML file, given by path or by bare name ('four_bar').
+def load_scene(source: str | Path | Mapping[str, Any]) -> Scene:
+    """Return the scene of a YAML file, given by path or by bare name ('four_bar'), or as it is.
 
-    A bare name has neither folder nor suffix and means a file in `scenes_folder()`. Raises
-    SceneError for a file that cannot be read, a key that is missing, unknown or ill-valued, and a
-    mechanism that cannot move as asked.
+    A bare name has neither folder nor suffix and means a file in `scenes_folder()`. What has lines
+    is a scene's text, and a mapping what such a text holds. Raises SceneError for a file that
+    cannot be read, a key that is missing, unknown or ill-valued, and a mechanism that cannot move
+    as asked.
     """
-    path = _scene_path(path_or_name)
-    data = _read(path)
+    if isinstance(source, Mapping):
+        path, data = Path('scene'), dict(source)
+    elif isinstance(source, str) and '\n' in source:
+        path, data = Path('scene'), _parsed('scene', source)
+    else:
+        path = _scene_path(source)
+        data = _read(path)
     try:
         # Absurd numbers overflow on their way to being refused.
         with np.errstate(all='ignore'):
@@ -150,6 +158,7 @@ def _scene(path: Path, data: Any) -> Scene:
         loads=loads,
         held_by=held_by,
         equations=equations,
+        free=_free(data.get('free')),
     )
 
 
@@ -419,6 +428,15 @@ def _markers(said: Any, bodies: tuple[str, ...]) -> dict[str, dict[str, complex]
     return result
 
 
+def _free(said: Any) -> tuple[str, ...]:
+    """Names of dimensions, which are looked up where they are fitted."""
+    if said is None:
+        return ()
+    if not isinstance(said, list) or not all(isinstance(name, str) for name in said):
+        raise SceneError(f"'free' is {said!r}: give a list of names, as [rocker.B, coupler]")
+    return tuple(said)
+
+
 # Files
 
 
@@ -460,11 +478,26 @@ def _scene_path(path_or_name: str | Path) -> Path:
 def _read(path: Path) -> Any:
     """Return what the YAML file holds."""
     try:
-        return load_yaml(read_limited(path, MOST_YAML), _Loader)
+        return _parsed(path, read_limited(path, MOST_YAML))
     except OSError as error:
         raise SceneError(
             f'{path}: cannot be read: {error.strerror}; give the path of a scene file'
         ) from None
+
+
+def scene_text(path_or_name: str | Path) -> str:
+    """Return the text of a scene's file, given as `load_scene` takes it; raises SceneError."""
+    path = _scene_path(path_or_name)
+    try:
+        return read_limited(path, MOST_YAML).decode()
+    except (OSError, ValueError) as error:
+        raise SceneError(f'{path}: cannot be read: {error}') from None
+
+
+def _parsed(path: str | Path, text: str | bytes) -> Any:
+    """Return what the YAML text holds; `path` names it in messages."""
+    try:
+        return load_yaml(text, _Loader)
     # ValueError: a whole number of thousands of digits.
     except (yaml.YAMLError, ValueError) as error:
         mark = getattr(error, 'problem_mark', None)

@@ -418,6 +418,24 @@ def _solve(options: argparse.Namespace) -> int:
     return 0
 
 
+def _fit(options: argparse.Namespace) -> int:
+    from kinpole_ros.tools.fit import fit_bag
+
+    _keep(options.config, options.output)
+    with _progress('fit') as progress:
+        lines = fit_bag(
+            options.scene,
+            options.bag,
+            options.config,
+            options.free or [],
+            options.output,
+            options.topic,
+            progress,
+        )
+    print('\n'.join(lines))
+    return 0
+
+
 def _discover(options: argparse.Namespace) -> int:
     from kinpole_ros.tools.discover import discover_rig
 
@@ -505,6 +523,7 @@ _COMMANDS: dict[str, Callable[[argparse.Namespace], int]] = {
     'simulate': _simulate,
     'solve': _solve,
     'discover': _discover,
+    'fit': _fit,
     'plot': _plot,
     'report': _report,
     'import': _import,
