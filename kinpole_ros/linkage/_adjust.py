@@ -29,7 +29,7 @@ class Left(NamedTuple):
     """
     Residuals in deviations (T, m), each independent with variance 1 where the scene is right.
 
-    Those that say nothing are 0; `count` is how many say something. `by` (T, m, unknowns) are
+    Those that say nothing are 0; `used` is how many say something. `by` (T, m, unknowns) are
     their derivatives by the unknowns: dimensions, then the pose of the ground, and then, for each
     measured body, the pose of its markers in it. `joint` (T, joints) is how far each joint between
     measured bodies is off, as measured, and `joint_deviations` the same in deviations, NaN for
@@ -38,7 +38,7 @@ class Left(NamedTuple):
 
     value: Real
     by: Real
-    count: int
+    used: int
     joint: Real
     joint_deviations: Real
 
@@ -65,6 +65,7 @@ def left_over(
     position[:, -1], angle[:, -1] = complex(*ground[:2]), ground[2]
     position[:, measured], angle[:, measured] = poses.position, poses.angle
     unseen = [b for b in range(bodies - 1) if b not in measured]
+
     def lacks() -> Residuals:
         now = residuals(equations, values, position, angle, anchors)
         return now.without(np.isin(now.joint, unturned)) if unturned else now

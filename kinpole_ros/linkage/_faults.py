@@ -67,7 +67,8 @@ def faults(
         for name, rows in tried.items():
             gain, step = _gain(reduced, gradient, np.diag(normal.square), rows)
             best.append((gain - _PRICE * len(step), gain, name, step))
-        best.sort(key=lambda row: -row[0])
+        # Of two that are the same, as the ends of one link, the one that is not an origin.
+        best.sort(key=lambda row: (-round(row[0], 3), -_value(equations, tried[row[2]])))
         price, gain, name, step = best[0]
         if not step or gain < _BY_CHANCE[len(step) - 1]:
             break
@@ -96,6 +97,11 @@ def faults(
         known += step
         del tried[name]
     return found
+
+
+def _value(equations: Equations, rows: Sequence[int]) -> float:
+    known = [k for k in rows if k < len(equations.dimensions)]
+    return float(np.linalg.norm([equations.dimensions[k].value for k in known]))
 
 
 def _kind(equations: Equations, unknown: int) -> str:

@@ -29,8 +29,8 @@ class Residuals(NamedTuple):
     def without(self, rows: np.ndarray) -> 'Residuals':
         """The same without some rows."""
         left = ~rows
-        each = (part[:, left] for part in self[:3])
-        return Residuals(*each, self.joint[left])
+        value, by_pose, by_dimension = (part[:, left] for part in self[:3])
+        return Residuals(value, by_pose, by_dimension, self.joint[left])
 
 
 # How each wheel stood first, by its joint: slide or direction of the hub, angles of both bodies.
@@ -123,11 +123,15 @@ class _Rows:
             return
         # Along the line, and off it.
         line = turn[:, one].conj() * np.exp(-1j * values[joint.along])
-        apart, poses, dimensions = line * apart, line[:, None, None] * poses, line[:, None] * dimensions
+        apart, poses, dimensions = (
+            line * apart,
+            line[:, None, None] * poses,
+            line[:, None] * dimensions,
+        )
         poses[:, one, 2] -= 1j * apart
         dimensions[:, joint.along] -= 1j * apart
         off = [-1j * part for part in (apart, poses, dimensions)]
-        if joint.radius is not None:
+        if joint.radius is not None and joint.start is not None:
             off[0] = off[0] - values[joint.radius]
             off[2][:, joint.radius] -= 1.0
             self._row(number, *off)

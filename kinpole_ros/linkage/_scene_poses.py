@@ -51,12 +51,15 @@ class ScenePoses(NamedTuple):
 
     def part(self, some: np.ndarray | slice) -> 'ScenePoses':
         """Some of the instants."""
-        return ScenePoses(*(part[some] for part in self[:-1]), self.bodies)
+        return self._replace(**{name: getattr(self, name)[some] for name in _BY_INSTANT})
 
     def of_bodies(self, some: np.ndarray) -> 'ScenePoses':
         """Some of the bodies, by where they are among the B."""
-        each = (part[:, some] for part in self[1:-1])
-        return ScenePoses(self.stamp, *each, tuple(self.bodies[k] for k in some.tolist()))
+        parts = {name: getattr(self, name)[:, some] for name in _BY_INSTANT if name != 'stamp'}
+        return self._replace(**parts, bodies=tuple(self.bodies[k] for k in some.tolist()))
+
+
+_BY_INSTANT = ('stamp', 'position', 'angle', 'cofactor', 'noise', 'seen')
 
 
 def scene_poses(
@@ -101,21 +104,22 @@ def scene_poses(
         position = seen.position[:, b] + facing * origin
         angle = seen.angle[:, b] + frame.angle
         parts.append((position, angle, covariance, seen.noise[:, b], known))
-    stacked = [np.stack(part, axis=1) for part in zip(*parts, strict=True)]
-    return ScenePoses(stamp, *stacked, tuple(bodies))
+    position, angle, cofactor, noise, known = (
+        np.stack(part, axis=1) for part in zip(*parts, strict=True)
+    )
+    return ScenePoses(stamp, position, angle, cofactor, noise, known, tuple(bodies))
 
 
 def joined(parts: Sequence[ScenePoses], most: int) -> ScenePoses:
     """
-    All of them in one, of `most` instants at the most, evenly, with the noise as known last: in
-    the first frames it is hardly known.
+    All of them in one, of `most` instants at the most, evenly, with the noise as it was known but
+    for the first quarter, when it was hardly known.
     """
-    whole = ScenePoses(
-        *(np.concatenate(part) for part in zip(*(p[:-1] for p in parts), strict=True)),
-        parts[0].bodies,
-    )
+    every = {name: np.concatenate([getattr(p, name) for p in parts]) for name in _BY_INSTANT}
+    whole = parts[0]._replace(**every)
     for b in range(len(whole.bodies)):
-        last = np.flatnonzero(whole.seen[:, b])[-1:]
-        whole.noise[:, b] = whole.noise[last, b] if len(last) else np.nan
+        later = np.flatnonzero(whole.seen[:, b])
+        later = later[len(later) // 4 :]
+        whole.noise[:, b] = np.sqrt(np.mean(whole.noise[later, b] ** 2)) if len(later) else np.nan
     count = len(whole.stamp)
     return whole if count <= most else whole.part(np.arange(most) * count // most)

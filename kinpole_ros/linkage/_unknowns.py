@@ -19,6 +19,8 @@ from kinpole_ros.planar._plane import Complex, Real
 _DEPENDENT = 1e-8
 # The ground is looked for from so many directions, on so many instants, in so many steps.
 _DIRECTIONS, _FEW, _LOOKS = 8, 40, 8
+# Mean square of residuals in deviations with which no other direction is tried.
+_GOOD = 4.0
 # Steps of least squares; they end where all are a small share of their deviations.
 _MOST_STEPS, _SMALL = 20, 1e-3
 # Blocks by whose means it is seen whether residuals go on from instant to instant.
@@ -33,13 +35,13 @@ class Normal(NamedTuple):
     """
     Normal equations of unknowns as `Left` numbers them: `square` (U, U), `gradient` (U,).
 
-    `chi_square` is the sum of squares without corrections, over `count` residuals.
+    `chi_square` is the sum of squares without corrections, over so many residuals `used`.
     """
 
     square: Real
     gradient: Real
     chi_square: float
-    count: float
+    used: float
 
     def corrected(self, unknowns: Sequence[int], change: Real) -> float:
         """The sum of squares with the `unknowns` corrected by `change`."""
@@ -69,13 +71,13 @@ class Solved(NamedTuple):
     @property
     def freedom(self) -> float:
         """Residuals less unknowns."""
-        return max(self.normal.count - len(self.free), 1.0)
+        return max(self.normal.used - len(self.free), 1.0)
 
 
 def normal_of(left: Left) -> Normal:
     """The normal equations of all instants."""
     columns, value = left.by.reshape(-1, left.by.shape[-1]), left.value.ravel()
-    return Normal(columns.T @ columns, columns.T @ value, float(value @ value), left.count)
+    return Normal(columns.T @ columns, columns.T @ value, float(value @ value), left.used)
 
 
 def always_free(equations: Equations) -> list[int]:
@@ -183,4 +185,6 @@ def find_ground(
             continue
         if found.normal.chi_square < 0.99 * least:
             best, least = found.ground, found.normal.chi_square
+        if least < _GOOD * found.freedom:
+            break
     return best

@@ -55,13 +55,16 @@ def free_dimensions(scene: Scene, names: Sequence[str]) -> list[int]:
     """
     dimensions = scene.equations.dimensions
     used = _used(scene)
-    free = [k for k in used if dimensions[k].path]
+    # Of those that only tell where a frame lies the ones at zero stay.
+    free = sorted((k for k in used if dimensions[k].path), key=lambda k: not dimensions[k].value)
     if not names:
         return free
     found: list[int] = []
     for name in names:
         own = [
-            k for k in free if dimensions[k].name == name or dimensions[k].name.startswith(f'{name}.')
+            k
+            for k in free
+            if dimensions[k].name == name or dimensions[k].name.startswith(f'{name}.')
         ]
         if not own:
             known = ', '.join(dict.fromkeys(dimensions[k].name for k in free))
@@ -119,7 +122,9 @@ def fitted_lines(fit: Fit) -> list[str]:
     """What a fit came to, for people."""
     lines = []
     width = max(len(_label(row.dimension)) for row in fit.dimensions)
-    for row in fit.dimensions:
+    for row in sorted(
+        fit.dimensions, key=lambda row: (str(row.dimension.path), row.dimension.axis)
+    ):
         size, unit = (1.0, 'm') if row.dimension.kind == 'length' else (180 / np.pi, 'deg')
         label = f'{_label(row.dimension):{width}}'
         if row.held:
@@ -139,8 +144,8 @@ def fitted_lines(fit: Fit) -> list[str]:
     )
     if fit.excess > 1.5:
         lines.append(
-            f'residuals last from instant to instant: deviations are {fit.excess**0.5:.2g} times as '
-            'large as by the noise of the markers alone'
+            'residuals last from instant to instant: deviations are '
+            f'{fit.excess**0.5:.2g} times as large as by the noise of the markers alone'
         )
     return lines
 

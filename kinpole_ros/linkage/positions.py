@@ -5,7 +5,7 @@ Whatever drives the mechanism, and with or without markers on all of its bodies:
 what its joints say of the poses in each frame.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from typing import NamedTuple
 
 import numpy as np
@@ -100,7 +100,7 @@ class Positions:
         guess = guess_of(self.scene, poses)
         ground = find_ground(self.scene.equations, self.values, poses, anchors, guess)
         found = solve(self.scene.equations, self.values, ground, poses, free, anchors, guess)
-        return (found, poses) if found.normal.count else None
+        return (found, poses) if found.normal.used else None
 
     def found(self) -> PositionsFound | None:
         """The comparison, None where bodies and joints say nothing of each other."""
@@ -143,6 +143,7 @@ class LivePositions:
     def _begin(self) -> None:
         self._anchors: Anchors = {}
         self._normal: Normal | None = None
+        self._waited = 0
         self._bodies: tuple[int, ...] = ()
 
     def add(self, now: Estimate) -> PositionsFound | None:
@@ -165,28 +166,32 @@ class LivePositions:
         guess = guess_of(scene, here)
         hidden = None if guess is None else guess(here, self._ground)
         left = left_over(scene.equations, values, self._ground, here, self._anchors, hidden)
-        if not left.count:
+        if not left.used:
             return None
         if here.bodies != self._bodies:
-            # Unknowns are others.
+            # Unknowns are others: wait for the bodies that are hidden, but not forever.
+            self._waited += 1
+            if {*here.bodies} < {*self._bodies} and self._waited < _FIRST:
+                return None
             self._normal, self._bodies = None, here.bodies
+        self._waited = 0
         new = normal_of(left)
         old = self._normal or Normal(np.zeros_like(new.square), np.zeros_like(new.gradient), 0, 0)
         fade = 1 - 1 / _MEMORY
         normal = Normal(*(fade * before + one for before, one in zip(old, new, strict=True)))
         self._normal = normal
-        count = normal.count / left.count
-        if count < min(_FIRST, _MEMORY / 2):
+        count = normal.used / left.used
+        if count < _FIRST:
             return None
 
         def excess(columns: list[int], change: Real) -> float:
-            return max(1.0, normal.corrected(columns, change) / normal.count)
+            return max(1.0, normal.corrected(columns, change) / normal.used)
 
         measured = [scene.equations.bodies[b] for b in here.bodies]
         wrong = faults(scene.equations, normal, measured, excess)
         base, _, inverse = independent(normal.square, always_free(scene.equations))
         change = -inverse @ normal.gradient[base]
-        ratio = normal.corrected(base, change) / max(normal.count - len(base), 1)
+        ratio = normal.corrected(base, change) / max(normal.used - len(base), 1)
         joints = [
             JointSummary(joint.name, float(left.joint[0, k]), float(left.joint_deviations[0, k]), 1)
             for k, joint in enumerate(scene.equations.joints)

@@ -130,17 +130,18 @@ def equations_of_joints(
                 equation = equation._replace(turned=number('turned', joint.turned, 'angle'))
         elif isinstance(joint, Rolling):
             on_line = not joint.circle
-            size = ('along', joint.along, 'angle') if on_line else ('circle', joint.circle, 'length')
+            of_start = 'length' if on_line else 'angle'
             equation = equation._replace(
                 radius=number('radius', joint.radius, 'length'),
                 # Which tooth is in which gap no scene can know.
-                start=rows.add(
-                    f'{joint.name}.start', joint.start, 'length' if on_line else 'angle', ()
-                ),
-                **{size[0]: number(*size)},
+                start=rows.add(f'{joint.name}.start', joint.start, of_start, ()),
             )
+            if on_line:
+                equation = equation._replace(along=number('along', joint.along, 'angle'))
+            else:
+                equation = equation._replace(circle=number('circle', joint.circle, 'length'))
         found.append(equation)
-    own = {body: (body, ()) for body in bodies}
+    own: dict[str, tuple[str, tuple[Part, ...]]] = {body: (body, ()) for body in bodies}
     return Equations((*bodies, GROUND), tuple(rows.rows), tuple(found), own)
 
 
@@ -163,7 +164,9 @@ def equations_of_vectors(read: Vectors) -> Equations:
         path: Path = ('vectors', name)
         length = one.length if one.length is not None else 0.0
         of_length = (*path, 'length') if one.length is not None else ()
-        of_angle = () if one.turns_with == name or (one.turns_with and not one.angle) else (*path, 'angle')
+        of_angle = (
+            () if one.turns_with == name or (one.turns_with and not one.angle) else (*path, 'angle')
+        )
         first = rows.add(f'{name}.length', length, 'length', of_length)
         second = rows.add(f'{name}.angle', one.angle, 'angle', of_angle)
         lines[name] = Part(1.0, True, first, second)
@@ -221,9 +224,7 @@ def _reach(
     return found
 
 
-def _nodes(
-    bodies: dict[str, dict[object, _Reached]], rows: _Dimensions
-) -> Iterator[Equation]:
+def _nodes(bodies: dict[str, dict[object, _Reached]], rows: _Dimensions) -> Iterator[Equation]:
     """A pin or slot for each node that several bodies have."""
     for node in dict.fromkeys(node for nodes in bodies.values() for node in nodes):
         having = [(body, nodes[node]) for body, nodes in bodies.items() if node in nodes]

@@ -215,6 +215,9 @@ def _refuse_flat(bodies: dict[str, dict[str, complex]], joints: list[Joint]) -> 
         places[joint.one].add(joint.a)
         places[joint.other].add(joint.b)
     for body, used in places.items():
+        if body == GROUND:
+            # Which is no link: bodies may turn about one place of it.
+            continue
         names = {z: name for name, z in bodies[body].items()}
         twice = [name for name, z in bodies[body].items() if z in used and names[z] != name]
         for name in twice:

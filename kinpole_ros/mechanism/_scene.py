@@ -38,6 +38,8 @@ from kinpole_ros.mechanism._units import SceneError, quantity, vector
 from kinpole_ros.mechanism._vectors import read_vectors
 
 _GRAVITY = 9.80665
+# rad. A start says roughly which way loops close; what gears alone determine is to be right.
+_ROUGHLY, _GEARED = pi / 2, 0.02
 _EITHER = ('drivers', 'start', 'loads', 'held_by', 'markers', 'free')
 _RATE_EXAMPLE = '{drive: crank, rate: 1 rev/s, start: 0 deg}'
 
@@ -138,6 +140,7 @@ def _scene(path: Path, data: Any) -> Scene:
     _check_mobility(assembly, start, len(drivers))
     mechanism = Mechanism(assembly, drivers, start)
     _check_range(mechanism, driven)
+    _check_start(mechanism, said)
     loads = _loads(data.get('loads'), points, assembly.bodies)
     held_by = _held_by(data['held_by'], points, assembly.bodies) if 'held_by' in data else None
     if held_by and (not loads or len(drivers) != 1):
@@ -342,6 +345,29 @@ def _check_range(mechanism: Mechanism, driven: list[_Driven]) -> None:
         f"'drivers' ask for {what} {way(low, high)}, but the linkage goes from {way(*reach)}{why}: "
         'drive it less far, or change lengths'
     )
+
+
+def _check_start(mechanism: Mechanism, said: Mapping[str, float]) -> None:
+    """Raise SceneError where a body is not at time 0 about where the scene says that it is."""
+    loops, kinds = mechanism.assembly.loops, mechanism.assembly.kinds
+    values = mechanism.motion(np.zeros(1), 3).values[0, :, 0]
+    # What loops do not hold follows from gears and drivers alone, and is said exactly.
+    in_loops = (loops.loops[:, :] != 0).any(axis=0)
+    loose = (loops.angles[in_loops] != 0).any(axis=0)
+    for k, name in enumerate(loops.variables):
+        if name not in said or kinds[name] != 'angle':
+            continue
+        off = abs((values[k] - said[name] + pi) % (2 * pi) - pi)
+        if off > (_ROUGHLY if loose[k] else _GEARED):
+            now, meant = (np.degrees(x) % 360 for x in (values[k], said[name]))
+            fix = (
+                'another branch: start it there'
+                if loose[k]
+                else ('drivers and gears have it there: correct it, or give the joint its start')
+            )
+            raise SceneError(
+                f"'start: {name}' is {meant:.6g} deg, but at time 0 it is at {now:.6g} deg; {fix}"
+            )
 
 
 # Loads and markers

@@ -215,8 +215,8 @@ def _positions_lines(found: 'PositionsFound | None') -> 'Iterator[str]':
         return
     for joint in found.joints:
         yield (
-            f'joint {joint.joint}: off {joint.rms:.2g} m, {joint.deviations:.1f} deviations (rms of '
-            f'{joint.instants} instants)'
+            f'joint {joint.joint}: off {joint.rms:.2g} m, {joint.deviations:.1f} deviations, rms '
+            f'over {joint.instants} instants'
         )
     verdict = 'differs from what is measured' if found.words else 'agrees with what is measured'
     yield (
