@@ -6,11 +6,18 @@ from typing import Any
 import numpy as np
 import pytest
 from conftest import bodies_of, decoded, figures
-from recordings import follow, record
+from recordings import START, follow, record
 
 from kinpole_ros import planar
-from kinpole_ros.linkage.theory import Comparison, Difference, load_theory, rate_differences
-from kinpole_ros.mechanism import efforts, load_scene, scene_names, scenes_folder
+from kinpole_ros.linkage.theory import (
+    Comparison,
+    Difference,
+    balance,
+    balance_direction,
+    load_theory,
+    rate_differences,
+)
+from kinpole_ros.mechanism import efforts, holding, load_scene, scene_names, scenes_folder
 from kinpole_ros.messages import stamp_to_ns
 from kinpole_ros.pipeline.parameters import ParameterError, Settings, load_settings, settings_from
 from kinpole_ros.rigid import References
@@ -104,6 +111,36 @@ def test_the_effort_that_balances_the_loads_is_that_of_virtual_work(
     )
     assert np.median(np.abs(said - true)) < 0.005 * np.abs(true).max()
     assert np.mean(np.abs(said - true) < 1.96 * sigma) > 0.9
+
+
+@pytest.mark.parametrize('name', ['trebuchet', 'exercise_machine', 'loader_loop'])
+def test_what_holds_the_loads_is_what_the_scene_says_holds_them(name: str) -> None:
+    """A force across a bar that turns, one at a handle, and a load on a vector of another body."""
+    seen = record(name, noise=1e-5)
+    values = {**seen.values, 'scene': name}
+    theory = load_theory(settings_from(values))
+    assert theory is not None
+    assert theory.balances
+    _, found = follow(seen.frames, values, order=1)
+    found = [estimate for estimate in found if not any(estimate.missing)][2:]
+    known = 0
+    for estimate in found:
+        at = np.array([(int(estimate.stamp) - START) * 1e-9])
+        scene = theory.scene
+        variables = scene.mechanism.motion(at).values[0]
+        if scene.held_by is not None:
+            true, load = holding(scene.mechanism, variables, scene.loads, scene.held_by)
+            way = balance_direction(theory, estimate)
+            assert way is not None
+            assert complex(load.force[0]) == pytest.approx(complex(true[0] * way), rel=1e-2)  # type: ignore[union-attr,index]
+        else:
+            true = efforts(scene.mechanism, variables, scene.loads).effort[0]
+        said = balance(theory, estimate)
+        if said.determined:
+            known += 1
+            off = abs(float(said.value) - float(true[0]))
+            assert off < max(5 * float(said.variance) ** 0.5, 1e-3 * abs(float(true[0])))
+    assert known > 5
 
 
 def test_the_live_node_publishes_the_same_balance(bag: Path, tmp_path: Path) -> None:
