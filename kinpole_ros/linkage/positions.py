@@ -35,6 +35,8 @@ _MOST = 3000
 _FIRST, _MEMORY = 10, 60.0
 # Residuals this many times their noise say that something is wrong, whatever it is.
 _TOO_MUCH = 2.0
+# Instants at the beginning, an eighth at the most, that are left out.
+_LEARNING = 200
 # A body that is seen more seldom counts as one without markers.
 _SELDOM = 0.5
 # Positions of the scene among which bodies without markers are looked for first.
@@ -87,6 +89,8 @@ class Positions:
         if not self._parts or not self.scene.equations.joints:
             return None
         whole = joined(self._parts, self._most)
+        # Poses of the first frames are of shapes that had hardly been seen.
+        whole = whole.part(slice(min(len(whole.stamp) // 8, _LEARNING), None))
         often = np.flatnonzero(whole.seen.mean(axis=0) >= _SELDOM)
         whole = whole.of_bodies(often).part(whole.seen[:, often].all(axis=1))
         return whole if len(whole.stamp) >= 2 and len(often) else None
