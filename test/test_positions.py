@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from diagnostic_msgs.msg import DiagnosticStatus
 
 from kinpole_ros.linkage._residuals import Anchors, residuals
 from kinpole_ros.linkage.fit import fit_scene, free_dimensions
@@ -20,6 +21,7 @@ from kinpole_ros.mechanism import (
     scene_names,
     scene_text,
 )
+from kinpole_ros.messages import DiagnosticsMaker
 from kinpole_ros.pipeline.estimate import Estimate
 from kinpole_ros.pipeline.frame import MarkerFrames
 from kinpole_ros.pipeline.parameters import settings_from
@@ -241,3 +243,19 @@ def test_a_scene_may_be_text_or_a_mapping() -> None:
     assert load_scene(text).mechanism.bodies == ('crank', 'coupler', 'rocker')
     with pytest.raises(SceneError, match="scene: 'drivers'"):
         load_scene({'bodies': {'ground': {'O': [0, 0]}, 'a': {'O': [0, 0]}}, 'drivers': 3})
+
+
+def test_diagnostics_warn_in_the_words_of_the_verdict(tmp_path: Path) -> None:
+    held = theory(changed(tmp_path, 'slider_crank', 'rod.B', 3e-3), 'slider_crank')
+    tracker = Tracker(settings_from(settings('slider_crank')))
+    found = tracker.add(frames(load_scene('slider_crank'), 2.0), 1)
+    maker, levels = DiagnosticsMaker('kinpole', held), []
+    for k in range(60, 180, 8):
+        array = maker.make(10**9, tracker, found[0][k : k + 1], 1.0, {})
+        (linkage,) = [status for status in array.status if status.name == 'kinpole: linkage']
+        levels.append(linkage.level)
+    assert levels[0] == DiagnosticStatus.OK
+    assert levels[-1] == DiagnosticStatus.WARN
+    assert linkage.message.startswith('off the scene slider_crank: rod.B is ')
+    keys = {pair.key for pair in linkage.values}
+    assert {'joint piston: off (m)', 'joint piston: the same in deviations'} <= keys

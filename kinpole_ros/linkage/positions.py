@@ -6,6 +6,7 @@ what its joints say of the poses in each frame.
 """
 
 from collections.abc import Mapping
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -32,7 +33,7 @@ from kinpole_ros.planar._plane import Complex, Real
 # Instants that are compared, evenly over a recording.
 _MOST = 3000
 # Of the live node: instants before the first verdict, and those that it remembers.
-_FIRST, _MEMORY = 10, 60.0
+_FIRST, _LEAST, _MEMORY = 10, 8.0, 60.0
 # Residuals this many times their noise say that something is wrong, whatever it is.
 _TOO_MUCH = 2.0
 # Instants at the beginning, an eighth at the most, that are left out.
@@ -137,10 +138,10 @@ class LivePositions:
     """The same of a stream, instant by instant, of which the last minute or so counts."""
 
     def __init__(self, scene: Scene, lies: Mapping[str, Lie]) -> None:
-        self._positions = Positions(scene, lies)
+        self._positions = Positions(scene, lies, round(_MEMORY))
         self._lies = lies
         self._run: int | None = None
-        self._early: list[Estimate] = []
+        self._early: list[ScenePoses] = []
         self._ground: Real | None = None
         self._begin()
 
@@ -161,15 +162,23 @@ class LivePositions:
             return None
         if self._ground is None:
             self._positions.add(now)
-            self._early.append(now)
+            self._early = [*self._early, here][-round(_MEMORY) :]
             result = self._positions.solved() if len(self._early) >= _FIRST else None
             if result is None:
                 return None
             self._ground = result[0].ground
+            for one in self._early[:-1]:
+                self._take(one, self._ground)
+            self._early = []
+        return self._take(here, self._ground)
+
+    def _take(self, here: ScenePoses, ground: Real) -> PositionsFound | None:
+        """The poses of one instant, with what was taken before."""
+        scene, values = self._positions.scene, self._positions.values
         here = here.of_bodies(np.flatnonzero(here.seen[0]))
         guess = guess_of(scene, here)
-        hidden = None if guess is None else guess(here, self._ground)
-        left = left_over(scene.equations, values, self._ground, here, self._anchors, hidden)
+        hidden = None if guess is None else guess(here, ground)
+        left = left_over(scene.equations, values, ground, here, self._anchors, hidden)
         if not left.used:
             return None
         if here.bodies != self._bodies:
@@ -185,7 +194,7 @@ class LivePositions:
         normal = Normal(*(fade * before + one for before, one in zip(old, new, strict=True)))
         self._normal = normal
         count = normal.used / left.used
-        if count < _FIRST:
+        if count < _LEAST:
             return None
 
         def excess(columns: list[int], change: Real) -> float:
@@ -222,6 +231,7 @@ def guess_of(scene: Scene, poses: ScenePoses) -> Guess | None:
     return guess
 
 
+@lru_cache(maxsize=4)
 def _positions_of(scene: Scene) -> tuple[Complex, Real]:
     """Positions and angles (n, bodies) of the equations' bodies over what the scene does."""
     mechanism = scene.mechanism
