@@ -422,6 +422,7 @@ def _fit(options: argparse.Namespace) -> int:
     from kinpole_ros.tools.fit import fit_bag
 
     _keep(options.config, options.output)
+    troubles: list[object] = []
     with _progress('fit') as progress:
         lines = fit_bag(
             options.scene,
@@ -431,9 +432,10 @@ def _fit(options: argparse.Namespace) -> int:
             options.output,
             options.topic,
             progress,
+            troubles.append,
         )
-    print('\n'.join(lines))
-    return 0
+    print('\n'.join(map(printable, lines)))
+    return _told('fit', troubles)
 
 
 def _discover(options: argparse.Namespace) -> int:

@@ -4,7 +4,7 @@ from collections.abc import Callable, Iterator, Sequence
 from itertools import chain
 from pathlib import Path
 
-from kinpole_ros.bags import BagError, read_frames
+from kinpole_ros.bags import Truncated, in_place_of, read_frames
 from kinpole_ros.linkage.fit import fit_scene, fitted_lines, free_dimensions
 from kinpole_ros.linkage.theory import load_theory
 from kinpole_ros.mechanism import Scene, SceneError, load_scene, rewritten, scene_text
@@ -27,9 +27,12 @@ def fit_bag(
     output: str | Path | None = None,
     topic: str | None = None,
     progress: Callable[[float], None] | None = None,
+    report: Callable[[Truncated], None] | None = None,
 ) -> list[str]:
     """
     Fit the scene to the markers of a bag; returns lines to print, and writes the scene to `output`.
+
+    `report` is called with what a bag lacks that is not whole.
 
     Raises SceneError, ParameterError or BagError for what cannot be used, with the fix.
     """
@@ -45,7 +48,9 @@ def fit_bag(
         return None if progress is None else (lambda done: progress(first + share * done))
 
     topic = topic or (settings.marker_topic if config else None)
-    frames, _ = read_frames(bag, topic, None, part(0.0, _READING), identity=settings.marker_identity)
+    frames, _ = read_frames(
+        bag, topic, None, part(0.0, _READING), identity=settings.marker_identity
+    )
     found = fit_scene(theory, _estimates(settings, frames, part(_READING, 0.7)), numbers)
     if progress is not None:
         progress(1.0)
@@ -60,13 +65,8 @@ def fit_bag(
         if one.path in {other.path for other in changes}
     }
     text = rewritten(scene_text(scene), changes)
-    try:
-        Path(output).write_text(text, encoding='utf-8')
-    except OSError as error:
-        raise BagError(
-            f'{output} cannot be written: {error.strerror}; fix: check the path, its rights and '
-            'the space on the disk'
-        ) from error
+    with in_place_of(output) as target:
+        target.write_text(text, encoding='utf-8')
     lines.append(f'written to {output}')
     try:
         load_scene(text if '\n' in text else output)
