@@ -13,7 +13,13 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from kinpole_ros.bags import simulate
-from kinpole_ros.mechanism import Scene, SceneError, load_scene, rotation_derivatives
+from kinpole_ros.mechanism import (
+    Scene,
+    SceneError,
+    load_scene,
+    rotation_derivatives,
+    scene_text,
+)
 from kinpole_ros.mechanism._start import mobility
 from kinpole_ros.mechanism._statics import Force, Holder, Torque
 from kinpole_ros.mechanism._units import quantity, vector
@@ -899,3 +905,41 @@ def test_a_body_may_have_its_pin_alone(tmp_path: Path) -> None:
     np.testing.assert_array_equal(wheel.angle[:2], [[0, 1], [2, 2]])
     assert not wheel.position.any()
     assert exact.markers == {}
+
+
+GEARS = """
+bodies:
+  ground: {O: [0, 0], Q: [0.1, 0]}
+  one: {O: [0, 0]}
+  two: {Q: [0, 0]}
+joints:
+  - {rolling: two.Q, radius: 4 cm, on: one.O, circle: 6 cm}
+drivers:
+  - {drive: one, rate: 1 rev/s, start: 90 deg}
+"""
+
+
+def test_a_start_that_gears_contradict_is_refused_and_a_true_one_kept() -> None:
+    with pytest.raises(SceneError, match="'start: two' is 33 deg, but at time 0 it is at 225 deg"):
+        load_scene(f'{GEARS}start: {{two: 33 deg}}')
+    scene = load_scene(f'{GEARS}start: {{two: 225 deg}}')
+    assert np.degrees(scene.motion(0.0)['two'].angle[0]) % 360 == pytest.approx(225)
+
+
+def test_a_start_on_the_far_side_of_a_loop_is_refused() -> None:
+    text = scene_text('four_bar').replace('rocker: 100 deg', 'rocker: 215 deg')
+    with pytest.raises(SceneError, match="'start: rocker' is 215 deg, but at time 0"):
+        load_scene(text)
+
+
+def test_a_rolling_joint_on_a_hub_that_is_a_pin_has_a_name_of_its_own() -> None:
+    scene = load_scene(GEARS)
+    assert [joint.name for joint in scene.mechanism.assembly.joints] == ['O', 'Q', 'two.Q']
+
+
+def test_two_points_of_the_ground_may_be_at_one_place() -> None:
+    other = GEARS.replace('Q: [0.1, 0]', 'Q: [0.1, 0], R: [0.1, 0]').replace(
+        'joints:', '  arm: {R: [0, 0], E: [1, 0]}\njoints:'
+    )
+    other = f'{other}  - {{drive: arm, rate: 0}}\n'
+    assert load_scene(other).mechanism.bodies == ('one', 'two', 'arm')

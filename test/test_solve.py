@@ -391,3 +391,12 @@ def test_a_scene_of_any_name_is_drawn(tmp_path: Path) -> None:
     scene.write_text((scenes_folder() / 'cardan.yaml').read_text())
     assert cli.main(['solve', str(scene), '--plot', str(tmp_path / 'out.png')]) == 0
     assert (tmp_path / 'out.png').read_bytes().startswith(b'\x89PNG')
+
+
+def test_at_a_limit_as_it_is_printed_no_rate_is_made_of_its_last_digit() -> None:
+    lines = solve_scene('loader', at='71.3333959863 deg', statics=True)
+    assert any('a dead point of the loop O, A, B, C' in line for line in lines)
+    assert next(line for line in lines if line.startswith('lift ')).split()[2:] == ['-'] * 4
+    assert 'not determined: the drivers have no hold of the loads in a dead point' in lines
+    near = solve_scene('loader', at='71.3333 deg')
+    assert float(next(line for line in near if line.startswith('lift ')).split()[2]) < -100

@@ -18,6 +18,7 @@ def read_frames(
     seconds: float | None = None,
     progress: Callable[[float], None] | None = None,
     report: Callable[[Truncated], None] | None = None,
+    identity: str = 'auto',
 ) -> tuple[list[MarkerFrames], str]:
     """
     Frames of a bag's markers, in order, of its first `seconds` or all, and the topic's full name.
@@ -25,10 +26,10 @@ def read_frames(
     Without `topic` it is /markers, else the only one of a type that holds markers. A bag that is
     not whole gives what there is, and `report` is called with what it lacks; messages that cannot
     be read are left out. Raises BagError when there is no bag, no such topic, or nothing on it that
-    can be read.
+    can be read. `identity` is as the parameter marker_identity.
     """
     name, kind = _topic(bag, topic)
-    reader = MarkerReader(kind)
+    reader = MarkerReader(kind, identity)
     wanted = ROS_TYPE_NAMES[kind]
     found: list[MarkerFrames] = []
     problem = ''

@@ -11,6 +11,7 @@ import numpy as np
 from kinpole_ros.bags._reader import BagError, Truncated, bag_files, read_blocks, topics
 from kinpole_ros.bags._table import CsvTable, ParquetTable
 from kinpole_ros.bags._writer import BagWriter, in_place_of
+from kinpole_ros.linkage.positions import PositionsFound
 from kinpole_ros.linkage.theory import Comparison, DeviationSummary, load_theory
 from kinpole_ros.messages import (
     ROS_TYPE_NAMES,
@@ -53,7 +54,8 @@ class Replayed(NamedTuple):
     `absent` are the markers of each body that are in no message, and `identities` those of the last
     one. `unknown` are the bodies that were never estimated, and why not at the last instant (''
     where there is none). `concatenated` are the files that were read as one recording only because
-    they lie in one folder. `scene_deviations` is how far the bodies were from the scene, if any;
+    they lie in one folder. `scene_deviations` is how far the rates were from the scene, if any,
+    and `scene_positions` how far the joints were off, and what of the scene is wrong;
     `space` is how the motion lay in space, as last known. `lost` are frames that never came, by the
     clock of the stamps, and `stamps` how these deviate from it, None where there are too few.
     `misnamed` says in words which markers are not what their names say. `erring` are
@@ -83,6 +85,7 @@ class Replayed(NamedTuple):
     unknown: dict[str, str]
     concatenated: list[str]
     scene_deviations: list[DeviationSummary]
+    scene_positions: PositionsFound | None
     space: SpaceReport
     lost: int
     stamps: StampState | None
@@ -257,6 +260,7 @@ def replay_to(
         unknown,
         concatenated,
         comparison.found() if comparison is not None else [],
+        comparison.positions() if comparison is not None else None,
         space,
         counts['lost'],
         tracker.stamp_state(),

@@ -74,11 +74,14 @@ def warnings_of(result: Replayed, settings: Settings) -> list[str]:
         name = f'{body}: ' if body else ''
         more = f'; {outage.times} such times, this the longest' if outage.times > 1 else ''
         lines.append(f'{name}{unseen(body, outage.longest)}{more}')
-    if settings.scene and result.estimates and not result.scene_deviations:
-        lines.append(
-            f'the scene {settings.scene} could be put where the bodies are seen at none of the '
-            'instants looked at; see that it has their sizes and the names of their markers'
-        )
+    if settings.scene and result.estimates:
+        if result.scene_positions is not None:
+            lines += [f'scene {settings.scene}: {text}' for text in result.scene_positions.words]
+        elif not result.scene_deviations:
+            lines.append(
+                f'the scene {settings.scene} was compared at no instant: bodies that its joints '
+                'connect were never all seen; mark more of them, or see to the view of the markers'
+            )
     lines += _untold(result, settings)
     return lines
 

@@ -1,15 +1,21 @@
 """
 A scene compared with the measurement: what the linkage's theory says of the tracked bodies.
 
-The scene's markers tell how its body frames lie in the measured bodies; its driver is a body that
-is tracked, so the scene can be put where the rig is, at its rates, and held against all else.
+The scene's markers tell how its body frames lie in the measured bodies. Their positions are held
+against its joints, whatever drives it (`positions`). Where its one driver is the angle of a tracked
+body, it can also be put where the rig is, at its rates, and these be held against all else.
 """
 
+from collections.abc import Container
 from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
+from kinpole_ros.linkage._residuals import place
+from kinpole_ros.linkage._scene_poses import Lie
+from kinpole_ros.linkage.positions import Positions, PositionsFound
 from kinpole_ros.mechanism import (
+    GROUND,
     Force,
     LinkageError,
     Load,
@@ -65,17 +71,24 @@ class Theory(NamedTuple):
 
     `places` gives each body of both its number among the tracked, its number in the scene, which
     of its tracked markers are the scene's (k,), and where those are in the scene's frame, complex,
-    m. `driver` is the body that the scene's one driver turns.
+    m. `driver` is the body that the scene's one driver turns, '' where it is no tracked body's
+    angle. `loads` are those of the scene, each on a body that is tracked.
     """
 
     scene: Scene
     places: dict[str, tuple[int, int, np.ndarray, np.ndarray]]
     driver: str
+    loads: tuple[Load, ...]
 
     @property
     def balances(self) -> bool:
-        """Whether the scene has loads for the driver to balance."""
-        return bool(self.scene.loads)
+        """Whether the scene has loads, and a tracked body that can balance them."""
+        return bool(self.loads) and bool(self.driver or self.scene.held_by)
+
+    @property
+    def lies(self) -> dict[str, Lie]:
+        """How the bodies of both lie in each other."""
+        return {body: Lie(b, here, known) for body, (b, _, here, known) in self.places.items()}
 
 
 def load_theory(settings: Settings) -> Theory | None:
@@ -108,16 +121,42 @@ def load_theory(settings: Settings) -> Theory | None:
         known = to_complex(scene.markers[body])[[names.index(markers[k]) for k in here]]
         number = scene.mechanism.bodies.index(body)
         places[body] = (b, number, np.array(here), known)
-    if len(scene.mechanism.drivers) != 1:
-        raise refuse(f'it has {len(scene.mechanism.drivers)} drivers; it must have one')
-    turns, row = scene.mechanism.assembly.turns, scene.mechanism.drivers[0].row
-    driven = [body for body, place in places.items() if np.array_equal(turns[place[1]], row)]
-    if not driven:
-        raise refuse('its driver must be the angle of a body that is tracked, with its markers')
-    for load in scene.loads:
+    if not places:
+        raise refuse(
+            f'it has markers on {", ".join(scene.markers) or "no body"}, and the parameter bodies '
+            f'names {", ".join(settings.bodies)}; give both the same names'
+        )
+    drivers, turns = scene.mechanism.drivers, scene.mechanism.assembly.turns
+    driven = [
+        body
+        for body, place in places.items()
+        if len(drivers) == 1 and np.array_equal(turns[place[1]], drivers[0].row)
+    ]
+    loads = tuple(_on_tracked(scene, load, places) for load in scene.loads)
+    for load in loads:
         if load.body not in places:
             raise refuse(f'it has a load on {load.body}, which is not tracked')
-    return Theory(scene, places, driven[0])
+    if scene.held_by is not None:
+        for body in (scene.held_by.body, scene.held_by.of):
+            if body not in (*places, GROUND):
+                raise refuse(f'its loads are held_by {body}, which is not tracked')
+    return Theory(scene, places, driven[0] if driven else '', loads)
+
+
+def _on_tracked(scene: Scene, load: Load, tracked: Container[str]) -> Load:
+    """The load on a tracked body that is one with its own, as vectors are that turn together."""
+    if load.body in tracked:
+        return load
+    equations = scene.equations
+    values = [one.value for one in equations.dimensions]
+    home, offset = equations.frames[load.body]
+    for body, (other, of_other) in equations.frames.items():
+        if other == home and body in tracked:
+            moved = place(offset, values)[0] - place(of_other, values)[0]
+            if isinstance(load, Force):
+                return load._replace(body=body, point=load.point + moved)
+            return load._replace(body=body)
+    return load
 
 
 # Origin (complex, m) and angle of the scene's body frames in those of the tracked bodies, (T,).
@@ -130,6 +169,8 @@ def rate_differences(theory: Theory, estimate: Estimate) -> list[Difference]:
 
     Only for bodies of which enough is known; empty where the scene cannot be put where the rig is.
     """
+    if not theory.driver:
+        return []
     b, _, _, _ = theory.places[theory.driver]
     frames = _frames(theory, estimate)
     if theory.driver not in frames or estimate.missing[b]:
@@ -198,12 +239,14 @@ class Comparison:
 
     def __init__(self, theory: Theory) -> None:
         self._theory = theory
+        self._positions = Positions(theory.scene, theory.lies)
         self._latest: Estimate | None = None
         # By subject, figure and unit: instants, and sums of squares of values and of deviations.
         self._sums: dict[tuple[str, str, str], np.ndarray] = {}
 
     def add(self, estimate: Estimate) -> None:
-        """Take estimates (T, B), and look at some of their instants."""
+        """Take estimates (T, B): all of their positions, and the rates of some instants."""
+        self._positions.add(estimate)
         part = estimate.stamp // _EVERY
         # The very first is known worst.
         last = part[0] if self._latest is None else self._latest.stamp[-1] // _EVERY
@@ -217,8 +260,12 @@ class Comparison:
                 sums = self._sums.setdefault(off[:3], np.zeros(3))
                 sums += 1, off.value**2, (off.value / off.deviation) ** 2
 
+    def positions(self) -> PositionsFound | None:
+        """What the positions say, None where they say nothing of the scene's joints."""
+        return self._positions.found()
+
     def found(self) -> list[DeviationSummary]:
-        """All differences; empty where the scene could not be put where the rig is."""
+        """All differences of rates; empty where the scene could not be put where the rig is."""
         if not self._sums and self._latest is not None:
             self._look(self._latest[-1])
         result = []
@@ -230,18 +277,26 @@ class Comparison:
 
 def balance(theory: Theory, estimate: Estimate) -> Numbers:
     """
-    Torque on the driven body that balances the scene's loads at the velocities seen, N m, (T,).
+    What balances the scene's loads at the velocities seen, (T,).
 
-    Determined where all the bodies are known and the driver turns by more than its noise.
+    A torque on the driven body, N m; or what the scene's `held_by` says: a torque on a body, or a
+    force, N, along `balance_direction`. Determined where all the bodies are known and what it acts
+    on moves by more than its noise.
     """
     frames = _frames(theory, estimate)
-    needed = {theory.driver, *(load.body for load in theory.scene.loads)}
+    held = theory.scene.held_by
+    acting = {theory.driver} if held is None else {held.body, held.of} - {GROUND}
+    needed = acting | {load.body for load in theory.loads}
     if not needed <= set(frames):
         unknown = np.full(np.shape(estimate.stamp), np.nan)
         return Numbers(unknown, unknown, np.isfinite(unknown))
-    ports = [_port(theory, load, frames, estimate) for load in theory.scene.loads]
+    through = Port(theory.places[theory.driver if held is None else held.body][0], 1.0)
+    way = balance_direction(theory, estimate)
+    if held is not None and held.point is not None and way is not None:
+        through = _port(theory, Force(held.body, held.point, way), frames, estimate)
+    ports = [_port(theory, load, frames, estimate) for load in theory.loads]
     value, variance, determined = measured_balance(
-        Port(theory.places[theory.driver][0], 1.0),
+        through,
         ports,
         np.moveaxis(estimate.position, -1, 1),
         np.moveaxis(estimate.angle, -1, 1),
@@ -255,13 +310,27 @@ def balance(theory: Theory, estimate: Estimate) -> Numbers:
     )
 
 
+def balance_direction(theory: Theory, estimate: Estimate) -> np.ndarray | None:
+    """The direction (T,), complex, of the force that `balance` is, None where it is a torque."""
+    held = theory.scene.held_by
+    if held is None or held.point is None:
+        return None
+    way = np.full(np.shape(estimate.stamp), np.exp(1j * held.along))
+    frames = _frames(theory, estimate)
+    if held.of in frames:
+        turn = estimate.angle[0][..., theory.places[held.of][0]] + frames[held.of][1]
+        # Where it is not known, neither is the force.
+        way = way * np.exp(1j * np.where(np.isfinite(turn), turn, 0.0))
+    return np.asarray(way)
+
+
 def _port(theory: Theory, load: Load, frames: Frames, estimate: Estimate) -> Port:
     b = theory.places[load.body][0]
     if isinstance(load, Force):
         place, turn = frames[load.body]
         # From the point whose velocity is known.
         arm = place + load.point * np.exp(1j * turn) - estimate.reference[..., b]
-        return Port(b, complex(load.force), arm)  # type: ignore[arg-type]
+        return Port(b, np.asarray(load.force, complex)[()], arm)
     return Port(b, complex(load.torque))  # type: ignore[arg-type]
 
 

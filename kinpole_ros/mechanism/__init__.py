@@ -1,28 +1,35 @@
 """Mechanisms whose motion is known exactly: the truth that measured kinematics is held against."""
 
-from kinpole_ros.mechanism._assembly import Revolute, Rolling
+from kinpole_ros.mechanism._assembly import GROUND, Revolute, Rolling
 from kinpole_ros.mechanism._centers import Centers, center_name, explain, instant_centers
 from kinpole_ros.mechanism._centrodes import Centrodes, centrodes, write_pitch_curves
+from kinpole_ros.mechanism._equations import Dimension, Equation, Equations, Part
 from kinpole_ros.mechanism._loops import LinkageError
 from kinpole_ros.mechanism._mechanism import Mechanism, Motion
 from kinpole_ros.mechanism._motions import BodyMotion, marker_positions, rotation_derivatives
 from kinpole_ros.mechanism._reactions import freed_reactions, reactions, undetermined
-from kinpole_ros.mechanism._scene import Scene, load_scene, scene_names, scenes_folder
+from kinpole_ros.mechanism._rewrite import rewritten
+from kinpole_ros.mechanism._scene import Scene, load_scene, scene_names, scene_text, scenes_folder
 from kinpole_ros.mechanism._share import share_folder
 from kinpole_ros.mechanism._start import mobility
 from kinpole_ros.mechanism._statics import Force, Holder, Load, Torque, advantage, efforts, holding
 from kinpole_ros.mechanism._units import SceneError, quantity
 
 __all__ = [
+    'GROUND',
     'BodyMotion',
     'Centers',
     'Centrodes',
+    'Dimension',
+    'Equation',
+    'Equations',
     'Force',
     'Holder',
     'LinkageError',
     'Load',
     'Mechanism',
     'Motion',
+    'Part',
     'Revolute',
     'Rolling',
     'Scene',
@@ -41,8 +48,10 @@ __all__ = [
     'mobility',
     'quantity',
     'reactions',
+    'rewritten',
     'rotation_derivatives',
     'scene_names',
+    'scene_text',
     'scenes_folder',
     'share_folder',
     'undetermined',

@@ -15,6 +15,7 @@ from kinpole_ros.mechanism._assembly import (
     Strut,
     assemble,
 )
+from kinpole_ros.mechanism._equations import Equations, equations_of_joints
 from kinpole_ros.mechanism._units import SceneError, quantity, vector
 
 Points = dict[str, tuple[str, complex]]
@@ -68,9 +69,10 @@ def named_point(where: str, value: Any, points: Points) -> tuple[str, complex]:
     return points[value]
 
 
-def read_bodies(bodies: Any, joints: Any) -> tuple[Assembly, Points]:
+def read_bodies(bodies: Any, joints: Any) -> tuple[Assembly, Points, Equations]:
     """
-    The assembly of what `bodies` and `joints` hold, and all points by their names BODY.POINT.
+    The assembly of what `bodies` and `joints` hold, all points by their names BODY.POINT, and
+    the equations of the joints.
 
     Raises SceneError for whatever is malformed, LinkageError for bodies that hang on nothing.
     """
@@ -81,7 +83,14 @@ def read_bodies(bodies: Any, joints: Any) -> tuple[Assembly, Points]:
     if joints is not None and not isinstance(joints, list):
         raise SceneError(f"'joints' is no list: write each as - {_EXAMPLES['slot']}")
     found: list[Joint] = [*_pins(read)]
-    found += [_joint(f"'joints: {k + 1}'", said, points) for k, said in enumerate(joints or [])]
+    taken = {*read, *(pin.name for pin in found)}
+    for k, said in enumerate(joints or []):
+        joint = _joint(f"'joints: {k + 1}'", said, points)
+        if joint.name in taken and 'name' not in said:
+            # The hub of a wheel is often a pin as well.
+            joint = _renamed(joint, taken)
+        found.append(joint)
+        taken.add(joint.name)
     taken = set(read)
     for joint in found:
         if joint.name in taken:
@@ -93,7 +102,15 @@ def read_bodies(bodies: Any, joints: Any) -> tuple[Assembly, Points]:
         taken.add(joint.name)
     _refuse_flat(read, found)
     moving = [body for body in read if body != GROUND]
-    return assemble(moving, found), points
+    return assemble(moving, found), points, equations_of_joints(moving, found, joints or [])
+
+
+def _renamed(joint: Joint, taken: set[str]) -> Joint:
+    """The joint with a name of its own, by its bodies: planet.H, or planet.H.sun."""
+    for name in (f'{joint.other}.{joint.name}', f'{joint.other}.{joint.name}.{joint.one}'):
+        if name not in taken:
+            return joint._replace(name=name)
+    return joint
 
 
 def _bodies(bodies: Any) -> dict[str, dict[str, complex]]:
@@ -198,6 +215,9 @@ def _refuse_flat(bodies: dict[str, dict[str, complex]], joints: list[Joint]) -> 
         places[joint.one].add(joint.a)
         places[joint.other].add(joint.b)
     for body, used in places.items():
+        if body == GROUND:
+            # Which is no link: bodies may turn about one place of it.
+            continue
         names = {z: name for name, z in bodies[body].items()}
         twice = [name for name, z in bodies[body].items() if z in used and names[z] != name]
         for name in twice:

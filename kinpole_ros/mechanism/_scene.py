@@ -5,7 +5,7 @@ Whatever is wrong in one is refused in a line that names the file, the key and t
 """
 
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from math import pi
 from pathlib import Path
@@ -19,6 +19,7 @@ from kinpole_ros.files import cut_line, read_limited
 from kinpole_ros.files.bounded_yaml import MOST_YAML, Loader, load_yaml
 from kinpole_ros.mechanism._assembly import GROUND, Assembly, Strut
 from kinpole_ros.mechanism._drive import Drive, constant_rate, sine, smooth_step, table
+from kinpole_ros.mechanism._equations import Equations, equations_of_vectors
 from kinpole_ros.mechanism._joints import (
     Points,
     mapping,
@@ -37,7 +38,9 @@ from kinpole_ros.mechanism._units import SceneError, quantity, vector
 from kinpole_ros.mechanism._vectors import read_vectors
 
 _GRAVITY = 9.80665
-_EITHER = ('drivers', 'start', 'loads', 'held_by', 'markers')
+# rad. A start says roughly which way loops close; what gears alone determine is to be right.
+_ROUGHLY, _GEARED = pi / 2, 0.02
+_EITHER = ('drivers', 'start', 'loads', 'held_by', 'markers', 'free')
 _RATE_EXAMPLE = '{drive: crank, rate: 1 rev/s, start: 0 deg}'
 
 
@@ -51,7 +54,9 @@ class Scene:
     name, arrays (5, ...) in the ground's frame; it raises SceneError for a time at which the
     mechanism cannot follow its drivers. `points` maps names ('coupler.P', or of the loop form 'P')
     to the body and the place in its frame (complex, m); `loads` are those on it (N, N m), and
-    `held_by` what is asked to balance them, if that is not the drivers.
+    `held_by` what is asked to balance them, if that is not the drivers. `equations` are what its
+    joints say of the bodies' poses, whatever drives them; `free` names the dimensions that are to
+    be fitted, none for all.
     """
 
     name: str
@@ -62,6 +67,8 @@ class Scene:
     points: Points
     loads: tuple[Load, ...]
     held_by: Holder | None
+    equations: Equations
+    free: tuple[str, ...]
 
 
 class _Driven(NamedTuple):
@@ -88,15 +95,21 @@ def scene_names() -> list[str]:
     return sorted(path.stem for path in scenes_folder().glob('*.yaml'))
 
 
-def load_scene(path_or_name: str | Path) -> Scene:
-    """Return the scene of a YAML file, given by path or by bare name ('four_bar').
+def load_scene(source: str | Path | Mapping[str, Any]) -> Scene:
+    """Return the scene of a YAML file, given by path or by bare name ('four_bar'), or as it is.
 
-    A bare name has neither folder nor suffix and means a file in `scenes_folder()`. Raises
-    SceneError for a file that cannot be read, a key that is missing, unknown or ill-valued, and a
-    mechanism that cannot move as asked.
+    A bare name has neither folder nor suffix and means a file in `scenes_folder()`. What has lines
+    is a scene's text, and a mapping what such a text holds. Raises SceneError for a file that
+    cannot be read, a key that is missing, unknown or ill-valued, and a mechanism that cannot move
+    as asked.
     """
-    path = _scene_path(path_or_name)
-    data = _read(path)
+    if isinstance(source, Mapping):
+        path, data = Path('scene'), dict(source)
+    elif isinstance(source, str) and '\n' in source:
+        path, data = Path('scene'), _parsed('scene', source)
+    else:
+        path = _scene_path(source)
+        data = _read(path)
     try:
         # Absurd numbers overflow on their way to being refused.
         with np.errstate(all='ignore'):
@@ -112,11 +125,12 @@ def _scene(path: Path, data: Any) -> Scene:
         vectors = mapping("'vectors'", data['vectors'], 'r2: {length: 20 cm, angle: unknown}')
         need('the file', data, ('loops', 'drivers'), 'config/scenes/loader_cylinder.yaml')
         chains = mapping("'points'", data['points'], 'P: r2 + r3p') if 'points' in data else {}
-        assembly, points = read_vectors(vectors, data['loops'], chains)
+        assembly, points, read = read_vectors(vectors, data['loops'], chains)
+        equations = equations_of_vectors(read)
     else:
         refuse_unknown('the file', data, ('bodies', 'joints', *_EITHER))
         need('the file', data, ('bodies', 'drivers'), 'config/scenes/four_bar.yaml')
-        assembly, points = read_bodies(data['bodies'], data.get('joints'))
+        assembly, points, equations = read_bodies(data['bodies'], data.get('joints'))
     driven = _drivers(data['drivers'], assembly)
     said = _start(data.get('start'), assembly)
     drivers = tuple(one.driver for one in driven)
@@ -126,6 +140,7 @@ def _scene(path: Path, data: Any) -> Scene:
     _check_mobility(assembly, start, len(drivers))
     mechanism = Mechanism(assembly, drivers, start)
     _check_range(mechanism, driven)
+    _check_start(mechanism, said)
     loads = _loads(data.get('loads'), points, assembly.bodies)
     held_by = _held_by(data['held_by'], points, assembly.bodies) if 'held_by' in data else None
     if held_by and (not loads or len(drivers) != 1):
@@ -145,6 +160,8 @@ def _scene(path: Path, data: Any) -> Scene:
         points=points,
         loads=loads,
         held_by=held_by,
+        equations=equations,
+        free=_free(data.get('free')),
     )
 
 
@@ -330,6 +347,29 @@ def _check_range(mechanism: Mechanism, driven: list[_Driven]) -> None:
     )
 
 
+def _check_start(mechanism: Mechanism, said: Mapping[str, float]) -> None:
+    """Raise SceneError where a body is not at time 0 about where the scene says that it is."""
+    loops, kinds = mechanism.assembly.loops, mechanism.assembly.kinds
+    values = mechanism.motion(np.zeros(1), 3).values[0, :, 0]
+    # What loops do not hold follows from gears and drivers alone, and is said exactly.
+    in_loops = (loops.loops[:, :] != 0).any(axis=0)
+    loose = (loops.angles[in_loops] != 0).any(axis=0)
+    for k, name in enumerate(loops.variables):
+        if name not in said or kinds[name] != 'angle':
+            continue
+        off = abs((values[k] - said[name] + pi) % (2 * pi) - pi)
+        if off > (_ROUGHLY if loose[k] else _GEARED):
+            now, meant = (np.degrees(x) % 360 for x in (values[k], said[name]))
+            fix = (
+                'another branch: start it there'
+                if loose[k]
+                else ('drivers and gears have it there: correct it, or give the joint its start')
+            )
+            raise SceneError(
+                f"'start: {name}' is {meant:.6g} deg, but at time 0 it is at {now:.6g} deg; {fix}"
+            )
+
+
 # Loads and markers
 
 
@@ -414,6 +454,15 @@ def _markers(said: Any, bodies: tuple[str, ...]) -> dict[str, dict[str, complex]
     return result
 
 
+def _free(said: Any) -> tuple[str, ...]:
+    """Names of dimensions, which are looked up where they are fitted."""
+    if said is None:
+        return ()
+    if not isinstance(said, list) or not all(isinstance(name, str) for name in said):
+        raise SceneError(f"'free' is {said!r}: give a list of names, as [rocker.B, coupler]")
+    return tuple(said)
+
+
 # Files
 
 
@@ -455,11 +504,26 @@ def _scene_path(path_or_name: str | Path) -> Path:
 def _read(path: Path) -> Any:
     """Return what the YAML file holds."""
     try:
-        return load_yaml(read_limited(path, MOST_YAML), _Loader)
+        return _parsed(path, read_limited(path, MOST_YAML))
     except OSError as error:
         raise SceneError(
             f'{path}: cannot be read: {error.strerror}; give the path of a scene file'
         ) from None
+
+
+def scene_text(path_or_name: str | Path) -> str:
+    """Return the text of a scene's file, given as `load_scene` takes it; raises SceneError."""
+    path = _scene_path(path_or_name)
+    try:
+        return read_limited(path, MOST_YAML).decode()
+    except (OSError, ValueError) as error:
+        raise SceneError(f'{path}: cannot be read: {error}') from None
+
+
+def _parsed(path: str | Path, text: str | bytes) -> Any:
+    """Return what the YAML text holds; `path` names it in messages."""
+    try:
+        return load_yaml(text, _Loader)
     # ValueError: a whole number of thousands of digits.
     except (yaml.YAMLError, ValueError) as error:
         mark = getattr(error, 'problem_mark', None)

@@ -24,7 +24,7 @@ _ANGLE = re.compile(rf'\s*({_NAME})\s*(?:([-+])\s*(.+))?')
 Chain = dict[str, int]
 
 
-class _Vector(NamedTuple):
+class Vector(NamedTuple):
     """Length and angle as numbers, or as the name of a variable plus a number (for the angle)."""
 
     length: float | None
@@ -32,11 +32,18 @@ class _Vector(NamedTuple):
     angle: float
 
 
+class Vectors(NamedTuple):
+    """All vectors by name, and the two nodes between which each lies: those that loops share."""
+
+    vectors: dict[str, Vector]
+    ends: dict[str, tuple[frozenset, frozenset]]
+
+
 def read_vectors(
     vectors: dict[str, Any], loops: Any, points: dict[str, Any]
-) -> tuple[Assembly, dict[str, tuple[str, complex]]]:
+) -> tuple[Assembly, dict[str, tuple[str, complex]], Vectors]:
     """
-    The assembly of `vectors` and `loops`, and the `points` as (body, place in its frame).
+    The assembly of `vectors` and `loops`, the `points` as (body, place in its frame), and nodes.
 
     Variables are named NAME.length and NAME.angle. Raises SceneError for whatever is malformed.
     """
@@ -85,10 +92,10 @@ def read_vectors(
         (),
     )
     placed = {name: _on_body(name, chain, tails, read) for name, chain in chains.items()}
-    return assembly, placed
+    return assembly, placed, Vectors(read, _ends(sums, list(chains.values()), tails))
 
 
-def _vector(name: str, vectors: dict[str, Any]) -> _Vector:
+def _vector(name: str, vectors: dict[str, Any]) -> Vector:
     where = f"'vectors: {name}'"
     said = vectors[name]
     if not re.fullmatch(_NAME, name):
@@ -101,7 +108,7 @@ def _vector(name: str, vectors: dict[str, Any]) -> _Vector:
         if length <= 0:
             raise SceneError(f'{where}: length is {said["length"]!r}: give one greater than 0')
     turns_with, angle = _angle(name, vectors, ())
-    return _Vector(length, turns_with, angle)
+    return Vector(length, turns_with, angle)
 
 
 def _angle(name: str, vectors: dict[str, Any], seen: tuple[str, ...]) -> tuple[str | None, float]:
@@ -123,13 +130,13 @@ def _angle(name: str, vectors: dict[str, Any], seen: tuple[str, ...]) -> tuple[s
     return turns_with, angle + (-more if sign == '-' else more)
 
 
-def _sums(loops: Any, vectors: dict[str, _Vector]) -> list[Chain]:
+def _sums(loops: Any, vectors: dict[str, Vector]) -> list[Chain]:
     if not isinstance(loops, list) or not loops:
         raise SceneError("'loops' is no list: give the sums that close, as [r1 + r2 + r3 + r4]")
     return [_sum(f"'loops: {k + 1}'", text, vectors) for k, text in enumerate(loops)]
 
 
-def _sum(where: str, text: Any, vectors: dict[str, _Vector]) -> Chain:
+def _sum(where: str, text: Any, vectors: dict[str, Vector]) -> Chain:
     """The vectors of a sum, in order, each with its sign."""
     chain: Chain = {}
     at = 0
@@ -183,6 +190,44 @@ def _walk(steps: list[tuple[str, int]], here: Chain, tails: dict[str, Chain]) ->
         here = after
 
 
+def _ends(
+    sums: list[Chain], chains: list[Chain], tails: dict[str, Chain]
+) -> dict[str, tuple[frozenset, frozenset]]:
+    """The nodes at tail and head of each vector; those that close a loop are one."""
+    same: dict[frozenset, frozenset] = {}
+
+    def node(label: frozenset) -> frozenset:
+        while label in same:
+            label = same[label]
+        return label
+
+    def join(one: frozenset, other: frozenset) -> None:
+        one, other = node(one), node(other)
+        if one != other:
+            # The origin, which is the ground's, stays.
+            keep, drop = (one, other) if len(one) <= len(other) else (other, one)
+            same[drop] = keep
+
+    found: dict[str, tuple[frozenset, frozenset]] = {}
+    for k, chain in enumerate([*chains, *sums]):
+        steps = list(chain.items())
+        here: Chain = {}
+        if k >= len(chains):
+            first, sign = steps[0]
+            here = tails[first] if sign > 0 else _plus(tails[first], first, 1)
+        begin = here
+        for name, sign in steps:
+            after = _plus(here, name, sign)
+            ends = [frozenset(end.items()) for end in ((here, after)[::sign])]
+            known = found.setdefault(name, (ends[0], ends[1]))
+            for one, other in zip(known, ends, strict=True):
+                join(one, other)
+            here = after
+        if k >= len(chains):
+            join(frozenset(begin.items()), frozenset(here.items()))
+    return {name: (node(tail), node(head)) for name, (tail, head) in found.items()}
+
+
 def _plus(chain: Chain, name: str, sign: int) -> Chain:
     total = dict(chain)
     total[name] = total.get(name, 0) + sign
@@ -190,7 +235,7 @@ def _plus(chain: Chain, name: str, sign: int) -> Chain:
 
 
 def _on_body(
-    name: str, chain: Chain, tails: dict[str, Chain], vectors: dict[str, _Vector]
+    name: str, chain: Chain, tails: dict[str, Chain], vectors: dict[str, Vector]
 ) -> tuple[str, complex]:
     """The body on which a point is fixed, and where: the last vector's, if it can be."""
     for body in [*reversed(chain), *vectors]:

@@ -6,6 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 import numpy as np
 
 from kinpole_ros.derivatives import FEWEST_SAMPLES
+from kinpole_ros.linkage.positions import LivePositions
 from kinpole_ros.linkage.theory import Theory, joint_offsets, rate_differences
 from kinpole_ros.messages._identities import identity_lines
 from kinpole_ros.messages._markers import ns_to_stamp
@@ -69,6 +70,7 @@ class DiagnosticsMaker:
         self._nothing = f'no markers received on {topic}' if topic else 'no markers received'
         self._topic = topic
         self._theory = theory
+        self._positions = theory and LivePositions(theory.scene, theory.lies)
         self._before: Counter[str] = Counter()
         self._outages: dict[str, int] = {}
         self._wrong: np.ndarray | None = None
@@ -196,13 +198,22 @@ class DiagnosticsMaker:
         if self._theory is None:
             return _status(f'{self._name}: linkage', DiagnosticStatus.OK, 'no scene given', values)
         message = f'compared with the scene {self._theory.scene.name}'
-        found = rate_differences(self._theory, now)
-        for off in (*found, *joint_offsets(self._theory, now)):
+        level = DiagnosticStatus.OK
+        for off in (*rate_differences(self._theory, now), *joint_offsets(self._theory, now)):
             values[f'{off.subject}: {off.what} ({off.unit})'] = off.value
             values[f'{off.subject}: deviation of that ({off.unit})'] = off.deviation
-        if not found:
-            message = 'the scene cannot be put where the bodies are seen, or too little is known'
-        return _status(f'{self._name}: linkage', DiagnosticStatus.OK, message, values)
+        found = self._positions.add(now) if self._positions else None
+        if found is None and not values:
+            message = f'too little is known yet to compare the scene {self._theory.scene.name}'
+        if found is not None:
+            for joint in found.joints:
+                values[f'joint {joint.joint}: off (m)'] = joint.rms
+                values[f'joint {joint.joint}: the same in deviations'] = joint.deviations
+            values['residuals of the joints over their noise, rms'] = float(np.sqrt(found.ratio))
+            if found.words:
+                level = DiagnosticStatus.WARN
+                message = f'off the scene {self._theory.scene.name}: ' + '; '.join(found.words)
+        return _status(f'{self._name}: linkage', level, message, values)
 
     def _input(
         self,

@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from kinpole_ros.linkage.theory import Theory, balance
+from kinpole_ros.linkage.theory import Theory, balance, balance_direction
 from kinpole_ros.messages._cdr import stamped_doubles
 from kinpole_ros.messages._drawing import scene
 from kinpole_ros.messages._loci import Build, Built, Trail, centrode
@@ -136,16 +136,21 @@ def outputs_of(settings: Settings, theory: Theory | None) -> list[Output]:
 
 
 def _balance(theory: Theory, given: Plane, deviation: bool) -> Build:
-    """The torque on the driven body that balances the loads, or its standard deviation."""
+    """What balances the loads, a torque or a force, or its standard deviation."""
 
     def build(estimate: Estimate) -> Built:
-        found = balance(theory, estimate)
+        found, way = balance(theory, estimate), balance_direction(theory, estimate)
 
         def figures(chosen: Chosen) -> np.ndarray:
-            torque = np.zeros((len(found.value[chosen]), 6))
+            wrench = np.zeros((len(found.value[chosen]), 6))
             values = np.sqrt(found.variance[chosen]) if deviation else found.value[chosen]
-            torque[:, 3:] = (estimate.plane or given).along_normal(values)
-            return torque
+            plane = estimate.plane or given
+            if way is None:
+                wrench[:, 3:] = plane.along_normal(values)
+            else:
+                force = plane.in_space(values * way[chosen], 0.0)
+                wrench[:, :3] = np.abs(force) if deviation else force
+            return wrench
 
         return _messages(estimate, found.determined, figures)
 

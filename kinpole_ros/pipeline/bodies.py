@@ -82,6 +82,8 @@ def pose_columns(bodies: int) -> list[tuple]:
         ('poses', float, (2 * bodies, 2)),
         # Inverse variances over that of a coordinate of a marker, 0 for a body not seen.
         ('information', float, (2 * bodies,)),
+        # The mean of the markers seen, in the frame of the body.
+        ('middle', complex, (bodies,)),
         ('height', float, (bodies,)),
         ('off_pin', bool, (bodies,)),
         # How many of the newest frames, with this one, may be wrong of a body: not to be relied on
@@ -282,7 +284,7 @@ class RigidBodies:
 
     def take_unseen(self, rows: np.ndarray) -> None:
         """Fill rows (T,) of frames that nothing can be made of: the plane is not known."""
-        rows['poses'] = rows['height'] = np.nan
+        rows['poses'] = rows['height'] = rows['middle'] = np.nan
         rows['information'], rows['off_pin'], rows['suspect'] = 0.0, False, 0
         rows['beat'] = self._known_now()
 
@@ -353,6 +355,7 @@ class RigidBodies:
         poses[:, :count, 0], poses[:, :count, 1] = fit.angle, course.turns
         poses[:, count:, 0], poses[:, count:, 1] = fit.position.real, fit.position.imag
         rows['information'], rows['suspect'] = information, course.suspect
+        rows['middle'] = self._shapes.middle_of(fit.residual)
         seen = ~np.isnan(points)
         with np.errstate(invalid='ignore'):
             total = np.add.reduce(heights, -1, where=seen)

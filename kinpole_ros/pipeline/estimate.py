@@ -44,6 +44,25 @@ class Numbers(NamedTuple):
     determined: np.ndarray
 
 
+class FramePoses(NamedTuple):
+    """
+    Poses of the frames themselves (T, B), each from its own markers, so with errors of their own.
+
+    `angle` (rad) has whole turns; `position` is that of the origins of the bodies' frames, complex,
+    m. `angle_information` and `position_information` are inverse variances over that of a
+    coordinate of a marker, 0 for a body not seen, and `noise`, m, is the deviation of the latter.
+    Angle and position have no error in common where the markers seen have their mean, `middle`,
+    complex, m, in the body's frame.
+    """
+
+    angle: np.ndarray
+    position: np.ndarray
+    angle_information: np.ndarray
+    position_information: np.ndarray
+    middle: np.ndarray
+    noise: np.ndarray
+
+
 _Figure = TypeVar('_Figure', bound=Vectors | Numbers)
 
 
@@ -64,7 +83,8 @@ class Estimate:
     `pin_variance` (T, B), m^2, of one coordinate; NaN for a body on no pin. `shape` (T, B, n) are
     the markers in the bodies' frames, complex, m. `due` (T,) is which frame, of those the tracker
     was given in one call, each instant fell due with. `plane` is where all this lies in `frame_id`,
-    None for the one that the parameters name.
+    None for the one that the parameters name. `frame_poses` are those of the very frames, without
+    what others tell of them, None where they are not kept.
 
     What follows is of shape (T, B) too, (T, pairs) for pairs of bodies. An index gives one instant
     as an estimate of its own, in which all arrays lack the axis of T.
@@ -91,6 +111,7 @@ class Estimate:
         due: np.ndarray | None = None,
         reference: np.ndarray | None = None,
         plane: Plane | None = None,
+        frame_poses: FramePoses | None = None,
     ) -> None:
         self.stamp = stamp
         self.frame_id = frame_id
@@ -113,6 +134,7 @@ class Estimate:
         self.due = np.arange(np.size(stamp)).reshape(np.shape(stamp)) if due is None else due
         self.reference = np.zeros(each, complex) if reference is None else reference
         self.plane = plane
+        self.frame_poses = frame_poses
         self._poles: dict[int, Vectors] = {}
 
     def __len__(self) -> int:
@@ -142,6 +164,7 @@ class Estimate:
             self.due[instant],
             self.reference[instant],
             self.plane,
+            self.frame_poses and FramePoses(*(part[instant] for part in self.frame_poses)),
         )
         # What was computed of all instants is not computed again of the one.
         one._poles = {order: _at(instant, pole) for order, pole in self._poles.items()}

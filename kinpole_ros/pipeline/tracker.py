@@ -16,7 +16,7 @@ import numpy as np
 
 from kinpole_ros.derivatives import Derivatives, Poses, Windows, derive_poses
 from kinpole_ros.pipeline.bodies import Outage, RigidBodies, one_more, pose_columns
-from kinpole_ros.pipeline.estimate import Estimate
+from kinpole_ros.pipeline.estimate import Estimate, FramePoses
 from kinpole_ros.pipeline.frame import MarkerFrames, part_of
 from kinpole_ros.pipeline.landmarks import derive_landmarks
 from kinpole_ros.pipeline.matcher import Matcher
@@ -443,6 +443,7 @@ class Tracker:
             due,
             reference,
             self.plane,
+            _frame_poses(frames, seen, known['noise']),
         )
 
     def _add_deformation(
@@ -551,3 +552,17 @@ class Tracker:
         found = derive_landmarks(frames['time'], self._points.view(), windows, *how)
         found.angle[0] = frames['poses'][windows[0], : len(self.bodies), 0]
         return *found[:-1], found.freedom - 1
+
+
+def _frame_poses(frames: np.ndarray, seen: np.ndarray, noise: np.ndarray) -> FramePoses:
+    """The poses of `frames` (T,) as they were fitted, of bodies where they are `seen` (T, B)."""
+    count = seen.shape[1]
+    poses, information = frames['poses'], np.where(np.tile(seen, 2), frames['information'], 0.0)
+    return FramePoses(
+        poses[:, :count, 0] + 2 * np.pi * poses[:, :count, 1],
+        poses[:, count:].view(complex)[..., 0],
+        information[:, :count],
+        information[:, count:],
+        frames['middle'],
+        noise,
+    )

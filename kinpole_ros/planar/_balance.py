@@ -19,17 +19,17 @@ class Port(NamedTuple):
     Where power goes in or out of a body, the index `body`.
 
     With a `point` (complex, m, of the body's frame, one or (...)) `effort` is a force there, N,
-    complex in the ground's axes; without, a torque, N m. Of an input only its direction counts, or
-    its sign.
+    complex in the ground's axes, one or (...); without, a torque, N m. Of an input only its
+    direction counts, or its sign.
     """
 
     body: int
-    effort: complex
+    effort: complex | Complex
     point: complex | Complex | None = None
 
 
 def port_power(
-    effort: complex, point: complex | Complex | None, position: Complex, angle: Real
+    effort: complex | Complex, point: complex | Complex | None, position: Complex, angle: Real
 ) -> Linear:
     """
     Power (W) of a force at a point of a body, or of a torque where `point` is None, as in Port.
@@ -41,8 +41,8 @@ def port_power(
     by_position = np.zeros((1, *np.shape(angle[1])), complex)
     if point is None:
         by_angle = np.zeros((2, *np.shape(angle[1])), complex)
-        by_angle[1] = effort.real
-        return Linear(effort.real * angle[1], by_position, by_angle, *orders)
+        by_angle[1] = np.real(effort)
+        return Linear(np.real(effort) * angle[1], by_position, by_angle, *orders)
     arm = point * np.exp(1j * angle[0])
     along = np.conj(effort)
     by_position[0] = along
@@ -96,8 +96,8 @@ def measured_balance(
     first order. Determined where the input's velocity is more than `significant` standard
     deviations from zero. Raises ValueError for an input without direction.
     """
-    size = abs(through.effort) if through.point is not None else abs(through.effort.real)
-    if not 0 < size < np.inf:
+    size = abs(through.effort) if through.point is not None else abs(np.real(through.effort))
+    if not np.all((size > 0) & (size < np.inf)):
         raise ValueError('the input of a balance needs a direction: a force or torque not zero')
 
     def spread(body: int, linear: Linear) -> Real:

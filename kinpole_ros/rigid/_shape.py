@@ -543,6 +543,15 @@ class Shapes:
         """The weighted means (B,) of the markers in their bodies' frames."""
         return self._grip.mean
 
+    def middle_of(self, residual: Complex) -> Complex:
+        """The same (T, B) of those alone that a fit with this `residual` (T, B, n) is of."""
+        seen = ~np.isnan(residual)
+        if np.count_nonzero(seen) == seen.size:
+            return np.broadcast_to(self.middle, residual.shape[:-1])
+        weights = np.where(seen, self._weights, 0.0)
+        with np.errstate(divide='ignore', invalid='ignore'):
+            return np.asarray((weights * self.points).sum(axis=-1) / weights.sum(axis=-1))
+
     def markers(self) -> Complex:
         """Where the markers (B, n) are in their bodies' frames, NaN for those not seen yet."""
         return np.where(self._frames > 0, self.points, complex(np.nan, np.nan))

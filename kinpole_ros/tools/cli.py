@@ -24,6 +24,7 @@ from kinpole_ros.tools.usage import make_parser
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
+    from kinpole_ros.linkage.positions import PositionsFound
     from kinpole_ros.pipeline.parameters import Settings
 
 # The products computed here are small. A BLAS that has them done by threads waits for these longer
@@ -194,6 +195,8 @@ def _replay(options: argparse.Namespace) -> int:
             f'{row.subject}: {row.what} {row.rms:.2g} {row.unit}, {row.deviations:.1f} deviations '
             f'(rms of {row.instants} instants)'
         )
+    for line in _positions_lines(result.scene_positions):
+        print(line)
     for target in outputs:
         if target:
             print(f'written to {target}')
@@ -204,6 +207,22 @@ def _replay(options: argparse.Namespace) -> int:
     if result.truncated is not None:
         print(f'kinpole replay: {_line(result.truncated)}', file=sys.stderr)
     return 2 if result.truncated is not None or result.unknown else 0
+
+
+def _positions_lines(found: 'PositionsFound | None') -> 'Iterator[str]':
+    """How far the joints of the scene are off, and whether that is its fault."""
+    if found is None:
+        return
+    for joint in found.joints:
+        yield (
+            f'joint {joint.joint}: off {joint.rms:.2g} m, {joint.deviations:.1f} deviations, rms '
+            f'over {joint.instants} instants'
+        )
+    verdict = 'differs from what is measured' if found.words else 'agrees with what is measured'
+    yield (
+        f'the scene {verdict}: residuals are {found.ratio**0.5:.3g} times their noise, over '
+        f'{found.instants} instants'
+    )
 
 
 def _batch(options: argparse.Namespace) -> int:
@@ -399,6 +418,26 @@ def _solve(options: argparse.Namespace) -> int:
     return 0
 
 
+def _fit(options: argparse.Namespace) -> int:
+    from kinpole_ros.tools.fit import fit_bag
+
+    _keep(options.config, options.output)
+    troubles: list[object] = []
+    with _progress('fit') as progress:
+        lines = fit_bag(
+            options.scene,
+            options.bag,
+            options.config,
+            options.free or [],
+            options.output,
+            options.topic,
+            progress,
+            troubles.append,
+        )
+    print('\n'.join(map(printable, lines)))
+    return _told('fit', troubles)
+
+
 def _discover(options: argparse.Namespace) -> int:
     from kinpole_ros.tools.discover import discover_rig
 
@@ -486,6 +525,7 @@ _COMMANDS: dict[str, Callable[[argparse.Namespace], int]] = {
     'simulate': _simulate,
     'solve': _solve,
     'discover': _discover,
+    'fit': _fit,
     'plot': _plot,
     'report': _report,
     'import': _import,

@@ -212,6 +212,7 @@ def make_parser() -> argparse.ArgumentParser:
     )
 
     _add_discover(commands)
+    _add_fit(commands)
 
     plot = commands.add_parser(
         'plot',
@@ -423,6 +424,37 @@ def _add_import(commands: Any) -> None:
         metavar='P',
         help='least at which a point counts as seen (DeepLabCut 0.6, SLEAP 0)',
     )
+
+
+def _add_fit(commands: Any) -> None:
+    fit = commands.add_parser(
+        'fit',
+        help="a scene's dimensions from measured markers, each with its deviation",
+        description='Fits points, lengths and angles of a scene to the poses of its bodies in all\n'
+        'frames, whatever drives them: least squares over what the joints lack. What the data do\n'
+        'not tell stays as it is, and is named. Markers sit where the scene has them.',
+        epilog='examples:\n'
+        '  kinpole fit rig.yaml run.mcap\n'
+        '  kinpole fit rig.yaml run.mcap --free rocker.B --free coupler --output fitted.yaml\n',
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    fit.add_argument('scene', metavar='SCENE', help='a file, or a name, see simulate')
+    fit.add_argument('bag', metavar='BAG', help='an .mcap file or a rosbag2 folder')
+    fit.add_argument(
+        '--config',
+        metavar='FILE',
+        help="ROS 2 parameter file, as for the node; without it the scene's bodies and markers",
+    )
+    fit.add_argument(
+        '--free',
+        action='append',
+        nargs='+',
+        metavar='NAME',
+        help="what to fit: rocker.B, r2.length, or all of a body, vector or joint (the scene's "
+        'free, or all)',
+    )
+    fit.add_argument('--output', metavar='SCENE.yaml', help='the scene, as fitted, to write')
+    fit.add_argument('--topic', metavar='T', help="topic of the markers (config's, /markers)")
 
 
 class _ListScenes(argparse.Action):

@@ -12,8 +12,11 @@ def theory_rates(theory: Theory, estimate: Estimate) -> dict[str, np.ndarray]:
     """
     Angular velocity (rad/s) and what follows it, by body (order, T), NaN where it is not known.
 
-    Not of the driver, which has none of its own. All NaN where the linkage cannot be put so.
+    Not of the driver, which has none of its own. All NaN where the linkage cannot be put so, and
+    none where its driver is no tracked body's angle.
     """
+    if not theory.driver:
+        return {}
     own, _, markers, places = theory.places[theory.driver]
     shape = estimate.shape[:, own, markers]
     turn = fit_pose(shape, places, np.isfinite(shape).astype(float)).angle

@@ -154,6 +154,9 @@ def static_lines(solved: Solved) -> list[str]:
     several = solved.inputs.shape[1] > 1
     lines = ['', 'forces at the start of the range' if several else 'forces']
     loads = scene.loads
+    if np.isnan(solved.motion.values[1:, :, 0]).all() and solved.motion.regular.size == 1:
+        # As good as in a dead point: what is printed there is the last digit of the input.
+        return [*lines, 'not determined: the drivers have no hold of the loads in a dead point']
     if scene.held_by:
         size, load = holding(scene.mechanism, first, loads, scene.held_by)
         lines.append(_held_line(scene, float(size[0]), load))

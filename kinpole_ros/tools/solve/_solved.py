@@ -10,6 +10,8 @@ from kinpole_ros.planar import body_point_derivative
 # From a limit, where no rate is finite, the first position keeps this share of the range.
 _ASIDE = 1e-3
 _TURN = 2 * np.pi
+# A value this near to a limit is the limit as printed; so far beyond it is looked for.
+_PRINTED, _BEYOND = 1e-10, 1e-6
 
 
 class Solved(NamedTuple):
@@ -52,10 +54,29 @@ def solve_positions(scene: Scene, at: str | None, count: int | None) -> Solved:
     limits: tuple[float | None, float | None] = (None, None)
     if count is None:
         values = np.array([quantity('--at', at, scene.mechanism.kind(0))])
-    else:
-        low, high, limits = _range(scene, float(now[0, 0, 0]))
-        values = np.linspace(low, high, count)
+        solved = _at_rate(scene, values, rate, limits)
+        return _at_limit(solved) if _is_limit(scene, float(values[0])) else solved
+    low, high, limits = _range(scene, float(now[0, 0, 0]))
+    values = np.linspace(low, high, count)
     return _at_rate(scene, values, rate, limits)
+
+
+def _is_limit(scene: Scene, value: float) -> bool:
+    """Whether the one driver turns back at this value, but for the digits that are printed."""
+    size = max(1.0, abs(value))
+    if not scene.mechanism.linkage.blocks:
+        return False
+    path = scene.mechanism.path(value - _BEYOND * size, value + _BEYOND * size)
+    ends = [dead.at for dead in path.dead_points if dead.turns_back]
+    return any(abs(end - value) <= _PRINTED * size for end in ends)
+
+
+def _at_limit(solved: Solved) -> Solved:
+    """The same where rates have no bound: what is off by the last digit is none of its own."""
+    motion = solved.motion
+    for part in (motion.position, motion.angle, motion.values):
+        part[1:] = np.nan
+    return solved._replace(motion=motion._replace(regular=np.zeros_like(motion.regular)))
 
 
 def drawn(whole: Solved, here: Solved) -> Solved:

@@ -1,0 +1,59 @@
+"""A scene's text with other dimensions: only their values change, so comments and layout stay."""
+
+from collections.abc import Mapping, Sequence
+from math import degrees
+
+import yaml
+
+from kinpole_ros.mechanism._equations import Dimension
+from kinpole_ros.mechanism._units import SceneError
+
+_DIGITS = 9
+
+
+def rewritten(text: str, changes: Mapping[Dimension, float]) -> str:
+    """The text of a scene's file with these dimensions at other values (m, rad)."""
+    root = yaml.compose(text, yaml.SafeLoader)
+    by_path: dict[tuple[str | int, ...], list[tuple[Dimension, float]]] = {}
+    for dimension, value in changes.items():
+        by_path.setdefault(dimension.path, []).append((dimension, value))
+    edits = []
+    for path, rows in by_path.items():
+        node = _node(root, path)
+        old = text[node.start_mark.index : node.end_mark.index]
+        rows.sort(key=lambda row: row[0].axis)
+        edits.append((node.start_mark.index, node.end_mark.index, _written(old, rows)))
+    for first, end, new in sorted(edits, reverse=True):
+        text = text[:first] + new + text[end:]
+    return text
+
+
+def _node(node: yaml.Node | None, path: Sequence[str | int]) -> yaml.Node:
+    for key in path:
+        if isinstance(node, yaml.SequenceNode) and isinstance(key, int):
+            node = node.value[key]
+        elif isinstance(node, yaml.MappingNode):
+            node = next((value for name, value in node.value if name.value == key), None)
+    if node is None:
+        raise SceneError(f'the scene has no {".".join(map(str, path))} of its own to be changed')
+    return node
+
+
+def _written(old: str, rows: Sequence[tuple[Dimension, float]]) -> str:
+    if rows[0][0].path[0] == 'bodies':
+        return f'[{", ".join(_number(value) for _, value in rows)}]'
+    dimension, value = rows[0]
+    if dimension.kind == 'length':
+        return f'{_number(value)}'
+    shown = f'{_number(degrees(value))} deg'
+    # An angle that is said from that of another vector stays so.
+    words = old.strip('\'"').split()
+    if len(words) > 1 and words[1] in '+-' and not words[0][0].isdigit():
+        sign = '-' if value < 0 else '+'
+        return f'{words[0]} {sign} {shown.lstrip("-")}'
+    return shown
+
+
+def _number(value: float) -> str:
+    text = f'{value:.{_DIGITS}g}'
+    return '0' if text == '-0' else text
