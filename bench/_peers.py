@@ -176,7 +176,7 @@ def landmarks(found: np.ndarray, markers: int) -> tuple[np.ndarray, np.ndarray]:
     """Pose derivatives (5, ...) from those of the markers (4, ..., bodies * n)."""
     split = planar.to_plane(found.reshape(*found.shape[:-1], -1, markers))
     motion = planar.landmark_kinematics(*split)
-    return motion.position, motion.angle
+    return planar.to_complex(motion.position), motion.angle
 
 
 def _savgol_best(

@@ -113,7 +113,7 @@ def _fixed(
     """Position and angle (5, M, 2) of both links with their derivatives, by fixed windows."""
     (found,) = apply_weights(*_centered(samples, degree), frames, seen)
     motion = planar.landmark_kinematics(*planar.to_plane(found[..., [[0, 1], [1, 2]]]))
-    return motion.position, motion.angle
+    return planar.to_complex(motion.position), motion.angle
 
 
 def _poles(position: np.ndarray, angle: np.ndarray) -> np.ndarray:

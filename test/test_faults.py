@@ -35,7 +35,7 @@ from test_node import LIMIT, RELIABLE, Peer, complaints, node_words, process
 from visualization_msgs.msg import MarkerArray
 
 import kinpole_ros.ros.node as node_module
-from kinpole_ros.messages import MARKER_TYPES, result_outputs, to_message
+from kinpole_ros.messages import MARKER_TYPES, TF, result_outputs, to_message
 from kinpole_ros.pipeline.parameters import Settings
 
 OK, WARN = DiagnosticStatus.OK, DiagnosticStatus.WARN
@@ -98,7 +98,8 @@ class Rig(Peer):
         """
         ears = rclpy.create_node('ears', context=self.node.context)
         outputs = result_outputs(('rod',), 'xy')
-        topics = {f'/{self.name}/{o.topic}': o.message_type for o in outputs}
+        # /tf is published if it is asked for.
+        topics = {o.under(f'/{self.name}'): o.message_type for o in outputs if o.topic != TF}
         for topic, kind in {**topics, '/diagnostics': DiagnosticArray}.items():
             qos = QoSProfile(depth=2000)
             self._ears[topic] = ears.create_subscription(kind, topic, lambda _: None, qos)

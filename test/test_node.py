@@ -461,18 +461,17 @@ def test_what_was_drawn_is_taken_away_when_no_more_is_drawn(
         drawn = peer.hear('/kinpole/visualization', MarkerArray)
         with peer.publisher(MarkerArray) as publisher:
             for stop, again in (
-                (partial(peer.change, 'deactivate'), partial(peer.change, 'activate')),
+                (['deactivate'], ['activate']),
                 # Its publisher goes at once, and then every tenth or so used to be lost.
-                *8
-                * [(partial(peer.set, derivative_order=1), partial(peer.set, derivative_order=4))],
+                *8 * [(['deactivate', 'cleanup'], ['configure', 'activate'])],
             ):
                 drawn.clear()
                 peer.feed(publisher, endless(simulated), lambda: drawn, 'a drawing')
-                assert len(drawn[-1].markers) == 5
-                assert stop()
+                assert len(drawn[-1].markers) == 13
+                assert all(map(peer.change, stop))
                 gone = lambda: drawn[-1].markers[0].action == Marker.DELETEALL  # noqa: E731
                 peer.until(gone, 'its end')
-                assert again()
+                assert all(map(peer.change, again))
         assert [len(array.markers) for array in drawn].count(1) == 1
         # Nothing was drawn since.
         assert peer.change('deactivate')
@@ -548,7 +547,7 @@ def test_publishers_stay_until_readers_have_their_last_messages_but_not_for_long
     node = KinpoleNode()
     try:
         assert node.set_parameters([Parameter('derivative_order', value=1)])[0].successful
-        assert '/kinpole/visualization' in gone
+        assert '/kinpole/body/iap' in gone
         assert '/kinpole/body/odom' not in waited
         node.close_outputs()
         assert '/kinpole/body/odom' in gone

@@ -50,7 +50,7 @@ def bags(tmp_path_factory) -> dict[str, Path]:
 def thinned(bag: Path, output: Path, keep) -> Path:
     """The messages of a bag, less the drawings in it, for which `keep(topic, stamp in s)`."""
     with BagWriter(output) as writer:
-        drawings = ('/visualization', '/centrode/fixed', '/centrode/moving')
+        drawings = ('/visualization', '/centrode/fixed', '/centrode/moving', '/tf')
         for message in read_messages(bag, [t for t in topics(bag) if not t.endswith(drawings)]):
             decoded = deserialize_message(message.data, message_class(message.type_name))
             stamp = stamp_to_ns(decoded.header.stamp) * 1e-9

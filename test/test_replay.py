@@ -25,7 +25,7 @@ from kinpole_ros.bags import (
     type_name,
 )
 from kinpole_ros.bags import topics as topics_of
-from kinpole_ros.messages import MARKER_TYPES, read_markers, result_outputs, to_message
+from kinpole_ros.messages import MARKER_TYPES, TF, read_markers, result_outputs, to_message
 from kinpole_ros.pipeline.estimate import POLE_NAMES, RATE_NAMES
 from kinpole_ros.pipeline.parameters import Settings
 from kinpole_ros.rigid.plane import AXES
@@ -493,13 +493,13 @@ def test_the_order_limits_the_topics_and_not_the_figures(
     output, table = tmp_path / 'out.mcap', tmp_path / 'out.csv'
     replay(simulated('four_bar', **NOISY), replace(FOUR_BAR, derivative_order=order), output, table)
     messages = decoded(output)
-    wanted = {
-        f'/kinpole/{row.topic}'
-        for row in result_outputs(tuple(FOUR_BAR.bodies), 'xy')
-        if row.order <= order
-    }
+    rows = result_outputs(tuple(FOUR_BAR.bodies), 'xy', highest=order)
+    wanted = {row.under('/kinpole') for row in rows}
     full = noisy_figures
-    assert set(messages) - {'/diagnostics'} == wanted & set(full)
+    assert set(messages) - {'/diagnostics'} == wanted & {*full, TF}
+    # Drawings have more poles, the more there are.
+    wanted.remove('/kinpole/visualization')
+    messages.pop('/kinpole/visualization')
     assert_alike(figures(messages), {topic: full[topic] for topic in wanted if topic in full})
     head = table.read_text().split('\n', 1)[0]
     assert ('coupler_isp_x' in head, 'coupler_ijp_x' in head) == (order == 4, order >= 3)
@@ -576,7 +576,7 @@ def test_topics_without_a_message_are_there_to_be_asked_for(simulated: Bag, tmp_
 
     bag = still(tmp_path / 'in.mcap', lambda t: 0j)
     replay(bag, Settings(), tmp_path / 'out.mcap')
-    results = {f'/kinpole/{row.topic}' for row in result_outputs(('body',), 'xy')}
+    results = {row.under('/kinpole') for row in result_outputs(('body',), 'xy')}
     assert set(topics_of(tmp_path / 'out.mcap')) == results | {'/diagnostics'}
 
 

@@ -72,8 +72,10 @@ def _all_sizes(
         there = np.ones((len(cells.samples), len(whole)), bool)
     else:
         there = (cells.weight > 0).all(axis=1)
-    possible = (cells.ahead >= 0) & (np.count_nonzero(there, axis=0) >= FEWEST_SAMPLES)
     oldest = len(there) - there[::-1].argmax(axis=0)
+    # Instants lie among what is seen, not before it.
+    possible = (cells.ahead >= 0) & (cells.ahead < oldest)
+    possible &= np.count_nonzero(there, axis=0) >= FEWEST_SAMPLES
     sizes, longest = np.zeros(len(whole), int), blocks.copy()
     while np.count_nonzero(possible):
         for block in np.unique(blocks[possible]).tolist():

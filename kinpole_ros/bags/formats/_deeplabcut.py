@@ -8,6 +8,7 @@ the unit is the pixel, with y down. Triangulated points have z, and the unit of 
 
 import io
 import pickle
+import pickletools
 import re
 from collections.abc import Sequence
 from typing import Any, NoReturn
@@ -141,18 +142,18 @@ def _of_hdf(file: File) -> tuple[list[tuple[str, str]], np.ndarray, np.ndarray]:
     return labels, values, whole_numbers(file.path, frames, range(1, len(frames) + 1), 'index')
 
 
-class _Names(pickle._Unpickler):
-    """
-    Reads lists, tuples and text, and nothing that would run code.
-
-    The one written in Python: that in C sets memory aside for any number that a pickle names.
-    """
+class _Names(pickle.Unpickler):
+    """Reads lists, tuples and text, and nothing that would run code."""
 
     def find_class(self, module: str, name: str) -> NoReturn:
         raise pickle.UnpicklingError(f'{module}.{name} among names of columns')
 
 
 def _names_in(pickled: bytes) -> list[tuple[str, ...]]:
+    for code, number, _ in pickletools.genops(pickled):
+        # Memory is set aside for as many parts as are numbered.
+        if code.name.endswith('PUT') and (number or 0) > len(pickled):
+            raise ValueError('columns with more parts than bytes')
     names: Any = _Names(io.BytesIO(pickled)).load()
     for levels in names:
         if not (isinstance(levels, tuple) and len(levels) in (3, 4)):
