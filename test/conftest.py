@@ -79,7 +79,9 @@ def read_back(data: bytes, kind: str) -> Any:
 
 def stamp_of(message: Any) -> int:
     """Stamp in ns of a message, of its first marker if it is an array of them."""
-    header = message.header if hasattr(message, 'header') else message.markers[0].header
+    if not hasattr(message, 'header'):
+        (message, *_) = message.markers if hasattr(message, 'markers') else message.transforms
+    header = message.header
     return int(header.stamp.sec * 1_000_000_000 + header.stamp.nanosec)
 
 

@@ -125,7 +125,9 @@ def _ladder(full: np.ndarray, last: np.ndarray, exact: np.ndarray) -> Iterator[n
     are what is there.
     """
     there = np.minimum(full, last)
-    for most in (full, *_SIZES[::-1]):
+    # Where stamps are not even a window has one frame more or less.
+    usual = np.where(last == full - 1, last, full)
+    for most in (usual, *_SIZES[::-1]):
         size = np.where(exact, there, np.minimum(full, most))
         yield np.where(size <= _LARGER * last, size, 0)
     # If the instant is the oldest of it.

@@ -384,12 +384,7 @@ class Timeline:
     ) -> tuple[np.ndarray, np.ndarray]:
         """The oldest frames (T,) of windows, and their mean interval, ns; `times` of the newest."""
         oldest = every.searchsorted(times - self.window)
-        interval = (times - every[oldest]) / np.maximum(newest - oldest, 1)
-        # Frames are late or early by less than half of that: windows hold as many. After a gap, or
-        # before one, they are closer than on the mean.
-        step = every[np.minimum(oldest + 1, newest)] - every[oldest]
-        early = np.minimum(interval, step) / 2
-        return every.searchsorted(times - self.window - early.astype(np.int64)), interval
+        return oldest, (times - every[oldest]) / np.maximum(newest - oldest, 1)
 
     def falling_due(self, new: np.ndarray) -> tuple[np.ndarray, Windows, np.ndarray]:
         """
