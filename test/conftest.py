@@ -62,6 +62,10 @@ def write_config(path: Path, settings: Settings, **more: Any) -> Path:
     return path
 
 
+# It takes 15 ms to make.
+STORE = get_typestore(Stores.ROS2_JAZZY)
+
+
 def decoded(bag: Path, *only: str) -> dict[str, list[Any]]:
     """The messages of a bag by topic, in order; of all topics if none is named."""
     found: dict[str, list[Any]] = {}
@@ -73,7 +77,7 @@ def decoded(bag: Path, *only: str) -> dict[str, list[Any]]:
 def read_back(data: bytes, kind: str) -> Any:
     """The message of a type; that of frames also where tf2_msgs is not installed."""
     if kind == 'tf2_msgs/msg/TFMessage':
-        return get_typestore(Stores.ROS2_JAZZY).deserialize_cdr(data, kind)
+        return STORE.deserialize_cdr(data, kind)
     return deserialize_message(data, message_class(kind))
 
 
