@@ -523,6 +523,16 @@ def everything(found: list[Estimate]) -> dict[str, np.ndarray]:
     st.integers(1, 4),
     st.booleans(),
 )
+@example(  # a body that begins anew amid a block, and is deformed before
+    [Fault('mirror', 10, 1, 0)],
+    [1] * 60,
+    *(3.0, 0.0, 1e-5, (0.1, 0.0), 0.0, 'landmarks', 4, False),
+)
+@example(  # a clock whose ticks are whole numbers but for rounding
+    [Fault('twice', 13, 1, 0), Fault('twice', 16, 1, 0)],
+    [30] * 60,
+    *(-40.0, 0.0, 1e-5, (0.5, 0.02), 1e-3, 'landmarks', 1, False),
+)
 def test_any_partition_of_any_stream_gives_the_same(
     spoilt: list[Fault],
     sizes: list[int],

@@ -42,6 +42,8 @@ _EDGE, _NEAREST = 8.0, 6
 # The edge is known from n frames and is gone by for a quarter of n more: it may be off by so many
 # deviations of its slope, by n, two on the far side of the middle (simulated: 0.96 are within).
 _AHEAD = 1.5
+# Ticks are rounded to less than this part of one.
+_ROUNDING = 1e-6
 # Nats by which the newest frames must be likelier at a rate of their own for it to have changed.
 _CHANGED = 20.0
 # Stamps that are late by no more than this share of the interval leave no doubt of any count.
@@ -388,7 +390,8 @@ class FrameCounter:
     def least(self, stamps: np.ndarray) -> np.ndarray:
         """Counts (T,) that frames have at least, as none was ever later than the latest."""
         ticks = self.clock.ticks(stamps) + self._shift - self.clock.reach
-        return np.ceil(ticks).astype(np.int64)
+        # Of even stamps these are whole numbers but for rounding, which must not count a frame.
+        return np.ceil(ticks - _ROUNDING).astype(np.int64)
 
     def take(self, stamps: np.ndarray, motion: Motion) -> Iterator[np.ndarray]:
         """
