@@ -24,7 +24,7 @@ from visualization_msgs.msg import MarkerArray
 
 from bench._rig import LAG, NODE, RELAY, Asker, Rig, node_words, processes, started, wheels
 from bench._speed import compared
-from kinpole_ros.messages import result_outputs
+from kinpole_ros.messages import TF, result_outputs
 from kinpole_ros.ros.private import take
 
 _FEW = ('angular_velocity', 'icr', 'centrode_curvature')
@@ -160,6 +160,9 @@ def _asked(
         try:
             topics = [(RELAY, 'answer', Vector3Stamped)]
             for topic, kind, *_ in result_outputs(list(wheels(case.bodies)), 'xy'):
+                # Frames are published if it is asked for.
+                if topic == TF:
+                    continue
                 if case.topics is None or topic.partition('/')[2] in case.topics:
                     topics.append((NODE, topic, kind))
             for name, topic, kind in topics:
