@@ -4,6 +4,7 @@ The first page of the benchmarks: four sentences, three charts, and where the re
 Every figure in it is from the rows that were measured.
 """
 
+import statistics
 from collections.abc import Iterable
 
 import numpy as np
@@ -49,9 +50,11 @@ def warnings(tables: Tables) -> list[str]:
     busy = [row for row in runs if row['load'] > _BUSY * row['cores']]
     if busy:
         worst = max(busy, key=lambda row: row['load'])
+        usual = statistics.median(row['load'] for row in runs)
         found.append(
-            f'**Other programs ran on the machine meanwhile (load {worst["load"]:.1f} on '
-            f'{worst["cores"]:.0f} cores): times are too long, latencies most of all.**'
+            f'**Other programs ran on the machine meanwhile (load {worst["load"]:.1f} before '
+            f'{worst["part"]}, {usual:.1f} as a rule, on {worst["cores"]:.0f} cores): times are too '
+            'long, latencies most of all.**'
         )
     return found
 

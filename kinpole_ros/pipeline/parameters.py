@@ -263,7 +263,7 @@ PARAMETERS: Mapping[str, Parameter] = {
     'effort': _choices(
         'normal',
         'How much is computed for each figure. low: motions that stop or set in all at once are '
-        'followed later; high: twice as many models, some 10% less error on smooth motion.',
+        'followed later; high: twice as many models, less error where it is largest.',
         'low',
         'normal',
         'high',
