@@ -53,8 +53,8 @@ def warnings(tables: Tables) -> list[str]:
         usual = statistics.median(row['load'] for row in runs)
         found.append(
             f'**Other programs ran on the machine meanwhile (load {worst["load"]:.1f} before '
-            f'{worst["part"]}, {usual:.1f} as a rule, on {worst["cores"]:.0f} cores): times are too '
-            'long, latencies most of all.**'
+            f'{worst["part"]}, {usual:.1f} as a rule, on {worst["cores"]:.0f} cores): times are '
+            'too long, latencies most of all.**'
         )
     return found
 

@@ -44,8 +44,7 @@ def frames(names: Sequence[str], given: Plane) -> Build:
             stamps = estimate.stamp[when]
             data = stamped_doubles(stamps, estimate.frame_id, figures, name, listed=True)
             made += zip(when.tolist(), data, strict=True)
-        made.sort(key=lambda row: row[0])
-        return [when for when, _ in made], [data for _, data in made]
+        return _in_order(made)
 
     return build
 
@@ -85,7 +84,12 @@ def joint_states(
             figures = (each[np.ix_(when, seen)] for each in found)
             data = joint_data(estimate.stamp[when], called, *figures)
             made += zip(when.tolist(), data, strict=True)
-        made.sort(key=lambda row: row[0])
-        return [when for when, _ in made], [data for _, data in made]
+        return _in_order(made)
 
     return build
+
+
+def _in_order(made: list[tuple[int, bytes]]) -> Built:
+    """Messages by the instants that they are of."""
+    made.sort(key=lambda row: row[0])
+    return [when for when, _ in made], [data for _, data in made]
