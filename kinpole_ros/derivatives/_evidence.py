@@ -146,6 +146,43 @@ def derive(
     return Found(result, covariance, freedom, total.reshape(2, bodies))
 
 
+def move(
+    modes: Modes,
+    slopes: Real,
+    given: Real,
+    samples: Real,
+    off: Real,
+    seen: Real,
+    lacking: Lacking | None,
+    known: float,
+) -> Real:
+    """
+    The `given` samples (n, 3, S) moved from where they are `off` (n, S) their places.
+
+    Along what is found from the `samples`, moved before, by the `slopes` of the modes; the noise as
+    measured counts for so many samples as are `known`.
+    """
+    bodies = off.shape[1]
+    found = evidence_of(modes, samples, seen, lacking, known)
+    likely = probabilities(modes, found)
+    share = mixture(modes, likely).reshape(-1, 2, bodies)[:, _SIGNAL]
+    some = share.any(axis=(1, 2)).nonzero()[0]
+    motion = found.modes.reshape(-1, 3, bodies)[some] * share[some]
+    moved = given.copy()
+    power = np.ones(off.shape)
+    for order, slope in enumerate(slopes[:, some], 1):
+        power = power * off / order
+        moved -= power[:, None] * np.tensordot(slope, motion, ((0,), (0,)))
+    if lacking is not None and found.lacks is not None:
+        # What is missing is where the others have it.
+        by = likely.reshape(-1, 2, bodies)[:, _SIGNAL]
+        wrong = np.einsum('xmcs,mcs->xsc', found.lacks.error, by)
+        where = lacking.cells, slice(None), np.arange(bodies)
+        missing = (lacking.weight <= 0).all(axis=1)[..., None]
+        moved[where] = np.where(missing, samples[where] - wrong, moved[where])
+    return moved
+
+
 def probabilities(modes: Modes, found: Evidence) -> Real:
     """How probable (M, 2 S) models are."""
     return _weights(found.evidence.reshape(len(found.evidence), -1), modes.kinds)[0]

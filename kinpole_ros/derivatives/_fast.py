@@ -4,7 +4,6 @@
 Both do the same: _evidence.py says what, and _kernel.c why it is there twice.
 """
 
-from collections.abc import Sequence
 from importlib import import_module
 from typing import Any
 
@@ -69,24 +68,25 @@ def move(
     off: Real,
     seen: Real,
     lacking: Lacking | None,
-    known: Sequence[float],
-) -> tuple[Real, Real] | None:
-    """
-    The same as `_moved_once` of _samples.py time and again, or nothing if the kernel cannot.
-
-    The noise as it was measured counts for so many samples as are `known` in each round. Samples as
-    they are after the last round but one, and the last.
-    """
+    known: float,
+) -> Real:
+    """The same as `move` of _evidence.py."""
     if _kernel is None or (lacking is not None and len(lacking.cells) > _MOST_LACKING):
-        return None
-    packed = *_packed_modes(modes), _packed_slopes(modes, slopes)
-    kinds = np.ascontiguousarray(seen, float), *_cells(lacking)
-    given, off = np.ascontiguousarray(given, float), np.ascontiguousarray(off, float)
-    moved = np.ascontiguousarray(samples, float)
-    for one in known:
-        before, moved = moved, np.empty(samples.shape)
-        _kernel.move(one, _evidence._LEAST, *packed, before, *kinds, moved, given, off)
-    return before, moved
+        return _evidence.move(modes, slopes, given, samples, off, seen, lacking, known)
+    moved = np.empty(samples.shape)
+    _kernel.move(
+        known,
+        _evidence._LEAST,
+        *_packed_modes(modes),
+        _packed_slopes(modes, slopes),
+        np.ascontiguousarray(samples, float),
+        np.ascontiguousarray(seen, float),
+        *_cells(lacking),
+        moved,
+        np.ascontiguousarray(given, float),
+        np.ascontiguousarray(off, float),
+    )
+    return moved
 
 
 def _cells(lacking: Lacking | None) -> tuple[np.ndarray | None, Real | None]:

@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from kinpole_ros.derivatives._evidence import KNOWN, evidence_of, mixture, probabilities
+from kinpole_ros.derivatives._evidence import KNOWN
 from kinpole_ros.derivatives._fast import move
 from kinpole_ros.derivatives._lacking import Lacking
 from kinpole_ros.derivatives._models import Modes, modes_of, slopes_of
@@ -17,9 +17,10 @@ from kinpole_ros.planar._plane import Real
 
 # A sample that is missing is first put on a parabola through so many others.
 _NEAREST = 6
-# How often samples are moved, and those that are all but exact. Meanwhile the noise counts for so
-# many samples: it is more while they are not in their places.
-_ROUNDS, _MORE_ROUNDS, _KNOWN = 8, 40, 1.0
+# How often samples are moved, and those that are all but exact, until they move by less than so
+# many deviations. Meanwhile the noise counts for so many samples: it is more while they are not in
+# their places.
+_ROUNDS, _MORE_ROUNDS, _SETTLED, _KNOWN = 6, 38, 0.05, 1.0
 _SIGNAL = [0, 1, 1]
 
 
@@ -81,47 +82,28 @@ def _moved(
     And by how much (2, S) they still were in the last round, those of angle and position.
     """
     given, samples = samples, _moved_by_neighbors(samples, off)
-    rounds = _MORE_ROUNDS if modes.exact else _ROUNDS
-    known = [_KNOWN] * (rounds - 2) + [KNOWN] * 2
-    moved = move(modes, slopes, given, samples, off, seen, lacking, known)
-    for one in () if moved else known:
-        before = samples
-        samples = _moved_once(modes, slopes, given, before, off, seen, lacking, one)
-    before, samples = moved or (before, samples)
-    change = total((samples - before) ** 2) / len(samples)
-    return samples, np.sqrt(np.array((change[0], np.maximum(change[1], change[2]))))
+    left = np.empty((2, off.shape[1]))
+    least = 0.0 if modes.exact else _SETTLED
 
+    def move_on(which: np.ndarray, known: float, rounds: int) -> np.ndarray:
+        """Move signals `which` (S,) until they hardly do, at most so often; which still do."""
+        for _ in range(rounds):
+            if not len(which):
+                break
+            parts = given[..., which], samples[..., which], off[:, which], seen[:, which]
+            lacks = lacking and Lacking(lacking.cells[:, which], lacking.weight[..., which])
+            moved = move(modes, slopes, *parts, lacks, known)
+            change = total((moved - parts[1]) ** 2) / len(moved)
+            samples[..., which] = moved
+            left[:, which] = np.sqrt((change[0], np.maximum(change[1], change[2])))
+            which = which[np.maximum.reduce(left[:, which]) > least]
+        return which
 
-def _moved_once(
-    modes: Modes,
-    slopes: Real,
-    given: Real,
-    samples: Real,
-    off: Real,
-    seen: Real,
-    lacking: Lacking | None,
-    known: float,
-) -> Real:
-    """The `given` samples moved along what is found from the `samples`, moved before."""
-    bodies = off.shape[1]
-    found = evidence_of(modes, samples, seen, lacking, known)
-    likely = probabilities(modes, found)
-    share = mixture(modes, likely).reshape(-1, 2, bodies)[:, _SIGNAL]
-    some = share.any(axis=(1, 2)).nonzero()[0]
-    motion = found.modes.reshape(-1, 3, bodies)[some] * share[some]
-    moved = given.copy()
-    power = np.ones(off.shape)
-    for order, slope in enumerate(slopes[:, some], 1):
-        power = power * off / order
-        moved -= power[:, None] * np.tensordot(slope, motion, ((0,), (0,)))
-    if lacking is not None and found.lacks is not None:
-        # What is missing is where the others have it.
-        by = likely.reshape(-1, 2, bodies)[:, _SIGNAL]
-        wrong = np.einsum('xmcs,mcs->xsc', found.lacks.error, by)
-        where = lacking.cells, slice(None), np.arange(bodies)
-        missing = (lacking.weight <= 0).all(axis=1)[..., None]
-        moved[where] = np.where(missing, samples[where] - wrong, moved[where])
-    return moved
+    # What is off by little is in its place at once.
+    which = move_on(np.arange(off.shape[1]), KNOWN, 1)
+    move_on(which, _KNOWN, _MORE_ROUNDS if modes.exact else _ROUNDS)
+    move_on(which, KNOWN, 2)
+    return samples, left
 
 
 def total(values: Real) -> Real:

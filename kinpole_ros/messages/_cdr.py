@@ -106,13 +106,6 @@ def _messages(rows: np.ndarray) -> list[bytes]:
     return [data[first : first + size] for first in range(0, len(data), size)]
 
 
-def stamped_vector(stamp: int, frame_id: str, vector: Sequence[float]) -> bytes:
-    """A message of a header and three doubles."""
-    head = _head(frame_id, None)
-    time = _TIME.pack(*divmod(stamp, _SECOND))
-    return head[:HEAD] + time + head[HEAD + _TIME.size :] + _VECTOR.pack(*vector)
-
-
 def path(stamp: int, frame_id: str, stamps: np.ndarray, positions: np.ndarray) -> bytes:
     """A nav_msgs/Path of poses at `stamps` (n,) and positions (n, 3), not turned."""
     writer = Writer()

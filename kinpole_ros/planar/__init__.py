@@ -42,11 +42,9 @@ from kinpole_ros.planar._poles import (
 from kinpole_ros.planar._procrustes import (
     Fit,
     Grip,
-    PlainGrip,
     fit_by_grip,
     fit_pose,
     grip_of,
-    plain_grip,
 )
 from kinpole_ros.planar._relative import (
     center_offset,
@@ -60,7 +58,6 @@ __all__ = [
     'Grip',
     'LandmarkKinematics',
     'Linear',
-    'PlainGrip',
     'Port',
     'acceleration_terms',
     'body_point_derivative',
@@ -82,7 +79,6 @@ __all__ = [
     'moving_centrode',
     'moving_centrode_curvature',
     'moving_centrode_from_reference',
-    'plain_grip',
     'point_derivatives',
     'pole',
     'pole_from_reference',

@@ -1,8 +1,5 @@
 """The pose of a body of known shape that fits its markers best, frame by frame."""
 
-import math
-from collections.abc import Sequence
-from operator import mul
 from typing import NamedTuple
 
 import numpy as np
@@ -104,47 +101,6 @@ def fit_by_grip(points: Complex, grip: Grip) -> Fit:
     freedom, spread, weight = np.empty(points.shape), np.empty(mean.shape), np.empty(mean.shape)
     freedom[...], spread[...], weight[...] = grip.freedom, grip.spread, grip.weight
     return Fit(position, np.arctan2(turn.imag, turn.real), residual, freedom, spread, weight)
-
-
-class PlainGrip(NamedTuple):
-    """
-    A `Grip` of one body in plain numbers, of the n markers that have weight.
-
-    `erring` is how many times as far as others each may be off.
-    """
-
-    arms: list[complex]
-    share: list[float]
-    pull: list[complex]
-    mean: complex
-    erring: list[float]
-
-    def fit(self, points: Sequence[complex]) -> tuple[complex, float, float]:
-        """
-        Position, angle and largest square of a residual as of `fit_by_grip`, of points (n,).
-
-        That of one that may err more is as much smaller.
-
-        Raises ArithmeticError where those do not tell a pose.
-        """
-        mean = sum(map(mul, self.share, points))
-        arms = [point - mean for point in points]
-        cross = sum(map(mul, self.pull, arms))
-        length = abs(cross)
-        if not (length > _TINY and max(map(abs, arms)) > ROUNDING * abs(mean)):
-            raise ArithmeticError
-        turn = cross / length
-        back = turn.conjugate()
-        parts = zip(arms, self.arms, self.erring, strict=True)
-        left = max(abs(arm * back - own) / times for arm, own, times in parts)
-        return mean - turn * self.mean, math.atan2(turn.imag, turn.real), left**2
-
-
-def plain_grip(grip: Grip, body: int, erring: Real) -> PlainGrip:
-    """That of one body of several (B, n), with `erring` (n,) of a `PlainGrip`."""
-    seen = grip.seen[body]
-    arms, share, pull = (part[body, seen].tolist() for part in (grip.arms, grip.share, grip.pull))
-    return PlainGrip(arms, share, pull, complex(grip.mean[body]), erring[seen].tolist())
 
 
 def _distinct(arms: Complex, mean: Complex, seen: np.ndarray) -> np.ndarray:

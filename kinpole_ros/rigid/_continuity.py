@@ -35,6 +35,8 @@ _RECENT = 8
 # Weights of the samples before, oldest first, by degree, where they are even.
 _WEIGHTS = np.array([(0, 0, 0, 1), (0, 0, -1, 2), (0, 1, -3, 3), (-1, 4, -6, 4)], float)
 _OWN = np.arange(_POINTS)
+# How many frames ago they came if none is left out.
+_AGO = _POINTS - _OWN[:, None]
 # Which of them each degree takes.
 _TAKEN = _OWN[:, None] + _OWN >= _DEGREE
 # Variances of their innovations, by degree, where there is nothing but noise.
@@ -73,12 +75,12 @@ class Continuity:
         self._stamps = np.zeros((_POINTS, bodies))
         self._numbers = np.zeros((_POINTS, bodies), int)
         self._signals = np.full((_POINTS, 2 * bodies), _NOTHING)
-        # How many frames came, and the step, ns, if these samples are of the same even frames.
-        self._number, self._step = 0, 0.0
+        # How many frames came.
+        self._number = 0
         self._last_angle = np.zeros(bodies)
         self._last_turn = np.zeros(bodies)
         # What `odd` found of the next frames.
-        self._next: tuple[np.ndarray, Real, Real, Complex, bool] | None = None
+        self._next: tuple[np.ndarray, Real, Real, Complex] | None = None
         # Stamps and signals since a body was off, by body.
         self._runs: dict[int, list[tuple[float, Complex]]] = {}
         # Squares of innovations of late, by degree, and the frames since the last beat, of which
@@ -98,7 +100,6 @@ class Continuity:
         """Forget the poses of the bodies `which` (B,): those to come do not go on from them."""
         both = np.tile(which, 2)
         self._signals[:, both] = _NOTHING
-        self._step = 0.0
         for b in np.flatnonzero(which).tolist():
             self._runs.pop(b, None)
         for _, signals in self._news:
@@ -112,8 +113,6 @@ class Continuity:
         for run in self._runs.values():
             for k in range(min(len(run), len(times))):
                 run[-1 - k] = float(times[-1 - k]), run[-1 - k][1]
-        if not self._runs:
-            self._find_step()
 
     @_UNDEFINED
     def odd(self, stamps: np.ndarray, angle: Real, position: Complex) -> np.ndarray:
@@ -124,24 +123,29 @@ class Continuity:
         """
         unwrapped, turns = self._unwrapped(angle)
         signals = np.concatenate((unwrapped, position), axis=-1)
-        evenly = bool(self._step) and self._goes_evenly(stamps, signals)
-        self._next = stamps, angle, turns, signals, evenly
+        self._next = stamps, angle, turns, signals
+        count = len(stamps)
         if self._runs:
-            return np.ones(len(stamps), bool)
-        if evenly and self.timed:
-            every, count = np.concatenate((self._signals, signals)), len(stamps)
-            off = signals - self._weights[0] * every[:count]
-            for k in range(1, _POINTS):
-                off -= self._weights[k] * every[k : k + count]
-            if not np.count_nonzero(off.real**2 + off.imag**2 > self._limit):
-                return np.zeros(count, bool)
-        return np.logical_or.reduce(self._off(stamps, signals)[2], axis=-1)
+            return np.ones(count, bool)
+        # What is where even steps lead to is not far off, however long they are. That is soon seen.
+        every = np.concatenate((self._signals, signals))
+        off = signals - self._weights[0] * every[:count]
+        for k in range(1, _POINTS):
+            off -= self._weights[k] * every[k : k + count]
+        near = off.real**2 + off.imag**2 <= self._limit
+        consecutive = self._numbers == self._number - _AGO
+        if np.count_nonzero(consecutive) < consecutive.size:
+            near[:_POINTS] &= np.tile(consecutive, 2)[:count]
+        if np.count_nonzero(near) < near.size:
+            near |= np.isnan(signals)
+        if np.count_nonzero(near) == near.size or not self.timed:
+            return np.zeros(count, bool)
+        return np.logical_or.reduce(self._off(stamps, signals)[2] & ~near, axis=-1)
 
     def follow(self, count: int) -> Real:
         """Take the first frames that were not found odd; the turns (T, B) of the bodies."""
         assert self._next is not None
-        *given, evenly = self._next
-        stamps, angle, turns, signals = (part[:count] for part in given)
+        stamps, angle, turns, signals = (part[:count] for part in self._next)
         times = stamps.astype(float)
         numbers = self._number + np.arange(count)
         if np.count_nonzero(np.isnan(signals)):
@@ -158,8 +162,6 @@ class Continuity:
                 kept[:-new] = kept[new:]
                 kept[-new:] = rows[-new:]
         self._go_on(times, angle, turns, signals)
-        if not evenly:
-            self._find_step()
         return turns
 
     @_UNDEFINED
@@ -200,21 +202,7 @@ class Continuity:
         suspect = np.zeros(self._bodies, int)
         for b, run in self._runs.items():
             suspect[b] = len(run)
-        if not self._runs:
-            self._find_step()
         return Verdict(turns, suspect[None], wrong[None])
-
-    def expected(self, stamp: int) -> tuple[Complex, Real] | None:
-        """
-        Signals as predicted for a frame at `stamp`, ns, and by what square they may be off.
-
-        None where no simple prediction holds.
-        """
-        if self._runs or not self._step:
-            return None
-        if abs(stamp - float(self._stamps[-1, 0]) - self._step) > _EVEN * self._step:
-            return None
-        return (self._weights * self._signals).sum(axis=0), self._limit
 
     @_UNDEFINED
     def learn(self, size: Real) -> None:
@@ -311,24 +299,6 @@ class Continuity:
         if signal < self._bodies:
             off = _wrapped(off.real) + 0j
         return off, bool(self._predicted(signal, values, weights)[2][0])
-
-    def _goes_evenly(self, stamps: np.ndarray, signals: Complex) -> bool:
-        """Whether frames of all bodies go on by the even step."""
-        if np.count_nonzero(np.isnan(signals)):
-            return False
-        last, step = float(self._stamps[-1, 0]), self._step
-        if len(stamps) == 1:
-            return abs(float(stamps[0]) - last - step) <= _EVEN * step
-        steps = np.diff(np.concatenate(((last,), stamps)))
-        return bool((np.abs(steps - step) <= _EVEN * step).all())
-
-    def _find_step(self) -> None:
-        """See whether the samples that are held are of the same even frames."""
-        self._step = 0.0
-        steps = self._stamps[1:, 0] - self._stamps[:-1, 0]
-        consecutive = (self._numbers == self._number - np.arange(_POINTS, 0, -1)[:, None]).all()
-        if consecutive and np.isfinite(self._signals).all() and _even(steps):
-            self._step = float(steps.mean())
 
     def _append(self, b: int, times: Real, numbers: np.ndarray, signals: Complex) -> None:
         for time, number, row in zip(times, numbers, signals, strict=True):

@@ -37,10 +37,6 @@ class Samples:
         """Take `count` rows from the start."""
         self._first += count
 
-    def remove_newest(self, count: int) -> None:
-        """Take `count` rows from the end."""
-        self._end -= count
-
     def view(self) -> np.ndarray:
         """All rows, oldest first; valid until there is more `room`."""
         return self._buffer[self._first : self._end]

@@ -15,7 +15,7 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 
-from kinpole_ros.planar import Fit, PlainGrip, fit_by_grip, fit_pose, grip_of, plain_grip
+from kinpole_ros.planar import Fit, fit_by_grip, fit_pose, grip_of
 from kinpole_ros.planar._plane import ROUNDING, Complex, Real
 from kinpole_ros.rigid._continuity import Continuity, Verdict
 from kinpole_ros.rigid._marker_noise import MarkerNoise
@@ -52,22 +52,6 @@ class _News(NamedTuple):
     angle: Real
     residual: Complex
     freedom: Real
-
-
-class PlainShape(NamedTuple):
-    """
-    One body: how its pose is found, and the square that no residual is to exceed.
-
-    Its pose is to be near the `angle`, rad, and the `position`, m: no farther off than squares of
-    `turn` and `shift`.
-    """
-
-    grip: PlainGrip
-    most: float
-    angle: float
-    position: complex
-    turn: float
-    shift: float
 
 
 class Names(Protocol):
@@ -253,20 +237,6 @@ class Shapes:
     def were_at(self, times: np.ndarray) -> None:
         """The newest frames that were fitted turned out to be at `times` (T,), ns."""
         self._continuity.were_at(times)
-
-    def expected(self, stamp: int) -> tuple[Complex, Real] | None:
-        """Poses predicted for a frame at `stamp`: see `Continuity.expected`."""
-        return self._continuity.expected(stamp)
-
-    def in_plain_numbers(self, ahead: Complex, limits: Real) -> list[PlainShape]:
-        """What the fits of the next frame are made of, body by body, by what is `expected`."""
-        count = len(self.points)
-        angle, position = ahead[:count].real.tolist(), ahead[count:].tolist()
-        turn, shift = limits[:count].tolist(), limits[count:].tolist()
-        rest = zip(self._doubt.min(axis=1).tolist(), angle, position, turn, shift, strict=True)
-        erring = np.sqrt(self._marker_noise.relative)
-        grips = [plain_grip(self._grip, b, erring[b]) for b in range(count)]
-        return [PlainShape(grip, *row) for grip, row in zip(grips, rest, strict=True)]
 
     def forget_motion(self) -> None:
         """Do not expect the next poses to go on from those before a gap."""
