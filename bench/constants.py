@@ -1,0 +1,317 @@
+"""
+Constants set by hand, and what comes of half and of double of each: `python -m bench.constants`.
+
+A constant is a number that a module of the estimate's rooms gives a name in capitals; its reason is
+the comment above it. Each is changed in a copy of the package, and a process of its own measures a
+panel of figures with it. So what is made of it on import goes with it.
+"""
+
+import ast
+import json
+import math
+import os
+import subprocess
+import sys
+import tempfile
+from argparse import ArgumentParser
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from bench._cases import CASES
+from bench._hindsight import own_errors, pooled_rms
+from bench._motions import motions, other_motions
+from bench._outcome import FIGURES, Outcome, run
+from bench._record import QUANTITIES, make_recording, measure, rms
+from bench._rigs import record, rigs
+from bench._rows import Rows, read_rows, write_rows
+
+ROOMS = ('rigid', 'derivatives', 'pipeline')
+PAGE, TABLE = 'constants.md', 'charts/constants.csv'
+_ROOT = Path(__file__).resolve().parent.parent
+# What is measured of the estimator: noises, over the body's size, and s.
+_NOISES, _SECONDS = (1e-5, 1e-3), 1.5
+# Of real rigs: frames per s, and s, of which the first two do not count.
+_RATE, _LONG = 200.0, 3.0
+_WHAT = (
+    'late by exp(1 ms)',
+    '30% of the frames lost',
+    'tilt 10°, plane: fit',
+    'two exchanged for good at 2.5 s',
+    'none, 5% of the points absent',
+    'one of each body 10 times noisier',
+    'one of each body slips by 2 mm',
+    '30% hidden',
+    'one with a body 20 mm off',
+    'soft tissue, 1 mm over 0.2 s',
+    'barrel distortion of 1%',
+)
+# Less than this share of a figure is no effect.
+_LITTLE = 0.05
+# What does not end in so many s hangs.
+_PATIENCE = 300.0
+
+
+class Constant(NamedTuple):
+    """A number `value` of the name in a `path` under the package, there on `line` at `column`."""
+
+    path: str
+    name: str
+    value: float
+    reason: str
+    line: int
+    column: int
+    end: int
+
+
+def constants() -> list[Constant]:
+    """All constants of the rooms, in their order."""
+    return [
+        constant
+        for room in ROOMS
+        for file in sorted((_ROOT / 'kinpole_ros' / room).glob('*.py'))
+        for constant in _constants_of(file)
+    ]
+
+
+def _constants_of(file: Path) -> Iterator[Constant]:
+    text = file.read_text(encoding='utf-8')
+    lines = text.splitlines()
+    for node in ast.parse(text).body:
+        if not isinstance(node, ast.Assign) or len(node.targets) > 1:
+            continue
+        target, values = node.targets[0], [node.value]
+        names = [target]
+        if isinstance(target, ast.Tuple) and isinstance(node.value, ast.Tuple):
+            names, values = list(target.elts), list(node.value.elts)
+        for name, value in zip(names, values, strict=False):
+            if not (isinstance(name, ast.Name) and name.id.isupper()):
+                continue
+            number = _number(value)
+            if number is not None:
+                place = value.lineno, value.col_offset, value.end_col_offset or 0
+                path = str(file.relative_to(_ROOT))
+                yield Constant(path, name.id, number, _reason(lines, node.lineno), *place)
+
+
+def _number(value: ast.expr) -> float | None:
+    """The number that is written there, or the ratio of two of them."""
+    if isinstance(value, ast.BinOp) and isinstance(value.op, ast.Div):
+        over, under = _number(value.left), _number(value.right)
+        return over / under if over is not None and under else None
+    if isinstance(value, ast.Constant) and type(value.value) in (int, float):
+        return value.value
+    return None
+
+
+def _reason(lines: list[str], line: int) -> str:
+    """The comment above a line, or above those before it."""
+    first = line - 1
+    while first and lines[first - 1] and not lines[first - 1].startswith('#'):
+        first -= 1
+    words: list[str] = []
+    while first and lines[first - 1].startswith('#'):
+        first -= 1
+        words.insert(0, lines[first].lstrip('# '))
+    return ' '.join(words)
+
+
+def panel() -> dict[str, float]:
+    """Figures by what they are of: errors, and shares in % that are determined and covered."""
+    found: dict[str, float] = {}
+    names = tuple(motions()) + tuple(other_motions())
+    recording = make_recording(names, _NOISES, 1, _SECONDS)
+    ours = measure(recording)
+    own = own_errors(recording, ours)
+    known = {name: np.isfinite(own[name]) for name in QUANTITIES}
+    for (motion, noise, quantity), error in pooled_rms(recording, own, known).items():
+        found[f'error of {quantity}: {motion}, noise {noise:g}'] = error
+    rig = list(rigs())[-1]
+    seen = record(rig, _RATE, _LONG)
+    for case in CASES:
+        if case.what not in _WHAT:
+            continue
+        rng = np.random.default_rng((*case.what.encode(), *rig.encode(), round(_RATE)))
+        outcome = run(seen, case.spoil(seen, rng))
+        found |= {f'{what}: {case.what}': value for what, value in _figures(outcome).items()}
+    return {what: value for what, value in found.items() if math.isfinite(value)}
+
+
+def _figures(outcome: Outcome) -> dict[str, float]:
+    found = {}
+    for name in FIGURES:
+        error, square = outcome.error[name], outcome.square[name]
+        known = np.isfinite(error)
+        with np.errstate(all='ignore'):
+            each = rms(error, known)
+            found[f'error of {name}'] = float(np.exp(np.nanmean(np.log(each))))
+            found[f'{name} covered'] = 100.0 * float((square <= 9.0)[known].mean())
+        found[f'{name} determined'] = 100.0 * float(known.mean())
+    return found
+
+
+def effect(before: dict[str, float], after: dict[str, float] | None) -> tuple[str, float]:
+    """What a change does to the figures of a panel, in words, and by which share at most."""
+    if after is None:
+        return 'fails', math.inf
+    worst, better = ('', 0.0), ('', 0.0)
+    for what, was in before.items():
+        now = after.get(what, math.nan)
+        if what.startswith('error'):
+            # More of it is worse.
+            change = math.log(now / was) if now > 0 and was > 0 else math.nan
+        else:
+            change = (was - now) / 100
+        if math.isnan(change):
+            continue
+        worst = max(worst, (what, change), key=lambda one: one[1])
+        better = min(better, (what, change), key=lambda one: one[1])
+    words = [
+        f'{_change(what, change)} {what}'
+        for what, change in (worst, better)
+        if abs(change) > _LITTLE
+    ]
+    return '; '.join(words) or '–', max(worst[1], -better[1])
+
+
+def _change(what: str, change: float) -> str:
+    if what.startswith('error'):
+        return f'×{math.exp(change):.2f}'
+    return f'{-100 * change:+.0f} points'
+
+
+def halved(value: float) -> float:
+    """Half of it; of a count, a count."""
+    return max(round(value / 2), 1) if isinstance(value, int) else value / 2
+
+
+def doubled(value: float) -> float:
+    return 2 * value
+
+
+def measured(constant: Constant | None, value: float = 0.0) -> dict[str, float] | None:
+    """The panel with another value of a constant, in a process of its own; None if that fails."""
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        _copy(folder, constant, value)
+        done = subprocess.run(
+            [sys.executable, '-m', 'bench.constants', '--panel'],
+            cwd=folder,
+            env={**os.environ, 'PYTHONPATH': str(folder), 'OPENBLAS_NUM_THREADS': '1'},
+            capture_output=True,
+            timeout=_PATIENCE,
+            check=False,
+        )
+    if done.returncode:
+        return None
+    figures: dict[str, float] = json.loads(done.stdout)
+    return figures
+
+
+def _copy(folder: Path, constant: Constant | None, value: float) -> None:
+    """A checkout of links, but for the one file that is different."""
+    for name in ('bench', 'config'):
+        (folder / name).symlink_to(_ROOT / name)
+    changed = _ROOT / constant.path if constant else None
+    for room in (_ROOT / 'kinpole_ros').iterdir():
+        into = folder / 'kinpole_ros' / room.name
+        if changed is None or changed.parent != room:
+            into.parent.mkdir(exist_ok=True)
+            into.symlink_to(room)
+            continue
+        into.mkdir(parents=True)
+        for file in room.iterdir():
+            if file != changed and file.name != '__pycache__':
+                (into / file.name).symlink_to(file)
+        assert constant is not None
+        lines = changed.read_text(encoding='utf-8').splitlines(keepends=True)
+        line = lines[constant.line - 1]
+        lines[constant.line - 1] = f'{line[: constant.column]}{value!r}{line[constant.end :]}'
+        (into / changed.name).write_text(''.join(lines), encoding='utf-8')
+
+
+def constant_rows(progress: Callable[[float], None], workers: int) -> Rows:
+    """A row by constant: where it is, what for, and what half and double of it do."""
+    before = measured(None)
+    if before is None:
+        raise RuntimeError('the panel fails as it is')
+
+    def row(constant: Constant) -> dict[str, object]:
+        effects = {}
+        for name, change in (('half', halved), ('double', doubled)):
+            value = change(constant.value)
+            try:
+                after = measured(constant, value) if value != constant.value else before
+            except subprocess.TimeoutExpired:
+                after = None
+            effects[name], effects[f'{name}_most'] = effect(before, after)
+        return {
+            'module': constant.path.removeprefix('kinpole_ros/'),
+            'constant': constant.name,
+            'value': constant.value,
+            'reason': constant.reason,
+            **effects,
+        }
+
+    every, rows = constants(), []
+    with ThreadPoolExecutor(workers) as pool:
+        for number, one in enumerate(pool.map(row, every)):
+            rows.append(one)
+            progress((number + 1) / len(every))
+    return rows
+
+
+def page(rows: Rows) -> str:
+    """The page of all constants."""
+    without = sum(row['half'] == row['double'] == '–' for row in rows)
+    number = len(motions()) + len(other_motions())
+    lines = [
+        '# Constants set by hand',
+        '',
+        f'{len(rows)} numbers of `rigid/`, `derivatives/` and `pipeline/`, and what becomes of figures',
+        'where one of them is half or double of that. `python -m bench.constants` makes this page.',
+        '',
+        f'- Figures are RMS errors of {number} motions at two noises, and of the links of a four-bar',
+        f'  on {len(_WHAT)} real rigs; and the shares of their frames that are determined, and of',
+        '  these within three deviations.',
+        '- Quoted are the figure that gets worst and the one that gets best, by 5% or more. Records',
+        '  are short, so a figure may well change by that.',
+        f'- {without} have no such effect. They bound time or memory, guard against input that these',
+        '  figures lack, or matter in the sum of many cases only.',
+        '- A reason is the comment beside the constant, where it is to be changed.',
+    ]
+    module = ''
+    for row in rows:
+        if row['module'] != module:
+            module = str(row['module'])
+            lines += ['', f'## {module}', '', '| constant | value | reason | half | double |']
+            lines += ['| --- | --- | --- | --- | --- |']
+        cells = (str(row[name]).replace('|', '\\|') for name in ('reason', 'half', 'double'))
+        lines.append(f'| `{row["constant"]}` | {row["value"]:g} | {" | ".join(cells)} |')
+    return '\n'.join(lines) + '\n'
+
+
+def main() -> None:
+    parser = ArgumentParser(description=__doc__.split('\n', 2)[1])
+    parser.add_argument('--output', type=Path, default=_ROOT / 'docs', help='folder of the page')
+    parser.add_argument('--workers', type=int, default=1, help='processes at once (default: 1)')
+    parser.add_argument('--page', action='store_true', help='make the page of the table there is')
+    parser.add_argument('--panel', action='store_true', help='print the figures as they are, JSON')
+    options = parser.parse_args()
+    if options.panel:
+        json.dump(panel(), sys.stdout)
+        return
+    if not options.page:
+        rows = constant_rows(
+            lambda share: print(f'\r{share:4.0%}', end='', file=sys.stderr, flush=True),
+            options.workers,
+        )
+        write_rows(options.output / TABLE, rows)
+    (options.output / PAGE).write_text(page(read_rows(options.output / TABLE)), encoding='utf-8')
+
+
+if __name__ == '__main__':
+    main()
