@@ -275,7 +275,7 @@ def page(rows: Rows) -> str:
         'figures where one of them is half or double. `python -m bench.constants` makes this page.',
         '',
         f'- Figures are RMS errors of {number} motions at two noises, and of the links of a',
-        f'  four-bar on {len(_WHAT)} real rigs; and the shares of their frames that are determined,',
+        f'  four-bar on {len(_WHAT)} real rigs; and the shares of their frames that are known,',
         '  and of these within three deviations.',
         '- Quoted are the figure that gets worst and the one that gets best, by 5% or more.',
         '  Records are short, so a figure may well change by that.',
