@@ -234,6 +234,27 @@ def test_diagnostics_name_the_jitter_and_the_fix():
         assert float(values['jitter of the stamps, rms (s)']) == pytest.approx(0.8e-3, rel=0.1)
 
 
+def test_frames_later_than_the_next_are_named() -> None:
+    """Which frames were lost is then a guess, of the stamps: no deviation includes a wrong one."""
+    times = frames_kept(700) / 200
+    points, _ = record(times)
+    for mean, warns in (('0.003', False), ('0.02', True)):
+        stamps = late(times, mean)
+        tracker, *_ = track(stamps, points)
+        array = DiagnosticsMaker('kinpole').make(int(stamps[-1]), tracker, None, 3.0, {})
+        assert ('which frames were lost' in array.status[0].message) == warns
+
+
+@pytest.mark.parametrize('mode', ['auto', 'arrival'])
+def test_frames_later_than_any_clock_could_tell_do_no_harm(mode: str) -> None:
+    """Most stamps run backward then: no frames are counted that nobody sent."""
+    times = np.arange(300) / 200
+    points, _ = record(times)
+    tracker, *_ = track(late(times, '0.04', 5), points, mode)
+    assert tracker.counts['frames'] == 300
+    assert tracker.counts['lost'] < 300
+
+
 def test_bunches_are_spread_over_the_clock_and_named_where_they_are_not():
     """Frames that are stamped on arrival, ten at a time, as by a network that holds them back."""
     times = np.arange(600) / 200

@@ -6,7 +6,7 @@ from kinpole_ros.bags._replay import Replayed
 from kinpole_ros.derivatives import FEWEST_SAMPLES
 from kinpole_ros.messages import (
     SMOOTHED,
-    jitter_costs,
+    jitter_fault,
     left_out,
     marker_faults,
     not_there,
@@ -45,8 +45,8 @@ def warnings_of(result: Replayed, settings: Settings) -> list[str]:
             'one recording, since the folder has no metadata.yaml to tell, but the stamps do not '
             'run on; if they are several, give each file by itself'
         )
-    if result.stamps is not None and result.stamps.costs:
-        lines.append(jitter_costs(result.stamps, settings.stamps))
+    if result.stamps is not None and (late := jitter_fault(result.stamps, settings.stamps)):
+        lines.append(late)
     if result.frames:
         absent = result.absent.items()
         lines += [not_there(body, names, result.identities) for body, names in absent]

@@ -29,7 +29,7 @@ from kinpole_ros.messages._space import (
     unit_fault,
 )
 from kinpole_ros.messages._stack import TF
-from kinpole_ros.messages._stamps import jitter_costs
+from kinpole_ros.messages._stamps import jitter_fault
 from kinpole_ros.messages._types import (
     WITH_ROS,
     WITH_TF,
@@ -60,7 +60,7 @@ __all__ = [
     'diagnostics_data',
     'fields',
     'identity_lines',
-    'jitter_costs',
+    'jitter_fault',
     'left_out',
     'marker_faults',
     'message_class',

@@ -17,7 +17,7 @@ from kinpole_ros.messages._space import (
     tilt_fault,
     unit_fault,
 )
-from kinpole_ros.messages._stamps import jitter_costs, stamp_faults, stamp_values
+from kinpole_ros.messages._stamps import jitter_fault, stamp_faults, stamp_values
 from kinpole_ros.messages._types import DiagnosticArray, DiagnosticStatus, KeyValue
 from kinpole_ros.pipeline.bodies import Outage
 from kinpole_ros.pipeline.estimate import Estimate
@@ -116,9 +116,9 @@ class DiagnosticsMaker:
             # Bunches are no fault of figures that are at the ticks of a clock.
             if level == DiagnosticStatus.ERROR or not regularized
         ]
-        if state is not None and state.costs and since.get('frames'):
-            text = jitter_costs(state, tracker.settings.stamps)
-            faults.append((DiagnosticStatus.WARN, text))
+        if state is not None and since.get('frames'):
+            if late := jitter_fault(state, tracker.settings.stamps):
+                faults.append((DiagnosticStatus.WARN, late))
         space = tracker.space()
         if since.get('frames'):
             unknown = PLANE_UNKNOWN if tracker.plane is None else ''

@@ -58,8 +58,17 @@ def stamp_values(state: StampState) -> dict[str, float | str]:
     }
 
 
-def jitter_costs(state: StampState, mode: str) -> str:
-    """What is to be said of jitter that moves the markers by more than their noise."""
+def jitter_fault(state: StampState, mode: str) -> str:
+    """What is to be said of stamps that are late, by the parameter `mode`; '' if nothing."""
+    if state.regularized and state.jitter > state.interval:
+        return (
+            f'the stamps are late by {state.jitter:.2g} s rms, up to {state.largest:.2g} s, more '
+            f'than the {state.interval:.2g} s between frames: nobody can tell by them which frames '
+            'were lost, and figures may be off by more than their deviations; fix: let the driver '
+            'stamp the time of capture'
+        )
+    if not state.costs:
+        return ''
     if mode == 'capture':
         fix = 'set stamps: arrival, or auto, if the camera has an even clock'
     else:

@@ -185,9 +185,9 @@ def _search(since: Real, resolution: float) -> np.ndarray:
     """Counts (N,) of a few frames `since` the first, by the likeliest interval of many."""
     number = np.arange(len(since))
     steps = np.diff(since)
-    middle = max(float(np.median(steps)), 1.0)
+    middle = _forward(float(np.median(steps)), since)
     around = number - number.mean()
-    slope = max(float(around @ since / (around @ around)), 1.0)
+    slope = _forward(float(around @ since / (around @ around)), since)
     deviation = 2 * float(np.median(np.abs(steps - middle))) + resolution
     most = min(3 * deviation / math.sqrt(len(steps)), 0.5 * middle)
     # Also the mean rate if none, one, ... were lost.
@@ -252,8 +252,7 @@ def _fit(
         sure[: max(FEWEST_FRAMES, used - _UNSETTLED)] = True
     since, counts = since[sure], counts[sure]
     interval, deviation = _slope(since, counts, resolution)
-    # Stamps that run backward are of no clock.
-    interval = max(interval, 1.0)
+    interval = _forward(interval, since)
     part = len(counts) // 2
     while part > _FEW and (counted or (since - interval * counts).std() < _PLAIN * interval):
         newest = slice(len(counts) - part, None)
@@ -290,6 +289,11 @@ def _fit(
         resolution,
     )
     return clock, used
+
+
+def _forward(interval: float, since: Real) -> float:
+    """An interval, ns; the mean where frames are so late that by their stamps they run backward."""
+    return interval if interval >= 1.0 else max(float(np.ptp(since)) / max(len(since) - 1, 1), 1.0)
 
 
 def _slope(since: Real, counts: np.ndarray, resolution: float) -> tuple[float, float]:

@@ -120,9 +120,16 @@ class Ticks:
         """
         news = [np.concatenate(parts) for parts in zip(*self._new, strict=True)]
         self._new = []
+        if newest is not None:
+            # A frame that came too late to be taken has no count.
+            news = [part[news[1]] for part in news]
         before = len(self._stamps)
         self._stamps = np.concatenate((self._stamps, news[0]))
         self._taken = np.concatenate((self._taken, news[1]))
+        if newest is not None and len(self._stamps) < FEWEST_FRAMES:
+            self.counts = np.concatenate((self.counts, newest))
+            self.room = FEWEST_FRAMES - len(self._stamps)
+            return True
         latest = int(self._stamps[-1])
         old = int((self._stamps > latest - _MEMORY * self._window).argmax())
         # Of a slow camera as many as are looked at same.
@@ -267,6 +274,7 @@ def _signals(poses: Real, information: Real, noise: Real) -> tuple[Real, Real]:
     return signals, np.concatenate((of_angle, even, even), axis=1)
 
 
+@np.errstate(divide='ignore', invalid='ignore')
 def evidence(times: Real, signals: Real, variance: Real) -> tuple[float, float]:
     """
     By how many nats signals make the second of two sequences of times likelier than the first.
@@ -354,6 +362,8 @@ def gap_to_correct(counts: np.ndarray, signals: Real, variance: Real) -> tuple[i
     least = left.min(axis=0) / (2 * _OFF_CLOCK - _DEGREE - 1)
     cost = (left / np.maximum(least, 1.0)).sum(axis=-1) / 2
     cost[fewest < 1] = np.inf
+    # Nothing is said of frames that are not counted up.
+    cost[:, fewest[0] < 1] = 0.0
     gain = cost[0] - cost
     gain[:, (np.where(known, least, 0.0) > _FOLLOWED).any(axis=-1)] = 0.0
     which, gap = np.unravel_index(gain.argmax(), gain.shape)
