@@ -102,9 +102,9 @@ def _number(value: ast.expr) -> float | None:
     if isinstance(value, ast.BinOp) and isinstance(value.op, ast.Div):
         over, under = _number(value.left), _number(value.right)
         return over / under if over is not None and under else None
-    if isinstance(value, ast.Constant) and type(value.value) in (int, float):
-        return value.value
-    return None
+    if not isinstance(value, ast.Constant) or isinstance(value.value, bool):
+        return None
+    return value.value if isinstance(value.value, int | float) else None
 
 
 def _reason(lines: list[str], line: int) -> str:
@@ -240,7 +240,7 @@ def constant_rows(progress: Callable[[float], None], workers: int) -> Rows:
         raise RuntimeError('the panel fails as it is')
 
     def row(constant: Constant) -> dict[str, object]:
-        effects = {}
+        effects: dict[str, str | float] = {}
         for name, change in (('half', halved), ('double', doubled)):
             value = change(constant.value)
             try:

@@ -116,9 +116,9 @@ class DiagnosticsMaker:
             # Bunches are no fault of figures that are at the ticks of a clock.
             if level == DiagnosticStatus.ERROR or not regularized
         ]
-        if state is not None and since.get('frames'):
-            if late := jitter_fault(state, tracker.settings.stamps):
-                faults.append((DiagnosticStatus.WARN, late))
+        late = '' if state is None else jitter_fault(state, tracker.settings.stamps)
+        if late and since.get('frames'):
+            faults.append((DiagnosticStatus.WARN, late))
         space = tracker.space()
         if since.get('frames'):
             unknown = PLANE_UNKNOWN if tracker.plane is None else ''

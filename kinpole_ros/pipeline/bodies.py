@@ -31,8 +31,6 @@ from kinpole_ros.rigid import (
 
 # Coordinates are known no better than a few units of their last place.
 _ROUNDING = 4 * np.finfo(float).eps
-# Frames that are taken at once where beats come more often.
-_FEW = 16
 # rad. An angle noisier than this wanders round, and its errors are no longer small.
 _UNSTEADY = 0.15
 # A noise of fewer degrees of freedom may well be a third of what it is, or three times that.
@@ -265,10 +263,6 @@ class RigidBodies:
     def are_timed(self, timed: bool) -> None:
         """Whether the next frames are `timed` well enough to tell bodies that are far off."""
         self._shapes.are_timed(timed)
-
-    def until_beat(self) -> int:
-        """How many frames are taken before the next beat, or a few where beats come often."""
-        return max(self._shapes.beat - self._new, _FEW)
 
     def were_at(self, times: np.ndarray) -> None:
         """The newest frames that were taken turned out to be at `times` (T,), ns."""

@@ -391,11 +391,28 @@ class FrameCounter:
         """The likeliest counts of the pending."""
         return self.count + np.arange(1, self.pending + 1) + self._paths[0]
 
-    def least(self, stamps: np.ndarray) -> np.ndarray:
-        """Counts (T,) that frames have at least, as none was ever later than the latest."""
-        ticks = self.clock.ticks(stamps) + self._shift - self.clock.reach
+    @property
+    def newest(self) -> int:
+        """The likeliest count of the newest frame."""
+        return int(self.likely[-1]) if self.pending else self.count
+
+    def expected(self, stamps: np.ndarray) -> np.ndarray:
+        """Counts (T,) of the next frames until they are counted: none is later than the latest."""
+        ticks = self.clock.ticks(stamps) + self._shift
         # Of even stamps these are whole numbers but for rounding, which must not count a frame.
-        return np.ceil(ticks - _ROUNDING).astype(np.int64)
+        least = np.minimum(np.ceil(ticks - self.clock.reach - _ROUNDING), np.floor(ticks))
+        number = np.arange(1, len(stamps) + 1)
+        ahead = np.maximum(least.astype(np.int64) - number, self.newest)
+        return np.asarray(np.maximum.accumulate(ahead) + number)
+
+    def until_doubt(self, stamps: np.ndarray) -> int:
+        """How many of the next frames (T,) come up to the first with more than one count to it."""
+        if self.pending:
+            return 1
+        ticks = self.clock.ticks(stamps) + self._shift
+        next_ones = self.count + np.arange(1, len(stamps) + 1)
+        doubtful = (np.floor(ticks) > next_ones) | (np.floor(ticks + _EARLY) < next_ones)
+        return int(doubtful.argmax()) + 1 if np.count_nonzero(doubtful) else len(stamps)
 
     def take(self, stamps: np.ndarray, motion: Motion) -> Iterator[np.ndarray]:
         """

@@ -83,8 +83,6 @@ class Timeline:
         # The time of a count, and from one to the next.
         self._anchor = 0, 0
         self._step = 0
-        # What the newest frame has at least.
-        self._least = 0
         self._slips = False
 
     def __len__(self) -> int:
@@ -109,6 +107,14 @@ class Timeline:
         """Whether a frame's stamp alone tells its tick: none is later than the next."""
         clock = self._ticks.clock
         return not self.regular or (clock is not None and clock.reach < 1)
+
+    def until_doubt(self, stamps: np.ndarray) -> int:
+        """
+        How many of the next frames may be taken at once, by their `stamps` (T,), ns.
+
+        One whose count is in doubt has it by the poses up to it; those that follow go by that.
+        """
+        return len(stamps) if self._counter is None else self._counter.until_doubt(stamps)
 
     def stamp_state(self) -> StampState | None:
         """How the stamps are; None while too few have come."""
@@ -225,11 +231,8 @@ class Timeline:
             last = int(stamps[0]) - _LEAST_STEP if first else int(every['time'][-len(rows) - 1])
             rows['time'] = _rising(np.concatenate(((last,), stamps)))[1:]
             return np.zeros(len(rows), bool)
-        number = np.arange(1, len(rows) + 1)
-        ahead = np.maximum(self._counter.least(stamps) - number, self._least)
-        counts = np.maximum.accumulate(ahead) + number
-        gaps = counts - np.concatenate(((self._least,), counts[:-1])) > _LATE
-        self._least = int(counts[-1])
+        counts = self._counter.expected(stamps)
+        gaps = np.diff(counts, prepend=self._counter.newest) > _LATE
         rows['time'] = self._times(counts)
         return gaps
 
@@ -327,7 +330,6 @@ class Timeline:
         first = max(sure - len(self._ticks.counts), 0)
         every['count'][first:sure] = self._ticks.counts[len(self._ticks.counts) - sure + first :]
         every['time'][first:] = self._times(every['count'][first:])
-        self._least = int(every['count'][-1])
         return False
 
     def _count_anew(self, noise: np.ndarray) -> bool:
@@ -356,7 +358,6 @@ class Timeline:
         # Frames of another rate.
         every['time'][:here] = _rising(every['stamp'][:here] - round(clock.lateness))
         self._newest = int(every['stamp'].max())
-        self._least = int(every['count'][-1])
         return other
 
     def _to_stamps(self) -> bool:

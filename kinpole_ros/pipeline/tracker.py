@@ -276,13 +276,12 @@ class Tracker:
         `solid` (T, B, n, 3), m, are their markers as sorted.
         """
         self.counts['markers_unknown'] = self._roster.unknown
-        if self._timeline.counts_are_sure or self._roster.plane is None:
-            self._take(frames, steps, solid, numbers)
-            return
         first = 0
         while first < len(steps):
-            # Where counts take their time they are to be known when shapes are learned.
-            room = self._rigid.until_beat()
+            room = self._timeline.until_doubt(frames.stamps[first:])
+            if room == len(steps):
+                self._take(frames, steps, solid, numbers)
+                return
             part = slice(first, first + room)
             self._take(part_of(frames, part), steps[part], solid[part], numbers[part])
             first += room
