@@ -9,7 +9,8 @@ from kinpole_ros.mechanism._mechanism import Mechanism, Motion
 from kinpole_ros.mechanism._motions import BodyMotion, marker_positions, rotation_derivatives
 from kinpole_ros.mechanism._reactions import freed_reactions, reactions, undetermined
 from kinpole_ros.mechanism._rewrite import rewritten
-from kinpole_ros.mechanism._scene import Scene, load_scene, scene_names, scene_text, scenes_folder
+from kinpole_ros.mechanism._scene import Scene, load_scene
+from kinpole_ros.mechanism._scene_file import scene_names, scene_text, scenes_folder
 from kinpole_ros.mechanism._share import share_folder
 from kinpole_ros.mechanism._start import mobility
 from kinpole_ros.mechanism._statics import Force, Holder, Load, Torque, advantage, efforts, holding

@@ -1,0 +1,84 @@
+"""Whether a scene's mechanism moves as it is driven, and from where it is said to start."""
+
+from collections.abc import Mapping
+from math import pi
+
+import numpy as np
+
+from kinpole_ros.mechanism._assembly import Assembly
+from kinpole_ros.mechanism._drivers import Driven
+from kinpole_ros.mechanism._mechanism import Mechanism
+from kinpole_ros.mechanism._start import close_near, mobility
+from kinpole_ros.mechanism._units import SceneError
+from kinpole_ros.planar._plane import Real
+
+# rad. A start says roughly which way loops close; what gears alone determine is to be right.
+_ROUGHLY, _GEARED = pi / 2, 0.02
+
+
+def check_mobility(assembly: Assembly, start: Real, drivers: int) -> None:
+    """Raise SceneError unless there are as many drivers as degrees of freedom."""
+    near, _ = close_near(assembly.loops, start)
+    count, by_rank = mobility(assembly, near)
+    counts = (
+        f"Gruebler's count gives {count} degrees of freedom, the rank of the loops at the start "
+        f'{by_rank}'
+    )
+    if max(count, by_rank) <= 0:
+        raise SceneError(f'the bodies cannot move: {counts}: take a joint away')
+    if drivers not in (count, by_rank):
+        fix = f'drive {by_rank}' if by_rank > 0 else 'check the joints'
+        raise SceneError(f"'drivers' are {drivers}, but {counts}: {fix}")
+
+
+def check_range(mechanism: Mechanism, driven: list[Driven]) -> None:
+    """Raise SceneError where the drivers ask for more than the linkage gives."""
+    if not mechanism.linkage.blocks:
+        return
+    driver = driven[0].driver
+    if len(driven) == 1:
+        low, high, what = driver.low, driver.high, f'{driver.name} ='
+    else:
+        low = min(0.0, *(one.begin for one in driven))
+        high, what = max(one.end for one in driven), 'the time'
+    path = mechanism.path(low, high)
+    reach = path.inputs[0], path.inputs[-1]
+    slack = 1e-9 * max(1.0, abs(low), abs(high))
+    if path.period or (reach[0] <= low + slack and reach[1] >= high - slack):
+        return
+    dead = next((dead for dead in path.dead_points if dead.turns_back), None)
+    why = '' if dead is None else f', a dead point of the loop {", ".join(dead.loop)}'
+
+    def way(first: float, last: float) -> str:
+        size, unit = 1.0, 's'
+        if len(driven) == 1:
+            size, unit = (180 / pi, 'deg') if mechanism.kind(0) == 'angle' else (1.0, 'm')
+        return f'{first * size:.6g} to {last * size:.6g} {unit}'
+
+    raise SceneError(
+        f"'drivers' ask for {what} {way(low, high)}, but the linkage goes from {way(*reach)}{why}: "
+        'drive it less far, or change lengths'
+    )
+
+
+def check_start(mechanism: Mechanism, said: Mapping[str, float]) -> None:
+    """Raise SceneError where a body is not at time 0 about where the scene says that it is."""
+    loops, kinds = mechanism.assembly.loops, mechanism.assembly.kinds
+    values = mechanism.motion(np.zeros(1), 3).values[0, :, 0]
+    # What loops do not hold follows from gears and drivers alone, and is said exactly.
+    in_loops = (loops.loops[:, :] != 0).any(axis=0)
+    loose = (loops.angles[in_loops] != 0).any(axis=0)
+    for k, name in enumerate(loops.variables):
+        if name not in said or kinds[name] != 'angle':
+            continue
+        off = abs((values[k] - said[name] + pi) % (2 * pi) - pi)
+        if off > (_ROUGHLY if loose[k] else _GEARED):
+            now, meant = (np.degrees(x) % 360 for x in (values[k], said[name]))
+            fix = (
+                'another branch: start it there'
+                if loose[k]
+                else ('drivers and gears have it there: correct it, or give the joint its start')
+            )
+            raise SceneError(
+                f"'start: {name}' is {meant:.6g} deg, but at time 0 it is at {now:.6g} deg; {fix}"
+            )
