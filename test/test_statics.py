@@ -29,11 +29,11 @@ from kinpole_ros.mechanism._statics import (
     Holder,
     Load,
     Torque,
-    advantage,
     balance,
     efforts,
     holding,
 )
+from kinpole_ros.mechanism._transmission import advantage
 
 G = 9.80665
 DEGREE = np.pi / 180
@@ -465,7 +465,7 @@ def test_advantage_with_several_drivers_names_the_mend() -> None:
     with pytest.raises(LinkageError, match='2 drivers'):
         advantage(arm, at_start(arm), 'upper', 'lower')
     assert advantage(arm, at_start(arm), 'lower', tip)[0] == pytest.approx(1.0)
-    with pytest.raises(LinkageError, match='no driver motor: there are crank'):
+    with pytest.raises(LinkageError, match='no variable motor: there are crank'):
         advantage(slider_crank(), at_start(slider_crank()), 'motor', 'crank')
     with pytest.raises(LinkageError, match='direction'):
         advantage(slider_crank(), at_start(slider_crank()), 'crank', Force('block', 0j, 0.0))

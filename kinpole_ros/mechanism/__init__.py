@@ -7,13 +7,15 @@ from kinpole_ros.mechanism._equations import Dimension, Equation, Equations, Par
 from kinpole_ros.mechanism._loops import LinkageError
 from kinpole_ros.mechanism._mechanism import Mechanism, Motion
 from kinpole_ros.mechanism._motions import BodyMotion, marker_positions, rotation_derivatives
+from kinpole_ros.mechanism._poles import Poles, poles
 from kinpole_ros.mechanism._reactions import freed_reactions, reactions, undetermined
 from kinpole_ros.mechanism._rewrite import rewritten
 from kinpole_ros.mechanism._scene import Scene, load_scene
 from kinpole_ros.mechanism._scene_file import scene_names, scene_text, scenes_folder
 from kinpole_ros.mechanism._share import share_folder
 from kinpole_ros.mechanism._start import mobility
-from kinpole_ros.mechanism._statics import Force, Holder, Load, Torque, advantage, efforts, holding
+from kinpole_ros.mechanism._statics import Force, Holder, Load, Torque, efforts, holding
+from kinpole_ros.mechanism._transmission import Port, advantage, transmission_angles
 from kinpole_ros.mechanism._units import SceneError, quantity
 
 __all__ = [
@@ -31,6 +33,8 @@ __all__ = [
     'Mechanism',
     'Motion',
     'Part',
+    'Poles',
+    'Port',
     'Revolute',
     'Rolling',
     'Scene',
@@ -47,6 +51,7 @@ __all__ = [
     'load_scene',
     'marker_positions',
     'mobility',
+    'poles',
     'quantity',
     'reactions',
     'rewritten',
@@ -55,6 +60,7 @@ __all__ = [
     'scene_text',
     'scenes_folder',
     'share_folder',
+    'transmission_angles',
     'undetermined',
     'write_pitch_curves',
 ]

@@ -43,7 +43,8 @@ class Scene:
     to the body and the place in its frame (complex, m); `loads` are those on it (N, N m), and
     `held_by` what is asked to balance them, if that is not the drivers. `equations` are what its
     joints say of the bodies' poses, whatever drives them; `free` names the dimensions that are to
-    be fitted, none for all.
+    be fitted, none for all. After `course`, s, all drivers have been through their ways once; 0
+    where one has no end.
     """
 
     name: str
@@ -56,6 +57,7 @@ class Scene:
     held_by: Holder | None
     equations: Equations
     free: tuple[str, ...]
+    course: float
 
 
 def load_scene(source: str | Path | Mapping[str, Any]) -> Scene:
@@ -125,6 +127,7 @@ def _scene(path: Path, data: Any) -> Scene:
         held_by=held_by,
         equations=equations,
         free=_free(data.get('free')),
+        course=max(one.end for one in driven) if all(one.end for one in driven) else 0.0,
     )
 
 

@@ -39,8 +39,6 @@ class Torque(NamedTuple):
 
 
 Load = Force | Torque
-# Where power goes in or out: along a force, with a torque, or a driver by its name.
-Port = Force | Torque | str
 
 
 class Holder(NamedTuple):
@@ -94,7 +92,7 @@ def efforts(mechanism: Mechanism, values: Real, loads: Sequence[Load]) -> Effort
     share = np.zeros((len(loads), drivers, count))
     determined = np.zeros((drivers, count), bool)
     for k in range(drivers):
-        moving = _driven(mechanism, values, k)
+        moving = let_drive(mechanism, values, k)
         determined[k] = moving.known
         for share_of, load in zip(share, loads, strict=True):
             share_of[k] = np.where(moving.known, -power_of(mechanism, load, moving), np.nan)
@@ -130,67 +128,24 @@ def holding(
     return size, unit._replace(torque=size)
 
 
-def advantage(mechanism: Mechanism, values: Real, into: Port, out: Port) -> Real:
-    """
-    Mechanical advantage (T,): what the linkage exerts at `out` over what is exerted at `into`.
-
-    A port is a force (only its point and direction count), a torque (only its body) or a driver;
-    all power that goes in comes out, so this is the rate of `into` over that of `out` (seed 003).
-    Infinite where the output stands still while the input moves (a toggle), zero the other way
-    round, NaN at dead points of the driver. With several drivers the input must be one of them, the
-    others are held. Raises LinkageError otherwise, and for a port that is not there.
-    """
-    names = [driver.name for driver in mechanism.drivers]
-    if not names:
-        raise LinkageError('without a driver nothing moves: there is no advantage, add a driver')
-    if len(names) > 1 and (into not in names or out in names):
-        raise LinkageError(
-            f'with {len(names)} drivers the advantage is that of one of them, the others held: '
-            f'give {names[0]} or another as the input, and a force or torque as the output'
-        )
-    k = names.index(into) if isinstance(into, str) and into in names else 0
-    moving = _driven(mechanism, values, k)
-    length = largest_length(mechanism.assembly, values)
-    fastest = np.maximum(np.abs(moving.velocity), np.abs(moving.omega) * length).max(axis=0)
-    rates = []
-    for port in (into, out):
-        if isinstance(port, str):
-            if port not in names:
-                raise LinkageError(f'no driver {port}: there are {", ".join(names)}')
-            rates.append(np.full(len(moving.known), float(names.index(port) == k)))
-            continue
-        check_loads(mechanism, [port])
-        if isinstance(port, Force):
-            size = np.abs(port.force)
-            if not np.all(size > 0):
-                raise LinkageError(f'the force on {port.body} needs a direction, to be a port')
-            port, least = port._replace(force=port.force / size), fastest
-        else:
-            port, least = port._replace(torque=1.0), fastest / length
-        rate = power_of(mechanism, port, moving)
-        rates.append(np.where(np.abs(rate) > ROUNDING * least, rate, 0.0))
-    with np.errstate(divide='ignore', invalid='ignore'):
-        ratio = rates[0] / rates[1]
-    # The sign of an infinite advantage is that of a rounding error: there is none.
-    return np.where(moving.known, np.where(np.isinf(ratio), np.inf, ratio), np.nan)
-
-
-class _Moving(NamedTuple):
+class Moving(NamedTuple):
     """
     Bodies (B) at T positions that move at some rates of the drivers.
 
-    `angle`, `velocity` and `omega` are (B, T); `known` (T,) is where the loops determine them, and
-    stay closed; `loose` (n, T) are the variables that could move with all drivers held.
+    `angle`, `velocity` and `omega` are (B, T), `rates` (n, T) those of the variables; `known` (T,)
+    is where the loops determine them, and stay closed; `loose` (n, T) are the variables that could
+    move with all drivers held.
     """
 
     angle: Real
     velocity: Complex
     omega: Real
+    rates: Real
     known: np.ndarray
     loose: np.ndarray
 
 
-def let_move(linkage: Linkage, assembly: Assembly, values: Real, rates: Real) -> _Moving:
+def let_move(linkage: Linkage, assembly: Assembly, values: Real, rates: Real) -> Moving:
     """
     Let the drivers move at `rates` (d, T), at variables (n, T) that close the loops.
 
@@ -229,25 +184,24 @@ def let_move(linkage: Linkage, assembly: Assembly, values: Real, rates: Real) ->
         left = np.abs(loops.loops @ terms).max(axis=0, initial=0.0)
         known &= left <= LOST * np.abs(terms).max(axis=0, initial=0.0)
     rate = linkage.free @ found + given
-    return _Moving(
-        assembly.turns @ values, assembly.places @ terms, assembly.turns @ rate, known, loose
-    )
+    turned, turning = assembly.turns @ values, assembly.turns @ rate
+    return Moving(turned, assembly.places @ terms, turning, rate, known, loose)
 
 
-def _driven(mechanism: Mechanism, values: Real, k: int) -> _Moving:
+def let_drive(mechanism: Mechanism, values: Real, k: int) -> Moving:
     """All bodies at unit rate of driver k, the others held."""
     rates = np.zeros((len(mechanism.drivers), values.shape[1]))
     rates[k] = 1.0
     return let_move(mechanism.linkage, mechanism.assembly, values, rates)
 
 
-def at_rest(mechanism: Mechanism, values: Real) -> _Moving:
+def at_rest(mechanism: Mechanism, values: Real) -> Moving:
     """No motion at all, and what could move even so."""
     rates = np.zeros((len(mechanism.drivers), values.shape[1]))
     return let_move(mechanism.linkage, mechanism.assembly, values, rates)
 
 
-def power_of(mechanism: Mechanism, load: Load, moving: _Moving) -> Real:
+def power_of(mechanism: Mechanism, load: Load, moving: Moving) -> Real:
     """Power (T,) of a load on bodies that move so."""
     if load.body == GROUND:
         return np.zeros(moving.omega.shape[1:])

@@ -413,6 +413,7 @@ def _solve(options: argparse.Namespace) -> int:
         options.csv,
         options.plot,
         options.pitch,
+        options.time,
     )
     print('\n'.join(map(printable, lines)))
     return 0

@@ -188,10 +188,11 @@ def make_parser() -> argparse.ArgumentParser:
         'solve',
         help='the analysis of a mechanism: motion, dead points, centers, forces',
         description='Solves a scene exactly: positions and rates at time 0, at a value of its '
-        'driver, or over its whole range, with limits and dead points.',
+        'driver, over all the way the linkage gives it, with limits and dead points, or over time.',
         epilog='examples:\n'
         '  kinpole solve four_bar --at "45 deg" --centers\n'
         '  kinpole solve slider_crank --sweep --csv crank.csv --plot crank.png\n'
+        '  kinpole solve double_pendulum --time 5 --csv course.csv\n'
         '  kinpole solve loader_cylinder --statics\n'
         '  kinpole solve antiparallelogram --pitch crank follower gears.svg\n',
         formatter_class=argparse.RawDescriptionHelpFormatter,
@@ -199,7 +200,8 @@ def make_parser() -> argparse.ArgumentParser:
     solve.add_argument('scene', metavar='SCENE', help='name or path of a scene, see simulate')
     where = solve.add_mutually_exclusive_group()
     where.add_argument('--at', metavar='VALUE', help='value of the driver: 0.5, "-45 deg", "12 cm"')
-    where.add_argument('--sweep', action='store_true', help='the whole range of the driver')
+    where.add_argument('--sweep', action='store_true', help='all the way the linkage gives it')
+    where.add_argument('--time', metavar='S', help='as its drivers move it for S seconds')
     solve.add_argument('--centers', action='store_true', help='instant centers, as deduced by hand')
     solve.add_argument('--statics', action='store_true', help='what drivers and joints bear')
     solve.add_argument('--csv', metavar='FILE', help='all figures as a table, SI units')

@@ -8,17 +8,26 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
+import numpy as np
+
 from kinpole_ros import files
 from kinpole_ros.mechanism import SceneError, centrodes, load_scene, write_pitch_curves
 from kinpole_ros.tools.solve._lines import (
     center_lines,
+    course_lines,
     head_lines,
     motion_lines,
     range_lines,
     static_lines,
-    sweep_lines,
 )
-from kinpole_ros.tools.solve._solved import drawn, solve_positions
+from kinpole_ros.tools.solve._solved import (
+    Solved,
+    at_value,
+    course,
+    drawn,
+    over_range,
+    over_time,
+)
 from kinpole_ros.tools.solve._spreadsheet import write_table
 
 __all__ = ['solve_scene']
@@ -36,35 +45,42 @@ def solve_scene(
     table: str | Path | None = None,
     picture: str | Path | None = None,
     pitch: Sequence[str] | None = None,
+    time: str | None = None,
 ) -> list[str]:
     """
     The analysis as lines to print; also writes the CSV `table`, the `picture`, the `pitch` curves.
 
-    `at` is a value of the one driver, with a unit or in SI; `sweep` takes its whole range; neither,
+    `at` is a value of the one driver, with a unit or in SI; `sweep` takes all the way the linkage
+    gives it; `time` all drivers as they move, from 0 to so long, with a unit or in s; none of them,
     the position at time 0. `pitch` is two bodies and a file (.csv or .svg). Raises SceneError and
     LinkageError for what the scene cannot do, SceneError for files too.
     """
     loaded = load_scene(scene)
-    here = solve_positions(loaded, at, None)
-    whole = here
-    if sweep or picture or pitch:
-        whole = solve_positions(loaded, None, _SAMPLES)
+    here = over_time(loaded, np.zeros(1)) if at is None else at_value(loaded, at)
+    asked = here
+    if time is not None:
+        asked = course(loaded, time, _SAMPLES)
+    elif sweep:
+        asked = over_range(loaded, _SAMPLES)
     lines = head_lines(loaded)
-    if sweep:
-        lines += range_lines(whole) + sweep_lines(whole)
+    if time is not None:
+        lines += course_lines(asked)
+    elif sweep:
+        lines += range_lines(asked)
     else:
         lines += motion_lines(here)
     if centers:
-        lines += center_lines(whole if sweep else here)
+        lines += center_lines(asked)
     if statics:
-        lines += static_lines(whole if sweep else here)
+        lines += static_lines(asked)
     if table:
         with _writing(table) as part:
-            write_table(part, whole if sweep else here, centers, statics)
+            write_table(part, asked, centers, statics)
         lines.append(f'written to {table}')
     if pitch:
         one, other, file = pitch
-        low, high = float(whole.inputs[0, 0]), float(whole.inputs[0, -1])
+        way = _whole(asked).inputs[0]
+        low, high = float(way.min()), float(way.max())
         curves = centrodes(loaded.mechanism, one, other, low, high)
         write_pitch_curves(file, curves)
         lines.append(
@@ -74,11 +90,22 @@ def solve_scene(
     if picture:
         from kinpole_ros.tools.solve._picture import draw
 
-        kind = _kind_of(Path(picture))
+        kind, whole = _kind_of(Path(picture)), _whole(asked)
         with _writing(picture) as part:
             draw(part, kind, whole, drawn(whole, here), centers)
         lines.append(f'written to {picture}')
     return lines
+
+
+def _whole(asked: Solved) -> Solved:
+    """What was asked for, or of a single position all the way that the drivers go."""
+    if asked.inputs.shape[1] > 1:
+        return asked
+    try:
+        return over_range(asked.scene, _SAMPLES)
+    except SceneError:
+        # Several drivers, or one that nothing stops.
+        return course(asked.scene, None, _SAMPLES)
 
 
 @contextmanager

@@ -13,11 +13,14 @@ from kinpole_ros.mechanism import (
     efforts,
     explain,
     holding,
+    poles,
     reactions,
+    transmission_angles,
     undetermined,
 )
 from kinpole_ros.tools.solve._solved import (
     Solved,
+    advantages,
     centers_of,
     driver_unit,
     lengths,
@@ -48,7 +51,7 @@ def motion_lines(solved: Solved) -> list[str]:
     at = ', '.join(
         f'{driver.name} = {shown(scene, k, value)} at {shown(scene, k, rate)}/s'
         for (k, driver), value, rate in zip(
-            enumerate(scene.mechanism.drivers), solved.inputs[:, 0], solved.rates, strict=True
+            enumerate(scene.mechanism.drivers), solved.inputs[:, 0], solved.rates[:, 0], strict=True
         )
     )
     lines = [f'at {at}']
@@ -67,19 +70,58 @@ def motion_lines(solved: Solved) -> list[str]:
     slides = [[name, *motion.values[:, k, 0]] for name, k in lengths(scene).items()]
     if slides:
         lines += ['', *_table(['length', 'm', 'm/s', 'm/s²', 'm/s³', 'm/s⁴'], slides)]
-    places = point_motions(solved)
-    rows = []
-    for name, place in places.items():
-        z, v, a = place[:3, 0]
-        rows.append([name, z.real, z.imag, v.real, v.imag, a.real, a.imag])
+    rows = [
+        [name, *(part for z in place[:, 0] for part in (z.real, z.imag))]
+        for name, place in point_motions(solved).items()
+    ]
     if rows:
-        head = ['point', 'x m', 'y m', 'vx m/s', 'vy m/s', 'ax m/s²', 'ay m/s²']
-        lines += ['', *_table(head, rows)]
+        units = ('m', 'm/s', 'm/s²', 'm/s³')
+        head = [
+            f'{d}{c} {unit}'
+            for d, unit in zip(('', 'v', 'a', 'j'), units, strict=True)
+            for c in 'xy'
+        ]
+        lines += ['', *_table(['point', *head], rows)]
+    return [*lines, *_pole_lines(solved), *_transmission_lines(solved)]
+
+
+def _pole_lines(solved: Solved) -> list[str]:
+    """Poles of the bodies at the first position, and how the ICR moves on."""
+    mechanism = solved.scene.mechanism
+    found = poles(mechanism, solved.motion)
+    rows: list[list[str | float]] = []
+    for b, body in enumerate(mechanism.bodies):
+        places = [points[b, 0] for points in (found.icr, found.iap, found.ijp, found.velocity)]
+        parts = [part for z in places for part in (z.real, z.imag)]
+        rows.append([body, *parts, found.curvature[b, 0]])
+    head = [f'{name} {c} m' for name in ('ICR', 'IAP', 'IJP') for c in 'xy']
+    return ['', *_table(['body', *head, 'u x m/s', 'u y m/s', 'κ 1/m'], rows)]
+
+
+def _transmission_lines(solved: Solved) -> list[str]:
+    """What a unit of effort at the one driver becomes, and how well it is passed on."""
+    lines: list[str] = []
+    gains = advantages(solved)
+    if gains:
+        rows: list[list[str | float]] = [
+            [name, shown_ratio(values[0]), unit] for (name, unit), values in gains.items()
+        ]
+        driver = solved.scene.mechanism.drivers[0].name
+        lines += ['', *_table(['at', f'advantage over {driver}', ''], rows)]
+    angles = transmission_angles(solved.scene.mechanism, solved.values)
+    if angles:
+        listed = [[', '.join(names), np.rad2deg(angle[0])] for names, angle in angles.items()]
+        lines += ['', *_table(['between', 'transmission angle deg'], listed)]
     return lines
 
 
+def shown_ratio(value: float) -> str:
+    """A ratio, which at a toggle is infinite."""
+    return '∞' if np.isinf(value) else _number(value)
+
+
 def range_lines(solved: Solved) -> list[str]:
-    """How far it goes, and the dead points on the way."""
+    """How far it goes, the dead points on the way, and the motion over it."""
     scene = solved.scene
     name = scene.mechanism.drivers[0].name
     low, high = solved.inputs[0, [0, -1]]
@@ -96,22 +138,31 @@ def range_lines(solved: Solved) -> list[str]:
                 f'dead point at {name} = {shown(scene, 0, dead.at, 12)} ({what}; {moving} can '
                 f'move, in the loop {loop})'
             )
-    return lines
+    return [*lines, *_motion_table(solved)]
 
 
-def sweep_lines(solved: Solved) -> list[str]:
-    """Bodies and lengths over the range."""
+def course_lines(solved: Solved) -> list[str]:
+    """The motion over time."""
+    assert solved.times is not None
+    return [f'from 0 to {solved.times[-1]:.9g} s', *_motion_table(solved)]
+
+
+def _motion_table(solved: Solved) -> list[str]:
+    """Bodies and lengths at some of the positions."""
     scene, motion = solved.scene, solved.motion
     kept = np.linspace(0, solved.inputs.shape[1] - 1, _ROWS).astype(int)
-    unit, size = driver_unit(scene, 0)
-    head = [f'{scene.mechanism.drivers[0].name} ({unit})']
+    drivers = scene.mechanism.drivers
+    units = [driver_unit(scene, k) for k in range(len(drivers))]
+    head = [] if solved.times is None else ['t (s)']
+    head += [f'{driver.name} ({unit})' for driver, (unit, _) in zip(drivers, units, strict=True)]
     head += [f'{b} {q}' for b in scene.mechanism.bodies for q in ('deg', 'rad/s')]
-    driven = scene.mechanism.drivers[0].name
-    slides = {name: n for name, n in lengths(scene).items() if name != driven}
+    driven = {driver.name for driver in drivers}
+    slides = {name: n for name, n in lengths(scene).items() if name not in driven}
     head += [f'{name} {q}' for name in slides for q in ('m', 'm/s')]
     rows = []
     for k in kept:
-        row = [float(solved.inputs[0, k]) / size]
+        row = [] if solved.times is None else [float(solved.times[k])]
+        row += [float(solved.inputs[d, k]) / size for d, (_, size) in enumerate(units)]
         for b in range(len(scene.mechanism.bodies)):
             row += [np.rad2deg(motion.angle[0, b, k]), motion.angle[1, b, k]]
         for n in slides.values():

@@ -32,12 +32,7 @@ def draw(path: Path, kind: str, solved: Solved, here: Solved, centers: bool) -> 
     figure = Figure(figsize=_SIZE, layout='constrained')
     grid = figure.add_gridspec(2, 2, width_ratios=(1.35, 1))
     _draw_linkage(figure.add_subplot(grid[:, 0]), solved, here, centers)
-    unit, size = driver_unit(solved.scene, 0)
-    at = solved.inputs[0] / size
-    value = float(here.inputs[0, 0]) / size
-    # In the range, if need be by whole turns.
-    mark = at[0] + (value - at[0]) % 360 if unit == 'deg' and at[-1] - at[0] > 359 else value
-    label = f'{solved.scene.mechanism.drivers[0].name} ({unit})'
+    at, mark, label, title = _way(solved, here)
     for row, (order, name) in enumerate(
         ((1, 'angular velocity (rad/s)'), (2, 'angular acceleration (rad/s²)'))
     ):
@@ -53,11 +48,24 @@ def draw(path: Path, kind: str, solved: Solved, here: Solved, centers: bool) -> 
         axis.set_xlabel(label if row else '')
         if not row:
             axis.legend(fontsize=8, ncols=2)
-    rate = f'{solved.rates[0] / size:.4g} {unit}/s'
     # A scene is called after its file, whose name may hold what text or formulas must not.
     scene = os.fsencode(solved.scene.name).decode(errors='replace')
-    figure.suptitle(f'{scene} at {label} = {value:.6g}, driven at {rate}', parse_math=False)
+    figure.suptitle(f'{scene} {title}', parse_math=False)
     figure.savefig(path, format=kind, dpi=_DPI)
+
+
+def _way(solved: Solved, here: Solved) -> tuple[np.ndarray, float, str, str]:
+    """What rates are drawn over (T,), where on it `here` is, its name, and the title's end."""
+    if solved.times is not None:
+        return solved.times, 0.0, 'time (s)', 'at 0 s'
+    unit, size = driver_unit(solved.scene, 0)
+    at = solved.inputs[0] / size
+    value = float(here.inputs[0, 0]) / size
+    # In the range, if need be by whole turns.
+    mark = at[0] + (value - at[0]) % 360 if unit == 'deg' and at[-1] - at[0] > 359 else value
+    label = f'{solved.scene.mechanism.drivers[0].name} ({unit})'
+    rate = f'{solved.rates[0, 0] / size:.4g} {unit}/s'
+    return at, mark, label, f'at {label} = {value:.6g}, driven at {rate}'
 
 
 def _tame(axis: Any, values: np.ndarray) -> None:

@@ -1,31 +1,47 @@
-"""A scene solved at one position or over the range of its driver, and what is read off it."""
+"""A scene solved at one position, over its range or over time, and what is read off it."""
 
 from typing import NamedTuple
 
 import numpy as np
 
-from kinpole_ros.mechanism import Centers, Motion, Scene, SceneError, instant_centers, quantity
+from kinpole_ros.mechanism import (
+    Centers,
+    Force,
+    Motion,
+    Port,
+    Scene,
+    SceneError,
+    advantage,
+    instant_centers,
+    quantity,
+)
 from kinpole_ros.planar import body_point_derivative
 
 # From a limit, where no rate is finite, the first position keeps this share of the range.
 _ASIDE = 1e-3
 _TURN = 2 * np.pi
-# A value this near to a limit is the limit as printed; so far beyond it is looked for.
-_PRINTED, _BEYOND = 1e-10, 1e-6
+# A value this near to a limit is the limit as printed, with nine digits; so far beyond it is
+# looked for.
+_PRINTED, _BEYOND = 5e-9, 1e-6
+
+Limits = tuple[float | None, float | None]
 
 
 class Solved(NamedTuple):
     """
-    A scene at T positions: `inputs` (d, T) of its drivers, `motion` by time, at the rates `rates`.
+    A scene at T positions: `inputs` (d, T) of its drivers, `motion` by time, at the rates `rates`
+    (d, T).
 
-    `limits` are the lowest and highest input if a limit ends the range there, else None.
+    `limits` are the lowest and highest input if a limit ends the range there, else None. `times`
+    (T,), s, are there where the positions are those of the drivers' own course.
     """
 
     scene: Scene
     inputs: np.ndarray
     rates: np.ndarray
     motion: Motion
-    limits: tuple[float | None, float | None]
+    limits: Limits = (None, None)
+    times: np.ndarray | None = None
 
     @property
     def values(self) -> np.ndarray:
@@ -33,65 +49,93 @@ class Solved(NamedTuple):
         return np.asarray(self.motion.values[0])
 
 
-def solve_positions(scene: Scene, at: str | None, count: int | None) -> Solved:
+def over_time(scene: Scene, times: np.ndarray) -> Solved:
+    """The scene as its drivers move it, at times (T,) in s."""
+    inputs = np.stack([driver.motion(times) for driver in scene.mechanism.drivers], axis=1)
+    return Solved(scene, inputs[0], inputs[1], _sound(scene.mechanism.motion(times)), times=times)
+
+
+def course(scene: Scene, duration: str | None, count: int) -> Solved:
     """
-    The scene at one position, or at `count` over the range of its one driver.
+    The drivers' own course from 0 s on, at `count` times.
 
-    Derivatives that rounding has drowned, next to change points, are NaN.
+    `duration` has a unit, or is in s; without, it ends when all drivers have been through theirs.
     """
-    mechanism = scene.mechanism
-    now = np.stack([driver.motion(np.zeros(1)) for driver in scene.mechanism.drivers], axis=1)
-    if at is None and count is None:
-        motion = _sound(mechanism.motion(np.zeros(1)))
-        return Solved(scene, now[0], now[1, :, 0], motion, (None, None))
-    if len(mechanism.drivers) != 1:
-        raise SceneError(
-            f'{scene.name} has {len(mechanism.drivers)} drivers: --at, --sweep, --plot and --pitch '
-            'are for one; leave them out, or hold the others'
-        )
-    # As fast as it is driven at time 0, or one unit per second if that is at rest.
-    rate = float(now[1, 0, 0]) or 1.0
-    limits: tuple[float | None, float | None] = (None, None)
-    if count is None:
-        values = np.array([quantity('--at', at, scene.mechanism.kind(0))])
-        solved = _at_rate(scene, values, rate, limits)
-        return _at_limit(solved) if _is_limit(scene, float(values[0])) else solved
-    low, high, limits = _range(scene, float(now[0, 0, 0]))
-    values = np.linspace(low, high, count)
-    return _at_rate(scene, values, rate, limits)
+    if duration is None:
+        end = scene.course
+        if end <= 0:
+            raise SceneError(f'the drivers of {scene.name} go on for ever: give --time 2, in s')
+    else:
+        end = quantity('--time', duration, 'time')
+        if end <= 0:
+            raise SceneError(f'--time is {duration!r}: give one greater than 0, as 2 or 500 ms')
+    return over_time(scene, np.linspace(0.0, end, count))
 
 
-def _is_limit(scene: Scene, value: float) -> bool:
-    """Whether the one driver turns back at this value, but for the digits that are printed."""
-    size = max(1.0, abs(value))
-    if not scene.mechanism.linkage.blocks:
-        return False
-    path = scene.mechanism.path(value - _BEYOND * size, value + _BEYOND * size)
-    ends = [dead.at for dead in path.dead_points if dead.turns_back]
-    return any(abs(end - value) <= _PRINTED * size for end in ends)
+def drawn(whole: Solved, here: Solved) -> Solved:
+    """The position of `here`, driven at the rate of the range `whole` if that is one."""
+    if whole.times is not None:
+        return here
+    return _at_rate(whole.scene, here.inputs[0], float(whole.rates[0, 0]))
 
 
-def _at_limit(solved: Solved) -> Solved:
-    """The same where rates have no bound: what is off by the last digit is none of its own."""
+def at_value(scene: Scene, at: str) -> Solved:
+    """The scene with its one driver at a value, which has a unit or is in SI."""
+    _one_driver(scene, '--at')
+    value = quantity('--at', at, scene.mechanism.kind(0))
+    limit = _limit(scene, value)
+    if limit is None:
+        return _at_rate(scene, np.array([value]), _rate(scene))
+    # Rates have no bound there: those of a value off by its last digit are none of its own.
+    solved = _at_rate(scene, np.array([limit]), _rate(scene))
     motion = solved.motion
     for part in (motion.position, motion.angle, motion.values):
         part[1:] = np.nan
     return solved._replace(motion=motion._replace(regular=np.zeros_like(motion.regular)))
 
 
-def drawn(whole: Solved, here: Solved) -> Solved:
-    """The position of `here`, driven at the rate of the range `whole`."""
-    return _at_rate(whole.scene, here.inputs[0], float(whole.rates[0]), (None, None))
+def over_range(scene: Scene, count: int) -> Solved:
+    """
+    The scene at `count` positions over all the way that the linkage gives its one driver.
+
+    Derivatives that rounding has drowned, next to change points, are NaN.
+    """
+    _one_driver(scene, '--sweep')
+    low, high, limits = _range(scene)
+    return _at_rate(scene, np.linspace(low, high, count), _rate(scene), limits)
+
+
+def _one_driver(scene: Scene, option: str) -> None:
+    if len(scene.mechanism.drivers) != 1:
+        raise SceneError(
+            f'{scene.name} has {len(scene.mechanism.drivers)} drivers: {option} is for one; give '
+            '--time 2, for how they all move in 2 s'
+        )
+
+
+def _rate(scene: Scene) -> float:
+    """As fast as it is driven at time 0, or one unit per second if that is at rest."""
+    return float(scene.mechanism.drivers[0].motion(np.zeros(1))[1, 0]) or 1.0
+
+
+def _limit(scene: Scene, value: float) -> float | None:
+    """Where the one driver turns back, if that is this value but for the digits printed."""
+    if not scene.mechanism.linkage.blocks:
+        return None
+    size = max(1.0, abs(value))
+    path = scene.mechanism.path(value - _BEYOND * size, value + _BEYOND * size)
+    ends = [dead.at for dead in path.dead_points if dead.turns_back]
+    return next((end for end in ends if abs(end - value) <= _PRINTED * size), None)
 
 
 def _at_rate(
-    scene: Scene, values: np.ndarray, rate: float, limits: tuple[float | None, float | None]
+    scene: Scene, values: np.ndarray, rate: float, limits: Limits = (None, None)
 ) -> Solved:
     """The scene at values (T,) of its one driver, which moves at a steady rate."""
     inputs = np.zeros((5, 1, len(values)))
     inputs[0, 0], inputs[1] = values, rate
     motion = _sound(scene.mechanism.at_inputs(inputs, None))
-    return Solved(scene, inputs[0], np.array([rate]), motion, limits)
+    return Solved(scene, inputs[0], inputs[1], motion, limits)
 
 
 def _sound(motion: Motion) -> Motion:
@@ -101,26 +145,22 @@ def _sound(motion: Motion) -> Motion:
     return motion
 
 
-def _range(scene: Scene, start: float) -> tuple[float, float, tuple[float | None, float | None]]:
-    """The range of the one driver: a full turn, what the scene drives, or up to the limits."""
-    driver = scene.mechanism.drivers[0]
-    angle = scene.mechanism.kind(0) == 'angle'
-    if angle:
-        low, high = start - _TURN, start + _TURN
-    elif driver.low < driver.high:
-        low, high = driver.low, driver.high
-    elif scene.mechanism.linkage.blocks:
-        # Driven at a steady rate, a length goes as far as the linkage lets it.
-        reach = float(scene.mechanism.assembly.loops.length0.sum())
-        low, high = start - reach, start + reach
-    else:
-        raise SceneError(
-            f'{driver.name} is driven steadily and nothing ends its way: there is no range; drive '
-            'it from: ..., to: ..., duration: ...'
-        )
-    if not scene.mechanism.linkage.blocks:
-        return (start, start + _TURN, (None, None)) if angle else (low, high, (None, None))
-    path = scene.mechanism.path(low, high)
+def _range(scene: Scene) -> tuple[float, float, Limits]:
+    """The range of the one driver: a full turn, or up to the limits."""
+    mechanism = scene.mechanism
+    driver, angle = mechanism.drivers[0], mechanism.kind(0) == 'angle'
+    start = float(driver.motion(np.zeros(1))[0, 0])
+    endless = SceneError(
+        f'nothing ends the way of {driver.name}: there is no range; give --time 2, for how far it '
+        'is driven in 2 s'
+    )
+    if not mechanism.linkage.blocks:
+        if not angle:
+            raise endless
+        return start, start + _TURN, (None, None)
+    # A length goes as far as the linkage lets it.
+    reach = _TURN if angle else 2 * float(mechanism.assembly.loops.length0.sum())
+    path = mechanism.path(start - reach, start + reach)
     if path.period:
         return start, start + path.period, (None, None)
     found = float(path.inputs[0]), float(path.inputs[-1])
@@ -134,13 +174,15 @@ def _range(scene: Scene, start: float) -> tuple[float, float, tuple[float | None
             limits[0], low = end, end + aside
         elif abs(end - found[1]) < near:
             limits[1], high = end, end - aside
-    if limits == [None, None] and angle:
+    if not angle and None in limits:
+        raise endless
+    if limits == [None, None]:
         low, high = start, start + _TURN
     return low, high, (limits[0], limits[1])
 
 
 def point_motions(solved: Solved) -> dict[str, np.ndarray]:
-    """The named points of the moving bodies, each (3, T) complex: place, velocity, acceleration."""
+    """The named points of the moving bodies, each (4, T) complex: place to jerk."""
     motion = solved.motion
     bodies = list(solved.scene.mechanism.bodies)
     found = {}
@@ -150,14 +192,43 @@ def point_motions(solved: Solved) -> dict[str, np.ndarray]:
                 part[:, bodies.index(body)] for part in (motion.position, motion.angle)
             )
             place = position[0] + point * np.exp(1j * angle[0])
-            rates = [body_point_derivative(k, place, position, angle) for k in (1, 2)]
+            rates = [body_point_derivative(k, place, position, angle) for k in (1, 2, 3)]
             found[name] = np.stack([place, *rates])
     return found
 
 
 def centers_of(solved: Solved) -> Centers:
-    rates = solved.rates if len(solved.rates) > 1 else None
-    return instant_centers(solved.scene.mechanism, solved.values, rates)
+    several = len(solved.rates) > 1
+    return instant_centers(solved.scene.mechanism, solved.values, solved.rates if several else None)
+
+
+def advantages(solved: Solved) -> dict[tuple[str, str], np.ndarray]:
+    """
+    Mechanical advantages (T,) of bodies, lengths and forces over the one driver, by name and unit.
+
+    That of a body is of a torque on it, that of a length of a force along it, that of a force of
+    one at its point in its direction. None with several drivers, where they depend on these.
+    """
+    scene, mechanism = solved.scene, solved.scene.mechanism
+    if len(mechanism.drivers) != 1:
+        return {}
+    driver, kinds = mechanism.drivers[0].name, mechanism.assembly.kinds
+    angle = mechanism.kind(0) == 'angle'
+    ports: dict[tuple[str, str], Port] = {}
+    for name, kind in kinds.items():
+        # The direction of a strut, or of a gear's hub, is nothing to push on.
+        way = kind == 'angle' and mechanism.assembly.joints and name not in mechanism.bodies
+        if name != driver and not way:
+            ports[name, _UNITS[angle, kind == 'angle']] = name
+    for load in scene.loads:
+        if isinstance(load, Force) and load.force:
+            name = next(n for n, place in scene.points.items() if place == (load.body, load.point))
+            ports[f'the force at {name}', _UNITS[angle, False]] = load
+    return {key: advantage(mechanism, solved.values, driver, port) for key, port in ports.items()}
+
+
+# Of an advantage, by whether the driver and whether the output is an angle.
+_UNITS = {(True, True): '', (False, False): '', (True, False): 'N/(N m)', (False, True): 'N m/N'}
 
 
 def driver_unit(scene: Scene, k: int) -> tuple[str, float]:

@@ -5,8 +5,15 @@ from pathlib import Path
 
 import numpy as np
 
-from kinpole_ros.mechanism import SceneError, efforts, holding, reactions
-from kinpole_ros.tools.solve._solved import Solved, centers_of, lengths, point_motions
+from kinpole_ros.mechanism import (
+    SceneError,
+    efforts,
+    holding,
+    poles,
+    reactions,
+    transmission_angles,
+)
+from kinpole_ros.tools.solve._solved import Solved, advantages, centers_of, lengths, point_motions
 
 
 class _Columns(dict[str, np.ndarray]):
@@ -27,6 +34,8 @@ def write_table(path: Path, solved: Solved, centers: bool, statics: bool) -> Non
     Raises SceneError where names would give two columns one name.
     """
     columns = _Columns()
+    if solved.times is not None:
+        columns['t'] = solved.times
     orders = ('', '_velocity', '_acceleration', '_jerk', '_snap')
     for k, driver in enumerate(solved.scene.mechanism.drivers):
         columns[driver.name] = solved.inputs[k]
@@ -40,9 +49,21 @@ def write_table(path: Path, solved: Solved, centers: bool, statics: bool) -> Non
             columns[f'{name}{what}'] = solved.motion.values[k, n]
     for point, places in point_motions(solved).items():
         name = point.replace('.', '_')
-        for k, what in enumerate(('', '_velocity', '_acceleration')):
+        for k, what in enumerate(orders[:4]):
             columns[f'{name}_x{what}'] = places[k].real
             columns[f'{name}_y{what}'] = places[k].imag
+    found_poles = poles(solved.scene.mechanism, solved.motion)
+    for b, body in enumerate(solved.scene.mechanism.bodies):
+        for what in ('icr', 'iap', 'ijp'):
+            points = getattr(found_poles, what)[b]
+            columns[f'{body}_{what}_x'], columns[f'{body}_{what}_y'] = points.real, points.imag
+        columns[f'{body}_icr_velocity_x'] = found_poles.velocity[b].real
+        columns[f'{body}_icr_velocity_y'] = found_poles.velocity[b].imag
+        columns[f'{body}_centrode_curvature'] = found_poles.curvature[b]
+    for (name, _), values in advantages(solved).items():
+        columns[f'advantage_{name.replace("the force at ", "force_").replace(".", "_")}'] = values
+    for names, angles in transmission_angles(solved.scene.mechanism, solved.values).items():
+        columns[f'transmission_angle_{"_".join(names)}'] = angles
     if centers:
         found = centers_of(solved)
         for c, (i, j) in enumerate(found.pairs):
