@@ -674,6 +674,13 @@ BAD = [
     ('trebuchet', put('bar', 'held_by', 'on'), "a torque: unknown key 'at': use on"),
     ('trebuchet', pop('loads'), "'held_by' holds the loads instead of the one driver: give loads"),
     ('rolling_wheel', put(0, 'joints', 0, 'radius'), 'radius is 0: give one greater than 0'),
+    ('planetary_gear', put('90 deg', 'joints', 0, 'pressure'), 'from 0 to less than 90 deg'),
+    ('planetary_gear', put('20 cm', 'joints', 0, 'pressure'), 'whose unit is none of angle'),
+    (
+        'rolling_wheel',
+        put(0.3, 'joints', 0, 'pressure'),
+        "'joints: H': teeth with a pressure",
+    ),
     ('rolling_wheel', pop('joints', 0, 'radius'), "the key 'radius' is missing"),
     ('rolling_wheel', pop('joints', 0, 'along'), 'give along: 0 deg for a line, or circle'),
     ('rolling_wheel', put(0.2, 'joints', 0, 'circle'), 'give along: 0 deg for a line, or circle'),

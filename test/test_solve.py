@@ -20,8 +20,8 @@ def told(capsys: pytest.CaptureFixture[str], *words: str) -> list[str]:
 
 
 def row(lines: list[str], name: str) -> list[float]:
-    """The numbers of the row of a table that begins with `name`."""
-    (found,) = [line for line in lines if re.match(rf'{re.escape(name)}\s', line)]
+    """The numbers of the first row of a table that begins with `name`."""
+    found = next(line for line in lines if re.match(rf'{re.escape(name)}\s', line))
     return [float(cell) for cell in found.split()[1:]]
 
 
@@ -181,8 +181,9 @@ def test_all_that_is_drawn_lies_in_the_picture(name: str) -> None:
 def test_slides_are_in_the_tables(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     # Example 2 of seed 003: the other slide.
     lines = told(capsys, 'trebuchet', '--csv', str(tmp_path / 'a.csv'))
-    (shift,) = [line.split() for line in lines if line.startswith('shift ')]
-    assert [100 * float(cell) for cell in shift[1:3]] == pytest.approx([173.2, -144.3], rel=1e-3)
+    assert [100 * cell for cell in row(lines, 'shift')[:2]] == pytest.approx(
+        [173.2, -144.3], rel=1e-3
+    )
     assert columns(tmp_path / 'a.csv')['shift_velocity'][0] == pytest.approx(-1.4434, rel=1e-4)
     # Of a slide that is driven there is one column, its own.
     lines = told(capsys, 'loader_cylinder', '--sweep')
@@ -212,26 +213,37 @@ def test_statics_answer_the_questions_of_the_seed(
     assert effort == pytest.approx(0.0, abs=1e-9)
 
 
-def test_teeth_of_gears_bear_what_turns_them(capsys: pytest.CaptureFixture[str]) -> None:
+def test_teeth_of_gears_bear_what_turns_them(tmp_path: Path) -> None:
     """What presses gears apart is not unique where an arm holds their hubs, what turns them is."""
-    lines = told(capsys, 'planetary_gear', '--statics')
+    path = tmp_path / 'gear.yaml'
+    text = (scenes_folder() / 'planetary_gear.yaml').read_text()
+    path.write_text(text.replace(', pressure: 20 deg', ''))
+    lines = solve_scene(path, statics=True)
     assert 'sun balances the loads with 1 N m' in lines
     # 1 N m over 24 mm; the arm bears the sum of both teeth.
     assert 'sun_teeth: of its force the part along 90 deg is unique: 41.6667 N' in lines
     assert 'ring_teeth: of its force the part along 90 deg is unique: 41.6667 N' in lines
     assert 'P: of its force the part along 270 deg is unique: 83.3333 N' in lines
     assert any(line.startswith('overconstrained: ') for line in lines)
+    # With a pressure angle all is: the sun's pin bears its tooth, the planet's what turns the arm.
+    lines = solve_scene('planetary_gear', statics=True)
+    assert not any(line.startswith('overconstrained: ') for line in lines)
+    push, apart = 1 / 0.024, np.tan(np.radians(20)) / 0.024
+    assert row(lines, 'sun_teeth')[:2] == pytest.approx([apart, push], rel=1e-5)
+    assert row(lines, 'ring_teeth')[:2] == pytest.approx([-apart, push], rel=1e-5)
+    assert row(lines, 'P')[:2] == pytest.approx([0, -2 * push], rel=1e-5)
+    assert row(lines, 'O.sun')[:2] == pytest.approx([apart, push], rel=1e-5)
 
 
 def test_right_in_a_dead_point_nothing_is_made_up(capsys: pytest.CaptureFixture[str]) -> None:
     lines = told(capsys, 'antiparallelogram', '--at', '180 deg')
     assert 'a dead point of the loop O, A, B, C: the drivers do not tell how it moves on' in lines
-    (follower,) = [line for line in lines if line.startswith('follower ')]
+    follower = next(line for line in lines if line.startswith('follower '))
     assert follower.split()[1:] == ['180', '-', '-', '-', '-']
     # Beside it rounding leaves rates, but no snap: 1e5 of it would be noise.
     lines = told(capsys, 'antiparallelogram', '--at', '180.006 deg')
     assert 'next to a change point, where rounding leaves no digits of what is missing' in lines
-    (follower,) = [line for line in lines if line.startswith('follower ')]
+    follower = next(line for line in lines if line.startswith('follower '))
     assert float(follower.split()[2]) == pytest.approx(188.495559 / 180 * np.pi / 3, rel=1e-4)
     assert follower.split()[-1] == '-'
 

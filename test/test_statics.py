@@ -16,14 +16,10 @@ from kinpole_ros.mechanism._assembly import (
     Strut,
     assemble,
 )
+from kinpole_ros.mechanism._freed import freed_reactions
 from kinpole_ros.mechanism._loops import LinkageError
 from kinpole_ros.mechanism._mechanism import Driver, Mechanism
-from kinpole_ros.mechanism._reactions import (
-    Reactions,
-    freed_reactions,
-    reactions,
-    undetermined,
-)
+from kinpole_ros.mechanism._reactions import Reactions, reactions, undetermined
 from kinpole_ros.mechanism._statics import (
     Force,
     Holder,
@@ -571,6 +567,52 @@ def test_gears_on_an_arm_bear_by_their_teeth() -> None:
     assert found.along[3, 0] == pytest.approx(-50.0, rel=1e-12)
     assert np.isnan(found.across[3, 0])
     assert found.effort[:, 0] == pytest.approx([-15.0, 10.0], rel=1e-12)
+    agree(found, freed_reactions(train, at_start(train), loads))
+
+
+@pytest.mark.parametrize('torque', [6.0, -6.0])
+@pytest.mark.parametrize('turn', [0.0, 2.1])
+def test_gears_with_a_pressure_angle_load_their_bearings(torque: float, turn: float) -> None:
+    """Two gears on the ground bear T / r along their teeth, and its tangent across, both ways."""
+    hubs, pressure = np.array([0.0, 0.3 * np.exp(1j * turn)]), 20 * DEGREE
+    joints: list[Joint] = [
+        Revolute('A', GROUND, hubs[0], 'pinion', 0j),
+        Revolute('B', GROUND, hubs[1], 'gear', 0j),
+        Rolling('teeth', 'pinion', 0j, 'gear', 0j, 0.2, circle=0.1, start=turn, pressure=pressure),
+    ]
+    train = driven(['pinion', 'gear'], joints, ['pinion'], {'teeth': turn})
+    loads: list[Load] = [Torque('gear', torque)]
+    found = reactions(train, at_start(train), loads)
+    assert found.effort[0, 0] == pytest.approx(torque / 2, rel=1e-12)
+    # The pinion holds the gear against its torque, and pushes it away.
+    out = np.exp(1j * turn)
+    tooth = (1j * torque / 0.2 + abs(torque) / 0.2 * np.tan(pressure)) * out
+    assert found.force[2, 0] == pytest.approx(tooth, rel=1e-12)
+    assert found.force[1, 0] == pytest.approx(-tooth, rel=1e-12)
+    assert found.force[0, 0] == pytest.approx(tooth, rel=1e-12)
+    assert abs(found.force[1, 0]) == pytest.approx(30 / np.cos(pressure), rel=1e-12)
+    agree(found, freed_reactions(train, at_start(train), loads))
+    assert undetermined(train, at_start(train)[:, 0]) == ()
+
+
+def test_a_rack_with_a_pressure_angle_presses_on_its_guide() -> None:
+    """The pinion's torque pulls the rack; its teeth press pinion and rack apart."""
+    pressure = 14.5 * DEGREE
+    joints: list[Joint] = [
+        Revolute('H', GROUND, 0.05j, 'pinion', 0j),
+        Slot('guide', GROUND, 0j, 0.0, 'rack', 0j, 0.0),
+        Rolling('teeth', 'rack', 0j, 'pinion', 0j, 0.05, pressure=pressure),
+    ]
+    train = driven(['pinion', 'rack'], joints, ['guide'], {})
+    loads: list[Load] = [Torque('pinion', 2.0), Force('rack', 0.03 - 0.01j, -3j)]
+    found = reactions(train, at_start(train), loads)
+    # Turning to the left the pinion, on top, would push the rack to the right.
+    assert found.effort[0, 0] == pytest.approx(-40.0, rel=1e-12)
+    apart = 40 * np.tan(pressure)
+    assert found.force[2, 0] == pytest.approx(-40 + 1j * apart, rel=1e-12)
+    assert found.force[0, 0] == pytest.approx(40 - 1j * apart, rel=1e-12)
+    assert found.force[1, 0] == pytest.approx(1j * (apart + 3), rel=1e-12)
+    assert found.moment[1, 0] == pytest.approx(0.03 * 3, rel=1e-12)
     agree(found, freed_reactions(train, at_start(train), loads))
 
 

@@ -52,7 +52,8 @@ class Rolling(NamedTuple):
     `circle` about `a`, outside of it, or inside if `circle` is negative. The variable of the
     joint's name is the slide of the hub along the line, or the direction from the point of contact
     to the hub (outside, that of the hub from `a`, inside its opposite); with all angles zero it is
-    `start`.
+    `start`. With a `pressure` angle (rad) teeth bear it: they push each other apart with the
+    tangent of it times what they transmit, and other joints hold the hub at its distance.
     """
 
     name: str
@@ -64,6 +65,7 @@ class Rolling(NamedTuple):
     along: float = 0.0
     circle: float = 0.0
     start: float = 0.0
+    pressure: float | None = None
 
 
 class Strut(NamedTuple):

@@ -5,9 +5,10 @@ from math import pi
 
 import numpy as np
 
-from kinpole_ros.mechanism._assembly import Assembly
+from kinpole_ros.mechanism._assembly import Assembly, Rolling
 from kinpole_ros.mechanism._drivers import Driven
 from kinpole_ros.mechanism._mechanism import Mechanism
+from kinpole_ros.mechanism._reactions import loose_teeth
 from kinpole_ros.mechanism._start import close_near, mobility
 from kinpole_ros.mechanism._units import SceneError
 from kinpole_ros.planar._plane import Real
@@ -59,6 +60,19 @@ def check_range(mechanism: Mechanism, driven: list[Driven]) -> None:
         f"'drivers' ask for {what} {way(low, high)}, but the linkage goes from {way(*reach)}{why}: "
         'drive it less far, or change lengths'
     )
+
+
+def check_teeth(mechanism: Mechanism) -> None:
+    """Raise SceneError where a pressure angle leaves a wheel's hub to nothing that holds it."""
+    if not any(isinstance(joint, Rolling) for joint in mechanism.assembly.joints):
+        return
+    names = loose_teeth(mechanism, mechanism.motion(np.zeros(1), 3).values[0, :, 0])
+    if names:
+        raise SceneError(
+            f"'joints: {', '.join(names)}': teeth with a pressure angle push apart, and nothing "
+            'holds the hub at its distance: hold it by an arm with pins, or by a pin or slide on '
+            'the ground'
+        )
 
 
 def check_start(mechanism: Mechanism, said: Mapping[str, float]) -> None:

@@ -23,7 +23,7 @@ _WORD = re.compile(r'\w[\w-]*')
 _KEYS = {
     'slot': ('slot', 'on', 'along', 'name'),
     'prismatic': ('prismatic', 'on', 'along', 'turned', 'name'),
-    'rolling': ('rolling', 'radius', 'on', 'along', 'circle', 'start', 'name'),
+    'rolling': ('rolling', 'radius', 'on', 'along', 'circle', 'start', 'pressure', 'name'),
     'strut': ('strut', 'name'),
 }
 _EXAMPLES = {
@@ -183,6 +183,14 @@ def _rolling(
     radius = quantity(f'{where}: radius', said['radius'], 'length')
     if radius <= 0:
         raise SceneError(f'{where}: radius is {said["radius"]!r}: give one greater than 0')
+    pressure = None
+    if 'pressure' in said:
+        pressure = quantity(f'{where}: pressure', said['pressure'], 'angle')
+        if not 0 <= pressure < pi / 2:
+            raise SceneError(
+                f'{where}: pressure is {said["pressure"]!r}: give an angle from 0 to less than '
+                '90 deg, as 20 deg'
+            )
     if ('along' in said) == ('circle' in said):
         raise SceneError(
             f'{where}: give along: 0 deg for a line, or circle: 0.2 for a circle of that radius'
@@ -190,7 +198,7 @@ def _rolling(
     if 'along' in said:
         along = quantity(f'{where}: along', said['along'], 'angle')
         start = quantity(f'{where}: start', said.get('start', 0.0), 'length')
-        return Rolling(name, *on, *hub, radius, along=along, start=start)
+        return Rolling(name, *on, *hub, radius, along=along, start=start, pressure=pressure)
     circle = quantity(f'{where}: circle', said['circle'], 'length')
     if circle == 0 or (circle < 0 and -circle <= radius):
         raise SceneError(
@@ -200,7 +208,7 @@ def _rolling(
     # Inside, the hub lies opposite to the direction that says where it is: by default along x.
     usual = pi if circle < 0 else 0.0
     start = quantity(f'{where}: start', said.get('start', usual), 'angle')
-    return Rolling(name, *on, *hub, radius, circle=circle, start=start)
+    return Rolling(name, *on, *hub, radius, circle=circle, start=start, pressure=pressure)
 
 
 def _refuse_same(where: str, one: str, other: str) -> None:

@@ -1,9 +1,7 @@
 """
-What the joints of a linkage bear.
+What the joints of a linkage bear, from the multipliers of its constraints (`_constraints`).
 
-In two ways that share the position only: from the multipliers of the constraints in absolute
-coordinates (x, y, θ of each body), and by giving way in one constraint at a time and asking for the
-work done in the motion so freed (seed 003).
+`_freed` finds the same in another way.
 """
 
 from collections.abc import Sequence
@@ -11,37 +9,18 @@ from typing import NamedTuple
 
 import numpy as np
 
-from kinpole_ros.mechanism._assembly import (
-    GROUND,
-    Assembly,
-    Joint,
-    Revolute,
-    Rolling,
-    Slot,
-    Strut,
-    assemble,
-)
-from kinpole_ros.mechanism._loops import LinkageError, reduce
+from kinpole_ros.mechanism._assembly import GROUND, Joint, Rolling, Strut
+from kinpole_ros.mechanism._constraints import NO_SHARE, Constraints, constraints, value_of
 from kinpole_ros.mechanism._mechanism import Mechanism
 from kinpole_ros.mechanism._statics import (
-    LOST,
     Force,
     Load,
     at_rest,
     check_loads,
     driver_rows,
-    efforts,
     inverse_values,
-    largest_length,
-    let_move,
-    power_of,
-    stacked_svd,
-    vectors_at,
 )
 from kinpole_ros.planar._plane import Complex, Real
-
-# A constraint with less than this share in a state of self-stress has none.
-_NO_SHARE = 1e-6
 
 
 class Reactions(NamedTuple):
@@ -90,42 +69,77 @@ def reactions(mechanism: Mechanism, values: Real, loads: Sequence[Load]) -> Reac
     which has no joints, or a load on a body that is not there.
     """
     check_loads(mechanism, loads)
-    system = _system(mechanism, values)
+    system = constraints(mechanism, values)
+    parts, effort = _multipliers(mechanism, system, loads)
+    apart = push_apart(mechanism, system, parts[0])
+    if apart:
+        teeth, (parts, effort) = parts[0], _multipliers(mechanism, system, [*loads, *apart])
+        add_teeth(mechanism, parts, teeth)
+    determined = system.rank == len(system.column)
+    return assembled(mechanism, values, system, parts, effort, determined)
+
+
+def _multipliers(
+    mechanism: Mechanism, system: Constraints, loads: Sequence[Load]
+) -> tuple[Real, Real]:
+    """What the rows of all joints bear (3, J, T), and those of the drivers (d, T)."""
     u, s, vt = system.svd
     applied = system.pull(loads, mechanism) / system.column[:, None]
-    determined = system.rank == len(system.column)
     along = inverse_values(s) * (vt @ applied.T[..., None])[..., 0][:, : s.shape[1]]
     found = -(u[:, :, : s.shape[1]] @ along[..., None])[..., 0].T / system.size
     for first in system.pins:
         pin = (found[first] + 1j * found[first + 1]) * system.axis[system.rows[first][0]].conj()
         found[first], found[first + 1] = pin.real, pin.imag
-    found[system.stress > _NO_SHARE] = np.nan
-    found[:, ~determined] = np.nan
-    parts = np.zeros((3, len(system.at), values.shape[1]))
-    parts[:, :, ~determined] = np.nan
+    lost = system.rank < len(system.column)
+    found[system.stress > NO_SHARE] = np.nan
+    found[:, lost] = np.nan
+    parts = np.zeros((3, *system.at.shape))
+    parts[:, :, lost] = np.nan
     for (k, part), row in zip(system.rows, found, strict=False):
         parts[part, k] = row
-    return _reactions(mechanism, values, system, parts, found[len(system.rows) :], determined)
+    return parts, found[len(system.rows) :]
 
 
-def freed_reactions(mechanism: Mechanism, values: Real, loads: Sequence[Load]) -> Reactions:
+def has_teeth(joint: Joint) -> bool:
+    """Whether a joint is one of teeth with a pressure angle."""
+    return isinstance(joint, Rolling) and joint.pressure is not None
+
+
+def push_apart(mechanism: Mechanism, system: Constraints, along: Real) -> list[Load]:
     """
-    The same as `reactions`, found by freeing one constraint at a time (seed 003).
-
-    Each joint is put on a carriage that can slide on the body `one`; at unit rate of that slide,
-    all drivers held, the loads do work that only the freed reaction balances. The motion is that of
-    the loops of the linkage so changed. Takes a solution for each constraint.
+    The forces by which teeth with a pressure angle push each other apart, as loads, from what they
+    transmit, `along` (J, T): that does not depend on them, as they do no work.
     """
-    check_loads(mechanism, loads)
-    system = _system(mechanism, values)
-    total = efforts(mechanism, values, loads)
-    parts = np.zeros((3, len(system.at), values.shape[1]))
-    for k, part in system.rows:
-        way = None if part == 2 else 1j**part * system.axis[k]
-        parts[part, k] = _freed(mechanism, values, loads, system, k, way)
-    held = at_rest(mechanism, values).known
-    parts[:, :, ~held] = np.nan
-    return _reactions(mechanism, values, system, parts, total.effort, held)
+    found: list[Load] = []
+    for k, joint in enumerate(mechanism.assembly.joints):
+        if not isinstance(joint, Rolling) or joint.pressure is None:
+            continue
+        push = np.abs(along[k]) * np.tan(joint.pressure) * 1j * system.axis[k]
+        for body, force in ((joint.one, -push), (joint.other, push)):
+            if body != GROUND:
+                arm = system.at[k] - system.frame.origin[body]
+                found.append(Force(body, arm * np.exp(-1j * system.frame.angle[body]), force))
+    return found
+
+
+def add_teeth(mechanism: Mechanism, parts: Real, along: Real) -> None:
+    """Fill in what teeth with a pressure angle bear across, which is no row of their own."""
+    for k, joint in enumerate(mechanism.assembly.joints):
+        if isinstance(joint, Rolling) and joint.pressure is not None:
+            parts[1, k] = np.abs(along[k]) * np.tan(joint.pressure)
+
+
+def loose_teeth(mechanism: Mechanism, values: Real) -> tuple[str, ...]:
+    """The joints with a pressure angle, at one position (n,), if nothing else holds their hubs."""
+    joints = mechanism.assembly.joints
+    toothed = [j for j in joints if isinstance(j, Rolling) and j.pressure is not None]
+    if not toothed:
+        return ()
+    smooth = tuple(j._replace(pressure=None) if j in toothed else j for j in joints)
+    assembly = mechanism.assembly._replace(joints=smooth)
+    held = Mechanism(assembly, mechanism.drivers, mechanism.start)
+    ranks = [constraints(one, values[:, None]).rank[0] for one in (mechanism, held)]
+    return tuple(joint.name for joint in toothed) if ranks[0] < ranks[1] else ()
 
 
 def undetermined(mechanism: Mechanism, values: Real) -> tuple[str, ...]:
@@ -142,8 +156,8 @@ def undetermined(mechanism: Mechanism, values: Real) -> tuple[str, ...]:
     joints = mechanism.assembly.joints
     if not joints:
         return (f'{dead}: {open_ended}',) if names else ()
-    system = _system(mechanism, here)
-    stressed = system.stress[:, 0] > _NO_SHARE
+    system = constraints(mechanism, here)
+    stressed = system.stress[:, 0] > NO_SHARE
     rows = zip(system.rows, stressed, strict=False)
     shared = ', '.join(dict.fromkeys(joints[k].name for (k, _), is_so in rows if is_so))
     if names or system.rank[0] < len(system.column):
@@ -163,170 +177,10 @@ def undetermined(mechanism: Mechanism, values: Real) -> tuple[str, ...]:
     )
 
 
-class _Frame(NamedTuple):
-    """Poses of all bodies, the ground among them: origin and angle (T,) by name."""
-
-    origin: dict[str, Complex]
-    angle: dict[str, Real]
-
-    def at(self, body: str, point: complex) -> Complex:
-        return np.asarray(self.origin[body] + point * np.exp(1j * self.angle[body]))
-
-
-class _System(NamedTuple):
-    """
-    The constraint Jacobian at T positions, made dimensionless, and its singular values.
-
-    `rows` are (joint, part), 0 for along, 1 for across, 2 for the moment, before those of the
-    drivers; the two rows of `pins`, by their first, are along the ground's axes. `size` (R, T) and
-    `column` (3B,) are what rows and columns were divided by; `svd` is that of the stack (T, R, 3B).
-    `stress` (R, T) is the share of each reaction, with pins in their axes as in Reactions, in what
-    the joints can bear with no load at all.
-    """
-
-    frame: _Frame
-    rows: list[tuple[int, int]]
-    pins: list[int]
-    at: Complex
-    axis: Complex
-    size: Real
-    column: Real
-    svd: tuple[Real, Real, Real]
-    rank: np.ndarray
-    stress: Real
-
-    def pull(self, loads: Sequence[Load], mechanism: Mechanism) -> Real:
-        """The loads in absolute coordinates (3B, T)."""
-        total = np.zeros((len(self.column), self.at.shape[1]))
-        for load in loads:
-            if isinstance(load, Force):
-                at, force = self.frame.at(load.body, load.point), np.asarray(load.force, complex)
-                total += _row(mechanism.bodies, self.frame, GROUND, load.body, at, force)
-            else:
-                total += _turn_row(
-                    mechanism.bodies, GROUND, load.body, total.shape[1]
-                ) * np.asarray(load.torque)
-        return total
-
-
-def _system(mechanism: Mechanism, values: Real) -> _System:
-    """The rows of all joints and drivers, and what they determine."""
-    joints, bodies = _joints(mechanism), mechanism.bodies
-    frame = _frame(mechanism.assembly, values)
-    count = values.shape[1]
-    at = np.zeros((len(joints), count), complex)
-    axis = np.ones((len(joints), count), complex)
-    rows: list[tuple[int, int]] = []
-    matrix: list[Real] = []
-    for k, joint in enumerate(joints):
-        at[k], axis[k] = _place(mechanism, frame, values, joint)
-        for part in {Revolute: (0, 1), Slot: (1,), Rolling: (0, 1), Strut: ()}[type(joint)]:
-            rows.append((k, part))
-            way = 1j**part * axis[k]
-            matrix.append(_row(bodies, frame, joint.one, joint.other, at[k], way))
-        if isinstance(joint, Slot) and joint.turned is not None:
-            rows.append((k, 2))
-            matrix.append(_turn_row(bodies, joint.one, joint.other, count))
-    names = mechanism.assembly.loops.variables
-    variables = {
-        name: _variable(mechanism, frame, values, name, at, axis)
-        for name, used in zip(names, driver_rows(mechanism).any(axis=0), strict=True)
-        if used
-    }
-    for driver in mechanism.drivers:
-        parts = [driver.row[names.index(name)] * row for name, row in variables.items()]
-        matrix.append(np.asarray(sum(parts)))
-    column = np.ones(3 * len(bodies))
-    column[2 * len(bodies) :] = largest_length(mechanism.assembly, values)
-    scaled = np.array(matrix) / column[:, None]
-    size = np.sqrt((scaled**2).sum(axis=1))
-    u, s, vt = stacked_svd(scaled / size[:, None])
-    rank = (s > LOST * s[:, :1]).sum(axis=1)
-    beyond = np.arange(u.shape[2]) >= rank[:, None]
-    free = np.moveaxis(np.where(beyond[:, None, :], u, 0.0), 0, -1)
-    stress = np.sqrt((free**2).sum(axis=1))
-    pins = [r for r, (k, part) in enumerate(rows) if isinstance(joints[k], Revolute) and not part]
-    for first in pins:
-        # The main axis of the forces a pin can bear with no load, and what is left across it.
-        with np.errstate(invalid='ignore'):
-            bears = free[first] / size[first] + 1j * free[first + 1] / size[first + 1]
-        main = (bears**2).sum(axis=0)
-        way = np.where(np.abs(main) > _NO_SHARE**2, np.exp(0.5j * np.angle(main)), 1.0)
-        axis[rows[first][0]] = way
-        turned = bears * way.conj()
-        stress[first] = np.sqrt((turned.real**2).sum(axis=0))
-        stress[first + 1] = np.sqrt((turned.imag**2).sum(axis=0))
-    return _System(frame, rows, pins, at, axis, size, column, (u, s, vt), rank, stress)
-
-
-def _place(
-    mechanism: Mechanism, frame: _Frame, values: Real, joint: Joint
-) -> tuple[Complex, Complex]:
-    """Where the joint's force acts, and the joint's own direction (T,)."""
-    pin = frame.at(joint.other, joint.b)
-    if isinstance(joint, Revolute):
-        return pin, np.ones_like(pin)
-    if isinstance(joint, Strut):
-        return pin, np.exp(1j * _value(mechanism, values, f'{joint.name}.angle'))
-    if isinstance(joint, Rolling) and joint.circle:
-        normal = np.exp(1j * _value(mechanism, values, joint.name))
-        return pin - joint.radius * normal, -1j * normal
-    along = np.exp(1j * (frame.angle[joint.one] + joint.along))
-    return (pin - 1j * joint.radius * along if isinstance(joint, Rolling) else pin), along
-
-
-def _variable(
-    mechanism: Mechanism, frame: _Frame, values: Real, name: str, at: Complex, axis: Complex
-) -> Real:
-    """The rate of a variable, as a row (3B, T) times the rates of the absolute coordinates."""
-    bodies, count = mechanism.bodies, values.shape[1]
-    if name in bodies:
-        return _turn_row(bodies, GROUND, name, count)
-    for k, joint in enumerate(mechanism.assembly.joints):
-        if isinstance(joint, Revolute) or name not in (joint.name, f'{joint.name}.angle'):
-            continue
-        hub = frame.at(joint.other, joint.b)
-        if isinstance(joint, Rolling) and joint.circle:
-            across, arm = -axis[k], np.full(count, joint.circle + joint.radius)
-        elif name != joint.name:
-            across, arm = 1j * axis[k], _value(mechanism, values, joint.name)
-        else:
-            return _row(bodies, frame, joint.one, joint.other, hub, axis[k])
-        # What an arm on `one` turns, as seen from `one`, and with it.
-        seen = _row(bodies, frame, joint.one, joint.other, hub, across) / arm
-        return seen + _turn_row(bodies, GROUND, joint.one, count)
-    raise LinkageError(f'{name} belongs to no body or joint: what drives it has no reaction')
-
-
-def _row(
-    bodies: Sequence[str], frame: _Frame, one: str, other: str, at: Complex, along: Complex
-) -> Real:
-    """Rate (3B, T) at which the point `at` of `other` leaves that of `one` in a direction."""
-    count = len(at)
-    row = np.zeros((3, len(bodies), count))
-    for body, sign in ((one, -1.0), (other, 1.0)):
-        if body != GROUND:
-            b = bodies.index(body)
-            arm = at - frame.origin[body]
-            row[:, b] += sign * np.stack(
-                np.broadcast_arrays(along.real, along.imag, (arm.conj() * along).imag)
-            )
-    return row.reshape(3 * len(bodies), count)
-
-
-def _turn_row(bodies: Sequence[str], one: str, other: str, count: int) -> Real:
-    """Rate (3B, T) at which `other` turns as seen from `one`."""
-    row = np.zeros((3, len(bodies), count))
-    for body, sign in ((one, -1.0), (other, 1.0)):
-        if body != GROUND:
-            row[2, bodies.index(body)] += sign
-    return row.reshape(3 * len(bodies), count)
-
-
-def _reactions(
+def assembled(
     mechanism: Mechanism,
     values: Real,
-    system: _System,
+    system: Constraints,
     parts: Real,
     effort: Real,
     determined: np.ndarray,
@@ -336,7 +190,7 @@ def _reactions(
     names, rows = mechanism.assembly.loops.variables, driver_rows(mechanism)
     for k, joint in enumerate(joints):
         if isinstance(joint, Strut):
-            length = _value(mechanism, values, joint.name)
+            length = value_of(mechanism, values, joint.name)
             for part, name, arm in ((0, joint.name, 1.0), (1, f'{joint.name}.angle', length)):
                 weight = rows[:, names.index(name)]
                 if weight.any():
@@ -351,77 +205,3 @@ def _reactions(
         effort,
         determined,
     )
-
-
-def _freed(
-    mechanism: Mechanism,
-    values: Real,
-    loads: Sequence[Load],
-    system: _System,
-    k: int,
-    way: Complex | None,
-) -> Real:
-    """What joint k bears (T,) along `way` (T,), in the ground's axes, or as a moment for None."""
-    old, count, drivers = mechanism.assembly, values.shape[1], len(mechanism.drivers)
-    joint, joints, bodies = old.joints[k], list(old.joints), list(old.bodies)
-    # What is driven besides the drivers: at which rate, and variables with their weights.
-    freed: list[tuple[Real, dict[str, float]]]
-    slides, carriages = (f'{k} x', f'{k} y'), (f'{k} carriage x', f'{k} carriage y')
-    if way is None:
-        assert isinstance(joint, Slot)
-        joints[k] = joint._replace(turned=None)
-        freed = [(np.ones(count), {joint.other: 1.0, joint.one: -1.0})]
-    else:
-        joints[k] = joint._replace(one=carriages[1])
-        bodies += carriages
-        below = (joint.one, carriages[0])
-        for slide, one, other, turn in zip(slides, below, carriages, (0.0, np.pi / 2), strict=True):
-            joints.append(Slot(slide, one, 0j, turn, other, 0j, 0.0))
-        seen = way * np.exp(-1j * system.frame.angle[joint.one])
-        freed = [(seen.real, {slides[0]: 1.0}), (seen.imag, {slides[1]: 1.0})]
-    new = assemble(bodies, joints)
-    names = new.loops.variables
-    kept = [names.index(name) for name in old.loops.variables]
-    here = np.zeros((len(names), count))
-    here[kept] = values
-    here[[names.index(name) for name in bodies[len(old.bodies) :]]] = system.frame.angle[joint.one]
-    rows = np.zeros((drivers + len(freed), len(names)))
-    rows[:drivers, kept] = driver_rows(mechanism)
-    rates = np.zeros((len(rows), count))
-    for row, (rate, weights) in enumerate(freed, start=drivers):
-        rates[row] = rate
-        for name in set(weights) - {GROUND}:
-            rows[row, names.index(name)] = weights[name]
-    if way is not None and not isinstance(joint, Revolute):
-        # A slide is now that on the carriage; drivers hold the whole.
-        slid = (way * system.axis[k].conj()).real
-        if isinstance(joint, Rolling) and joint.circle:
-            slid = -slid / (joint.circle + joint.radius)
-        rates[:drivers] = -rows[:drivers, [names.index(joint.name)]] * slid
-    moving = let_move(reduce(new.loops._replace(drives=rows)), new, here, rates)
-    # The carriages come last, and bear no load.
-    powers = [power_of(mechanism, load, moving) for load in loads]
-    return np.where(moving.known, -np.asarray(sum(powers, start=np.zeros(count))), np.nan)
-
-
-def _frame(assembly: Assembly, values: Real) -> _Frame:
-    length, turn = vectors_at(assembly, values)
-    position, angle = assembly.places @ (length * turn), assembly.turns @ values
-    still = np.zeros(values.shape[1])
-    return _Frame(
-        {GROUND: still + 0j} | dict(zip(assembly.bodies, position, strict=True)),
-        {GROUND: still} | dict(zip(assembly.bodies, angle, strict=True)),
-    )
-
-
-def _value(mechanism: Mechanism, values: Real, name: str) -> Real:
-    return np.asarray(values[mechanism.assembly.loops.variables.index(name)])
-
-
-def _joints(mechanism: Mechanism) -> tuple[Joint, ...]:
-    if not mechanism.assembly.joints:
-        raise LinkageError(
-            'a linkage of vectors alone has no joints to bear anything: for reactions write it as '
-            'bodies and joints'
-        )
-    return mechanism.assembly.joints

@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from kinpole_ros.files import cut_line
 from kinpole_ros.mechanism._assembly import Assembly
-from kinpole_ros.mechanism._checks import check_mobility, check_range, check_start
+from kinpole_ros.mechanism._checks import check_mobility, check_range, check_start, check_teeth
 from kinpole_ros.mechanism._drivers import read_drivers
 from kinpole_ros.mechanism._equations import Equations, equations_of_vectors
 from kinpole_ros.mechanism._joints import Points, mapping, need, read_bodies, refuse_unknown
@@ -106,6 +106,7 @@ def _scene(path: Path, data: Any) -> Scene:
     mechanism = Mechanism(assembly, drivers, start)
     check_range(mechanism, driven)
     check_start(mechanism, said)
+    check_teeth(mechanism)
     loads = read_loads(data.get('loads'), points, assembly.bodies)
     held_by = read_held_by(data['held_by'], points, assembly.bodies) if 'held_by' in data else None
     if held_by and (not loads or len(drivers) != 1):

@@ -24,10 +24,10 @@ _NO_SHARE = 1e-6
 
 
 class Force(NamedTuple):
-    """A force, N, complex in the ground's axes, () or (T,), at `point` of the body's frame, m."""
+    """A force, N, complex in the ground's axes, at `point`, m, of the body's frame: () or (T,)."""
 
     body: str
-    point: complex
+    point: complex | Complex
     force: npt.ArrayLike
 
 
