@@ -334,6 +334,20 @@ def test_efforts_are_told_load_by_load_or_as_a_torque_on_a_body(tmp_path: Path) 
     assert float(held.split()[0]) == pytest.approx(float(driven.split()[-3]))
 
 
+def test_springs_and_inertia_are_in_the_statics(tmp_path: Path) -> None:
+    table = tmp_path / 's.csv'
+    lines = solve_scene('slider_crank', at='50 deg', statics=True, table=table)
+    (whole,) = [line for line in lines if line.startswith('crank balances the loads with ')]
+    (shares,) = [line for line in lines if line.startswith('  of this, springs: ')]
+    spring, inertia = (float(part.split()[0]) for part in shares.split(': ')[1:])
+    assert float(whole.split()[-3]) == pytest.approx(spring + inertia, rel=1e-4)
+    found = columns(table)
+    # 0.2 N/mm, pulled out from 20 cm: the power of the spring, and what it costs the crank.
+    pull = 200 * (found['piston'] - 0.2)
+    assert spring == pytest.approx((pull * found['piston_velocity'] / (2 * np.pi))[0], rel=1e-5)
+    assert found['crank_effort'] == pytest.approx(spring + inertia, rel=1e-4)
+
+
 def test_vectors_have_efforts_and_no_reactions(
     capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:

@@ -4,6 +4,7 @@ from kinpole_ros.mechanism._assembly import GROUND, Revolute, Rolling
 from kinpole_ros.mechanism._centers import Centers, center_name, explain, instant_centers
 from kinpole_ros.mechanism._centrodes import Centrodes, centrodes, write_pitch_curves
 from kinpole_ros.mechanism._equations import Dimension, Equation, Equations, Part
+from kinpole_ros.mechanism._forces import Mass, Spring, Torsion, inertial_loads, spring_loads
 from kinpole_ros.mechanism._freed import freed_reactions
 from kinpole_ros.mechanism._loops import LinkageError
 from kinpole_ros.mechanism._mechanism import Mechanism, Motion
@@ -31,6 +32,7 @@ __all__ = [
     'Holder',
     'LinkageError',
     'Load',
+    'Mass',
     'Mechanism',
     'Motion',
     'Part',
@@ -40,7 +42,9 @@ __all__ = [
     'Rolling',
     'Scene',
     'SceneError',
+    'Spring',
     'Torque',
+    'Torsion',
     'advantage',
     'center_name',
     'centrodes',
@@ -48,6 +52,7 @@ __all__ = [
     'explain',
     'freed_reactions',
     'holding',
+    'inertial_loads',
     'instant_centers',
     'load_scene',
     'marker_positions',
@@ -61,6 +66,7 @@ __all__ = [
     'scene_text',
     'scenes_folder',
     'share_folder',
+    'spring_loads',
     'transmission_angles',
     'undetermined',
     'write_pitch_curves',

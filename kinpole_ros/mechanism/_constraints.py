@@ -84,7 +84,7 @@ class Constraints(NamedTuple):
 def constraints(mechanism: Mechanism, values: Real) -> Constraints:
     """The rows of all joints and drivers, and what they determine."""
     joints, bodies = _joints(mechanism), mechanism.bodies
-    frame = _frame(mechanism.assembly, values)
+    frame = frame_of(mechanism.assembly, values)
     count = values.shape[1]
     at = np.zeros((len(joints), count), complex)
     axis = np.ones((len(joints), count), complex)
@@ -202,7 +202,7 @@ def _turn_row(bodies: Sequence[str], one: str, other: str, count: int) -> Real:
     return row.reshape(3 * len(bodies), count)
 
 
-def _frame(assembly: Assembly, values: Real) -> Frame:
+def frame_of(assembly: Assembly, values: Real) -> Frame:
     length, turn = vectors_at(assembly, values)
     position, angle = assembly.places @ (length * turn), assembly.turns @ values
     still = np.zeros(values.shape[1])

@@ -17,8 +17,9 @@ from kinpole_ros.mechanism._assembly import Assembly
 from kinpole_ros.mechanism._checks import check_mobility, check_range, check_start, check_teeth
 from kinpole_ros.mechanism._drivers import read_drivers
 from kinpole_ros.mechanism._equations import Equations, equations_of_vectors
+from kinpole_ros.mechanism._forces import Mass, Spring, Torsion
 from kinpole_ros.mechanism._joints import Points, mapping, need, read_bodies, refuse_unknown
-from kinpole_ros.mechanism._loads import read_held_by, read_loads
+from kinpole_ros.mechanism._loads import read_held_by, read_loads, read_masses, read_springs
 from kinpole_ros.mechanism._loops import LinkageError
 from kinpole_ros.mechanism._mechanism import Mechanism
 from kinpole_ros.mechanism._motions import BodyMotion
@@ -28,7 +29,7 @@ from kinpole_ros.mechanism._statics import Holder, Load
 from kinpole_ros.mechanism._units import SceneError, quantity, vector
 from kinpole_ros.mechanism._vectors import read_vectors
 
-_EITHER = ('drivers', 'start', 'loads', 'held_by', 'markers', 'free')
+_EITHER = ('drivers', 'start', 'loads', 'held_by', 'springs', 'masses', 'markers', 'free')
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,8 +41,9 @@ class Scene:
     `motion(t)` takes times of any shape (...), in s, and returns the BodyMotion of every body by
     name, arrays (5, ...) in the ground's frame; it raises SceneError for a time at which the
     mechanism cannot follow its drivers. `points` maps names ('coupler.P', or of the loop form 'P')
-    to the body and the place in its frame (complex, m); `loads` are those on it (N, N m), and
-    `held_by` what is asked to balance them, if that is not the drivers. `equations` are what its
+    to the body and the place in its frame (complex, m); `loads` are those on it (N, N m),
+    `springs` and `masses` what else acts when it is somewhere and moves, and `held_by` what is
+    asked to balance them, if that is not the drivers. `equations` are what its
     joints say of the bodies' poses, whatever drives them; `free` names the dimensions that are to
     be fitted, none for all. After `course`, s, all drivers have been through their ways once; 0
     where one has no end.
@@ -55,6 +57,8 @@ class Scene:
     points: Points
     loads: tuple[Load, ...]
     held_by: Holder | None
+    springs: tuple[Spring | Torsion, ...]
+    masses: tuple[Mass, ...]
     equations: Equations
     free: tuple[str, ...]
     course: float
@@ -109,7 +113,9 @@ def _scene(path: Path, data: Any) -> Scene:
     check_teeth(mechanism)
     loads = read_loads(data.get('loads'), points, assembly.bodies)
     held_by = read_held_by(data['held_by'], points, assembly.bodies) if 'held_by' in data else None
-    if held_by and (not loads or len(drivers) != 1):
+    springs = read_springs(data.get('springs'), points, assembly.bodies)
+    masses = read_masses(data.get('masses'), assembly.bodies)
+    if held_by and (not (loads or springs or masses) or len(drivers) != 1):
         raise SceneError(
             "'held_by' holds the loads instead of the one driver: give loads, and one driver"
         )
@@ -126,6 +132,8 @@ def _scene(path: Path, data: Any) -> Scene:
         points=points,
         loads=loads,
         held_by=held_by,
+        springs=springs,
+        masses=masses,
         equations=equations,
         free=_free(data.get('free')),
         course=max(one.end for one in driven) if all(one.end for one in driven) else 0.0,

@@ -26,6 +26,16 @@ UNITS: dict[str, dict[str, float]] = {
     'force': {'N': 1.0, 'kN': 1000.0, 'lbf': 4.4482216152605},
     'torque': {'N m': 1.0, 'N cm': 0.01, 'N mm': 0.001, 'kN m': 1000.0},
     'mass': {'kg': 1.0, 'g': 0.001, 't': 1000.0, 'lb': 0.45359237},
+    'moment of inertia': {'kg m2': 1.0, 'kg cm2': 1e-4, 'kg mm2': 1e-6, 'g mm2': 1e-9},
+    'stiffness': {'N/m': 1.0, 'N/cm': 100.0, 'N/mm': 1000.0, 'kN/m': 1000.0},
+    'torsional stiffness': {
+        'N m/rad': 1.0,
+        'N cm/rad': 0.01,
+        'N mm/rad': 0.001,
+        'N m/deg': 1 / _DEGREE,
+        'N cm/deg': 0.01 / _DEGREE,
+        'N mm/deg': 0.001 / _DEGREE,
+    },
 }
 # In SI units. Nothing is that long or fast, and the fourth powers of what is less do not overflow.
 _LARGEST = 1e15
@@ -39,6 +49,9 @@ _EXAMPLES = {
     'force': '500 or 0.5 kN',
     'torque': '2 or 200 N cm',
     'mass': '80 or 80 kg',
+    'moment of inertia': '0.02 or 200 kg cm2',
+    'stiffness': '2000 or 2 N/mm',
+    'torsional stiffness': '3 or 3 N m/rad',
 }
 _WRITTEN = re.compile(r'\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*(.*?)\s*')
 
@@ -52,6 +65,7 @@ def quantity(where: str, value: Any, kind: str) -> float:
     number, unit = float('nan'), ''
     if isinstance(value, str) and (written := _WRITTEN.fullmatch(value)):
         number, unit = float(written[1]), ' '.join(re.split(r'[\s*·]+', written[2]))
+        unit = unit.replace('²', '2').replace('^2', '2')
     elif isinstance(value, int | float) and not isinstance(value, bool):
         # Whole numbers may be too large for a float.
         with suppress(OverflowError):

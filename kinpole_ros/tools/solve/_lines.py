@@ -19,7 +19,9 @@ from kinpole_ros.mechanism import (
     undetermined,
 )
 from kinpole_ros.tools.solve._solved import (
+    Acting,
     Solved,
+    acting,
     advantages,
     centers_of,
     driver_unit,
@@ -196,24 +198,24 @@ def center_lines(solved: Solved) -> list[str]:
 
 def static_lines(solved: Solved) -> list[str]:
     """What the drivers and the joints bear, at the first position."""
-    scene = solved.scene
-    if not scene.loads:
+    scene, acts = solved.scene, acting(solved.first)
+    if not acts.all:
         raise SceneError(
             f'{scene.name} has no loads: add them, as loads: [{{weight: 10 kg, at: BODY.POINT}}]'
         )
     first = solved.values[:, :1]
     several = solved.inputs.shape[1] > 1
     lines = ['', 'forces at the start of the range' if several else 'forces']
-    loads = scene.loads
+    loads = acts.all
     if np.isnan(solved.motion.values[1:, :, 0]).all() and solved.motion.regular.size == 1:
         # As good as in a dead point: what is printed there is the last digit of the input.
         return [*lines, 'not determined: the drivers have no hold of the loads in a dead point']
     if scene.held_by:
         size, load = holding(scene.mechanism, first, loads, scene.held_by)
         lines.append(_held_line(scene, float(size[0]), load))
-        loads = (*loads, load)
+        loads = [*loads, load]
     else:
-        lines += _effort_lines(scene, first)
+        lines += _effort_lines(scene, first, acts)
     if not scene.mechanism.assembly.joints:
         return [*lines, 'vectors have no joints: for what these bear write bodies and joints']
     found = reactions(scene.mechanism, first, loads)
@@ -240,19 +242,25 @@ def static_lines(solved: Solved) -> list[str]:
     return [*lines, *undetermined(scene.mechanism, first[:, 0])]
 
 
-def _effort_lines(scene: Scene, first: np.ndarray) -> list[str]:
-    """What each driver exerts to balance the loads."""
+def _effort_lines(scene: Scene, first: np.ndarray, acts: Acting) -> list[str]:
+    """What each driver exerts to balance all that acts."""
     lines = []
-    borne = efforts(scene.mechanism, first, scene.loads)
+    borne = efforts(scene.mechanism, first, acts.all)
     for k, driver in enumerate(scene.mechanism.drivers):
         unit = 'N m' if scene.mechanism.kind(k) == 'angle' else 'N'
         if not borne.determined[k, 0]:
             lines.append(f'{driver.name}: a dead point, where no finite effort balances the loads')
             continue
         lines.append(f'{driver.name} balances the loads with {borne.effort[k, 0]:.9g} {unit}')
-        if len(scene.loads) > 1:
-            parts = ', '.join(f'{share:.6g}' for share in borne.share[:, k, 0])
-            lines.append(f'  of this, load by load: {parts} {unit}')
+        shares = [*borne.share[:, k, 0]]
+        parts = [f'{share:.6g}' for share in shares[: len(acts.loads)]]
+        said = [f'load by load: {", ".join(parts)} {unit}'] if parts else []
+        for what, some in (('springs', acts.springs), ('inertia', acts.inertia)):
+            if some:
+                end = len(shares) - (len(acts.inertia) if what == 'springs' else 0)
+                said.append(f'{what}: {sum(shares[end - len(some) : end]):.6g} {unit}')
+        if len(parts) > 1 or len(said) > 1:
+            lines.append(f'  of this, {"; ".join(said)}')
     return lines
 
 

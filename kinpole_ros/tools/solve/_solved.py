@@ -7,13 +7,16 @@ import numpy as np
 from kinpole_ros.mechanism import (
     Centers,
     Force,
+    Load,
     Motion,
     Port,
     Scene,
     SceneError,
     advantage,
+    inertial_loads,
     instant_centers,
     quantity,
+    spring_loads,
 )
 from kinpole_ros.planar import body_point_derivative
 
@@ -42,6 +45,13 @@ class Solved(NamedTuple):
     motion: Motion
     limits: Limits = (None, None)
     times: np.ndarray | None = None
+
+    @property
+    def first(self) -> 'Solved':
+        """The same at the first position alone."""
+        motion = Motion(*(part[..., :1] for part in self.motion))
+        times = None if self.times is None else self.times[:1]
+        return Solved(self.scene, self.inputs[:, :1], self.rates[:, :1], motion, self.limits, times)
 
     @property
     def values(self) -> np.ndarray:
@@ -200,6 +210,28 @@ def point_motions(solved: Solved) -> dict[str, np.ndarray]:
 def centers_of(solved: Solved) -> Centers:
     several = len(solved.rates) > 1
     return instant_centers(solved.scene.mechanism, solved.values, solved.rates if several else None)
+
+
+class Acting(NamedTuple):
+    """All that acts on the bodies: the scene's `loads`, `springs` and the `inertia` of masses."""
+
+    loads: list[Load]
+    springs: list[Load]
+    inertia: list[Load]
+
+    @property
+    def all(self) -> list[Load]:
+        return [*self.loads, *self.springs, *self.inertia]
+
+
+def acting(solved: Solved) -> Acting:
+    """What acts at all positions (T,)."""
+    scene, mechanism = solved.scene, solved.scene.mechanism
+    return Acting(
+        [*scene.loads],
+        spring_loads(mechanism, solved.values, scene.springs),
+        inertial_loads(mechanism, solved.motion, scene.masses),
+    )
 
 
 def advantages(solved: Solved) -> dict[tuple[str, str], np.ndarray]:

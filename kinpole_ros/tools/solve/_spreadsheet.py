@@ -13,7 +13,14 @@ from kinpole_ros.mechanism import (
     reactions,
     transmission_angles,
 )
-from kinpole_ros.tools.solve._solved import Solved, advantages, centers_of, lengths, point_motions
+from kinpole_ros.tools.solve._solved import (
+    Solved,
+    acting,
+    advantages,
+    centers_of,
+    lengths,
+    point_motions,
+)
 
 
 class _Columns(dict[str, np.ndarray]):
@@ -71,11 +78,11 @@ def write_table(path: Path, solved: Solved, centers: bool, statics: bool) -> Non
             columns[f'{name}_x'] = found.points[c].real
             columns[f'{name}_y'] = found.points[c].imag
     if statics:
-        loads = solved.scene.loads
+        loads = acting(solved).all
         if solved.scene.held_by:
             size, load = holding(solved.scene.mechanism, solved.values, loads, solved.scene.held_by)
             columns['held_by'] = size
-            loads = (*loads, load)
+            loads = [*loads, load]
         borne = efforts(solved.scene.mechanism, solved.values, loads)
         for k, driver in enumerate(solved.scene.mechanism.drivers):
             columns[f'{driver.name}_effort'] = borne.effort[k]
