@@ -132,7 +132,7 @@ def load_theory(settings: Settings) -> Theory | None:
         for body, place in places.items()
         if len(drivers) == 1 and np.array_equal(turns[place[1]], drivers[0].row)
     ]
-    loads = tuple(_on_tracked(scene, load, places) for load in scene.loads)
+    loads = tuple(on_tracked(scene, load, places) for load in scene.loads)
     for load in loads:
         if load.body not in places:
             raise refuse(f'it has a load on {load.body}, which is not tracked')
@@ -143,7 +143,7 @@ def load_theory(settings: Settings) -> Theory | None:
     return Theory(scene, places, driven[0] if driven else '', loads)
 
 
-def _on_tracked(scene: Scene, load: Load, tracked: Container[str]) -> Load:
+def on_tracked(scene: Scene, load: Load, tracked: Container[str]) -> Load:
     """The load on a tracked body that is one with its own, as vectors are that turn together."""
     if load.body in tracked:
         return load
@@ -172,7 +172,7 @@ def rate_differences(theory: Theory, estimate: Estimate) -> list[Difference]:
     if not theory.driver:
         return []
     b, _, _, _ = theory.places[theory.driver]
-    frames = _frames(theory, estimate)
+    frames = body_frames(theory, estimate)
     if theory.driver not in frames or estimate.missing[b]:
         return []
     mechanism = theory.scene.mechanism
@@ -213,7 +213,7 @@ def joint_offsets(theory: Theory, estimate: Estimate) -> list[Difference]:
     The pin is where the scene has it on the bodies, as they are seen; `deviation` is the distance
     that is one of Mahalanobis'. Only where the center is determined.
     """
-    frames = _frames(theory, estimate)
+    frames = body_frames(theory, estimate)
     pairs = {(int(j), int(i)): k for k, (j, i) in enumerate(zip(*estimate.pairs, strict=True))}
     found = []
     for joint in theory.scene.mechanism.assembly.joints:
@@ -283,7 +283,7 @@ def balance(theory: Theory, estimate: Estimate) -> Numbers:
     force, N, along `balance_direction`. Determined where all the bodies are known and what it acts
     on moves by more than its noise.
     """
-    frames = _frames(theory, estimate)
+    frames = body_frames(theory, estimate)
     held = theory.scene.held_by
     acting = {theory.driver} if held is None else {held.body, held.of} - {GROUND}
     needed = acting | {load.body for load in theory.loads}
@@ -316,7 +316,7 @@ def balance_direction(theory: Theory, estimate: Estimate) -> np.ndarray | None:
     if held is None or held.point is None:
         return None
     way = np.full(np.shape(estimate.stamp), np.exp(1j * held.along))
-    frames = _frames(theory, estimate)
+    frames = body_frames(theory, estimate)
     if held.of in frames:
         turn = estimate.angle[0][..., theory.places[held.of][0]] + frames[held.of][1]
         # Where it is not known, neither is the force.
@@ -334,7 +334,8 @@ def _port(theory: Theory, load: Load, frames: Frames, estimate: Estimate) -> Por
     return Port(b, complex(load.torque))  # type: ignore[arg-type]
 
 
-def _frames(theory: Theory, estimate: Estimate) -> Frames:
+def body_frames(theory: Theory, estimate: Estimate) -> Frames:
+    """How the scene's frames lie in the tracked bodies, of those that are known."""
     found = {}
     for body, (b, _, markers, known) in theory.places.items():
         shape = estimate.shape[..., b, markers]

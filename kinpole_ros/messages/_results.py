@@ -12,6 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from kinpole_ros.linkage.points import PointOfInterest, measured_point, points_of_interest
 from kinpole_ros.linkage.theory import Theory, balance, balance_direction
 from kinpole_ros.messages._cdr import stamped_doubles
 from kinpole_ros.messages._drawing import scene
@@ -113,6 +114,12 @@ def result_outputs(
         rate = partial(_numbers, lambda e: e.relative_rate, k, given)
         add(f'{name}/icr', PointStamped, 1, center)
         add(f'{name}/angular_velocity', Vector3Stamped, 1, rate)
+    for spot in points_of_interest(theory) if theory else []:
+        b = bodies.index(spot.body)
+        for order, name in enumerate(('', '/velocity', '/acceleration', '/jerk')):
+            kind, height = (Vector3Stamped, None) if order else (PointStamped, b)
+            motion = partial(_points, partial(_of_point, theory, spot, order), 0, given, height)
+            add(f'{spot.body}/points/{spot.name}{name}', kind, max(order, 1), motion)
     drawing = scene(tuple(bodies), given, trails, highest)
     outputs.append(Output(DRAWING, MarkerArray, highest, drawing))
     if joints:
@@ -155,6 +162,14 @@ def _balance(theory: Theory, given: Plane, deviation: bool) -> Build:
         return _messages(estimate, found.determined, figures)
 
     return build
+
+
+def _of_point(
+    theory: Theory | None, point: PointOfInterest, order: int, estimate: Estimate
+) -> Vectors:
+    """The motion of a point, as that of the only one of its kind."""
+    assert theory is not None
+    return Vectors(*(part[:, None] for part in measured_point(theory, point, order, estimate)))
 
 
 def _rate(order: int) -> Callable[[Estimate], Numbers]:

@@ -35,6 +35,7 @@ from kinpole_ros.planar._poisson import (
 )
 from kinpole_ros.planar._poles import (
     body_point_derivative,
+    point_motion,
     pole,
     rotation,
     rotation_coefficient,
@@ -80,6 +81,7 @@ __all__ = [
     'moving_centrode_curvature',
     'moving_centrode_from_reference',
     'point_derivatives',
+    'point_motion',
     'pole',
     'pole_from_reference',
     'relative_acceleration',

@@ -73,6 +73,24 @@ def pole(
     return Linear(position[0] + arm, by_position, by_angle, *orders)
 
 
+def point_motion(order: int, arm: Complex, position: Complex, angle: Real) -> Linear:
+    """
+    A point at `arm` (m, complex, in the body's frame) from the reference point: where it is (m), or
+    its derivative of order 1 to 4 (m/s^n), with its dependence on the pose. Shapes as in `pole`.
+    """
+    turned = arm * np.exp(1j * angle[0])
+    orders = slice(order, order + 1), slice(0, order + 1)
+    by_angle = np.empty((order + 1, *np.shape(turned)), complex)
+    if order == 0:
+        by_angle[0] = 1j * turned
+        value = position[0] + turned
+    else:
+        a, by_rates = rotation(order, angle)
+        value = position[order] + a * turned
+        by_angle[0], by_angle[1:] = 1j * a * turned, by_rates * turned
+    return Linear(value, np.ones((1, *np.shape(turned)), complex), by_angle, *orders)
+
+
 def body_point_derivative(order: int, point: Complex, position: Complex, angle: Real) -> Complex:
     """
     The n-th derivative (m/s^n), order 1 to 4, of the body's point now at `point`.
