@@ -10,9 +10,10 @@ from test_centers import FOUR_BAR, four_bar, linkage, pin
 
 from kinpole_ros.mechanism._assembly import Rolling, Slot
 from kinpole_ros.mechanism._centers import instant_centers
-from kinpole_ros.mechanism._centrodes import centrodes, write_pitch_curves
+from kinpole_ros.mechanism._centrodes import centrodes
 from kinpole_ros.mechanism._loops import LinkageError
 from kinpole_ros.mechanism._mechanism import Mechanism
+from kinpole_ros.mechanism._pitch import write_pitch_curves
 
 pytestmark = pytest.mark.filterwarnings('error')
 
@@ -265,8 +266,11 @@ def test_pitch_curves_are_drawn_to_scale_in_millimeters(tmp_path: Path) -> None:
     right = 0.0
     for group, points, pins in zip(groups, (curves.fixed, curves.moving), curves.pins, strict=True):
         paths = [path.get('d', '') for path in group.findall(f'{space}path')]
-        drawn = np.array([part.split() for part in paths[0][2:].split(' L ')], float)
-        assert drawn == pytest.approx(1e3 * np.stack((points.real, -points.imag), axis=1), abs=1e-4)
+        # After a full turn it is closed.
+        assert paths[0].endswith(' Z')
+        drawn = np.array([part.split() for part in paths[0][2:-2].split(' L ')], float)
+        inside = points[:-1]
+        assert drawn == pytest.approx(1e3 * np.stack((inside.real, -inside.imag), axis=1), abs=1e-4)
         x, y = paths[1].split()[1:3]
         cross = complex(float(x) + 2, -float(y))
         assert cross == pytest.approx(1e3 * pins[0], abs=1e-3)
@@ -278,6 +282,42 @@ def test_pitch_curves_are_drawn_to_scale_in_millimeters(tmp_path: Path) -> None:
         assert top < drawn[:, 1].min()
         assert drawn[:, 1].max() < top + height
         assert [text.text for text in group.findall(f'{space}text')][:2] == ['x', 'y']
+
+
+def polylines(path: Path) -> list[tuple[str, bool, np.ndarray]]:
+    """Layer, whether closed, and points (n,) of each polyline of a DXF file, R12."""
+    rows = path.read_text(encoding='ascii').splitlines()
+    pairs = list(zip(map(int, rows[::2]), rows[1::2], strict=True))
+    assert pairs[-1] == (0, 'EOF')
+    found: list[tuple[str, bool, list[complex]]] = []
+    kind, last = '', {}
+    for code, value in [*pairs, (0, '')]:
+        if code == 0:
+            if kind == 'POLYLINE':
+                found.append((last[8], last[70] == '1', []))
+            elif kind == 'VERTEX':
+                found[-1][2].append(complex(float(last[10]), float(last[20])))
+            kind, last = value, {}
+        last[code] = value
+    return [(layer, closed, np.array(points)) for layer, closed, points in found]
+
+
+def test_pitch_curves_as_dxf_are_closed_where_they_close(tmp_path: Path) -> None:
+    curves = centrodes(antiparallelogram(0.3, 0.1), 'crank', 'rocker', 0.0, TURN, 200)
+    write_pitch_curves(tmp_path / 'gears.dxf', curves)
+    text = (tmp_path / 'gears.dxf').read_text()
+    assert text.startswith('999\nCentrodes of crank and rocker, in mm\n')
+    assert '\n1\nin mm\n' in text
+    for name, points in (('CRANK', curves.fixed), ('ROCKER', curves.moving)):
+        ((_, closed, drawn),) = [one for one in polylines(tmp_path / 'gears.dxf') if one[0] == name]
+        assert closed
+        shape = 1e3 * points[:-1]
+        np.testing.assert_allclose(drawn - drawn[0], shape - shape[0], atol=2e-6)
+    # Half a turn is open.
+    curves = centrodes(antiparallelogram(0.3, 0.1), 'crank', 'rocker', 0.1, 2.0, 50)
+    write_pitch_curves(tmp_path / 'half.dxf', curves)
+    layers = [one for one in polylines(tmp_path / 'half.dxf') if one[0] == 'CRANK']
+    assert [(closed, len(points)) for _, closed, points in layers] == [(False, 50)]
 
 
 def test_drawing_ends_where_the_curves_leave_for_infinity(tmp_path: Path) -> None:
@@ -298,10 +338,10 @@ def test_names_that_are_markup_are_escaped(tmp_path: Path) -> None:
 
 def test_files_that_cannot_be_written_are_named_in_one_line(tmp_path: Path) -> None:
     curves = centrodes(linkage(four_bar(), 'crank'), 'ground', 'coupler', 0.0, 1.0, 5)
-    with pytest.raises(LinkageError, match=r'curves\.dxf is no pitch curves; end its name in one'):
-        write_pitch_curves(tmp_path / 'curves.dxf', curves)
+    with pytest.raises(LinkageError, match=r'curves\.dwg is no pitch curves; end its name in one'):
+        write_pitch_curves(tmp_path / 'curves.dwg', curves)
     (tmp_path / 'taken').write_text('')
-    for suffix in ('csv', 'svg'):
+    for suffix in ('csv', 'dxf', 'svg'):
         with pytest.raises(LinkageError, match='cannot be written') as caught:
             write_pitch_curves(tmp_path / 'taken' / f'curves.{suffix}', curves)
         assert '\n' not in str(caught.value)

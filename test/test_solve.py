@@ -1,14 +1,18 @@
 """`kinpole solve`: what it prints, writes and refuses."""
 
+import base64
 import csv
+import json
 import re
 import xml.etree.ElementTree as ET
+import zlib
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
-from kinpole_ros.mechanism import load_scene, scene_names, scenes_folder
+from kinpole_ros.mechanism import SceneError, load_scene, poles, scene_names, scenes_folder
 from kinpole_ros.tools import cli
 from kinpole_ros.tools.solve import _picture, solve_scene
 from kinpole_ros.tools.solve._solved import over_range, over_time
@@ -367,6 +371,64 @@ def test_the_picture_is_one(capsys: pytest.CaptureFixture[str], tmp_path: Path) 
     assert image.shape[0] > 800
     assert image.shape[1] > 1500
     assert (image[..., :3] < 0.5).any()
+
+
+def figure_of(monkeypatch: pytest.MonkeyPatch, **asked: Any) -> Any:
+    """The figure that a picture is made of."""
+    figures = pytest.importorskip('matplotlib.figure')
+    made = []
+    monkeypatch.setattr(figures.Figure, 'savefig', lambda figure, *_, **__: made.append(figure))
+    solve_scene(**asked)
+    return made[0]
+
+
+def test_only_the_centrodes_asked_for_are_drawn(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    picture = tmp_path / 'a.png'
+    bare = figure_of(monkeypatch, scene='four_bar', picture=picture)
+    asked = figure_of(monkeypatch, scene='four_bar', picture=picture, curves=['coupler'])
+    few, more = (figure.axes[0].lines for figure in (bare, asked))
+    assert len(more) == len(few) + 2
+    fixed = next(line for line in more if line.get_linewidth() == 4)
+    icr = poles(
+        load_scene('four_bar').mechanism,
+        over_range(load_scene('four_bar'), 361).motion,
+    ).icr[1]
+    seen = fixed.get_xdata() + 1j * fixed.get_ydata()
+    np.testing.assert_allclose(seen[np.isfinite(seen)], icr[np.isfinite(seen)])
+    with pytest.raises(SceneError, match='no moving body wheel: give some of crank, coupler'):
+        solve_scene('four_bar', picture=picture, curves=['wheel'])
+
+
+def test_axes_do_not_show_rounding(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    figure = figure_of(monkeypatch, scene='cardan', picture=tmp_path / 'a.png')
+    _, rate, acceleration = figure.axes
+    low, high = rate.get_ylim()
+    assert high - low > 1 and low < 2 * np.pi < high
+    assert acceleration.get_ylim() == (-0.2, 0.2)
+
+
+def page_data(page: Path) -> Any:
+    (text,) = re.findall(r'<script id="data"[^>]*>([^<]*)</script>', page.read_text())
+    return json.loads(zlib.decompress(base64.b64decode(text)))
+
+
+def test_the_page_has_the_motion_that_is_solved(tmp_path: Path) -> None:
+    page = tmp_path / 'a.html'
+    solve_scene('double_pendulum', time='1', page=page)
+    data = page_data(page)
+    exact = load_scene('double_pendulum').motion(np.array(data['t']))['lower']
+    (lower,) = [body for body in data['bodies'] if body['name'] == 'lower']
+    np.testing.assert_allclose(lower['x'], exact.position[0].real, atol=1e-4)
+    np.testing.assert_allclose(lower['angular_velocity']['value'], exact.angle[1], atol=1e-3)
+    assert set(lower['angular_velocity']['sigma']) == {None}
+    assert {tuple(joint['bodies']) for joint in data['joints']} == {('upper',), ('lower', 'upper')}
+    # One driver: over its range, at the rate it is driven at; backward too.
+    solve_scene('rolling_wheel', page=page)
+    data = page_data(page)
+    assert data['t'][-1] == pytest.approx(1.0)
+    assert np.all(np.diff(data['bodies'][0]['angle']) < 0)
 
 
 @pytest.mark.parametrize(('at', 'mark'), [('10.5 deg', 370.5), ('45.5 deg', 45.5)])

@@ -2,13 +2,14 @@
 
 from kinpole_ros.mechanism._assembly import GROUND, Revolute, Rolling
 from kinpole_ros.mechanism._centers import Centers, center_name, explain, instant_centers
-from kinpole_ros.mechanism._centrodes import Centrodes, centrodes, write_pitch_curves
+from kinpole_ros.mechanism._centrodes import Centrodes, centrodes
 from kinpole_ros.mechanism._equations import Dimension, Equation, Equations, Part
 from kinpole_ros.mechanism._forces import Mass, Spring, Torsion, inertial_loads, spring_loads
 from kinpole_ros.mechanism._freed import freed_reactions
 from kinpole_ros.mechanism._loops import LinkageError
 from kinpole_ros.mechanism._mechanism import Mechanism, Motion
 from kinpole_ros.mechanism._motions import BodyMotion, marker_positions, rotation_derivatives
+from kinpole_ros.mechanism._pitch import write_pitch_curves
 from kinpole_ros.mechanism._poles import Poles, poles
 from kinpole_ros.mechanism._reactions import reactions, undetermined
 from kinpole_ros.mechanism._rewrite import rewritten

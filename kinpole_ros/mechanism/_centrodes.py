@@ -5,15 +5,11 @@ One rolls on the other without slip, so a pair of them, cut out and laid on each
 linkage does: pitch curves of non-circular gears.
 """
 
-import csv
-from html import escape
 from math import comb
-from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
-from kinpole_ros.files import whole
 from kinpole_ros.mechanism._assembly import GROUND, Revolute
 from kinpole_ros.mechanism._centers import extent
 from kinpole_ros.mechanism._loops import LinkageError
@@ -27,8 +23,8 @@ from kinpole_ros.planar import (
 )
 from kinpole_ros.planar._plane import Complex, Real
 
-# In sizes of the linkage: farther off a center is as good as at infinity; a picture ends here.
-_FARTHEST, _SHOWN = 1e3, 3.0
+# In sizes of the linkage: farther off a center is as good as at infinity.
+_FARTHEST = 1e3
 # A center that moves by less than so many sizes of the linkage per rad stands still.
 _STILL = 1e-9
 # Ends of a range this near to a change point, in shares of the range, are at it.
@@ -39,8 +35,6 @@ _CLEARANCE = 0.5
 # Nodes of Gauss's rule between two samples, for arc lengths.
 _NODES = 6
 _NOWHERE = complex(np.nan, np.nan)
-# Of the drawing, mm: its margin, the arms of an axis and of a pin's cross, a line, a letter.
-_MARGIN, _AXIS, _PIN, _LINE, _LETTER = 10.0, 8.0, 2.0, 0.25, 4.0
 
 
 class Centrodes(NamedTuple):
@@ -152,31 +146,6 @@ def centrodes(
     )
 
 
-def write_pitch_curves(path: str | Path, curves: Centrodes) -> None:
-    """
-    Write both centrodes to a file, by its suffix a table or a drawing.
-
-    CSV, in SI units: input, fixed_x, fixed_y, moving_x, moving_y, arc_length, piece; a row per
-    sample that has a center. SVG, true to scale: the curve in the frame of `one` and to its right
-    that of `other`, with the axes x and y of the frames and the pins of the bodies; it ends where
-    the center is more than 3 sizes of the linkage away. Raises LinkageError for another suffix and
-    for a file that cannot be written.
-    """
-    path = Path(path)
-    writers = {'.csv': _table, '.svg': _drawing}
-    write = writers.get(path.suffix.lower())
-    if write is None:
-        raise LinkageError(f'{path} is no pitch curves; end its name in one of csv, svg')
-    try:
-        with whole(path) as part:
-            write(part, curves)
-    except OSError as error:
-        raise LinkageError(
-            f'{path} cannot be written: {error.strerror}; '
-            'fix: check the path, its rights and the space on the disk'
-        ) from error
-
-
 def _range(
     mechanism: Mechanism, low: float, high: float
 ) -> tuple[float, float, tuple[bool, bool], Real]:
@@ -262,77 +231,3 @@ def _pins(mechanism: Mechanism, body: str) -> Complex:
     points = [joint.a for joint in joints if joint.one == body]
     points += [joint.b for joint in joints if joint.other == body]
     return np.array(list(dict.fromkeys(complex(point) for point in points)), complex)
-
-
-def _table(path: Path, curves: Centrodes) -> None:
-    with open(path, 'w', newline='', encoding='utf-8') as file:
-        rows = csv.writer(file)
-        names = 'input fixed_x fixed_y moving_x moving_y arc_length piece'
-        rows.writerow(names.split())
-        columns = (
-            curves.at,
-            curves.fixed.real,
-            curves.fixed.imag,
-            curves.moving.real,
-            curves.moving.imag,
-            curves.fixed_length,
-            curves.piece,
-        )
-        there = curves.piece >= 0
-        rows.writerows(zip(*(column[there].tolist() for column in columns), strict=True))
-
-
-def _drawing(path: Path, curves: Centrodes) -> None:
-    near = np.minimum(np.abs(curves.fixed), np.abs(curves.moving)) < _SHOWN * curves.size
-    number = np.where(near, curves.piece, -1)
-    # Where a drawn piece leaves the paper and comes back it is two lines.
-    breaks = np.flatnonzero(np.diff(number)) + 1
-    runs = [run for run in np.split(np.arange(len(number)), breaks) if number[run[0]] >= 0]
-    parts, left, top, bottom = [], _MARGIN, 0.0, 0.0
-    for name, points, pins in (
-        (curves.one, curves.fixed, curves.pins[0]),
-        (curves.other, curves.moving, curves.pins[1]),
-    ):
-        # In mm; y points downward in a picture.
-        points, pins = 1e3 * points.conj(), 1e3 * pins.conj()
-        drawn = np.concatenate([points[run] for run in runs] + [pins])
-        low = min(drawn.real.min(), -_AXIS)
-        shift = left - low
-        parts.append(f'<g id="{escape(name)}" transform="translate({shift:.4f} 0)">')
-        parts += [_line(points[run]) for run in runs]
-        parts += [_cross(pin) for pin in pins]
-        parts += [_line(np.array([0, _AXIS])), _line(np.array([0, -1j * _AXIS]))]
-        parts += [
-            f'<text x="{x}" y="{y}" font-size="{_LETTER}">{text}</text>'
-            for x, y, text in (
-                (_AXIS + 1, _LETTER / 2, 'x'),
-                (-_LETTER / 2, -_AXIS - 1, 'y'),
-                (0, _AXIS + _LETTER, escape(name)),
-            )
-        ]
-        parts.append('</g>')
-        left = shift + max(drawn.real.max(), 2 * _AXIS) + _MARGIN
-        top = min(top, drawn.imag.min(), -_AXIS - _LETTER)
-        bottom = max(bottom, drawn.imag.max(), _AXIS + _LETTER)
-    top, height = top - _MARGIN, bottom - top + 2 * _MARGIN
-    text = [
-        f'<svg xmlns="http://www.w3.org/2000/svg" width="{left:.4f}mm" height="{height:.4f}mm" '
-        f'viewBox="0 {top:.4f} {left:.4f} {height:.4f}">',
-        f'<title>Centrodes of {escape(curves.one)} and {escape(curves.other)}</title>',
-        *parts,
-        '</svg>',
-    ]
-    path.write_text('\n'.join(text) + '\n', encoding='utf-8')
-
-
-def _line(points: Complex) -> str:
-    places = ' L '.join(f'{p.real:.4f} {p.imag:.4f}' for p in points)
-    return f'<path d="M {places}" fill="none" stroke="black" stroke-width="{_LINE}"/>'
-
-
-def _cross(place: complex) -> str:
-    x, y, arm = place.real, place.imag, _PIN
-    return (
-        f'<path d="M {x - arm:.4f} {y:.4f} H {x + arm:.4f} M {x:.4f} {y - arm:.4f} '
-        f'V {y + arm:.4f}" fill="none" stroke="black" stroke-width="{_LINE}"/>'
-    )

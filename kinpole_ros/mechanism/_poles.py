@@ -16,7 +16,8 @@ _INFINITY, _STILL = 1e9, 1e-9
 
 class Poles(NamedTuple):
     """
-    Of bodies (B) at T positions: `icr`, `iap` and `ijp` (B, T), complex, m, in the ground's frame.
+    Of bodies (B) at T positions: `icr`, `iap`, `ijp` and `isp` (B, T), complex, m, in the ground's
+    frame.
 
     `velocity` (B, T), complex, m/s, is that of the ICR along the centrodes, `curvature` (B, T),
     1/m, that of the fixed centrode. NaN where there is none: at infinity, at a dead point, and of
@@ -26,24 +27,25 @@ class Poles(NamedTuple):
     icr: Complex
     iap: Complex
     ijp: Complex
+    isp: Complex
     velocity: Complex
     curvature: Real
 
 
 def poles(mechanism: Mechanism, motion: Motion) -> Poles:
-    """The poles of all bodies in a motion up to jerk or more, (orders, B, T)."""
+    """The poles of all bodies in a motion up to the snap, (5, B, T)."""
     position, angle = motion.position, motion.angle
     middle, size = extent(mechanism, motion.values[0])
     with np.errstate(all='ignore'):
         found = []
-        for order in (1, 2, 3):
+        for order in (1, 2, 3, 4):
             place = pole(order, position, angle).value
             near = np.abs(place - middle) < _INFINITY * size
             found.append(np.where(near, place, complex(np.nan, np.nan)))
-        icr, iap, ijp = found
+        icr, iap, ijp, isp = found
         there, still = np.isfinite(icr), _STILL * size * np.abs(angle[1])
         velocity = np.where(there, icr_velocity(position, angle).value, complex(np.nan, np.nan))
         velocity = np.where(np.abs(velocity) < still, 0.0, velocity)
         bend = centrode_curvature(position, angle).value
         curvature = np.where(np.abs(velocity) > still, bend, np.nan)
-    return Poles(icr, iap, ijp, velocity, curvature)
+    return Poles(icr, iap, ijp, isp, velocity, curvature)

@@ -403,7 +403,7 @@ def _solve(options: argparse.Namespace) -> int:
     from kinpole_ros.tools.solve import solve_scene
 
     pitch = options.pitch[2] if options.pitch else None
-    _keep(options.scene, options.csv, options.plot, pitch)
+    _keep(options.scene, options.csv, options.plot, pitch, options.html)
     lines = solve_scene(
         options.scene,
         options.at,
@@ -414,6 +414,8 @@ def _solve(options: argparse.Namespace) -> int:
         options.plot,
         options.pitch,
         options.time,
+        options.html,
+        options.centrodes,
     )
     print('\n'.join(map(printable, lines)))
     return 0

@@ -207,10 +207,18 @@ def make_parser() -> argparse.ArgumentParser:
     solve.add_argument('--csv', metavar='FILE', help='all figures as a table, SI units')
     solve.add_argument('--plot', metavar='FILE.png', help='the linkage, and rates over the range')
     solve.add_argument(
+        '--centrodes',
+        nargs='+',
+        default=(),
+        metavar='BODY',
+        help='draw their centrodes (--plot)',
+    )
+    solve.add_argument('--html', metavar='FILE.html', help='the linkage in motion, as in a report')
+    solve.add_argument(
         '--pitch',
         nargs=3,
         metavar=('BODY', 'BODY', 'FILE'),
-        help='centrodes of two bodies as pitch curves: .csv, or .svg true to scale',
+        help='centrodes of two bodies as pitch curves: .csv, or .svg, .dxf true to scale',
     )
 
     _add_discover(commands)

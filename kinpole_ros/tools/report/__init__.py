@@ -22,7 +22,7 @@ from kinpole_ros.tools.report._pack import embedded, pack
 from kinpole_ros.tools.report._record import Collector, Record
 from kinpole_ros.tools.report._results import has_results, read_record
 
-__all__ = ['page', 'report', 'settings_for']
+__all__ = ['Record', 'pack', 'page', 'report', 'settings_for']
 
 _PAGE = Path(__file__).parent / 'page'
 # In this order: each uses those before it.

@@ -16,8 +16,9 @@ from kinpole_ros.pipeline.estimate import POLE_NAMES, RATE_NAMES
 from kinpole_ros.tools.report._record import Columns, Record, joints_of
 
 Json: TypeAlias = dict[str, Any]
-# Of a deviation, of its largest figure, and of a figure itself: finer than this is not kept.
-_OF_SIGMA, _OF_LARGEST, _OF_ITSELF = 0.1, 1e-5, 1e-7
+# Of a deviation, of its larger figures, and of a figure itself: finer than this is not kept.
+_OF_SIGMA, _OF_LARGER, _OF_ITSELF = 0.1, 1e-5, 1e-7
+_LARGE = 0.9
 _DIRECTION = 0.02  # rad, of an ellipse
 
 
@@ -114,10 +115,12 @@ def _velocity(columns: Columns, body: str) -> Json:
 
 
 def rounded(values: np.ndarray, sigma: np.ndarray | None = None) -> list[float | None]:
-    """Figures to a tenth of their deviation, to five digits of the largest where it has none."""
+    """Figures to a tenth of their deviation, to five digits of the larger ones without any."""
     known = np.isfinite(values)
     size = np.abs(np.where(known, values, 0.0))
-    step = np.full(values.shape, _OF_LARGEST * size.max(initial=0.0))
+    # Not the very largest: next to a limit rates have no bound.
+    large = np.quantile(size, _LARGE) if len(size) else 0.0
+    step = np.full(values.shape, _OF_LARGER * large)
     if sigma is not None:
         step = np.where(np.isfinite(sigma) & (sigma > 0), _OF_SIGMA * sigma, step)
     return _listed(_to(values, np.maximum(step, _OF_ITSELF * size)))

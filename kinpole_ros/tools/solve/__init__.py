@@ -46,16 +46,24 @@ def solve_scene(
     picture: str | Path | None = None,
     pitch: Sequence[str] | None = None,
     time: str | None = None,
+    page: str | Path | None = None,
+    curves: Sequence[str] = (),
 ) -> list[str]:
     """
-    The analysis as lines to print; also writes the CSV `table`, the `picture`, the `pitch` curves.
+    The analysis as lines to print; also writes the CSV `table`, the `picture`, the `pitch` curves
+    and the HTML `page`.
 
     `at` is a value of the one driver, with a unit or in SI; `sweep` takes all the way the linkage
     gives it; `time` all drivers as they move, from 0 to so long, with a unit or in s; none of them,
-    the position at time 0. `pitch` is two bodies and a file (.csv or .svg). Raises SceneError and
+    the position at time 0. `pitch` is two bodies and a file (.csv, .svg or .dxf),
+    `curves` are bodies whose centrodes the picture has. Raises SceneError and
     LinkageError for what the scene cannot do, SceneError for files too.
     """
     loaded = load_scene(scene)
+    for body in curves:
+        if body not in loaded.mechanism.bodies:
+            names = ', '.join(loaded.mechanism.bodies)
+            raise SceneError(f'--centrodes: there is no moving body {body}: give some of {names}')
     here = over_time(loaded, np.zeros(1)) if at is None else at_value(loaded, at)
     asked = here
     if time is not None:
@@ -81,18 +89,24 @@ def solve_scene(
         one, other, file = pitch
         way = _whole(asked).inputs[0]
         low, high = float(way.min()), float(way.max())
-        curves = centrodes(loaded.mechanism, one, other, low, high)
-        write_pitch_curves(file, curves)
+        rolled = centrodes(loaded.mechanism, one, other, low, high)
+        write_pitch_curves(file, rolled)
         lines.append(
             f'the curves of {one} and {other} roll on each other, arc lengths equal to '
-            f'{curves.slip:.1e}; written to {file}'
+            f'{rolled.slip:.1e}; written to {file}'
         )
+    if page:
+        from kinpole_ros.tools.solve._page import write_page
+
+        with _writing(page) as part:
+            write_page(part, _whole(asked))
+        lines.append(f'written to {page}')
     if picture:
         from kinpole_ros.tools.solve._picture import draw
 
         kind, whole = _kind_of(Path(picture)), _whole(asked)
         with _writing(picture) as part:
-            draw(part, kind, whole, drawn(whole, here), centers)
+            draw(part, kind, whole, drawn(whole, here), centers, curves)
         lines.append(f'written to {picture}')
     return lines
 

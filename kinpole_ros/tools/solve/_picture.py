@@ -5,25 +5,36 @@ Readable in black and white: lines differ by dashes and markers too.
 """
 
 import os
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from kinpole_ros.mechanism import Rolling, center_name
-from kinpole_ros.planar import pole
-from kinpole_ros.tools.solve._solved import Solved, centers_of, driver_unit, point_motions
+from kinpole_ros.mechanism import Rolling, center_name, poles
+from kinpole_ros.tools.solve._solved import (
+    Solved,
+    centers_of,
+    driver_unit,
+    point_motions,
+    rates_of,
+)
 
 _SIZE, _DPI = (12.5, 6.2), 150  # inches
 _DASHES: tuple[Any, ...] = ('-', '--', '-.', ':', (0, (5, 1, 1, 1, 1, 1)))
 _GRAYS = ('#000000', '#0060a8', '#a83200', '#00785a', '#7a4fa0', '#777777')
 # The longest arrow of a velocity, and how far out a center is still drawn, of the linkage's size.
 _ARROW, _FAR = 0.35, 1.2
+# Rates that differ by less than this part of them are one, but for rounding.
+_FLAT = 1e-6
 
 
-def draw(path: Path, kind: str, solved: Solved, here: Solved, centers: bool) -> None:
+def draw(
+    path: Path, kind: str, solved: Solved, here: Solved, centers: bool, curves: Sequence[str]
+) -> None:
     """
-    Draw the range of `solved` with the linkage at the one position `here` to a file of that kind.
+    Draw the range of `solved` with the linkage at the one position `here` to a file of that kind,
+    the centrodes of the bodies `curves` and, with `centers`, the instant centers.
 
     Raises OSError where it cannot be written.
     """
@@ -31,18 +42,19 @@ def draw(path: Path, kind: str, solved: Solved, here: Solved, centers: bool) -> 
 
     figure = Figure(figsize=_SIZE, layout='constrained')
     grid = figure.add_gridspec(2, 2, width_ratios=(1.35, 1))
-    _draw_linkage(figure.add_subplot(grid[:, 0]), solved, here, centers)
+    _draw_linkage(figure.add_subplot(grid[:, 0]), solved, here, centers, curves)
     at, mark, label, title = _way(solved, here)
+    rates = rates_of(solved.motion)
     for row, (order, name) in enumerate(
         ((1, 'angular velocity (rad/s)'), (2, 'angular acceleration (rad/s²)'))
     ):
         axis = figure.add_subplot(grid[row, 1])
         for b, body in enumerate(solved.scene.mechanism.bodies):
-            values = solved.motion.angle[order, b]
+            values = rates[order, b]
             style = {'linestyle': _DASHES[b % len(_DASHES)], 'color': _GRAYS[b % len(_GRAYS)]}
             axis.plot(at, values, label=body, linewidth=1.4, **style)
         axis.axvline(mark, color='#999999', linewidth=0.8)
-        _tame(axis, solved.motion.angle[order])
+        _tame(axis, rates[order])
         axis.set_ylabel(name)
         axis.grid(alpha=0.3)
         axis.set_xlabel(label if row else '')
@@ -69,8 +81,16 @@ def _way(solved: Solved, here: Solved) -> tuple[np.ndarray, float, str, str]:
 
 
 def _tame(axis: Any, values: np.ndarray) -> None:
-    """Leave out the poles of rates at limits, where nothing else would be seen."""
-    finite = np.abs(values[np.isfinite(values)])
+    """
+    Leave out the poles of rates at limits, where nothing else would be seen; what hardly changes is
+    drawn over an axis of its own size.
+    """
+    known = values[np.isfinite(values)]
+    finite = np.abs(known)
+    if len(finite) and np.ptp(known) <= _FLAT * finite.max():
+        middle = known.mean()
+        axis.set_ylim(middle - 0.2 * (abs(middle) or 1.0), middle + 0.2 * (abs(middle) or 1.0))
+        return
     if len(finite) and finite.max() > 20 * np.percentile(finite, 90) > 0:
         reach = 4 * np.percentile(finite, 90)
         axis.set_ylim(-reach, reach)
@@ -88,7 +108,9 @@ def _places(solved: Solved) -> dict[str, list[np.ndarray]]:
     return places
 
 
-def _draw_linkage(axis: Any, solved: Solved, at: Solved, centers: bool) -> None:
+def _draw_linkage(
+    axis: Any, solved: Solved, at: Solved, centers: bool, curves: Sequence[str] = ()
+) -> None:
     scene, bodies = solved.scene, solved.scene.mechanism.bodies
     fixed = np.array([p for body, p in scene.points.values() if body not in bodies])
     ways, places = _places(solved), _places(at)
@@ -155,7 +177,8 @@ def _draw_linkage(axis: Any, solved: Solved, at: Solved, centers: bool) -> None:
         axis.plot(rim.real, rim.imag, color=color, linewidth=1.5 if b >= 0 else 1.0, zorder=3)
     if centers:
         low, high = _draw_centers(axis, at, low, high, reach)
-    centrode = _draw_centrodes(axis, solved, (low + high) / 2, (0.5 + _FAR) * abs(high - low))
+    far = (0.5 + _FAR) * abs(high - low)
+    _draw_centrodes(axis, solved, at, curves, (low + high) / 2, far)
     margin = 0.08 * max(abs(high - low), reach)
     axis.set_xlim(low.real - margin, high.real + margin)
     axis.set_ylim(low.imag - margin, high.imag + margin)
@@ -164,7 +187,7 @@ def _draw_linkage(axis: Any, solved: Solved, at: Solved, centers: bool) -> None:
     axis.set_ylabel('y (m)')
     axis.set_title(
         f'arrows: velocities, the longest {fastest:.3g} m/s'
-        + ('; wide: fixed centrodes' if centrode else '')
+        + ('; wide: fixed centrodes, dashed: moving' if curves else '')
         + ('; crosses: instant centers' if centers else ''),
         fontsize=10,
     )
@@ -219,16 +242,24 @@ def _wheels(at: Solved) -> list[tuple[int, np.ndarray]]:
     return wheels
 
 
-def _draw_centrodes(axis: Any, solved: Solved, middle: complex, far: float) -> bool:
-    """The way of each body's ICR over the range, where it is near; whether there was any."""
-    motion, drawn = solved.motion, False
-    for b in range(len(solved.scene.mechanism.bodies)):
-        icr = pole(1, motion.position[:, b], motion.angle[:, b]).value
-        icr = np.where(np.abs(icr - middle) < far, icr, complex(np.nan, np.nan))
-        if np.isfinite(icr).sum() > 2 and np.nanmax(np.abs(icr - np.nanmean(icr))) > 1e-6 * far:
-            axis.plot(icr.real, icr.imag, color='#bcd9f2', linewidth=4, zorder=0)
-            drawn = True
-    return drawn
+def _draw_centrodes(
+    axis: Any, solved: Solved, at: Solved, names: Sequence[str], middle: complex, far: float
+) -> None:
+    """Centrodes of some bodies over the range, where they are near: fixed, and rolling on it."""
+    motion, bodies = solved.motion, solved.scene.mechanism.bodies
+    found = poles(solved.scene.mechanism, motion)
+    for b, body in enumerate(bodies):
+        if body not in names:
+            continue
+        seen = (found.icr[b] - motion.position[0, b]) * np.exp(-1j * motion.angle[0, b])
+        moving = at.motion.position[0, b, 0] + seen * np.exp(1j * at.motion.angle[0, b, 0])
+        color = _GRAYS[b % len(_GRAYS)]
+        for curve, style in ((found.icr[b], '-'), (moving, '--')):
+            near = np.where(np.abs(curve - middle) < far, curve, complex(np.nan, np.nan))
+            width = 4 if style == '-' else 1.2
+            axis.plot(
+                near.real, near.imag, style, color=color, alpha=0.35, linewidth=width, zorder=0
+            )
 
 
 def _draw_centers(

@@ -26,6 +26,8 @@ _TURN = 2 * np.pi
 # A value this near to a limit is the limit as printed, with nine digits; so far beyond it is
 # looked for.
 _PRINTED, _BEYOND = 5e-9, 1e-6
+# Of what the fastest body has, rates below this are rounding.
+_NOISE = 1e-9
 
 Limits = tuple[float | None, float | None]
 
@@ -210,6 +212,15 @@ def point_motions(solved: Solved) -> dict[str, np.ndarray]:
 def centers_of(solved: Solved) -> Centers:
     several = len(solved.rates) > 1
     return instant_centers(solved.scene.mechanism, solved.values, solved.rates if several else None)
+
+
+def rates_of(motion: Motion) -> np.ndarray:
+    """Angles and their derivatives (5, B, T), zero where they are rounding next to the fastest."""
+    found = np.array(motion.angle)
+    fastest = np.nanmax(np.abs(found[1]), initial=0.0)
+    for order in range(1, len(found)):
+        found[order][np.abs(found[order]) < _NOISE * fastest**order] = 0.0
+    return found
 
 
 class Acting(NamedTuple):

@@ -61,7 +61,7 @@ def write_table(path: Path, solved: Solved, centers: bool, statics: bool) -> Non
             columns[f'{name}_y{what}'] = places[k].imag
     found_poles = poles(solved.scene.mechanism, solved.motion)
     for b, body in enumerate(solved.scene.mechanism.bodies):
-        for what in ('icr', 'iap', 'ijp'):
+        for what in ('icr', 'iap', 'ijp', 'isp'):
             points = getattr(found_poles, what)[b]
             columns[f'{body}_{what}_x'], columns[f'{body}_{what}_y'] = points.real, points.imag
         columns[f'{body}_icr_velocity_x'] = found_poles.velocity[b].real

@@ -33,7 +33,7 @@ function makeCharts(element, page, data) {
     figure.querySelector('b').textContent = spec.title;
     figure.querySelector('.unit').textContent = spec.unit;
     if (!spec.series.some(({ sigma }) => sigma?.some(isFinite))) {
-      figure.firstChild.append(tag('span', 'no deviations in this bag', { class: 'unit' }));
+      figure.firstChild.append(tag('span', data.exact ? 'solved' : 'no deviations in this bag', { class: 'unit' }));
     }
     if (spec.series.some(({ theory }) => theory)) {
       figure.firstChild.append(tag('span', `dashed: theory of ${data.scene}`, { class: 'unit' }));
@@ -93,7 +93,9 @@ function makeCharts(element, page, data) {
     // Bands are seen whole as a rule, as long as they leave something to see of the figures.
     const [band, wide] = noise.length ? [0.5, 0.75].map((part) => quantile(noise, part)) : [0, 0];
     const usual = Math.min(wide, Math.max(band, p - q));
-    const room = Math.max(0.4 * (p - q), usual, 1e-6 * Math.max(Math.abs(p), Math.abs(q)), 1e-12);
+    // What is one figure throughout has an axis of its own size.
+    const flat = p === q ? 0.2 * Math.abs(p) || 1 : 1e-6 * Math.max(Math.abs(p), Math.abs(q));
+    const room = Math.max(0.4 * (p - q), usual, flat);
     const low = Math.max(found[0] - usual, q - room);
     const high = Math.min(found[found.length - 1] + usual, p + room);
     const margin = 0.06 * (high - low) || room;

@@ -1,0 +1,108 @@
+"""
+The page of `kinpole solve --html`: that of a report, of a motion that is solved and not measured.
+
+Figures have no deviations there. All else, the linkage in motion and its centrodes rolling, is the
+report's.
+"""
+
+from pathlib import Path
+
+import numpy as np
+
+from kinpole_ros import __version__
+from kinpole_ros.mechanism import Rolling, Scene, poles
+from kinpole_ros.pipeline.estimate import POLE_NAMES, RATE_NAMES
+from kinpole_ros.tools.report import Record, pack, page
+from kinpole_ros.tools.solve._solved import Solved, centers_of, rates_of
+
+# In sizes of the bodies.
+_ZERO = 1e-9
+_RIM = np.exp(1j * np.linspace(0, 2 * np.pi, 12, endpoint=False))
+
+
+def write_page(path: Path, solved: Solved) -> None:
+    """Write the motion over time, or over a range at the rate it is driven at, as one HTML file."""
+    record = _record(solved)
+    scene = solved.scene
+    seconds = (record.stamp[-1] - record.stamp[0]) * 1e-9
+    driven = ', '.join(driver.name for driver in scene.mechanism.drivers)
+    data = {
+        **pack(record),
+        'title': scene.name,
+        'about': f'solved, not measured: {len(record.stamp)} positions in {seconds:.4g} s, '
+        f'driven: {driven}',
+        'notes': [],
+        'scene': scene.name,
+        'deviations': [],
+        'exact': True,
+        'made': f'kinpole {__version__}',
+    }
+    path.write_text(page(data), encoding='utf-8')
+
+
+def _record(solved: Solved) -> Record:
+    """The motion as a report has it, by rising time."""
+    mechanism, motion = solved.scene.mechanism, solved.motion
+    times = solved.times
+    if times is None:
+        times = solved.inputs[0] / solved.rates[0]
+    order = np.argsort(times)
+    stamp = np.round((times - times.min())[order] * 1e9).astype(np.int64)
+    count = len(stamp)
+    none, even = np.full(count, np.nan), np.full((count, 2, 2), np.nan)
+    columns: dict[tuple[str | tuple[str, str], str], np.ndarray] = {}
+    found, angles = poles(mechanism, motion), rates_of(motion)
+    dead = ~motion.regular[order]
+    outlines, sizes = {}, {}
+    for b, body in enumerate(mechanism.bodies):
+        angle = angles[:, b, order]
+        columns[body, 'position'] = motion.position[0, b, order]
+        columns[body, 'velocity'] = motion.position[1, b, order]
+        columns[body, 'position_sigma'] = columns[body, 'angle_sigma'] = none
+        columns[body, 'angle'] = angle[0]
+        columns[body, 'missing'] = np.full(count, '', object)
+        rates = dict(zip(RATE_NAMES, angle[1:], strict=True))
+        for name, values in (rates | {'centrode_curvature': found.curvature[b, order]}).items():
+            columns[body, name], columns[body, f'{name}_sigma'] = values, none
+        u = found.velocity[b, order]
+        places = {name: getattr(found, name)[b, order] for name in POLE_NAMES}
+        for name, points in (places | {'icr_velocity': u}).items():
+            columns[body, name], columns[body, f'{name}_covariance'] = points, even
+        for name in (*POLE_NAMES, 'centrode_curvature'):
+            why = np.where(np.isnan(columns[body, name]), 'at infinity', '').astype(object)
+            if name == 'centrode_curvature':
+                why[(why != '') & (u == 0)] = 'the ICR stands still'
+            why[dead & (why != '')] = 'dead point'
+            columns[body, f'{name}_withheld'] = why
+        outline = _outline(solved.scene, body)
+        outlines[body] = [(0, outline)]
+        sizes[body] = float(np.abs(outline[:, None] - outline).max()) or float('nan')
+    centers = centers_of(solved)
+    for (i, j), points in zip(centers.pairs, centers.points, strict=True):
+        if i:
+            pair = centers.bodies[j], centers.bodies[i]
+            columns[pair, 'icr'], columns[pair, 'icr_covariance'] = points[order], even
+    size = max(sizes.values())
+    for (_, name), values in columns.items():
+        if name in (*POLE_NAMES, 'position'):
+            # A coordinate that is zero but for rounding.
+            for part in (values.real, values.imag):
+                part[np.abs(part) < _ZERO * size] = 0.0
+    return Record(stamp, count, mechanism.bodies, columns, sizes, outlines, ('x', 'y'))
+
+
+def _outline(scene: Scene, body: str) -> np.ndarray:
+    """Points of a body (n,), complex, m, in its frame: those named, of its rims, of its vector."""
+    assembly = scene.mechanism.assembly
+    found = [place for of, place in scene.points.values() if of == body]
+    for joint in assembly.joints:
+        if isinstance(joint, Rolling) and joint.other == body:
+            found += [*(joint.b + joint.radius * _RIM)]
+        elif isinstance(joint, Rolling) and joint.one == body and joint.circle:
+            found += [*(joint.a + joint.circle * _RIM)]
+    if not assembly.joints:
+        # Each vector that turns is a body, in the same order.
+        loops = assembly.loops
+        term = np.flatnonzero(loops.angles.any(axis=1))[scene.mechanism.bodies.index(body)]
+        found += [0j, complex(loops.length0[term] * np.exp(1j * loops.angle0[term]))]
+    return np.array(list(dict.fromkeys(found)) or [0j])
