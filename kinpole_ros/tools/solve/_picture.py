@@ -7,6 +7,7 @@ Readable in black and white: lines differ by dashes and markers too.
 import os
 from collections.abc import Sequence
 from pathlib import Path
+from textwrap import fill
 from typing import Any
 
 import numpy as np
@@ -25,6 +26,8 @@ _DASHES: tuple[Any, ...] = ('-', '--', '-.', ':', (0, (5, 1, 1, 1, 1, 1)))
 _GRAYS = ('#000000', '#0060a8', '#a83200', '#00785a', '#7a4fa0', '#777777')
 # The longest arrow of a velocity, and how far out a center is still drawn, of the linkage's size.
 _ARROW, _FAR = 0.35, 1.2
+# Letters of a title in a line.
+_TITLE = 60
 # Rates that differ by less than this part of them are one, but for rounding.
 _FLAT = 1e-6
 
@@ -185,12 +188,10 @@ def _draw_linkage(
     axis.set_aspect('equal')
     axis.set_xlabel('x (m)')
     axis.set_ylabel('y (m)')
-    axis.set_title(
-        f'arrows: velocities, the longest {fastest:.3g} m/s'
-        + ('; wide: fixed centrodes, dashed: moving' if curves else '')
-        + ('; crosses: instant centers' if centers else ''),
-        fontsize=10,
-    )
+    title = f'arrows: velocities, the longest {fastest:.3g} m/s'
+    title += '; wide: fixed centrodes, dashed: moving' if curves else ''
+    title += '; crosses: instant centers' if centers else ''
+    axis.set_title(fill(title, _TITLE), fontsize=10)
 
 
 def _halo() -> list[Any]:
