@@ -54,7 +54,7 @@ def check_range(mechanism: Mechanism, driven: list[Driven]) -> None:
         size, unit = 1.0, 's'
         if len(driven) == 1:
             size, unit = (180 / pi, 'deg') if mechanism.kind(0) == 'angle' else (1.0, 'm')
-        return f'{first * size:.6g} to {last * size:.6g} {unit}'
+        return f'{first * size:.9g} to {last * size:.9g} {unit}'
 
     raise SceneError(
         f"'drivers' ask for {what} {way(low, high)}, but the linkage goes from {way(*reach)}{why}: "

@@ -194,11 +194,17 @@ def tabulate(linkage: Linkage, path: Path, inputs: Inputs = unit_input) -> Table
     guess = sum(path.values[k][:, near] * (step**k / factorial(k)) for k in range(5))
     found = solve(linkage, inputs(at), np.asarray(guess), 4)
     good, rows = found.regular, list(linkage.unknown)
-    at = at[good]
+    at, rates = at[good], np.abs(found.values[1:3][:, rows][:, :, good]).max(axis=1, initial=0.0)
     easy = all(block.dyad for block in linkage.blocks)
     easy &= bool((np.abs(found.determinant) > _EASY).all())
+    # A series reaches as far as its terms fall, which next to a limit is as good as nowhere.
+    gap = np.diff(at)
+    with np.errstate(divide='ignore', invalid='ignore'):
+        reach = np.nan_to_num(rates[0] / rates[1], nan=np.inf, posinf=np.inf)
+        one, other = np.minimum(reach[:-1], gap), np.minimum(reach[1:], gap)
+        share = np.nan_to_num(one / (one + other), nan=0.5)
     return Table(
-        (at[1:] + at[:-1]) / 2,
+        at[:-1] + share * gap,
         at,
         np.ascontiguousarray(found.values[: 2 if easy else 4, rows][:, :, good]),
         path.period,
