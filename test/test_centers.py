@@ -8,16 +8,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from kinpole_ros.mechanism import _centers
+from kinpole_ros.mechanism import _kennedy
 from kinpole_ros.mechanism._assembly import Joint, Revolute, Rolling, Slot, Strut, assemble
-from kinpole_ros.mechanism._centers import (
-    Centers,
-    centers_by_rates,
-    deduce,
-    explain,
-    instant_centers,
-    kennedy_centers,
-)
+from kinpole_ros.mechanism._centers import Centers, centers_by_rates, instant_centers
+from kinpole_ros.mechanism._kennedy import deduce, explain, kennedy_centers
 from kinpole_ros.mechanism._loops import LinkageError
 from kinpole_ros.mechanism._mechanism import Driver, Mechanism
 from kinpole_ros.planar import relative_pole
@@ -403,7 +397,7 @@ def _near(places: Any, origin: complex) -> Any:
 @pytest.mark.parametrize('name', ['four-bar', 'slider-crank', 'watt', 'eight-bar'])
 def test_all_positions_are_evaluated_at_once(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     calls: list[int] = []
-    cross = _centers._cross
+    cross = _kennedy.cross
 
     def counted(one: Any, other: Any) -> Any:
         calls.append(one[0].shape[-1])
@@ -411,7 +405,7 @@ def test_all_positions_are_evaluated_at_once(name: str, monkeypatch: pytest.Monk
 
     mechanism, many = swept(name, 1000)
     steps = deduce(mechanism, many)
-    monkeypatch.setattr(_centers, '_cross', counted)
+    monkeypatch.setattr(_kennedy, 'cross', counted)
     whole = kennedy_centers(mechanism, steps, many)
     needed = len(calls)
     single = kennedy_centers(mechanism, steps, many[:, 500:501])

@@ -1,11 +1,12 @@
 """Mechanisms whose motion is known exactly: the truth that measured kinematics is held against."""
 
 from kinpole_ros.mechanism._assembly import GROUND, Revolute, Rolling
-from kinpole_ros.mechanism._centers import Centers, center_name, explain, instant_centers
+from kinpole_ros.mechanism._centers import Centers, instant_centers
 from kinpole_ros.mechanism._centrodes import Centrodes, centrodes
 from kinpole_ros.mechanism._equations import Dimension, Equation, Equations, Part
 from kinpole_ros.mechanism._forces import Mass, Spring, Torsion, inertial_loads, spring_loads
 from kinpole_ros.mechanism._freed import freed_reactions
+from kinpole_ros.mechanism._kennedy import center_name, explain
 from kinpole_ros.mechanism._loops import LinkageError
 from kinpole_ros.mechanism._mechanism import Mechanism, Motion
 from kinpole_ros.mechanism._motions import BodyMotion, marker_positions, rotation_derivatives

@@ -11,10 +11,10 @@ from typing import NamedTuple
 import numpy as np
 
 from kinpole_ros.mechanism._assembly import GROUND, Revolute
-from kinpole_ros.mechanism._centers import extent
 from kinpole_ros.mechanism._loops import LinkageError
 from kinpole_ros.mechanism._mechanism import Mechanism, Motion
 from kinpole_ros.mechanism._motions import rotation_derivatives
+from kinpole_ros.mechanism._places import extent
 from kinpole_ros.planar import (
     centrode_curvature,
     icr_velocity,

@@ -15,18 +15,11 @@ import numpy as np
 import numpy.typing as npt
 
 from kinpole_ros.mechanism._assembly import Assembly
+from kinpole_ros.mechanism._dead_points import flattest, loop_of, unit_input
+from kinpole_ros.mechanism._guesses import Table, initial_guess, tabulate
 from kinpole_ros.mechanism._loops import Linkage, LinkageError, reduce, sums, weigh
 from kinpole_ros.mechanism._motions import rotation_derivatives
-from kinpole_ros.mechanism._path import (
-    Path,
-    Table,
-    flattest,
-    initial_guess,
-    loop_of,
-    tabulate,
-    trace,
-    unit_input,
-)
+from kinpole_ros.mechanism._path import Path, trace
 from kinpole_ros.mechanism._solution import Solution, solve, sound_orders
 from kinpole_ros.planar._plane import Complex, Real
 

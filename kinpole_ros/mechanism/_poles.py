@@ -4,8 +4,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from kinpole_ros.mechanism._centers import extent
 from kinpole_ros.mechanism._mechanism import Mechanism, Motion
+from kinpole_ros.mechanism._places import extent
 from kinpole_ros.planar import centrode_curvature, icr_velocity, pole
 from kinpole_ros.planar._plane import Complex, Real
 
