@@ -12,8 +12,10 @@ from kinpole_ros.mechanism import (
     freed_reactions,
     inertial_loads,
     load_scene,
+    poles,
     reactions,
     spring_loads,
+    transmission_angles,
 )
 
 
@@ -188,7 +190,7 @@ def test_bearing_loads_are_the_same_both_ways_and_balance_each_body() -> None:
 
 
 @pytest.mark.parametrize(('turn', 'size', 'shift'), [(2.0, 1.0, 0j), (-0.7, 3.0, 5 - 2j)])
-def test_forces_turn_move_and_scale_with_the_scene(
+def test_all_turns_moves_and_scales_with_the_scene(
     turn: float, size: float, shift: complex
 ) -> None:
     times = np.linspace(0.0, 0.6, 7)
@@ -200,3 +202,17 @@ def test_forces_turn_move_and_scale_with_the_scene(
     one, other = forces
     np.testing.assert_allclose(other.force, one.force * np.exp(1j * turn), rtol=0, atol=1e-7)
     np.testing.assert_allclose(other.effort, one.effort * size, rtol=1e-9, atol=1e-7)
+    was, now = (poles(scene.mechanism, scene.mechanism.motion(times)) for scene in (plain, moved))
+    for name in ('icr', 'iap', 'ijp', 'isp'):
+        place = getattr(was, name) * size * np.exp(1j * turn) + shift
+        np.testing.assert_allclose(getattr(now, name), place, rtol=1e-8, atol=1e-8)
+    velocity = was.velocity * size * np.exp(1j * turn)
+    np.testing.assert_allclose(now.velocity, velocity, rtol=1e-8, atol=1e-8)
+    np.testing.assert_allclose(now.curvature, was.curvature / size, rtol=1e-7)
+    angles = [
+        transmission_angles(scene.mechanism, scene.mechanism.motion(times).values[0])
+        for scene in (plain, moved)
+    ]
+    assert list(angles[0]) == [('coupler', 'rocker')]
+    for names, angle in angles[0].items():
+        np.testing.assert_allclose(angles[1][names], angle, atol=1e-7)

@@ -192,7 +192,7 @@ def make_parser() -> argparse.ArgumentParser:
         epilog='examples:\n'
         '  kinpole solve four_bar --at "45 deg" --centers\n'
         '  kinpole solve slider_crank --sweep --csv crank.csv --plot crank.png\n'
-        '  kinpole solve double_pendulum --time 5 --csv course.csv\n'
+        '  kinpole solve double_pendulum --time 5 --csv course.csv --html course.html\n'
         '  kinpole solve loader_cylinder --statics\n'
         '  kinpole solve antiparallelogram --pitch crank follower gears.svg\n',
         formatter_class=argparse.RawDescriptionHelpFormatter,
