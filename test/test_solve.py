@@ -343,7 +343,7 @@ def test_springs_and_inertia_are_in_the_statics(tmp_path: Path) -> None:
     lines = solve_scene('slider_crank', at='50 deg', statics=True, table=table)
     (whole,) = [line for line in lines if line.startswith('crank balances the loads with ')]
     (shares,) = [line for line in lines if line.startswith('  of this, springs: ')]
-    spring, inertia = (float(part.split()[0]) for part in shares.split(': ')[1:])
+    spring, inertia = map(float, re.findall(r': (\S+?)[; ]', shares))
     assert float(whole.split()[-3]) == pytest.approx(spring + inertia, rel=1e-4)
     found = columns(table)
     # 0.2 N/mm, pulled out from 20 cm: the power of the spring, and what it costs the crank.

@@ -106,7 +106,7 @@ def _transmission_lines(solved: Solved) -> list[str]:
     gains = advantages(solved)
     if gains:
         rows: list[list[str | float]] = [
-            [name, shown_ratio(values[0]), unit] for (name, unit), values in gains.items()
+            [name, _ratio(values[0]), unit] for (name, unit), values in gains.items()
         ]
         driver = solved.scene.mechanism.drivers[0].name
         lines += ['', *_table(['at', f'advantage over {driver}', ''], rows)]
@@ -117,7 +117,7 @@ def _transmission_lines(solved: Solved) -> list[str]:
     return lines
 
 
-def shown_ratio(value: float) -> str:
+def _ratio(value: float) -> str:
     """A ratio, which at a toggle is infinite."""
     return '∞' if np.isinf(value) else _number(value)
 
@@ -252,15 +252,13 @@ def _effort_lines(scene: Scene, first: np.ndarray, acts: Acting) -> list[str]:
             lines.append(f'{driver.name}: a dead point, where no finite effort balances the loads')
             continue
         lines.append(f'{driver.name} balances the loads with {borne.effort[k, 0]:.9g} {unit}')
-        shares = [*borne.share[:, k, 0]]
-        parts = [f'{share:.6g}' for share in shares[: len(acts.loads)]]
-        said = [f'load by load: {", ".join(parts)} {unit}'] if parts else []
-        for what, some in (('springs', acts.springs), ('inertia', acts.inertia)):
-            if some:
-                end = len(shares) - (len(acts.inertia) if what == 'springs' else 0)
-                said.append(f'{what}: {sum(shares[end - len(some) : end]):.6g} {unit}')
-        if len(parts) > 1 or len(said) > 1:
-            lines.append(f'  of this, {"; ".join(said)}')
+        ends = np.cumsum([len(acts.loads), len(acts.springs)])
+        loads, springs, inertia = np.split(borne.share[:, k, 0], ends)
+        parts = [f'load by load: {", ".join(f"{x:.6g}" for x in loads)}'] if len(loads) else []
+        parts += [f'springs: {springs.sum():.6g}'] if len(springs) else []
+        parts += [f'inertia: {inertia.sum():.6g}'] if len(inertia) else []
+        if len(loads) > 1 or len(parts) > 1:
+            lines.append(f'  of this, {"; ".join(parts)} {unit}')
     return lines
 
 

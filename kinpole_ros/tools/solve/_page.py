@@ -82,7 +82,7 @@ def _record(solved: Solved) -> Record:
         if i:
             pair = centers.bodies[j], centers.bodies[i]
             columns[pair, 'icr'], columns[pair, 'icr_covariance'] = points[order], even
-    size = max(sizes.values())
+    size = np.nanmax([*sizes.values(), 0.0])
     for (_, name), values in columns.items():
         if name in (*POLE_NAMES, 'position'):
             # A coordinate that is zero but for rounding.
