@@ -761,6 +761,11 @@ BAD = [
         put({'crank_1': [0.1, 0], 'crank_2': [0.1, 0]}, 'markers', 'crank'),
         "'markers: crank' are all at one place",
     ),
+    (
+        'loader',
+        put({'drive': 'arm', 'from': '45 deg', 'to': '71.333396 deg', 'duration': 1}, 'drivers', 0),
+        'ask for arm = 45 to 71.333396 deg, but the linkage goes from 45 to 71.3333959',
+    ),
     ('loader_loop', put('r3p.angle', 'drivers', 0, 'drive'), 'which cannot be driven: give one of'),
 ]
 

@@ -50,15 +50,24 @@ def check_range(mechanism: Mechanism, driven: list[Driven]) -> None:
     dead = next((dead for dead in path.dead_points if dead.turns_back), None)
     why = '' if dead is None else f', a dead point of the loop {", ".join(dead.loop)}'
 
-    def way(first: float, last: float) -> str:
-        size, unit = 1.0, 's'
-        if len(driven) == 1:
-            size, unit = (180 / pi, 'deg') if mechanism.kind(0) == 'angle' else (1.0, 'm')
-        return f'{first * size:.9g} to {last * size:.9g} {unit}'
-
+    size, unit = 1.0, 's'
+    if len(driven) == 1:
+        size, unit = (180 / pi, 'deg') if mechanism.kind(0) == 'angle' else (1.0, 'm')
+    # The last node lies just inside of a limit.
+    limits = [dead.at for dead in path.dead_points if dead.turns_back]
+    near = 1e-3 * (reach[1] - reach[0])
+    ends = tuple(next((at for at in limits if abs(at - end) < near), end) for end in reach)
+    # With more digits where these are what the two differ by.
+    for digits in (6, 9, 12):
+        asked, given = (
+            f'{first * size:.{digits}g} to {last * size:.{digits}g} {unit}'
+            for first, last in ((low, high), ends)
+        )
+        if asked != given:
+            break
     raise SceneError(
-        f"'drivers' ask for {what} {way(low, high)}, but the linkage goes from {way(*reach)}{why}: "
-        'drive it less far, or change lengths'
+        f"'drivers' ask for {what} {asked}, but the linkage goes from {given}{why}: drive it less "
+        'far, or change lengths'
     )
 
 
