@@ -257,6 +257,8 @@ class Tracker:
 
     def _look(self, order: int | None) -> list[Estimate]:
         """Look at the clock of the stamps; what waits is estimated before it changes anything."""
+        # By the noise as it is known to whoever takes frames one by one.
+        self._rigid.settle()
         change = self._timeline.look(self._rigid.noise())
         if change is None:
             return []
