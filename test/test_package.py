@@ -120,7 +120,16 @@ BELOW = {
     'pipeline': {'files', 'planar', 'rigid', 'derivatives'},
     'linkage': {'planar', 'mechanism', 'pipeline'},
     'messages': {'rigid', 'derivatives', 'pipeline', 'linkage'},
-    'bags': {'files', 'rigid', 'derivatives', 'pipeline', 'mechanism', 'linkage', 'messages'},
+    'bags': {
+        'files',
+        'planar',
+        'rigid',
+        'derivatives',
+        'pipeline',
+        'mechanism',
+        'linkage',
+        'messages',
+    },
     'ros': {'pipeline', 'linkage', 'messages', 'bags'},
     'tools': {
         'files',

@@ -14,15 +14,18 @@ from kinpole_ros.bags._writer import BagWriter, in_place_of
 from kinpole_ros.linkage.positions import PositionsFound
 from kinpole_ros.linkage.theory import Comparison, DeviationSummary, load_theory
 from kinpole_ros.messages import (
-    ROS_TYPE_NAMES,
+    INPUT_TYPE_NAMES,
     DiagnosticArray,
     DiagnosticsMaker,
     MarkerReader,
     MessageError,
     Output,
+    PoseReader,
     diagnostics_data,
     identity_lines,
+    kind_of,
     outputs_of,
+    reader_of,
 )
 from kinpole_ros.pipeline.bodies import Outage
 from kinpole_ros.pipeline.estimate import POLE_NAMES, Estimate
@@ -155,7 +158,7 @@ def replay_to(
     np.empty(_MOST_KEPT, np.uint8)
     theory = load_theory(settings)
     tracker = Tracker(settings)
-    reader = MarkerReader(kind, settings.marker_identity)
+    reader = reader_of(kind, settings)
     order = settings.derivative_order or 4
     outputs = outputs_of(settings, theory)
     periodic = _PeriodicDiagnostics(DiagnosticsMaker(NODE_NAME, theory, name))
@@ -229,6 +232,9 @@ def replay_to(
         counts = tracker.counts
         if counts['unreadable'] and not counts['frames']:
             raise BagError(f'{bag}: no message on {name} can be read: {problem}')
+        lacking = reader.lacking() if isinstance(reader, PoseReader) else ''
+        if lacking and not counts['frames']:
+            raise BagError(f'{bag}: on {name} {lacking}')
     space = updated(space, tracker.space())
     share = {
         body: {pole: count / max(estimates, 1) for pole, count in poles.items()}
@@ -264,7 +270,7 @@ def replay_to(
         space,
         counts['lost'],
         tracker.stamp_state(),
-        list(identity_lines(tracker, tracker.counts)),
+        [*identity_lines(tracker, tracker.counts), *filter(None, (lacking,))],
         tracker.erring(),
         dict(zip(tracker.bodies, tracker.wrong().tolist(), strict=True)),
         tracker.outages(),
@@ -296,12 +302,12 @@ def _frames(
     bag: str | Path,
     topic: str,
     kind: str,
-    reader: MarkerReader,
+    reader: MarkerReader | PoseReader,
     progress: Callable[[float], None] | None,
 ) -> Iterator[tuple[MarkerFrames | None, np.ndarray, BagError | MessageError | None]]:
     """The frames of a bag with the log times of their messages, or what is wrong, in order."""
     blocks = read_blocks(bag, [topic], progress)
-    nothing, wanted = np.zeros(0, np.int64), ROS_TYPE_NAMES[kind]
+    nothing, wanted = np.zeros(0, np.int64), INPUT_TYPE_NAMES[kind]
     while True:
         try:
             block = next(blocks, None)
@@ -320,15 +326,11 @@ def _frames(
                 yield None, nothing, MessageError(problem)
         block = [message for message in block if message.type_name == wanted]
         log_times = np.array([message.log_time for message in block], np.int64)
-        done = 0
-        for part in reader.read([message.data for message in block]):
+        for part, numbers in reader.read_numbered([message.data for message in block]):
             if isinstance(part, MessageError):
                 yield None, nothing, part
-                done += 1
-                continue
-            count = len(part.stamps)
-            yield part, log_times[done : done + count], None
-            done += count
+            else:
+                yield part, log_times[numbers], None
 
 
 class _PeriodicDiagnostics:
@@ -417,21 +419,25 @@ def _marker_topic(bag: str | Path, settings: Settings, topic: str | None) -> tup
     elif not name.startswith('/'):
         name = f'/{name}'
     there = topics(bag)
-    kinds = {ros: kind for kind, ros in ROS_TYPE_NAMES.items()}
+    known = set(INPUT_TYPE_NAMES.values())
     if name not in there:
         # What cannot be meant is not listed, unless there is nothing else.
-        fit = {t: kind for t, kind in there.items() if kind in kinds} or there
+        fit = {t: kind for t, kind in there.items() if kind in known} or there
         listed = ', '.join(f'{t} ({kind})' for t, kind in sorted(fit.items())) or 'no topics'
         raise BagError(f'{bag}: no topic {name}; it holds {listed}; name one with --topic')
-    kind = kinds.get(there[name])
-    if kind is None:
+    wanted, there_is = settings.marker_type, there[name]
+    kind = kind_of(there_is, wanted)
+    if kind is not None:
+        return name, kind
+    if there_is not in known:
         raise BagError(
-            f'{bag}: topic {name} is {there[name]}; markers must be one of {", ".join(kinds)}; '
-            'name another with --topic'
+            f'{bag}: topic {name} is {there_is}; markers must be one of '
+            f'{", ".join(sorted(known))}; name another with --topic'
         )
-    if settings.marker_type not in ('auto', kind):
-        raise BagError(
-            f'{bag}: topic {name} is {there[name]}, but the parameter marker_type is '
-            f'{settings.marker_type}; set it to {kind} or auto'
-        )
-    return name, kind
+    kinds = [one for one, ros in INPUT_TYPE_NAMES.items() if ros == there_is]
+    if kind_of(there_is):
+        kinds.append('auto')
+    raise BagError(
+        f'{bag}: topic {name} is {there_is}, but the parameter marker_type is {wanted}; set it to '
+        f'{" or ".join(kinds)}{"" if kind_of(there_is) else ", and name the frame of each body"}'
+    )

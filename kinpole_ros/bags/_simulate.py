@@ -16,13 +16,16 @@ from kinpole_ros.bags._replay import NODE_NAME, result_columns
 from kinpole_ros.bags._writer import BagWriter, in_place_of
 from kinpole_ros.mechanism import Scene, marker_positions
 from kinpole_ros.messages import (
-    MARKER_TYPES,
+    INPUT_TYPES,
     message_class,
+    poses_data,
     result_outputs,
     serialize_message,
     to_message,
 )
 from kinpole_ros.pipeline.estimate import Estimate
+from kinpole_ros.pipeline.parameters import POSE_TYPES
+from kinpole_ros.planar import fit_pose
 
 # Exact to so many digits: below it the answers themselves are noise (a pinned body's centrode).
 _EXACT = 1e-12
@@ -73,12 +76,20 @@ def simulate(
     which so many make 1 m. `unlabeled`: the points of a frame come in random order without names,
     and one that is missing leaves no gap; a marker_array counts its ids anew in each frame.
 
+    With a `message` of poses (pose_stamped, body_poses, tf) these are fitted to the markers of each
+    body, as motion capture does, if none of them is missing: as noisy as that makes them. A
+    pose_stamped is of the first body, and frames on /tf have the names of the bodies.
+
     The exact motion is that of the instant of capture under the stamp of its frame, in m, in the
     frame of the markers: tilted, poles are points of the tilted plane, vectors lie along its
     normal, and a body's own z axis too. Returns the number of frames. Raises BagError for a value
     out of range or an output that cannot be written.
     """
     _check(rate, duration, noise, seed, dropout, jitter, message, arrival, tilt, scale)
+    if unlabeled and message in POSE_TYPES:
+        raise BagError(
+            f'--unlabeled is of markers, and --message {message} of poses; leave out one'
+        )
     if not scene.markers:
         raise BagError(
             f'scene {scene.name} has no markers to be seen; add them, as markers: '
@@ -113,6 +124,7 @@ def simulate(
     if tilt:
         points[..., 2] += noise * heights.standard_normal((count, len(names)))
         points = points @ turn.T
+    poses = _poses(scene, points, tilt, turn, scale) if message in POSE_TYPES else None
     points *= scale
     if unlabeled:
         order = orders.permuted(np.tile(np.arange(len(names)), (count, 1)), axis=1)
@@ -131,10 +143,16 @@ def simulate(
     with in_place_of(output) as part_file, BagWriter(part_file, name=output) as writer:
         for first in range(0, count, _AT_ONCE):
             part = slice(first, min(first + _AT_ONCE, count))
-            markers = [
-                serialize_message(_markers(message, stamp, None if unlabeled else names, seen))
-                for stamp, seen in zip(stamps[part].tolist(), points[part], strict=True)
-            ]
+            if poses is None:
+                markers = [
+                    serialize_message(_markers(message, stamp, None if unlabeled else names, seen))
+                    for stamp, seen in zip(stamps[part].tolist(), points[part], strict=True)
+                ]
+            else:
+                markers = [
+                    poses_data(message, stamp, _FRAME, bodies, seen)
+                    for stamp, seen in zip(stamps[part].tolist(), poses[part], strict=True)
+                ]
             shape = (part.stop - part.start, len(bodies))
             wide = (5, 5, *shape)
             truth = Estimate(
@@ -157,7 +175,8 @@ def simulate(
                     (topic, kind, at, _turned(kind, data, turn))
                     for topic, kind, at, data in columns
                 )
-            of_markers = '/markers', MARKER_TYPES[message], stamps[part].tolist(), markers
+            topic = '/tf' if message == 'tf' else '/markers'
+            of_markers = topic, INPUT_TYPES[message], stamps[part].tolist(), markers
             writer.write_many([of_markers, *columns])
             if progress is not None:
                 progress(part.stop / count)
@@ -183,7 +202,7 @@ def _check(
         ('--dropout', dropout, 'from 0 to 1', 0 <= dropout <= 1),
         ('--jitter', jitter, '0 s or more', 0 <= jitter < np.inf),
         ('--seed', seed, '0 or more', seed >= 0),
-        ('--message', message, f'one of {", ".join(MARKER_TYPES)}', message in MARKER_TYPES),
+        ('--message', message, f'one of {", ".join(INPUT_TYPES)}', message in INPUT_TYPES),
         ('--arrival', arrival, '0 s or more', 0 <= arrival < np.inf),
         ('--tilt', tilt, 'from -180 to 180 degrees', -180 <= tilt <= 180),
         ('--scale', scale, 'from 1e-9 to 1e9 units per m', 1e-9 <= scale <= 1e9),
@@ -206,6 +225,32 @@ def _markers(kind: str, stamp: int, names: list[str] | None, points: np.ndarray)
         points = points[np.isfinite(points[:, 0])]
         names = [''] * len(points)
     return to_message(kind, stamp, _FRAME, names, points)
+
+
+def _poses(
+    scene: Scene, points: np.ndarray, tilt: float, turn: np.ndarray, scale: float
+) -> np.ndarray:
+    """
+    Poses (T, B, 7) fitted to the markers (T, n, 3) of each body: points and quaternions.
+
+    The plane of the markers is turned by `tilt`, deg, as the matrix `turn` does. NaN where a marker
+    is missing.
+    """
+    flat = points @ turn if tilt else points
+    flat = flat[..., 0] + 1j * flat[..., 1]
+    found, first = np.full((len(points), len(scene.markers), 7), np.nan), 0
+    for b, markers in enumerate(scene.markers.values()):
+        own = flat[:, first : first + len(markers)]
+        first += len(markers)
+        shape = np.asarray(markers) @ (1, 1j)
+        fit = fit_pose(own, shape, np.ones(len(shape)))
+        place = np.stack((fit.position.real, fit.position.imag, np.zeros(len(own))), axis=1)
+        found[:, b, :3] = scale * (place @ turn.T)
+        half, lean = fit.angle / 2, np.deg2rad(tilt) / 2
+        # About z by the angle, and then about x.
+        found[:, b, 3], found[:, b, 4] = np.sin(lean) * np.cos(half), -np.sin(lean) * np.sin(half)
+        found[:, b, 5], found[:, b, 6] = np.cos(lean) * np.sin(half), np.cos(lean) * np.cos(half)
+    return found
 
 
 def _about_x(angle: float) -> np.ndarray:

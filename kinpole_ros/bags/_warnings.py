@@ -22,6 +22,8 @@ _FIXES = {
     'too few markers seen, or all at one place': (
         'see that two of them, at distinct places in the plane, are in a frame at once and finite'
     ),
+    'no pose of it came': 'see that its driver sees it, and that its orientation is a quaternion',
+    'the noise of its angle is too large': 'see to the driver: it is more than 0.15 rad',
     'markers too close together for their noise': (
         'move them farther from each other, or set the parameter noise'
     ),

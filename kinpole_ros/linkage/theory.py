@@ -27,7 +27,7 @@ from kinpole_ros.mechanism import (
     load_scene,
 )
 from kinpole_ros.pipeline.estimate import SIGNIFICANT, Estimate, Numbers
-from kinpole_ros.pipeline.parameters import ParameterError, Settings
+from kinpole_ros.pipeline.parameters import POSE_TYPES, ParameterError, Settings, of_poses
 from kinpole_ros.planar import (
     Port,
     center_offset,
@@ -108,7 +108,14 @@ def load_theory(settings: Settings) -> Theory | None:
         return ParameterError(f'parameter scene is {settings.scene}: {why}')
 
     places = {}
+    posed = settings.marker_type in POSE_TYPES
+    # The frames of poses are those of the scene's bodies.
+    shapes = of_poses(settings).shapes if posed else {}
     for b, (body, markers) in enumerate(settings.bodies.items()):
+        if posed and body in scene.mechanism.bodies:
+            shape = np.array(shapes[body])
+            places[body] = (b, scene.mechanism.bodies.index(body), np.arange(len(shape)), shape)
+            continue
         if body not in scene.marker_names:
             continue
         names = scene.marker_names[body]

@@ -13,6 +13,8 @@ from kinpole_ros.messages._diagnostics import (
 from kinpole_ros.messages._drawing import nothing_drawn
 from kinpole_ros.messages._identities import identity_lines
 from kinpole_ros.messages._markers import (
+    INPUT_TYPE_NAMES,
+    INPUT_TYPES,
     MARKER_TYPES,
     ROS_TYPE_NAMES,
     ns_to_stamp,
@@ -20,6 +22,7 @@ from kinpole_ros.messages._markers import (
     stamp_to_ns,
     to_message,
 )
+from kinpole_ros.messages._poses import AUTO_TYPES, PoseReader, kind_of, poses_data, reader_of
 from kinpole_ros.messages._reader import MarkerReader
 from kinpole_ros.messages._results import DRAWING, Output, outputs_of, result_outputs
 from kinpole_ros.messages._space import (
@@ -43,7 +46,10 @@ from kinpole_ros.messages._types import (
 )
 
 __all__ = [
+    'AUTO_TYPES',
     'DRAWING',
+    'INPUT_TYPES',
+    'INPUT_TYPE_NAMES',
     'MARKER_TYPES',
     'ROS_TYPE_NAMES',
     'SMOOTHED',
@@ -55,12 +61,14 @@ __all__ = [
     'MarkerReader',
     'MessageError',
     'Output',
+    'PoseReader',
     'constants',
     'deserialize_message',
     'diagnostics_data',
     'fields',
     'identity_lines',
     'jitter_fault',
+    'kind_of',
     'left_out',
     'marker_faults',
     'message_class',
@@ -69,7 +77,9 @@ __all__ = [
     'ns_to_stamp',
     'outputs_of',
     'plane_words',
+    'poses_data',
     'read_markers',
+    'reader_of',
     'result_outputs',
     'serialize_message',
     'shape_fault',

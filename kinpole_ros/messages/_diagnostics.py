@@ -129,6 +129,7 @@ class DiagnosticsMaker:
             faults.append((DiagnosticStatus.WARN, unseen('', outages[''].latest)))
         array.status = [self._input(tracker, since, seconds, faults, space_values(space))]
         noise, underestimated = tracker.noise(), tracker.noise_underestimated()
+        noises = _noises(tracker)
         loose = [
             shape_fault(b, off, cause, space)
             for b, (off, cause) in enumerate(
@@ -159,7 +160,7 @@ class DiagnosticsMaker:
                 if body in outages:
                     warnings.append(unseen(body, outages[body].latest))
                 fault = '; '.join(filter(None, (units[b], loose[b])))
-                known = float(noise[b]), fault, bool(underestimated[b])
+                known = noises[b], fault, bool(underestimated[b])
                 status = self._body(b, body, now, *known, receiving, idle)
                 for marker, deviation in erring[body].items():
                     key = f'noise of marker {marker[:_MOST_SHOWN]!r}, which counts for less (m)'
@@ -245,16 +246,14 @@ class DiagnosticsMaker:
         b: int,
         body: str,
         now: Estimate | None,
-        noise: float,
+        noise: Mapping[str, float],
         wrong: str,
         underestimated: bool,
         receiving: bool,
         idle: bool,
     ) -> DiagnosticStatus:
         name = f'{self._name}: {body}'
-        values: dict[str, object] = {}
-        if np.isfinite(noise):
-            values['noise of a marker per axis (m)'] = noise
+        values: dict[str, object] = {k: v for k, v in noise.items() if np.isfinite(v)}
         if not receiving:
             return _status(name, DiagnosticStatus.STALE, 'no markers received', values)
         if now is None and idle:
@@ -287,10 +286,21 @@ class DiagnosticsMaker:
         return _status(name, level, message, values)
 
 
+def _noises(tracker: Tracker) -> list[dict[str, float]]:
+    """What the noise of each body is, in words."""
+    noise, of_angle = tracker.noise().tolist(), tracker.angle_noise()
+    if of_angle is None:
+        return [{'noise of a marker per axis (m)': each} for each in noise]
+    return [
+        {'noise of its position per axis (m)': each, 'noise of its angle (rad)': angle}
+        for each, angle in zip(noise, of_angle.tolist(), strict=True)
+    ]
+
+
 # What is to be said of a body whose markers have more noise than can be measured.
 SMOOTHED = (
-    'its markers have time-correlated noise, as after smoothing, that is more than is measured, so '
-    'figures are overconfident; fix: send them unsmoothed, or set noise or a longer window'
+    'its tracker has time-correlated noise, as after smoothing, that is more than is measured, so '
+    'figures are overconfident; fix: have it send them unsmoothed, or set noise or a longer window'
 )
 
 

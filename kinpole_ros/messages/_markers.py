@@ -20,6 +20,8 @@ from kinpole_ros.messages._types import (
     PointCloud2,
     Pose,
     PoseArray,
+    PoseStamped,
+    TFMessage,
     Time,
     Vector3,
 )
@@ -36,6 +38,19 @@ ROS_TYPE_NAMES: dict[str, str] = {
     'marker': 'visualization_msgs/msg/Marker',
     'pose_array': 'geometry_msgs/msg/PoseArray',
     'point_cloud2': 'sensor_msgs/msg/PointCloud2',
+}
+# All that can come in: markers, or poses of bodies.
+INPUT_TYPES: dict[str, type] = {
+    **MARKER_TYPES,
+    'pose_stamped': PoseStamped,
+    'body_poses': PoseArray,
+    'tf': TFMessage,
+}
+INPUT_TYPE_NAMES: dict[str, str] = {
+    **ROS_TYPE_NAMES,
+    'pose_stamped': 'geometry_msgs/msg/PoseStamped',
+    'body_poses': 'geometry_msgs/msg/PoseArray',
+    'tf': 'tf2_msgs/msg/TFMessage',
 }
 # Where stamps end, in ns.
 END_OF_TIME = 2**31 * 1_000_000_000

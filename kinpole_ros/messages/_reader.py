@@ -9,7 +9,7 @@ an array come and go, so that its names alone differ from those before, the name
 """
 
 import struct
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from itertools import groupby
 from typing import Any, NamedTuple
 
@@ -71,6 +71,16 @@ class MarkerReader:
             for first in range(0, len(same_size), most):
                 self._read_same_size(same_size[first : first + most], found)
         return found
+
+    def read_numbered(
+        self, messages: Iterable[bytes]
+    ) -> Iterator[tuple[MarkerFrames | MessageError, np.ndarray]]:
+        """The same with the numbers (T,) of the messages that the frames are of."""
+        done = 0
+        for part in self.read(messages):
+            count = 1 if isinstance(part, MessageError) else len(part.stamps)
+            yield part, np.arange(done, done + count)
+            done += count
 
     def _read_same_size(
         self, messages: list[bytes], found: list[MarkerFrames | MessageError]

@@ -1,5 +1,5 @@
 """
-Where things are in the serialized bytes of the four marker messages.
+Where things are in the serialized bytes of the messages of markers and poses.
 
 A message comes from anywhere, so its sizes are followed through the bytes before anyone takes
 memory for what they claim. The encoding is the plain CDR of ROS 2: four bytes that tell it and the
@@ -11,7 +11,7 @@ import struct
 from typing import NamedTuple
 
 from kinpole_ros.messages._cloud import MessageError
-from kinpole_ros.messages._markers import ROS_TYPE_NAMES
+from kinpole_ros.messages._markers import INPUT_TYPE_NAMES
 
 # What rclpy would make objects of: beyond, they take 5 s and hundreds of MB. A marker takes as long
 # as so many points.
@@ -41,31 +41,42 @@ class MarkerPlaces(NamedTuple):
     points: Items
 
 
+class PosePlaces(NamedTuple):
+    """Where the parts of poses are: of one with a child_frame_id, or of several without."""
+
+    stamp: int
+    frame_id: Items
+    child: Items
+    poses: Items
+
+
 class Walk:
     """
-    The places in one message of markers of the type `kind`.
+    The places in one message of markers or poses of the type `kind`.
 
     Raises MessageError when it is cut short, and when it holds more than anyone tracks.
 
     `size` is that of the message, `little` whether it is little endian, `sizes` where each sequence
     and string tells its length. `markers` has the places in a Marker or MarkerArray; the others
     have a `stamp` and `frame_id`, and what they hold, `items`: poses or the data of a cloud.
-    `layout` are spans of a cloud, from place to place, that tell what its data means.
+    `transforms` has the places of poses of bodies. `layout` are spans of a cloud, from place to
+    place, that tell what its data means.
     """
 
     def __init__(self, kind: str, data: bytes) -> None:
         self.sizes: list[int] = []
         self.markers: list[MarkerPlaces] = []
+        self.transforms: list[PosePlaces] = []
         self.stamp = 0
         self.frame_id = self.items = Items(0, 0)
         self.layout: list[tuple[int, int]] = []
         order = _ORDERS.get(data[:2])
         if order is None or len(data) < HEAD:
             raise MessageError(
-                f'{len(data)} bytes are no {ROS_TYPE_NAMES[kind]}: they do not start as plain CDR; '
-                'see that the sender sends that and that nothing is damaged'
+                f'{len(data)} bytes are no {INPUT_TYPE_NAMES[kind]}: they do not start as plain '
+                'CDR; see that the sender sends that and that nothing is damaged'
             )
-        self.little = order == '<'
+        self.little, self.order = order == '<', order
         self.size = len(data)
         self._objects = 0
         self._data = data
@@ -77,12 +88,12 @@ class Walk:
             self._at = len(data) + 1
         if self._at > len(data):
             raise MessageError(
-                f'{len(data)} bytes are no {ROS_TYPE_NAMES[kind]}: the sizes in them claim more; '
+                f'{len(data)} bytes are no {INPUT_TYPE_NAMES[kind]}: the sizes in them claim more; '
                 'see that the sender sends whole messages and that nothing is damaged'
             )
         if self._objects > _MOST_OBJECTS:
             raise MessageError(
-                f'{len(data)} bytes of {ROS_TYPE_NAMES[kind]} are too much: more than '
+                f'{len(data)} bytes of {INPUT_TYPE_NAMES[kind]} are too much: more than '
                 f'{_MOST_OBJECTS // _MARKER} markers, or {_MOST_OBJECTS} poses, points and colors; '
                 'send them as a PointCloud2'
             )
@@ -118,6 +129,25 @@ class Walk:
     def _pose_array(self) -> None:
         self.stamp, self.frame_id = self._header()
         self.items = self._sequence(56, 8)
+
+    def _pose_stamped(self) -> None:
+        stamp, frame_id = self._header()
+        poses = Items(self._skip(56, 8), 1)
+        self.transforms.append(PosePlaces(stamp, frame_id, Items(0, 0), poses))
+
+    def _body_poses(self) -> None:
+        self._pose_array()
+        self.transforms.append(PosePlaces(self.stamp, self.frame_id, Items(0, 0), self.items))
+
+    def _tf(self) -> None:
+        for _ in range(self._length()):
+            self._objects += _MARKER
+            if self._objects > _MOST_OBJECTS:
+                return
+            stamp, frame_id = self._header()
+            child = self._sequence(1)
+            poses = Items(self._skip(56, 8), 1)
+            self.transforms.append(PosePlaces(stamp, frame_id, child, poses))
 
     def _point_cloud2(self) -> None:
         self.stamp, self.frame_id = self._header()

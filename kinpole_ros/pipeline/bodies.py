@@ -23,6 +23,7 @@ from kinpole_ros.rigid import (
     LastingNoise,
     Noise,
     Pins,
+    PoseNoise,
     References,
     Samples,
     Shapes,
@@ -101,6 +102,8 @@ def _known_type(bodies: int, width: int) -> np.dtype:
         ('deformed_since', np.int64, (bodies,)),
         ('orientation_observable', bool, (bodies,)),
         ('size', float, (bodies,)),
+        # What information is to be multiplied by, 1 but where poses come as such.
+        ('scale', float, (2 * bodies,)),
         ('pin', complex, (bodies,)),
         ('pin_variance', float, (bodies,)),
         ('pin_since', np.int64, (bodies,)),
@@ -133,6 +136,8 @@ class RigidBodies:
         self.matcher = Matcher(settings, roster, self._shapes, counts)
         self._noise = Noise(self._count)
         self._lasting = LastingNoise(self._count, window)
+        # Where poses come as such, in place of markers whose fits leave something.
+        self._pose_noise = PoseNoise(self._count) if roster.posed else None
         self.deformation = Deformation(self._count, width, window)
         self._fields = Fields()
         self._pins = Pins(self._count, width)
@@ -170,15 +175,25 @@ class RigidBodies:
         self._known.drop(len(self._known) - 1)
 
     def noise(self) -> np.ndarray:
-        """Noise (B,) of one coordinate of a marker, m, given or measured; NaN while not known."""
+        """
+        Noise (B,) of one coordinate of a marker, m, given or measured; NaN while not known.
+
+        Of poses it is that of the point whose noise and that of the angle are independent.
+        """
         if self._given > 0:
             level = np.full(self._count, self._given)
+        elif self._pose_noise is not None:
+            level = self._pose_noise.position
         else:
             level = self._lasting.level(self._noise.level())
             # While hardly any frames come running, by all that keeps markers off their places.
             few = self._noise.degrees() < _LEAST_FREEDOM
             level = np.where(few, np.sqrt(self._shapes.misfit()), level)
         return np.maximum(level, _ROUNDING * self._shapes.farthest)
+
+    def angle_noise(self) -> np.ndarray | None:
+        """Noise (B,) of the angles of poses, rad, NaN while not known; None where markers come."""
+        return None if self._pose_noise is None else self._pose_noise.angle
 
     def rigidity_residual(self) -> np.ndarray:
         """
@@ -208,6 +223,8 @@ class RigidBodies:
 
     def noise_underestimated(self) -> np.ndarray:
         """Which bodies (B,) have more noise than can be measured: see `LastingNoise.longer`."""
+        if self._pose_noise is not None:
+            return self._pose_noise.underestimated & (self._given == 0)
         return self._lasting.longer(self._noise.level())
 
     def take(
@@ -334,6 +351,8 @@ class RigidBodies:
             self._shapes.forget_motion()
         # Of markers that are closer together their noise leaves no angle.
         least = self._misfit() / _UNSTEADY**2
+        if self._pose_noise is not None:
+            least = np.zeros(self._count)
         fit, points, course = self._shapes.fit(points, rows['time'], least, self.matcher)
         self.matcher.follow(fit)
         self._newest = int(rows['time'][-1])
@@ -343,6 +362,8 @@ class RigidBodies:
             self._learned = True
         known = np.isfinite(fit.angle)
         information = np.concatenate((fit.spread, fit.weight), axis=-1)
+        if self._pose_noise is not None:
+            information = np.ones(information.shape)
         if np.count_nonzero(known) < known.size:
             information[np.concatenate((~known, ~known), axis=-1)] = 0.0
         count, poses = self._count, rows['poses']
@@ -350,6 +371,8 @@ class RigidBodies:
         poses[:, count:, 0], poses[:, count:, 1] = fit.position.real, fit.position.imag
         rows['information'], rows['suspect'] = information, course.suspect
         rows['middle'] = self._shapes.middle_of(fit.residual)
+        if self._pose_noise is not None:
+            rows['middle'] = self._pose_noise.middle
         seen = ~np.isnan(points)
         with np.errstate(invalid='ignore'):
             total = np.add.reduce(heights, -1, where=seen)
@@ -419,7 +442,7 @@ class RigidBodies:
             known['held'] = self.deformation.held
             known['deformed_since'] = self.deformation.since
             known['orientation_observable'] = noise**2 < _UNSTEADY**2 * self._shapes.spread
-            known['size'] = self._size()
+            known['size'], known['scale'] = self._size(), self._scale()
             known['pin'], known['pin_variance'] = pins.center, pins.variance
             known['pin_since'], known['since'] = pins.since, self._since
             # On a pin the poles are the pin, and relative centers are best where a lens bends two
@@ -427,6 +450,11 @@ class RigidBodies:
             references = self._references
             known['reference'] = np.where(np.isfinite(pins.center), 0.0, references.point)
             known['middle'] = references.middle
+            if self._pose_noise is not None:
+                known['orientation_observable'] = self._pose_noise.angle < _UNSTEADY
+                known['middle'] = middle = self._pose_noise.middle
+                free = np.isnan(pins.center) & (references.point == 0)
+                known['reference'] = np.where(free, middle, known['reference'])
             known['shape'] = self._shapes.markers()
         return len(self._known) - 1
 
@@ -444,7 +472,12 @@ class RigidBodies:
             with np.errstate(divide='ignore', invalid='ignore'):
                 left = self._shapes.weighted(news.residual) / np.sqrt(self._misfit())[:, None]
             self._pins.add(*poses, left)
-            self._references.add(*poses, self._shapes.middle)
+            middle = self._shapes.middle if self._pose_noise is None else self._pose_noise.middle
+            self._references.add(*poses, middle)
+        if self._pose_noise is not None:
+            self._pose_noise.add(news.stamps, news.position, news.angle)
+            self._shapes.learn()
+            return
         residuals = self._shapes.of_the_same(news.residual)
         self._noise.add(residuals, news.freedom, ~news.gaps)
         if not self._given:
@@ -475,15 +508,31 @@ class RigidBodies:
 
     def _variance(self, information: np.ndarray) -> np.ndarray:
         """Variances (T, 2, B) of one coordinate of the positions, and of the angles."""
-        of_angle_first = information.reshape(len(information), 2, -1)
+        of_angle_first = (information * self._scale()).reshape(len(information), 2, -1)
         with np.errstate(divide='ignore', invalid='ignore'):
             return np.asarray(self._misfit() / of_angle_first[:, ::-1])
 
     def _misfit(self) -> np.ndarray:
         """Variance (B,) of one coordinate of a marker, of all that keeps it off its place."""
+        if self._pose_noise is not None:
+            return np.asarray(self.noise() ** 2)
         rounding = _ROUNDING * self._shapes.farthest
         return np.maximum(self._shapes.misfit(), np.maximum(self._given, rounding) ** 2)
 
     def _size(self) -> np.ndarray:
         """Diameters (B,) of the bodies: twice the rms distance of their markers from the mean."""
+        if self._pose_noise is not None:
+            return 2 * self._arm()
         return np.asarray(2 * np.sqrt(self._shapes.spread / np.maximum(self._shapes.known, 1)))
+
+    def _arm(self) -> np.ndarray:
+        """How far (B,), m, from their mean markers would be whose fits had the noise of poses."""
+        assert self._pose_noise is not None
+        return np.asarray(self.noise() / self._pose_noise.angle)
+
+    def _scale(self) -> np.ndarray:
+        """What the information (2 B,) of poses is to be multiplied by, that of angles first."""
+        if self._pose_noise is None:
+            return np.ones(2 * self._count)
+        square, nearer = self._arm() ** 2, np.abs(self._pose_noise.middle) ** 2
+        return np.concatenate((square, square / (square + nearer)))

@@ -1,5 +1,10 @@
-"""The one thing every input becomes: the markers of some instants, as arrays without ROS."""
+"""
+The one thing every input becomes: the markers of some instants, as arrays without ROS.
 
+Poses of bodies that come as such are points with axes.
+"""
+
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -13,14 +18,29 @@ class MarkerFrames(NamedTuple):
     their differences fit, and so must others be. `points` (T, n, 3) float64, m, in the frame
     `frame_id`; a row with a number that is not finite is a marker that was not seen. `identities`
     names the n rows.
+
+    Where rows are poses, `axes` (T, n, 2, 3) are the unit x and y axes of their frames, and points
+    are their origins.
     """
 
     stamps: np.ndarray
     frame_id: str
     identities: tuple[str, ...]
     points: np.ndarray
+    axes: np.ndarray | None = None
 
 
-def part_of(frames: MarkerFrames, part: slice) -> MarkerFrames:
+def part_of(frames: MarkerFrames, part: slice | np.ndarray) -> MarkerFrames:
     """Some of the frames."""
-    return frames._replace(stamps=frames.stamps[part], points=frames.points[part])
+    axes = None if frames.axes is None else frames.axes[part]
+    return frames._replace(stamps=frames.stamps[part], points=frames.points[part], axes=axes)
+
+
+def concatenated(parts: Sequence[MarkerFrames]) -> MarkerFrames:
+    """Frames that are of one layout, one after the other."""
+    stamps, points = (
+        np.concatenate([getattr(part, name) for part in parts]) for name in ('stamps', 'points')
+    )
+    axes = [part.axes for part in parts if part.axes is not None]
+    whole = np.concatenate(axes) if axes else None
+    return parts[0]._replace(stamps=stamps, points=points, axes=whole)

@@ -188,7 +188,7 @@ class Matcher:
     def correct(self, row: int, before: Sequence[Fit]) -> bool:
         """Correct the names in a frame, and in those that follow; whether anything was."""
         alone = len(self._names) == 1 and not len(self._layout.extras)
-        if self._by_shape or self._matched_here or alone:
+        if self._by_shape or self._matched_here or alone or self._roster.posed:
             return False
         k, layout = self._first + row, self._layout
         points, _ = self._roster.all_points(k)

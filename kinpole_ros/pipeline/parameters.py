@@ -8,7 +8,7 @@ the same things in the same words.
 import math
 import re
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +18,12 @@ from kinpole_ros.files import cut, cut_line, read_limited
 from kinpole_ros.files.bounded_yaml import MOST_YAML, load_yaml
 from kinpole_ros.pipeline._ros_yaml import RosLoader
 from kinpole_ros.rigid.plane import AXES, FIT, PlaneSetting
+
+# Of the types of messages, those that carry poses of bodies and not markers.
+POSE_TYPES = ('pose_stamped', 'body_poses', 'tf')
+# m, between the origin and the two points that stand for the axes of such a pose. Figures do not
+# depend on it; drawings show it.
+ARM = 0.1
 
 
 class ParameterError(ValueError):
@@ -193,12 +199,15 @@ PARAMETERS: Mapping[str, Parameter] = {
     ),
     'marker_type': _choices(
         'auto',
-        'Type of the marker messages; auto looks at what is published.',
+        'Type of the marker messages; auto looks at what is published. pose_stamped, body_poses (a '
+        'PoseArray of one pose a body) and tf bring poses of bodies in place of their markers: '
+        '<body>.markers then names one, for body_poses its place, for tf its child_frame_id.',
         'auto',
         'marker_array',
         'marker',
         'pose_array',
         'point_cloud2',
+        *POSE_TYPES,
         fixed=True,
     ),
     'marker_identity': _choices(
@@ -374,6 +383,10 @@ def settings_from(values: Mapping[str, Any]) -> Settings:
                 f'parameter {name}.bodies names {cut(", ".join(sorted(unknown)))}; a joint is '
                 f'between two of {", ".join(names)} and {GROUND}'
             )
+    if checked['marker_type'] in POSE_TYPES:
+        settings = Settings(**checked)
+        check_poses(settings, settings.marker_type)
+        return _consistent(settings)
     by_shape = checked['marker_identity'] == 'shape'
     for name, shape in shapes.items():
         if bodies[name] and len(bodies[name]) != len(shape):
@@ -403,9 +416,64 @@ def settings_from(values: Mapping[str, Any]) -> Settings:
     for name, markers in bodies.items():
         if len(markers) == 1:
             raise ParameterError(
-                f'parameter {name}.markers names one marker; a body needs at least two'
+                f'parameter {name}.markers names one marker; a body needs at least two, or a '
+                f'marker_type of poses ({", ".join(POSE_TYPES)})'
             )
-    settings = Settings(**checked)
+    return _consistent(Settings(**checked))
+
+
+def of_poses(settings: Settings) -> Settings:
+    """
+    The settings where poses of bodies come: each stands for three points fixed to its body.
+
+    They are the origin of its frame, which is that of the body, and points on its x and y axes.
+    """
+    shapes = dict.fromkeys(settings.bodies, (0j, complex(ARM), ARM * 1j))
+    return replace(settings, shapes=shapes, marker_identity='auto', method='pose')
+
+
+def check_poses(settings: Settings, kind: str) -> None:
+    """Raise ParameterError for what does not go with poses of this kind as input."""
+    bodies = settings.bodies
+    for name, value, fix in (('marker_identity', 'shape', 'auto'), ('method', 'landmarks', 'pose')):
+        if getattr(settings, name) == value:
+            raise ParameterError(
+                f'parameter {name} is {value}, which takes markers, and marker_type {kind} brings '
+                f'poses; set {name} to {fix}'
+            )
+    if settings.shapes:
+        raise ParameterError(
+            f'parameter {min(settings.shapes)}.shape is of markers, and marker_type {kind} brings '
+            'poses; leave it out'
+        )
+    single, example = kind == 'pose_stamped', 'crank' if kind == 'tf' else '0'
+    if single and len(bodies) > 1:
+        raise ParameterError(
+            f'parameter bodies names {len(bodies)}, and a PoseStamped is of one; take their poses '
+            'from a PoseArray (body_poses) or from /tf (tf), or run a node for each'
+        )
+    for body, names in bodies.items():
+        if single and names:
+            raise ParameterError(
+                f'parameter {body}.markers is given, and a PoseStamped has no names; leave it out'
+            )
+        # The only body may be the only pose.
+        if len(names) != 1 and (names or kind == 'tf' or len(bodies) > 1):
+            raise ParameterError(
+                f'parameter {body}.markers names {len(names)} poses; with marker_type {kind} name '
+                f"the one of this body, such as ['{example}']"
+            )
+    own = {settings.frame_prefix + body for body in bodies}
+    taken = own & {name for names in bodies.values() for name in names}
+    if kind == 'tf' and settings.publish_tf and taken:
+        raise ParameterError(
+            f'parameter publish_tf is true, and {cut(min(taken))} is a frame that comes on /tf; '
+            'set frame_prefix, such as kinpole/'
+        )
+
+
+def _consistent(settings: Settings) -> Settings:
+    """The settings as they are; raises ParameterError where they do not go together."""
     if settings.lag >= settings.window:
         raise ParameterError(
             f'parameter lag is {settings.lag:g} s; it must be less than window, '

@@ -11,13 +11,15 @@ from typing import NamedTuple
 import numpy as np
 
 from kinpole_ros.pipeline.frame import MarkerFrames
-from kinpole_ros.pipeline.parameters import Settings
+from kinpole_ros.pipeline.parameters import ARM, Settings
 from kinpole_ros.rigid.plane import Plane
 
 # A body of all markers takes new ones up to this many: a driver that numbers its markers anew in
 # every frame must not fill the memory.
 MOST_MARKERS = 1024
 _MOST_LAYOUTS = 64
+# What of a body's turning is in the plane, of 2: with less it has turned over.
+_LEAST_TURN = 0.1
 # m. No marker is that far, and the squares of what is nearer do not overflow.
 FARTHEST_MARKER = 1e15
 
@@ -49,22 +51,24 @@ class Roster:
     `markers` are the names of each body's, `width` is for how many markers a body there is room,
     `wanted` how many there are of all bodies, and `unknown` how many of the last new layout no body
     names. `absent` are the markers of each body that the last message lacks, and `identities` those
-    it has.
+    it has. Where bodies are `posed` a message has one row of each, which stands for all its points.
     """
 
-    def __init__(self, settings: Settings) -> None:
+    def __init__(self, settings: Settings, posed: bool = False) -> None:
+        self.posed = posed
         self.scale = settings.scale
         # The plane that points are matched in; None while it is not known.
         self.plane: Plane | None = None
         # Of a body that is known by its shape alone markers have names in words to the user only.
         self.markers = [
-            list(markers) or [f'{body}_{k}' for k in range(len(settings.shapes.get(body, ())))]
+            list(markers)
+            or [f'{body}_{k}' for k in range(0 if posed else len(settings.shapes.get(body, ())))]
             for body, markers in settings.bodies.items()
         ]
         self._by_shape = settings.marker_identity == 'shape'
         self.all_markers = not any(self.markers)
         self._places: dict[tuple[str, ...], Layout] = {}
-        self.width = max(2, *(len(markers) for markers in self.markers))
+        self.width = 3 if posed else max(2, *(len(markers) for markers in self.markers))
         self.wanted = sum(map(len, self.markers))
         self.unknown = 0
         self.absent: list[list[str]] = []
@@ -74,6 +78,10 @@ class Roster:
         self._aliases: dict[str, tuple[int, int]] = {}
         self._order: np.ndarray | None = None
         self._frames = np.zeros((0, 0, 3))
+        # Of poses: the axes of their frames, and which bodies' z axes point against the normal, -1
+        # while not known.
+        self._axes = np.zeros((0, 0, 2, 3))
+        self._upside_down = np.full(len(self.markers), -1)
         self.layout: Layout | None = None
         # Whether names in the last message say anything.
         self.in_order = True
@@ -88,6 +96,8 @@ class Roster:
         self.layout = self._place(frames.identities)
         self.absent = self.layout.absent
         self._frames = frames.points
+        if frames.axes is not None:
+            self._axes = frames.axes
         return self.sorted(0)
 
     def sorted(self, first: int) -> np.ndarray:
@@ -99,7 +109,12 @@ class Roster:
             padded = np.full((len(rows), rows.shape[1] + 1, 3), np.nan)
             padded[:, :-1] = rows
             rows = padded
-        return self._in_meters(rows.take(place, axis=1))
+        solid = self._in_meters(rows.take(place, axis=1))
+        if self.posed:
+            axes = self._axes[first:]
+            axes = np.concatenate((axes, np.full_like(axes[:, :1], np.nan)), axis=1)
+            solid[:, :, 1:] += ARM * axes.take(place[:, 0], axis=1)
+        return solid
 
     def flat(self, solid: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """
@@ -110,7 +125,36 @@ class Roster:
         if self.plane is None:
             nowhere = np.full(solid.shape[:-1], complex(np.nan, np.nan))
             return nowhere, nowhere.real
-        return self.plane.project(solid)
+        return self._turned(solid) if self.posed else self.plane.project(solid)
+
+    def _turned(self, solid: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """
+        The same of poses (T, B, 3, 3): points at 0, 1 and i times ARM of bodies in the plane.
+
+        Of how a body is turned, that about the normal counts: the rest is how its frame sits on it,
+        and noise. Its angle is 0 where the axes of its frame are parallel to those of the plane, or
+        turned by half a turn about the first of them.
+        """
+        assert self.plane is not None
+        place, height = self.plane.project(solid[:, :, 0])
+        arms = (solid[:, :, 1:] - solid[:, :, :1]) / ARM
+        axes = np.stack((*arms.transpose(2, 0, 1, 3), np.cross(arms[:, :, 0], arms[:, :, 1])))
+        # Where the axes of the plane come to, of a body that they are fixed to.
+        first, second = (
+            self.plane.project(np.tensordot(axis, axes, 1))[0] for axis in self.plane.basis[:2]
+        )
+        turns = np.stack((first - 1j * second, first + 1j * second))
+        for b in np.flatnonzero(self._upside_down < 0).tolist():
+            seen = np.flatnonzero(~np.isnan(turns[0, :, b]))
+            if len(seen):
+                self._upside_down[b] = int(np.argmax(np.abs(turns[:, seen[0], b])))
+        turn = np.where(self._upside_down > 0, turns[1], turns[0])
+        length = np.abs(turn)
+        turned = length > _LEAST_TURN
+        turn = np.where(turned, turn, complex(np.nan, np.nan)) / np.where(turned, length, 1.0)
+        shape = ARM * np.array((0, 1, 1j))
+        points = place[..., None] + turn[..., None] * shape
+        return points, np.where(np.isnan(points.real), np.nan, height[..., None])
 
     def all_points(self, frame: int) -> tuple[np.ndarray, np.ndarray]:
         """All points (m,) of a frame sorted last, complex, and their heights, m."""
@@ -188,7 +232,10 @@ class Roster:
             nowhere = len(identities)
             place = np.full((len(self.markers), self.width), nowhere)
             for body, markers in enumerate(self.markers):
-                place[body, : len(markers)] = [find_marker(name, identities) for name in markers]
+                where = [find_marker(name, identities) for name in markers]
+                place[body] = where[0] if self.posed and where else place[body]
+                if not self.posed:
+                    place[body, : len(markers)] = where
             absent = [
                 [name for name, where in zip(markers, places, strict=False) if where == nowhere]
                 for markers, places in zip(self.markers, place.tolist(), strict=True)
@@ -201,7 +248,11 @@ class Roster:
             if len(self._places) > _MOST_LAYOUTS:
                 self._places.clear()
             named, place = place, self._with_aliases(identities, place)
-            self._places[identities] = found = _layout(identities, place, named, absent)
+            found = _layout(identities, place, named, absent)
+            if self.posed:
+                # Names of poses are what they say, and the others are of nobody.
+                found = found._replace(extras=found.extras[:0], indexed=False)
+            self._places[identities] = found
         return found
 
     def _with_aliases(self, identities: tuple[str, ...], named: np.ndarray) -> np.ndarray:

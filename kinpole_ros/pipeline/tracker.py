@@ -17,10 +17,10 @@ import numpy as np
 from kinpole_ros.derivatives import Derivatives, Poses, Windows, derive_poses
 from kinpole_ros.pipeline.bodies import Outage, RigidBodies, one_more, pose_columns
 from kinpole_ros.pipeline.estimate import Estimate, FramePoses
-from kinpole_ros.pipeline.frame import MarkerFrames, part_of
+from kinpole_ros.pipeline.frame import MarkerFrames, concatenated, part_of
 from kinpole_ros.pipeline.landmarks import derive_landmarks
 from kinpole_ros.pipeline.matcher import Matcher
-from kinpole_ros.pipeline.parameters import Settings
+from kinpole_ros.pipeline.parameters import Settings, of_poses
 from kinpole_ros.pipeline.roster import Roster
 from kinpole_ros.pipeline.ticks import StampState
 from kinpole_ros.pipeline.timeline import Timeline
@@ -35,6 +35,10 @@ from kinpole_ros.rigid.plane import Plane
 from kinpole_ros.rigid.scatter import HISTORY
 from kinpole_ros.rigid.space import Space, SpaceReport
 
+# Why nothing is estimated, where there is something to be done.
+TOO_FEW, NO_POSE = 'too few markers seen, or all at one place', 'no pose of it came'
+TOO_CLOSE = 'markers too close together for their noise'
+NOISY_POSES = 'the noise of its angle is too large'
 # Not by its first stamp, which a bag that loops has again and again.
 _run_numbers = itertools.count(1)
 
@@ -61,6 +65,8 @@ class Tracker:
         self._outages: dict[str, Outage] = {}
         self._wrong = np.zeros(len(self.bodies), int)
         self._frame_id = ''
+        # Whether poses come, and not markers.
+        self._posed = False
         self._start(None)
 
     def reset(self) -> None:
@@ -86,16 +92,17 @@ class Tracker:
         count = len(self.bodies)
         if hasattr(self, '_rigid'):
             self._outages, self._wrong = self.outages(), self.wrong()
-        self._roster = Roster(self.settings)
+        settings = of_poses(self.settings) if self._posed else self.settings
+        self._roster = Roster(settings, self._posed)
         width = self._roster.width
         self._space = Space(self.settings.plane, count, width)
         self._roster.plane = self._space.plane
         # The frames before the plane is known: rows, markers, and which come after a gap.
         self._early: list[tuple[np.ndarray, MarkerFrames, np.ndarray]] = []
-        self._timeline = Timeline(self.settings, self.counts, before)
-        self._rigid = RigidBodies(self.settings, self._timeline.window, self._roster, self.counts)
+        self._timeline = Timeline(settings, self.counts, before)
+        self._rigid = RigidBodies(settings, self._timeline.window, self._roster, self.counts)
         self._points: Samples | None = None
-        if self.settings.method == 'landmarks':
+        if settings.method == 'landmarks':
             self._points = Samples((count, self._roster.width), complex)
         self._run_number = next(_run_numbers)
 
@@ -112,6 +119,10 @@ class Tracker:
     def noise(self) -> np.ndarray:
         """Noise (B,) of one coordinate of a marker, m, given or measured; NaN while not known."""
         return self._rigid.noise()
+
+    def angle_noise(self) -> np.ndarray | None:
+        """Noise (B,) of the angles of poses that come as such, rad; None where markers come."""
+        return self._rigid.angle_noise()
 
     def rigidity_residual(self) -> np.ndarray:
         """How far (B,) markers are off one rigid body: see `RigidBodies.rigidity_residual`."""
@@ -208,12 +219,16 @@ class Tracker:
             if not len(stamps):
                 continue
             self.counts['frames'] += len(stamps)
-            if frames.frame_id != self._frame_id:
+            posed = frames.axes is not None
+            if frames.frame_id != self._frame_id or posed != self._posed:
+                anew = posed != self._posed
                 if len(self._timeline):
                     found += self._estimates(order)
                     self.counts['frame_changes'] += 1
+                    anew = True
+                self._frame_id, self._posed = frames.frame_id, posed
+                if anew:
                     self._start(None)
-                self._frame_id = frames.frame_id
             first = 0
             while first < len(stamps):
                 if self._timeline.look_due:
@@ -226,7 +241,7 @@ class Tracker:
                 if len(new):
                     taken, place = frames, first + new
                     if len(new) < len(stamps):
-                        taken = frames._replace(stamps=stamps[place], points=frames.points[place])
+                        taken = part_of(frames, place)
                     if self._roster.plane is not self._space.plane:
                         found += self._estimates(order)
                         self._catch_up()
@@ -303,15 +318,17 @@ class Tracker:
             self._early.append((rows.copy(), frames, gaps))
             if len(self._early) > 2 * HISTORY:
                 self._early = self._latest_early()
-            seen = solid[..., 0]
+            seen = solid[..., 0, 0] if self._posed else solid[..., 0]
             if self._rigid.matcher.lacks_order(len(rows)):
                 solid = np.full_like(solid, np.nan)
         else:
             self._rigid.are_timed(self._timeline.counts_are_sure)
             every = self._timeline.view()[-len(rows) - MOST_SUSPECT :]
             self._rigid.take(every, points, heights, gaps, landmarks)
-            # As they were corrected.
-            seen, solid = points, plane.in_space(points, heights)
+            seen = points[..., 0] if self._posed else points
+            if not self._posed:
+                # As they were corrected.
+                solid = plane.in_space(points, heights)
         self._rigid.were_at(self._timeline.pose(rows, self._rigid.known['noise']))
         self._space.add(frames.stamps, solid)
         missing = np.count_nonzero(np.isnan(seen)) - seen.size
@@ -321,7 +338,8 @@ class Tracker:
         """The plane has become known: learn from the frames before, and see them in it."""
         self._roster.plane = self._space.plane
         early, self._early = self._latest_early(), []
-        self._rigid = RigidBodies(self.settings, self._timeline.window, self._roster, self.counts)
+        settings = of_poses(self.settings) if self._posed else self.settings
+        self._rigid = RigidBodies(settings, self._timeline.window, self._roster, self.counts)
         end = len(self._timeline) - sum(len(rows) for rows, *_ in early)
         for rows, frames, gaps in early:
             solid = self._roster.sort(frames)
@@ -344,11 +362,7 @@ class Tracker:
         parts = []
         for _, group in itertools.groupby(self._early, key=lambda part: part[1].identities):
             rows, frames, gaps = zip(*group, strict=True)
-            stamps, points = (
-                np.concatenate([getattr(f, name) for f in frames]) for name in ('stamps', 'points')
-            )
-            whole = frames[0]._replace(stamps=stamps, points=points)
-            parts.append((np.concatenate(rows), whole, np.concatenate(gaps)))
+            parts.append((np.concatenate(rows), concatenated(frames), np.concatenate(gaps)))
         left = sum(len(rows) for rows, *_ in parts) - HISTORY
         while left > 0:
             rows, frames, gaps = parts.pop(0)
@@ -420,9 +434,9 @@ class Tracker:
         missing.fill('')
         if np.count_nonzero(enough) < enough.size:
             missing[~enough] = 'window not full'
-            missing[~orientation_observable] = 'markers too close together for their noise'
+            missing[~orientation_observable] = NOISY_POSES if self._posed else TOO_CLOSE
             missing[~measured] = 'noise not known yet'
-            missing[~seen] = 'too few markers seen, or all at one place'
+            missing[~seen] = NO_POSE if self._posed else TOO_FEW
             if self.plane is None:
                 missing[...] = 'plane not known yet'
         return Estimate(
@@ -444,7 +458,7 @@ class Tracker:
             due,
             reference,
             self.plane,
-            _frame_poses(frames, seen, known['noise']),
+            _frame_poses(frames, seen, known),
         )
 
     def _add_deformation(
@@ -523,9 +537,11 @@ class Tracker:
         if suspect is None:
             suspect = np.zeros((len(known), count), int)
         parts = []
-        for part in constant_segments(known['reference'], known['since']):
+        for part in constant_segments(known['reference'], known['since'], known['scale']):
             row = known[part.start]
             signals, good = poses, information
+            if self._posed:
+                good = good * row['scale']
             if np.count_nonzero(row['since']):
                 # A body that began anew is another one since then.
                 before = np.tile(time[:, None] < row['since'], 2)
@@ -555,15 +571,15 @@ class Tracker:
         return *found[:-1], found.freedom - 1
 
 
-def _frame_poses(frames: np.ndarray, seen: np.ndarray, noise: np.ndarray) -> FramePoses:
+def _frame_poses(frames: np.ndarray, seen: np.ndarray, known: np.ndarray) -> FramePoses:
     """The poses of `frames` (T,) as they were fitted, of bodies where they are `seen` (T, B)."""
-    count = seen.shape[1]
-    poses, information = frames['poses'], np.where(np.tile(seen, 2), frames['information'], 0.0)
+    count, poses = seen.shape[1], frames['poses']
+    information = np.where(np.tile(seen, 2), frames['information'] * known['scale'], 0.0)
     return FramePoses(
         poses[:, :count, 0] + 2 * np.pi * poses[:, :count, 1],
         poses[:, count:].view(complex)[..., 0],
         information[:, :count],
         information[:, count:],
         frames['middle'],
-        noise,
+        known['noise'],
     )

@@ -9,6 +9,7 @@ from kinpole_ros.rigid._lasting import LastingNoise
 from kinpole_ros.rigid._lens import LENS, SLANT, TISSUE, Fields
 from kinpole_ros.rigid._noise import Noise
 from kinpole_ros.rigid._pin import STRIKES, Pins
+from kinpole_ros.rigid._pose_noise import PoseNoise
 from kinpole_ros.rigid._reference import References, constant_segments, seen_at
 from kinpole_ros.rigid._samples import Samples
 from kinpole_ros.rigid._shape import Shapes
@@ -27,6 +28,7 @@ __all__ = [
     'LastingNoise',
     'Noise',
     'Pins',
+    'PoseNoise',
     'References',
     'Samples',
     'Shapes',

@@ -10,6 +10,7 @@ half. Frames are distinguished by what their own fits leave, which is an outlier
 they are.
 """
 
+import math
 from functools import lru_cache
 from statistics import NormalDist
 
@@ -136,6 +137,13 @@ def mean_square(residual: Complex, expected: Real) -> tuple[Real, Real]:
     freedom = np.where(seen, expected, 0).sum(axis=-1)
     enough = freedom > 0.5
     return np.where(enough, squares / np.where(enough, freedom, 1.0), np.nan), freedom
+
+
+def trimmed_mean(squares: Real, freedom: int) -> float:
+    """Mean of squares (m,) of `freedom` degrees each, of which some may be of outliers."""
+    tame = np.sort(squares[squares <= _FAR * tame_part(squares[None])[0]])
+    lowest = tame[: max(1, math.ceil(len(tame) * (1 - _OUTLIER)))]
+    return float(lowest.mean()) / _share_of_lowest(float(freedom))
 
 
 @lru_cache(maxsize=1024)

@@ -398,6 +398,7 @@ class KinpoleNode(LifecycleNode):
         # A simulated clock may tell any time.
         stamp = min(max(0, self.get_clock().now().nanoseconds), _LATEST_STAMP)
         self.source.note_turns()
+        self.source.note_names()
         self._note_rivals()
         for passing in {'message', 'failure', 'clock'} - self._noted:
             self._note(passing, '')

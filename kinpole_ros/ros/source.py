@@ -9,7 +9,15 @@ from rclpy.qos import QoSCompatibility, QoSProfile, ReliabilityPolicy, qos_check
 from rclpy.qos_overriding_options import QoSOverridingOptions
 from rclpy.topic_endpoint_info import TopicEndpointInfo
 
-from kinpole_ros.messages import MARKER_TYPES, ROS_TYPE_NAMES, MarkerReader, MessageError
+from kinpole_ros.messages import (
+    AUTO_TYPES,
+    INPUT_TYPE_NAMES,
+    INPUT_TYPES,
+    WITH_TF,
+    MessageError,
+    PoseReader,
+    reader_of,
+)
 from kinpole_ros.pipeline.frame import MarkerFrames
 from kinpole_ros.pipeline.parameters import ParameterError, Settings
 from kinpole_ros.ros.executor import SubscriptionGroup
@@ -78,7 +86,7 @@ class MarkerSource:
         self._settings = settings
         self._number = None
         if self._kind:
-            self._reader = MarkerReader(self._kind, settings.marker_identity)
+            self._reader = reader_of(self._kind, settings)
 
     def look(self) -> bool:
         """
@@ -91,30 +99,46 @@ class MarkerSource:
         replaced = self._note_publishers({bytes(offer.endpoint_gid) for offer in offers})
         published = {offer.topic_type for offer in offers}
         wanted = self._settings.marker_type
-        readable = [wanted] if wanted != 'auto' else list(MARKER_TYPES)
-        found = [kind for kind in readable if ROS_TYPE_NAMES[kind] in published]
+        readable = [wanted] if wanted != 'auto' else [k for k in INPUT_TYPES if k in AUTO_TYPES]
+        found = [kind for kind in readable if INPUT_TYPE_NAMES[kind] in published]
         unreadable = ''
         if published and not found:
             unreadable = (
                 f'{self.topic} is published as {", ".join(sorted(published))}; it must be '
-                f'one of {", ".join(ROS_TYPE_NAMES[kind] for kind in readable)}'
+                f'one of {", ".join(INPUT_TYPE_NAMES[kind] for kind in readable)}'
             )
-        self._note('type', unreadable)
+            if INPUT_TYPE_NAMES['tf'] in published and wanted == 'auto':
+                unreadable += ', or marker_type must be tf and <body>.markers name its frame'
         kinds = found if wanted == 'auto' else readable
+        if kinds and self._kind not in kinds:
+            try:
+                reader_of(kinds[0], self._settings)
+            except ParameterError as error:
+                kinds, unreadable = [], f'{self.topic} is published as poses: {error}'
+        self._note('type', unreadable)
         if kinds and self._kind not in kinds:
             self.close()
             self._subscribe(kinds[0])
+        if replaced and self._kind:
+            self._reader = reader_of(self._kind, self._settings)
         self._note_other_types(published)
         self._note_unheard(offers)
         return replaced
 
     def _subscribe(self, kind: str) -> None:
+        if kind == 'tf' and not WITH_TF:
+            raise ParameterError(
+                'parameter marker_type is tf, and tf2_msgs is not installed; install '
+                'ros-jazzy-tf2-msgs'
+            )
+        # First, as it may not go with the parameters.
+        self._reader = reader_of(kind, self._settings)
         # Drivers mostly send as sensors do; what is late is not worth waiting for.
         qos = QoSProfile(depth=_DEPTH, reliability=ReliabilityPolicy.BEST_EFFORT)
         overrides = f'qos_overrides.{self.topic}.subscription'
         try:
             self._subscription = self._node.create_subscription(
-                MARKER_TYPES[kind],
+                INPUT_TYPES[kind],
                 self._settings.marker_topic,
                 self._on_markers,
                 qos,
@@ -131,15 +155,14 @@ class MarkerSource:
             ) from None
         self.lossless = reliability == 'reliable'
         self._kind = kind
-        self._reader = MarkerReader(kind, self._settings.marker_identity)
         bodies = ', '.join(self._settings.bodies)
-        self._node.get_logger().info(f'follows {bodies} on {self.topic} ({ROS_TYPE_NAMES[kind]})')
+        self._node.get_logger().info(f'follows {bodies} on {self.topic} ({INPUT_TYPE_NAMES[kind]})')
 
     def _note_unheard(self, offers: Sequence[TopicEndpointInfo]) -> None:
         """Note a publisher whose QoS is less than is asked for; rclpy tells only when it comes."""
         text = ''
         for offer in offers:
-            if offer.topic_type != ROS_TYPE_NAMES.get(self._kind):
+            if offer.topic_type != INPUT_TYPE_NAMES.get(self._kind):
                 continue
             match, reason = qos_check_compatible(offer.qos_profile, self._subscription.qos_profile)
             if match == QoSCompatibility.ERROR:
@@ -152,7 +175,7 @@ class MarkerSource:
         self._note('qos', text)
 
     def _note_other_types(self, published: set[str]) -> None:
-        followed = ROS_TYPE_NAMES.get(self._kind)
+        followed = INPUT_TYPE_NAMES.get(self._kind)
         text = ''
         if followed in published and len(published) > 1:
             others = ', '.join(sorted(published - {followed}))
@@ -193,6 +216,12 @@ class MarkerSource:
                     self._turns += 1
             self._number = number
         return dropped
+
+    def note_names(self) -> None:
+        """Note names of poses that no message has."""
+        reader = self._reader if self._kind else None
+        lacking = reader.lacking() if isinstance(reader, PoseReader) else ''
+        self._note('names', f'on {self.topic} {lacking}' if lacking else '')
 
     def note_turns(self) -> None:
         """Note whether several publishers have sent in turn since this was asked before."""

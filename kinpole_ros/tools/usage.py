@@ -154,7 +154,8 @@ def make_parser() -> argparse.ArgumentParser:
         '--message',
         default='marker_array',
         metavar='TYPE',
-        help='marker_array (the default), marker, pose_array or point_cloud2',
+        help='marker_array (the default), marker, pose_array or point_cloud2; or poses of the '
+        'bodies: pose_stamped, body_poses or tf',
     )
     simulate.add_argument(
         '--arrival',
