@@ -70,6 +70,7 @@ def result_outputs(
     joints: Mapping[str, tuple[str, str]] | None = None,
     frame_prefix: str = '',
     highest: int = 4,
+    joint_state_rate: float = 0.0,
 ) -> list[Output]:
     """
     All topics for these bodies, as DESIGN's table has them.
@@ -77,7 +78,8 @@ def result_outputs(
     `plane`, as the parameter has it, is that of estimates that do not say where they lie. With the
     loads of a `theory` also what balances them: `balance`, and its standard deviation. `joints` are
     pairs of bodies, or of the ground and a body. Frames of bodies have their names after a prefix.
-    There are only topics that need derivatives up to the `highest`.
+    There are only topics that need derivatives up to the `highest`. States of joints come so many
+    times a second of the stamps, or with each instant for 0.
     """
     given = plane_of(plane) or XY
     frame_names = [frame_prefix + body for body in bodies]
@@ -123,7 +125,9 @@ def result_outputs(
     drawing = scene(tuple(bodies), given, trails, highest)
     outputs.append(Output(DRAWING, MarkerArray, highest, drawing))
     if joints:
-        add('joint_states', JointState, 1, partial(joint_states, joints, bodies))
+        order = min(2, highest) if joint_state_rate else 1
+        states = partial(joint_states, joints, bodies, joint_state_rate)
+        add('joint_states', JointState, order, states)
     if theory is not None and theory.balances:
         add('balance', WrenchStamped, 1, partial(_balance, theory, given))
     outputs.append(Output(TF, TFMessage, 1, frames(frame_names, given)))
@@ -139,6 +143,7 @@ def outputs_of(settings: Settings, theory: Theory | None) -> list[Output]:
         settings.joints,
         settings.frame_prefix,
         settings.derivative_order or 4,
+        settings.joint_state_rate,
     )
 
 

@@ -50,6 +50,7 @@ class Settings:
     scene: str = ''
     # By name, of the second body, or the ground, against the first.
     joints: Mapping[str, tuple[str, str]] = field(default_factory=dict)
+    joint_state_rate: float = 0.0
     publish_tf: bool = False
     frame_prefix: str = ''
     # Of the bodies that have one given: places of their markers, complex, m.
@@ -298,6 +299,14 @@ PARAMETERS: Mapping[str, Parameter] = {
         _identifiers,
         'a list of different names of letters, digits and _',
         fixed=True,
+    ),
+    'joint_state_rate': _range(
+        0.0,
+        'How often ~/joint_states is published: at multiples of its period, by the derivatives at '
+        'the nearest instant; 0: at each instant.',
+        0.0,
+        1000.0,
+        'Hz',
     ),
     'publish_tf': Parameter(
         False,
