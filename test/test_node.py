@@ -23,6 +23,7 @@ from rcl_interfaces.msg import Parameter as ParameterMessage
 from rcl_interfaces.srv import DescribeParameters, SetParameters, SetParametersAtomically
 from rclpy.duration import Duration
 from rclpy.executors import SingleThreadedExecutor
+from rclpy.lifecycle import TransitionCallbackReturn
 from rclpy.parameter import Parameter
 from rclpy.publisher import Publisher
 from rclpy.qos import QoSProfile
@@ -345,7 +346,8 @@ class TestOneNode:
             'derivative_order': (9, 'auto, 1, 2, 3 or 4'),
             'noise': ('low', 'a number from 0 to 1e+06 m'),
             **({} if WITH_TF else {'publish_tf': (True, 'tf2_msgs is not installed; install')}),
-            'bodies': (['other'], 'read-only'),
+            'marker_topic': ('others', 'read-only'),
+            'bodies': (['other'], 'parameter bodies cannot be set while the node is active'),
             'windows': (0.3, 'unknown parameter windows; known are bodies, '),
         }
         for name, (value, reason) in refused.items():
@@ -511,6 +513,38 @@ def test_one_request_for_parameters_has_the_node_start_anew_once(
     assert ask_to_set(node, SetParametersAtomically, [('lag', 0.1)]).result.successful
     assert node.settings.lag == 0.1
     assert len(started) == 2
+
+
+def test_bodies_and_their_markers_are_set_in_one_go_while_the_node_is_inactive(
+    node: KinpoleNode,
+) -> None:
+    new = [
+        ('arm.markers', ['a', 'b']),
+        ('arm.shape', [0.0, 0.0, 0.1, 0.0]),
+        ('bodies', ['arm', 'tip']),
+        ('tip.markers', ['c', 'd']),
+    ]
+    answer = ask_to_set(node, SetParametersAtomically, new).result
+    assert not answer.successful and 'while the node is active' in answer.reason
+    node.trigger_deactivate()
+    assert ask_to_set(node, SetParametersAtomically, new).result.successful
+    assert node.settings.bodies == {'arm': ('a', 'b'), 'tip': ('c', 'd')}
+    assert node.settings.shapes == {'arm': (0j, 0.1 + 0j)}
+    # One bad value, and none is taken.
+    bad = [('bodies', ['x', 'y']), ('x.markers', ['a', 'a'])]
+    answer = ask_to_set(node, SetParametersAtomically, bad).result
+    assert not answer.successful and 'x.markers' in answer.reason
+    assert list(node.settings.bodies) == ['arm', 'tip']
+    # What does not go together yet is said, and keeps the node from being activated.
+    (answer,) = ask_to_set(node, SetParameters, [('bodies', ['arm', 'claw'])]).results
+    assert answer.successful and 'parameter claw.markers is missing' in node.incomplete
+    assert node.trigger_activate() == TransitionCallbackReturn.FAILURE
+    (answer,) = ask_to_set(node, SetParameters, [('lag', 0.05)]).results
+    assert answer.successful
+    (answer,) = ask_to_set(node, SetParameters, [('claw.markers', ['c', 'd'])]).results
+    assert answer.successful and not node.incomplete
+    assert node.settings.lag == 0.05 and list(node.settings.bodies) == ['arm', 'claw']
+    assert node.trigger_activate() == TransitionCallbackReturn.SUCCESS
 
 
 def test_a_request_for_more_parameters_than_there_are_is_refused(node: KinpoleNode) -> None:

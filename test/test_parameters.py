@@ -100,6 +100,7 @@ WRONG = [
     ('method', ['poses', 0, None], 'pose, landmarks'),
     ('scene', [0, None, ['four_bar'], True], 'the name of a scene'),
     ('autostart', ['no', 0, 1, None], 'true or false'),
+    ('joint_state_rate', [-1.0, 1001, 'fast', True, float('nan')], '0 to 1000 Hz'),
     ('publish_tf', ['yes', 0, None], 'true or false'),
     ('frame_prefix', ['a b', 3, None, 'é!', 'a\n'], 'letters, digits and any of _ / . -'),
     ('joints', [[''], ['a', 'a'], 'a', ['a b'], [1]], 'a list of different names'),

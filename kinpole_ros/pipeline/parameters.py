@@ -242,7 +242,6 @@ PARAMETERS: Mapping[str, Parameter] = {
         'Names of the bodies. Each has a parameter <body>.markers.',
         _body_names,
         'a list of different names of letters, digits and _',
-        fixed=True,
     ),
     'window': _range(0.3, 'The most past data used.', 1e-6, 3600.0, 's'),
     'lag': _range(
@@ -298,7 +297,6 @@ PARAMETERS: Mapping[str, Parameter] = {
         'Names of the joints on ~/joint_states. Each has a parameter <joint>.bodies.',
         _identifiers,
         'a list of different names of letters, digits and _',
-        fixed=True,
     ),
     'joint_state_rate': _range(
         0.0,
@@ -326,14 +324,12 @@ JOINT_BODIES = Parameter(
     'The two bodies of this joint, or ground and a body: the second moves against the first.',
     _pair,
     "two different names of bodies, or 'ground' and one, such as ['crank', 'coupler']",
-    fixed=True,
 )
 MARKERS = Parameter(
     [],
     'Markers on this body, as their identities; empty, where there is one body: all markers.',
     _names,
     "a list of different marker identities, as text, such as ['0', '1', '2']",
-    fixed=True,
 )
 SHAPE = Parameter(
     [],
@@ -342,7 +338,6 @@ SHAPE = Parameter(
     _shape,
     'a flat list of x, y of two or more markers at different places, m, such as '
     '[0.0, 0.0, 0.1, 0.0, 0.05, 0.08]',
-    fixed=True,
 )
 AUTOSTART = Parameter(
     True,
@@ -363,24 +358,13 @@ def settings_from(values: Mapping[str, Any]) -> Settings:
     """
     Check parameters given by their ROS names, 'lag' or 'coupler.markers', and fill in the rest.
 
-    Raises ParameterError for a name that is not known and for a value out of its range.
+    Raises ParameterError for a name that is not known, for a value out of its range, and for values
+    that do not go together.
     """
-    names = _checked('bodies', PARAMETERS['bodies'], values)
-    joints = _checked('joints', PARAMETERS['joints'], values)
-    known = {**PARAMETERS, **own_parameters(names, joints)}
-    for name in values:
-        if name not in known and name not in _NODE_ONLY and not name.startswith('qos_overrides.'):
-            hint = ''
-            body, _, last = name.rpartition('.')
-            if last in ('markers', 'shape'):
-                hint = f'; {cut(body)} is not among the bodies {", ".join(names)}'
-            elif last == 'bodies':
-                hint = f'; {cut(body)} is not among the joints {", ".join(joints) or "(none)"}'
-            raise ParameterError(
-                f'unknown parameter {cut(name)}{hint}; known are {", ".join(sorted(known))}'
-            )
-    _checked('autostart', AUTOSTART, values)
-    checked = {name: _checked(name, row, values) for name, row in known.items()}
+    known = known_rows(values)
+    names, joints = (tuple(values.get(name, known[name].default)) for name in ('bodies', 'joints'))
+    check('autostart', AUTOSTART, values)
+    checked = {name: check(name, row, values) for name, row in known.items()}
     bodies = {name: checked.pop(f'{name}.markers') for name in names}
     checked['bodies'] = bodies
     shapes = {name: checked.pop(f'{name}.shape') for name in names}
@@ -491,6 +475,34 @@ def _consistent(settings: Settings) -> Settings:
     return settings
 
 
+def known_rows(values: Mapping[str, Any]) -> dict[str, Parameter]:
+    """
+    The rows of all parameters there are with these bodies and joints.
+
+    Raises ParameterError for a name among `values` that is not one of them.
+    """
+    names = check('bodies', PARAMETERS['bodies'], values)
+    joints = check('joints', PARAMETERS['joints'], values)
+    known = {**PARAMETERS, **own_parameters(names, joints)}
+    for name in values:
+        if name not in known and name not in _NODE_ONLY and not name.startswith('qos_overrides.'):
+            hint = ''
+            body, _, last = name.rpartition('.')
+            if last in ('markers', 'shape'):
+                hint = f'; {cut(body)} is not among the bodies {", ".join(names)}'
+            elif last == 'bodies':
+                hint = f'; {cut(body)} is not among the joints {", ".join(joints) or "(none)"}'
+            raise ParameterError(
+                f'unknown parameter {cut(name)}{hint}; known are {", ".join(sorted(known))}'
+            )
+    return known
+
+
+def is_of_bodies(name: str) -> bool:
+    """Whether a parameter says which bodies and joints there are, or of which markers."""
+    return name in ('bodies', 'joints') or name.endswith(('.markers', '.shape', '.bodies'))
+
+
 def own_parameters(bodies: Iterable[str], joints: Iterable[str]) -> dict[str, Parameter]:
     """The rows of the parameters that each body and each joint has."""
     rows = {'markers': MARKERS, 'shape': SHAPE}
@@ -498,7 +510,8 @@ def own_parameters(bodies: Iterable[str], joints: Iterable[str]) -> dict[str, Pa
     return own | {f'{joint}.bodies': JOINT_BODIES for joint in joints}
 
 
-def _checked(name: str, row: Parameter, values: Mapping[str, Any]) -> Any:
+def check(name: str, row: Parameter, values: Mapping[str, Any]) -> Any:
+    """The value of one parameter, or its default, as Settings have it; raises ParameterError."""
     value = values.get(name, row.default)
     try:
         return row.check(value)

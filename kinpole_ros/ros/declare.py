@@ -1,5 +1,6 @@
 """The table of parameters as rclpy has it: declared for the node, and read back."""
 
+from collections.abc import Mapping
 from typing import Any
 
 from rcl_interfaces.msg import FloatingPointRange, ParameterDescriptor
@@ -9,8 +10,11 @@ from rclpy.qos_overriding_options import QoSOverridingOptions
 from kinpole_ros.pipeline.parameters import (
     AUTOSTART,
     PARAMETERS,
+    Parameter,
     ParameterError,
     Settings,
+    check,
+    is_of_bodies,
     own_parameters,
     settings_from,
 )
@@ -38,6 +42,22 @@ def declare(node: Node) -> Settings:
         raise ParameterError(f'parameter {name} is {depth!r}; it must be a whole number from 1 up')
     rows = {**PARAMETERS, 'autostart': AUTOSTART}
     rows.update(own_parameters(settings.bodies, settings.joints))
+    _declare(node, rows, given)
+    return settings
+
+
+def declare_own(node: Node) -> None:
+    """Declare what bodies and joints there are now have of their own, and no others."""
+    given = given_to(node)
+    rows = own_parameters(given['bodies'], given['joints'])
+    for name in given.keys() - rows.keys():
+        if is_of_bodies(name) and name not in PARAMETERS:
+            node.undeclare_parameter(name)
+    _declare(node, {name: row for name, row in rows.items() if name not in given}, {})
+
+
+def _declare(node: Node, rows: Mapping[str, Parameter], given: Mapping[str, Any]) -> None:
+    """Declare these as they are given, or by default."""
     for name, row in rows.items():
         descriptor = ParameterDescriptor(
             description=row.description,
@@ -54,7 +74,6 @@ def declare(node: Node) -> Settings:
         if node.has_parameter(name):
             node.undeclare_parameter(name)
         node.declare_parameter(name, value, descriptor, ignore_override=True)
-    return settings
 
 
 def given_to(node: Node) -> dict[str, Any]:
@@ -62,11 +81,17 @@ def given_to(node: Node) -> dict[str, Any]:
     return {name: p.value for name, p in node.get_parameters_by_prefix('').items()}
 
 
-def values_of(node: Node) -> dict[str, Any]:
-    """The parameters of the table, as they are set now."""
-    named = (node.get_parameter(name).value for name in ('bodies', 'joints'))
-    names = {*PARAMETERS, *own_parameters(*named)}
-    return {name: node.get_parameter(name).value for name in names}
+def values_of(node: Node, changes: Mapping[str, Any] | None = None) -> dict[str, Any]:
+    """
+    The parameters of the table, as they are set now, or will be with these changes.
+
+    Raises ParameterError for changes that name no bodies or no joints.
+    """
+    new = dict(changes or {})
+    values = {**given_to(node), **new}
+    named = (check(name, PARAMETERS[name], values) for name in ('bodies', 'joints'))
+    names = {*PARAMETERS, *own_parameters(*named), *new}
+    return {name: value for name, value in values.items() if name in names}
 
 
 def given_in_vain(node: Node, topic: str) -> list[str]:

@@ -15,26 +15,21 @@ from typing import Any
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
 from lifecycle_msgs.srv import ChangeState
-from rcl_interfaces.msg import SetParametersResult
-from rcl_interfaces.srv import SetParameters, SetParametersAtomically
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
 from rclpy.duration import Duration
 from rclpy.event_handler import PublisherEventCallbacks
 from rclpy.exceptions import ParameterException
 from rclpy.executors import Executor
-from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
+from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
 from rclpy.logging import LoggingSeverity, set_logger_level
-from rclpy.parameter import Parameter as RosParameter
 from rclpy.utilities import remove_ros_args
 from rosgraph_msgs.msg import Clock as ClockMessage
 from std_srvs.srv import Trigger
 
-from kinpole_ros.linkage.theory import Theory, load_theory
 from kinpole_ros.messages import (
     DRAWING,
     TF,
-    WITH_TF,
     DiagnosticsMaker,
     MessageError,
     Output,
@@ -43,12 +38,13 @@ from kinpole_ros.messages import (
 )
 from kinpole_ros.pipeline.estimate import Estimate
 from kinpole_ros.pipeline.frame import MarkerFrames, part_of
-from kinpole_ros.pipeline.parameters import PARAMETERS, ParameterError, Settings, settings_from
+from kinpole_ros.pipeline.parameters import ParameterError, Settings
 from kinpole_ros.pipeline.tracker import Tracker
-from kinpole_ros.ros.declare import declare, given_in_vain, given_to, values_of
+from kinpole_ros.ros.declare import given_in_vain
 from kinpole_ros.ros.executor import MessagesFirst
 from kinpole_ros.ros.private import RCLError, wrap_service
 from kinpole_ros.ros.process import reason_of, start_ros
+from kinpole_ros.ros.settable import SettableNode
 from kinpole_ros.ros.source import MarkerSource, publishers_of
 
 _DIAGNOSTICS_EVERY = 1.0
@@ -68,21 +64,18 @@ _ARRIVES_WITHIN = 0.1
 _LATEST_STAMP = 2**31 * 10**9 - 1
 
 
-class KinpoleNode(LifecycleNode):
+class KinpoleNode(SettableNode):
     """Tracks the bodies its parameters name; managed, and active from the start."""
 
     def __init__(self) -> None:
-        super().__init__('kinpole', automatically_declare_parameters_from_overrides=True)
+        super().__init__('kinpole')
         self._steady = Clock(clock_type=ClockType.STEADY_TIME)
-        self.given_nothing = not {*PARAMETERS, 'autostart'} & given_to(self).keys()
-        self.settings = declare(self)
         self.source = MarkerSource(self, self.settings, self._on_markers, self._note)
         if in_vain := given_in_vain(self, self.source.topic):
             self.get_logger().warning(
                 f'{", ".join(in_vain)} set nothing: the markers come on {self.source.topic}; '
                 f'write qos_overrides.{self.source.topic}.subscription...'
             )
-        self._theory = _theory_of(self.settings)
         self._tracker = Tracker(self.settings)
         self._diagnostics = self._make_diagnostics()
         self._outputs: list[tuple[Output, Any]] = []
@@ -90,8 +83,6 @@ class KinpoleNode(LifecycleNode):
         self._wanted: list[tuple[Output, Any]] = []
         self._publishers_made: dict[str, Any] = {}
         self._amid_markers = False
-        # While a request sets several parameters, and whether it changed one of ours.
-        self._setting = self._changed = False
         # Of the frames since the last diagnostics.
         self._stamps: list[int] = []
         self._latest: Estimate | None = None
@@ -102,45 +93,19 @@ class KinpoleNode(LifecycleNode):
         self._noted: set[str] = set()
         self._last_diagnostics = self._steady.now()
         self._status_publisher: Any = None
-        self._active = False
         # A steady clock: these beat even where simulated time stands still. The second one does so
         # in every state, for whoever spins.
         self._telling = self.create_timer(
             _DIAGNOSTICS_EVERY, self._tell, clock=self._steady, autostart=False
         )
         self.create_timer(_LOOK_EVERY, self._look, clock=self._steady)
-        self.add_on_set_parameters_callback(self._check_parameters)
-        self.add_post_set_parameters_callback(self._take_parameters)
+        self.let_parameters_be_set()
         self.create_service(Trigger, '~/relearn', self._relearn)
         wrap_service(self, ChangeState, _change_if_possible)
-        for kind in (SetParameters, SetParametersAtomically):
-            wrap_service(self, kind, self._set_at_once)
         if self.get_parameter('autostart').value:
             self.trigger_configure()
             if self.trigger_activate() != TransitionCallbackReturn.SUCCESS:
                 raise ParameterError(self._trouble['start'])
-
-    def declare_parameters(
-        self, namespace: str, parameters: Sequence[tuple[Any, ...]], ignore_override: bool = False
-    ) -> list[RosParameter]:
-        """As in rclpy, but name those that were given without a value, where it raises without."""
-        try:
-            return list(super().declare_parameters(namespace, parameters, ignore_override))
-        except ValueError:
-            names = [row[0] for row in parameters if len(row) > 1 and row[1] is None]
-            if not names:
-                raise
-            raise ParameterError(
-                f'parameter {", ".join(names)} has no value; leave it out or give it one'
-            ) from None
-
-    def set_parameters_atomically(self, parameter_list: list[RosParameter]) -> SetParametersResult:
-        """As in rclpy, but tell the names that are known, where it raises without any."""
-        if not all(self.has_parameter(p.name) for p in parameter_list):
-            result = self._check_parameters(parameter_list)
-            if not result.successful:
-                return result
-        return super().set_parameters_atomically(parameter_list)
 
     def create_subscription(
         self, msg_type: Any, topic: str, callback: Callable[..., Any], *words: Any, **more: Any
@@ -160,56 +125,20 @@ class KinpoleNode(LifecycleNode):
         take = take_clock if msg_type is ClockMessage else callback
         return super().create_subscription(msg_type, topic, take, *words, **more)
 
-    def _set_at_once(self, set_all: Callable[..., Any], request: Any, response: Any) -> Any:
-        """Answer a request to set parameters: start anew once, and not by what has no end."""
-        count, most = len(request.parameters), len(given_to(self))
-        if count > most:
-            reason = f'{count} parameters in one request, and this node has {most}: set each once'
-            refused = SetParametersResult(successful=False, reason=reason)
-            if isinstance(response, SetParameters.Response):
-                response.results = [refused] * count
-            else:
-                response.result = refused
-            return response
-        self._setting, self._changed = True, False
-        try:
-            return set_all(request, response)
-        finally:
-            self._setting = False
-            if self._changed:
-                self._use_parameters()
-
-    def _check_parameters(self, changes: Sequence[RosParameter]) -> SetParametersResult:
-        for p in changes:
-            # rclpy declares them itself, to be set, and reads them when it subscribes.
-            if p.name.startswith('qos_overrides.') and self.has_parameter(p.name):
-                reason = f'parameter {p.name} is read at the start only; set it there'
-                return SetParametersResult(successful=False, reason=reason)
-        try:
-            _theory_of(settings_from({**values_of(self), **{p.name: p.value for p in changes}}))
-        except ParameterError as error:
-            return SetParametersResult(successful=False, reason=str(error))
-        return SetParametersResult(successful=True)
-
-    def _take_parameters(self, changes: Sequence[RosParameter]) -> None:
-        if any(self._is_ours(p.name) for p in changes):
-            if self._setting:
-                self._changed = True
-            else:
-                self._use_parameters()
-
-    def _use_parameters(self) -> None:
+    def use_settings(self) -> None:
         """Start anew with the changed settings; publishers that stay in use are not touched."""
-        self.settings = settings_from(values_of(self))
-        self._theory = _theory_of(self.settings)
         self._start_anew()
         if self._outputs:
             self._make_outputs()
 
+    def check_settings(self, settings: Settings) -> None:
+        """Raise ParameterError for settings that do not go with the messages that come."""
+        self.source.check(settings)
+
     def _make_diagnostics(self) -> DiagnosticsMaker:
         # With the namespace, if any: nodes of several rigs tell on one topic.
         name = self.get_fully_qualified_name().lstrip('/')
-        return DiagnosticsMaker(name, self._theory, self.source.topic)
+        return DiagnosticsMaker(name, self.theory, self.source.topic)
 
     def _start_anew(self) -> None:
         """Forget all frames, and the counts."""
@@ -225,11 +154,11 @@ class KinpoleNode(LifecycleNode):
         response.success, response.message = True, 'all is learned anew from the next frame on'
         return response
 
-    def _is_ours(self, name: str) -> bool:
-        return name in PARAMETERS or name.endswith(('.markers', '.shape', '.bodies'))
-
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Make the publishers."""
+        if self.incomplete:
+            self.get_logger().error(self.incomplete)
+            return TransitionCallbackReturn.FAILURE
         self._make_outputs()
         self._status_publisher = self.create_publisher(
             DiagnosticArray, '/diagnostics', 10, event_callbacks=_NO_EVENTS
@@ -238,12 +167,15 @@ class KinpoleNode(LifecycleNode):
 
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Start listening, with an empty window."""
+        if self.incomplete:
+            self.get_logger().error(self.incomplete)
+            return TransitionCallbackReturn.FAILURE
         result = super().on_activate(state)
         self._start_anew()
         self._trouble.clear()
         self._last_diagnostics = self._steady.now()
         self._telling.reset()
-        self._active = True
+        self.active = True
         try:
             self._look()
         except ParameterError as error:
@@ -259,7 +191,7 @@ class KinpoleNode(LifecycleNode):
     def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Stop listening."""
         self._telling.cancel()
-        self._active = False
+        self.active = False
         self.source.close()
         self._take_drawings_away()
         return super().on_deactivate(state)
@@ -284,7 +216,7 @@ class KinpoleNode(LifecycleNode):
     def _make_outputs(self) -> None:
         outputs = [
             output
-            for output in outputs_of(self.settings, self._theory)
+            for output in outputs_of(self.settings, self.theory)
             if output.topic != TF or self.settings.publish_tf
         ]
         self._drop_outputs([output.topic for output in outputs])
@@ -297,7 +229,7 @@ class KinpoleNode(LifecycleNode):
                     _KEPT,
                     event_callbacks=_NO_EVENTS,
                 )
-                if self._active:
+                if self.active:
                     publisher.on_activate(LifecycleState('active', 0))
                 self._publishers_made[output.topic] = publisher
             self._outputs.append((output, publisher))
@@ -330,7 +262,7 @@ class KinpoleNode(LifecycleNode):
 
     def _look(self) -> None:
         """See who is there, to read and to be read."""
-        if not self._active:
+        if not self.active:
             return
         self._note_readers()
         if self.source.look():
@@ -439,16 +371,6 @@ class KinpoleNode(LifecycleNode):
         self._tracker.counts['failures'] += 1
         text = ' '.join(str(error).split())
         self._note('failure', f'the node failed ({type(error).__name__}: {text}) and {what}')
-
-
-def _theory_of(settings: Settings) -> Theory | None:
-    """As `load_theory`, for settings that the node can do; raises ParameterError for others."""
-    if settings.publish_tf and not WITH_TF:
-        raise ParameterError(
-            'parameter publish_tf is true, and tf2_msgs is not installed; install '
-            'ros-jazzy-tf2-msgs, or set it to false'
-        )
-    return load_theory(settings)
 
 
 def _let_arrive(publishers: Sequence[Any]) -> None:

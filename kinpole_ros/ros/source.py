@@ -88,6 +88,11 @@ class MarkerSource:
         if self._kind:
             self._reader = reader_of(self._kind, settings)
 
+    def check(self, settings: Settings) -> None:
+        """Raise ParameterError where what is read does not go with these settings."""
+        if self._kind:
+            reader_of(self._kind, settings)
+
     def look(self) -> bool:
         """
         Subscribe as soon as the type of the markers is known; note it where none can be read.
