@@ -21,7 +21,7 @@ from kinpole_ros.messages import (
     stamp_to_ns,
 )
 from kinpole_ros.pipeline.estimate import Estimate
-from kinpole_ros.pipeline.frame import MarkerFrames
+from kinpole_ros.pipeline.frame import MarkerFrames, part_of
 from kinpole_ros.pipeline.parameters import (
     POSE_TYPES,
     ParameterError,
@@ -101,6 +101,17 @@ def test_deviations_hold_whatever_the_noise_of_angle_is_over_that_of_place(
     square = np.einsum('ti,tij,tj->t', both, inverse, both)
     assert good.sum() > 300
     assert np.mean(square < 5.99) > 0.9 and 0.2 < np.median(square) / 1.39 < 1.3
+
+
+def test_poses_one_by_one_give_what_they_give_at_once() -> None:
+    frames = noisy(2e-4, 1e-3)
+    part = [part_of(frames, slice(0, 400)), part_of(frames, slice(400, 600))]
+    values = {'marker_type': 'pose_stamped', 'lag': 0.15}
+    whole, single = Tracker(settings_from(values)), Tracker(settings_from(values))
+    (expected,) = whole.add_parts(part, 1)
+    found = [single.add(part_of(frames, slice(k, k + 1)), 1) for k in range(600)]
+    angle = np.concatenate([e.angle for each in found for e in each], axis=1)
+    np.testing.assert_array_equal(angle, expected.angle)
 
 
 def test_the_pose_published_is_that_of_the_frame_that_came() -> None:

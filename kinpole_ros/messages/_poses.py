@@ -209,7 +209,8 @@ def _layout(part: 'tuple[_Poses | MessageError, int]') -> tuple[str, tuple[str, 
 def _frames(poses: Sequence[_Poses]) -> MarkerFrames:
     """Frames of one layout; poses that are not finite, or no poses, become NaN."""
     first, names = poses[0], tuple(poses[0].poses)
-    rows = np.array([list(one.poses.values()) for one in poses], float).reshape(-1, len(names), 7)
+    rows = np.array([list(one.poses.values()) for one in poses], float)
+    rows = rows.reshape(len(poses), len(names), 7)
     rows[~(np.isfinite(rows).all(axis=-1) & _are_turns(rows[..., 3:]))] = np.nan
     length = np.sqrt((rows[..., 3:] ** 2).sum(axis=-1))
     x, y, z, w = np.moveaxis(rows[..., 3:], -1, 0) / length

@@ -21,9 +21,9 @@ from kinpole_ros.rigid.plane import AXES, FIT, PlaneSetting
 
 # Of the types of messages, those that carry poses of bodies and not markers.
 POSE_TYPES = ('pose_stamped', 'body_poses', 'tf')
-# m, between the origin and the two points that stand for the axes of such a pose. Figures do not
-# depend on it; drawings show it.
-ARM = 0.1
+# m, complex, of the points that stand for such a pose, in its frame. Figures do not depend on them;
+# drawings show them. Their mean is the origin, so that it is not rounded by how the body is turned.
+POSE_POINTS = (0.1 + 0j, 0.1j, -0.1 - 0.1j)
 
 
 class ParameterError(ValueError):
@@ -419,9 +419,9 @@ def of_poses(settings: Settings) -> Settings:
     """
     The settings where poses of bodies come: each stands for three points fixed to its body.
 
-    They are the origin of its frame, which is that of the body, and points on its x and y axes.
+    The frame of the pose is that of the body.
     """
-    shapes = dict.fromkeys(settings.bodies, (0j, complex(ARM), ARM * 1j))
+    shapes = dict.fromkeys(settings.bodies, POSE_POINTS)
     return replace(settings, shapes=shapes, marker_identity='auto', method='pose')
 
 

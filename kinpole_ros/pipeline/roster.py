@@ -11,13 +11,15 @@ from typing import NamedTuple
 import numpy as np
 
 from kinpole_ros.pipeline.frame import MarkerFrames
-from kinpole_ros.pipeline.parameters import ARM, Settings
+from kinpole_ros.pipeline.parameters import POSE_POINTS, Settings
 from kinpole_ros.rigid.plane import Plane
 
 # A body of all markers takes new ones up to this many: a driver that numbers its markers anew in
 # every frame must not fill the memory.
 MOST_MARKERS = 1024
 _MOST_LAYOUTS = 64
+# m, from the origin of a pose to the points in space that tell its axes.
+_ARM = 0.1
 # What of a body's turning is in the plane, of 2: with less it has turned over.
 _LEAST_TURN = 0.1
 # m. No marker is that far, and the squares of what is nearer do not overflow.
@@ -68,7 +70,9 @@ class Roster:
         self._by_shape = settings.marker_identity == 'shape'
         self.all_markers = not any(self.markers)
         self._places: dict[tuple[str, ...], Layout] = {}
-        self.width = 3 if posed else max(2, *(len(markers) for markers in self.markers))
+        self.width = (
+            len(POSE_POINTS) if posed else max(2, *(len(markers) for markers in self.markers))
+        )
         self.wanted = sum(map(len, self.markers))
         self.unknown = 0
         self.absent: list[list[str]] = []
@@ -113,7 +117,7 @@ class Roster:
         if self.posed:
             axes = self._axes[first:]
             axes = np.concatenate((axes, np.full_like(axes[:, :1], np.nan)), axis=1)
-            solid[:, :, 1:] += ARM * axes.take(place[:, 0], axis=1)
+            solid[:, :, 1:] += _ARM * axes.take(place[:, 0], axis=1)
         return solid
 
     def flat(self, solid: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -129,7 +133,7 @@ class Roster:
 
     def _turned(self, solid: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """
-        The same of poses (T, B, 3, 3): points at 0, 1 and i times ARM of bodies in the plane.
+        The same of poses (T, B, 3, 3), each its origin and a point on either axis: POSE_POINTS.
 
         Of how a body is turned, that about the normal counts: the rest is how its frame sits on it,
         and noise. Its angle is 0 where the axes of its frame are parallel to those of the plane, or
@@ -137,11 +141,13 @@ class Roster:
         """
         assert self.plane is not None
         place, height = self.plane.project(solid[:, :, 0])
-        arms = (solid[:, :, 1:] - solid[:, :, :1]) / ARM
+        arms = (solid[:, :, 1:] - solid[:, :, :1]) / _ARM
         axes = np.stack((*arms.transpose(2, 0, 1, 3), np.cross(arms[:, :, 0], arms[:, :, 1])))
-        # Where the axes of the plane come to, of a body that they are fixed to.
+        # Where the axes of the plane come to, of a body that they are fixed to. Summed by hand, as
+        # a matrix product rounds otherwise where there are more frames.
         first, second = (
-            self.plane.project(np.tensordot(axis, axes, 1))[0] for axis in self.plane.basis[:2]
+            self.plane.project(x * axes[0] + y * axes[1] + z * axes[2])[0]
+            for x, y, z in self.plane.basis[:2]
         )
         turns = np.stack((first - 1j * second, first + 1j * second))
         for b in np.flatnonzero(self._upside_down < 0).tolist():
@@ -152,8 +158,7 @@ class Roster:
         length = np.abs(turn)
         turned = length > _LEAST_TURN
         turn = np.where(turned, turn, complex(np.nan, np.nan)) / np.where(turned, length, 1.0)
-        shape = ARM * np.array((0, 1, 1j))
-        points = place[..., None] + turn[..., None] * shape
+        points = place[..., None] + turn[..., None] * np.array(POSE_POINTS)
         return points, np.where(np.isnan(points.real), np.nan, height[..., None])
 
     def all_points(self, frame: int) -> tuple[np.ndarray, np.ndarray]:
