@@ -14,6 +14,7 @@ import numpy as np
 from kinpole_ros.pipeline.matcher import Matcher
 from kinpole_ros.pipeline.parameters import Settings
 from kinpole_ros.pipeline.roster import Roster
+from kinpole_ros.planar import Fit
 from kinpole_ros.rigid import (
     LENS,
     SLANT,
@@ -23,7 +24,6 @@ from kinpole_ros.rigid import (
     LastingNoise,
     Noise,
     Pins,
-    PoseNoise,
     References,
     Samples,
     Shapes,
@@ -33,7 +33,7 @@ from kinpole_ros.rigid import (
 # Coordinates are known no better than a few units of their last place.
 _ROUNDING = 4 * np.finfo(float).eps
 # rad. An angle noisier than this wanders round, and its errors are no longer small.
-_UNSTEADY = 0.15
+UNSTEADY = 0.15
 # A noise of fewer degrees of freedom may well be a third of what it is, or three times that.
 _LEAST_FREEDOM = 6.0
 # Markers are not of one rigid body that are off it by so many times their noise and by this share
@@ -43,7 +43,7 @@ _LOOSE, _LOOSE_SHARE = 5.0, 0.01
 _OTHERS = 0.05
 
 
-class _News(NamedTuple):
+class News(NamedTuple):
     """Frames that were taken since the last beat: fits, and what is left of them, (T, ...)."""
 
     stamps: np.ndarray
@@ -136,8 +136,6 @@ class RigidBodies:
         self.matcher = Matcher(settings, roster, self._shapes, counts)
         self._noise = Noise(self._count)
         self._lasting = LastingNoise(self._count, window)
-        # Where poses come as such, in place of markers whose fits leave something.
-        self._pose_noise = PoseNoise(self._count) if roster.posed else None
         self.deformation = Deformation(self._count, width, window)
         self._fields = Fields()
         self._pins = Pins(self._count, width)
@@ -153,7 +151,7 @@ class RigidBodies:
         # ns, 0 before a body is seen.
         self._seen_last = np.zeros(self._count, np.int64)
         # Frames since the last beat.
-        self._news: list[_News] = []
+        self._news: list[News] = []
         self._new = 0
         # What was known with the frames that wait to be estimated, now in the last row unless
         # something was learned since.
@@ -175,15 +173,9 @@ class RigidBodies:
         self._known.drop(len(self._known) - 1)
 
     def noise(self) -> np.ndarray:
-        """
-        Noise (B,) of one coordinate of a marker, m, given or measured; NaN while not known.
-
-        Of poses it is that of the point whose noise and that of the angle are independent.
-        """
+        """Noise (B,) of one coordinate of a marker, m, given or measured; NaN while not known."""
         if self._given > 0:
             level = np.full(self._count, self._given)
-        elif self._pose_noise is not None:
-            level = self._pose_noise.position
         else:
             level = self._lasting.level(self._noise.level())
             # While hardly any frames come running, by all that keeps markers off their places.
@@ -192,8 +184,8 @@ class RigidBodies:
         return np.maximum(level, _ROUNDING * self._shapes.farthest)
 
     def angle_noise(self) -> np.ndarray | None:
-        """Noise (B,) of the angles of poses, rad, NaN while not known; None where markers come."""
-        return None if self._pose_noise is None else self._pose_noise.angle
+        """Noise (B,) of the angles of poses that come as such, rad; None where markers come."""
+        return None
 
     def rigidity_residual(self) -> np.ndarray:
         """
@@ -223,8 +215,6 @@ class RigidBodies:
 
     def noise_underestimated(self) -> np.ndarray:
         """Which bodies (B,) have more noise than can be measured: see `LastingNoise.longer`."""
-        if self._pose_noise is not None:
-            return self._pose_noise.underestimated & (self._given == 0)
         return self._lasting.longer(self._noise.level())
 
     def take(
@@ -349,10 +339,7 @@ class RigidBodies:
         """
         if gaps[0]:
             self._shapes.forget_motion()
-        # Of markers that are closer together their noise leaves no angle.
-        least = self._misfit() / _UNSTEADY**2
-        if self._pose_noise is not None:
-            least = np.zeros(self._count)
+        least = self._least_spread()
         fit, points, course = self._shapes.fit(points, rows['time'], least, self.matcher)
         self.matcher.follow(fit)
         self._newest = int(rows['time'][-1])
@@ -361,18 +348,14 @@ class RigidBodies:
             self._shapes.corrected.clear()
             self._learned = True
         known = np.isfinite(fit.angle)
-        information = np.concatenate((fit.spread, fit.weight), axis=-1)
-        if self._pose_noise is not None:
-            information = np.ones(information.shape)
+        information = self._information(fit)
         if np.count_nonzero(known) < known.size:
             information[np.concatenate((~known, ~known), axis=-1)] = 0.0
         count, poses = self._count, rows['poses']
         poses[:, :count, 0], poses[:, :count, 1] = fit.angle, course.turns
         poses[:, count:, 0], poses[:, count:, 1] = fit.position.real, fit.position.imag
         rows['information'], rows['suspect'] = information, course.suspect
-        rows['middle'] = self._shapes.middle_of(fit.residual)
-        if self._pose_noise is not None:
-            rows['middle'] = self._pose_noise.middle
+        rows['middle'] = self._middle(fit)
         seen = ~np.isnan(points)
         with np.errstate(invalid='ignore'):
             total = np.add.reduce(heights, -1, where=seen)
@@ -389,7 +372,7 @@ class RigidBodies:
             information = np.where(np.tile(suspect, 2), 0.0, information)
         self.deformation.add(fit.residual)
         self._news.append(
-            _News(
+            News(
                 rows['time'].copy(),
                 fit.position,
                 fit.angle,
@@ -441,7 +424,7 @@ class RigidBodies:
             known['deformed'] = self.deformation.freedom
             known['held'] = self.deformation.held
             known['deformed_since'] = self.deformation.since
-            known['orientation_observable'] = noise**2 < _UNSTEADY**2 * self._shapes.spread
+            known['orientation_observable'] = noise**2 < UNSTEADY**2 * self._shapes.spread
             known['size'], known['scale'] = self._size(), self._scale()
             known['pin'], known['pin_variance'] = pins.center, pins.variance
             known['pin_since'], known['since'] = pins.since, self._since
@@ -450,11 +433,6 @@ class RigidBodies:
             references = self._references
             known['reference'] = np.where(np.isfinite(pins.center), 0.0, references.point)
             known['middle'] = references.middle
-            if self._pose_noise is not None:
-                known['orientation_observable'] = self._pose_noise.angle < _UNSTEADY
-                known['middle'] = middle = self._pose_noise.middle
-                free = np.isnan(pins.center) & (references.point == 0)
-                known['reference'] = np.where(free, middle, known['reference'])
             known['shape'] = self._shapes.markers()
         return len(self._known) - 1
 
@@ -463,7 +441,7 @@ class RigidBodies:
         if not self._new:
             return
         size = self._size()
-        news = _News(*map(np.concatenate, zip(*self._news, strict=True)))
+        news = News(*map(np.concatenate, zip(*self._news, strict=True)))
         self._news, self._new = [], 0
         self._learned = True
         if self._by_pose:
@@ -472,12 +450,11 @@ class RigidBodies:
             with np.errstate(divide='ignore', invalid='ignore'):
                 left = self._shapes.weighted(news.residual) / np.sqrt(self._misfit())[:, None]
             self._pins.add(*poses, left)
-            middle = self._shapes.middle if self._pose_noise is None else self._pose_noise.middle
-            self._references.add(*poses, middle)
-        if self._pose_noise is not None:
-            self._pose_noise.add(news.stamps, news.position, news.angle)
-            self._shapes.learn()
-            return
+            self._references.add(*poses, self._middle())
+        self._learn_noise(news)
+
+    def _learn_noise(self, news: News) -> None:
+        """Learn the shapes and the noise, and what else the fits of these frames leave."""
         residuals = self._shapes.of_the_same(news.residual)
         self._noise.add(residuals, news.freedom, ~news.gaps)
         if not self._given:
@@ -514,25 +491,25 @@ class RigidBodies:
 
     def _misfit(self) -> np.ndarray:
         """Variance (B,) of one coordinate of a marker, of all that keeps it off its place."""
-        if self._pose_noise is not None:
-            return np.asarray(self.noise() ** 2)
         rounding = _ROUNDING * self._shapes.farthest
         return np.maximum(self._shapes.misfit(), np.maximum(self._given, rounding) ** 2)
 
     def _size(self) -> np.ndarray:
         """Diameters (B,) of the bodies: twice the rms distance of their markers from the mean."""
-        if self._pose_noise is not None:
-            return 2 * self._arm()
         return np.asarray(2 * np.sqrt(self._shapes.spread / np.maximum(self._shapes.known, 1)))
 
-    def _arm(self) -> np.ndarray:
-        """How far (B,), m, from their mean markers would be whose fits had the noise of poses."""
-        assert self._pose_noise is not None
-        return np.asarray(self.noise() / self._pose_noise.angle)
+    def _least_spread(self) -> np.ndarray:
+        """Of markers that are closer together, m^2, their noise leaves no angle (B,)."""
+        return np.asarray(self._misfit() / UNSTEADY**2)
+
+    def _information(self, fit: Fit) -> np.ndarray:
+        """Inverse variances (T, 2 B) of angles and positions, before the `_scale`."""
+        return np.concatenate((fit.spread, fit.weight), axis=-1)
 
     def _scale(self) -> np.ndarray:
-        """What the information (2 B,) of poses is to be multiplied by, that of angles first."""
-        if self._pose_noise is None:
-            return np.ones(2 * self._count)
-        square, nearer = self._arm() ** 2, np.abs(self._pose_noise.middle) ** 2
-        return np.concatenate((square, square / (square + nearer)))
+        """What the information (2 B,) is to be multiplied by."""
+        return np.ones(2 * self._count)
+
+    def _middle(self, fit: Fit | None = None) -> np.ndarray:
+        """Means of the markers (B,) in the bodies' frames, or of those (T, B) that were seen."""
+        return self._shapes.middle if fit is None else self._shapes.middle_of(fit.residual)

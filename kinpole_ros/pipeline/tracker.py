@@ -21,6 +21,7 @@ from kinpole_ros.pipeline.frame import MarkerFrames, concatenated, part_of
 from kinpole_ros.pipeline.landmarks import derive_landmarks
 from kinpole_ros.pipeline.matcher import Matcher
 from kinpole_ros.pipeline.parameters import Settings, of_poses
+from kinpole_ros.pipeline.posed import PosedBodies
 from kinpole_ros.pipeline.roster import Roster
 from kinpole_ros.pipeline.ticks import StampState
 from kinpole_ros.pipeline.timeline import Timeline
@@ -92,7 +93,7 @@ class Tracker:
         count = len(self.bodies)
         if hasattr(self, '_rigid'):
             self._outages, self._wrong = self.outages(), self.wrong()
-        settings = of_poses(self.settings) if self._posed else self.settings
+        settings = self._settings_of_input()
         self._roster = Roster(settings, self._posed)
         width = self._roster.width
         self._space = Space(self.settings.plane, count, width)
@@ -100,11 +101,19 @@ class Tracker:
         # The frames before the plane is known: rows, markers, and which come after a gap.
         self._early: list[tuple[np.ndarray, MarkerFrames, np.ndarray]] = []
         self._timeline = Timeline(settings, self.counts, before)
-        self._rigid = RigidBodies(settings, self._timeline.window, self._roster, self.counts)
+        self._rigid = self._make_bodies()
         self._points: Samples | None = None
         if settings.method == 'landmarks':
             self._points = Samples((count, self._roster.width), complex)
         self._run_number = next(_run_numbers)
+
+    def _settings_of_input(self) -> Settings:
+        return of_poses(self.settings) if self._posed else self.settings
+
+    def _make_bodies(self) -> RigidBodies:
+        kind = PosedBodies if self._posed else RigidBodies
+        window = self._timeline.window
+        return kind(self._settings_of_input(), window, self._roster, self.counts)
 
     @property
     def samples(self) -> int:
@@ -338,8 +347,7 @@ class Tracker:
         """The plane has become known: learn from the frames before, and see them in it."""
         self._roster.plane = self._space.plane
         early, self._early = self._latest_early(), []
-        settings = of_poses(self.settings) if self._posed else self.settings
-        self._rigid = RigidBodies(settings, self._timeline.window, self._roster, self.counts)
+        self._rigid = self._make_bodies()
         end = len(self._timeline) - sum(len(rows) for rows, *_ in early)
         for rows, frames, gaps in early:
             solid = self._roster.sort(frames)
