@@ -761,6 +761,8 @@ def test_told_to_stop_node_and_recorder_end_at_once_and_the_recording_is_whole(
         (['-p', 'autostart:=5'], 'parameter autostart is 5; it must be true or false'),
         (['-p', 'bodies:=[]'], 'parameter bodies has no value'),
         (['-p', "marker_topic:='a b'"], "parameter marker_topic is 'a b'"),
+        *([] if WITH_TF else [(['-p', 'marker_type:=tf', '-p', "body.markers:=['a']"],
+                               'parameter marker_type is tf, and tf2_msgs is not installed')]),
         (['-p', 'marker_type:=marker', '-p', 'qos_overrides./markers.subscription.history:=much'],
          'parameters qos_overrides./markers.subscription cannot be used'),
         (['-p', 'qos_overrides./markers.subscription.relability:=reliable'],

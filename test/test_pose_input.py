@@ -363,6 +363,16 @@ def test_floats_of_32_bits_and_poses_not_seen_are_nothing_to_speak_of() -> None:
     np.testing.assert_array_equal(np.isnan(frames.points[0, :, 0]), [False, True])
 
 
+def test_a_pose_array_of_nobody_is_a_frame_in_which_nobody_is_seen() -> None:
+    rows = np.array([(1.0, 2.0, 3.0, *UPRIGHT)])
+    data = [poses_data('body_poses', 10**9 + k, 'lab', [], rows[: k % 2]) for k in range(4)]
+    frames, errors = read(PoseReader('body_poses', ('0',)), *data)
+    assert not errors and [each.points.shape[1] for each in frames] == [0, 1, 0, 1]
+    tracker = Tracker(Settings(bodies={'wand': ('0',)}, marker_type='body_poses'))
+    tracker.add_parts(frames, 1)
+    assert tracker.counts['markers_not_seen'] == 2
+
+
 def test_names_that_never_come_are_said_with_those_that_do(tmp_path: Path) -> None:
     reader = PoseReader('tf', ('crank',))
     assert not reader.lacking()

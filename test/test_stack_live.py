@@ -15,6 +15,7 @@ from nav_msgs.msg import Odometry
 from rcl_interfaces.msg import Parameter as ParameterMessage
 from rcl_interfaces.srv import GetParameters, ListParameters, SetParameters
 from rclpy.parameter import get_parameter_value, parameter_value_to_python
+from std_srvs.srv import Trigger
 from test_node import RELIABLE, Peer, process
 from visualization_msgs.msg import MarkerArray
 
@@ -103,6 +104,17 @@ def test_two_nodes_in_namespaces_do_not_collide_and_each_says_what_replay_says(
     for side, names in zip(PREFIXES, (topics | services, others | other_services), strict=True):
         assert len(names) > 40
         assert all(name.startswith(f'/{side}/kinpole/') for name in names - COMMON)
+
+
+def test_asked_to_relearn_it_begins_anew_with_poses_too(peer: Peer, simulated: Bag) -> None:
+    heard = peer.hear('/left/kinpole/wand/odom', Odometry)
+    answer = peer.call('/left/kinpole/relearn', Trigger, Trigger.Request())
+    assert answer.success
+    bag = simulated('cardan', rate=100, duration=0.8, noise=1e-4, message='pose_stamped')
+    with peer.publisher(PoseStamped, '/left/markers') as publisher:
+        for one in decoded(bag, '/markers')['/markers']:
+            publisher.publish(one)
+        peer.until(lambda: len(heard) > 40, 'results of what was learned anew')
 
 
 def dumped(peer: Peer, node: str) -> dict[str, Any]:

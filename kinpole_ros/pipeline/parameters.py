@@ -363,8 +363,8 @@ def settings_from(values: Mapping[str, Any]) -> Settings:
     """
     known = known_rows(values)
     names, joints = (tuple(values.get(name, known[name].default)) for name in ('bodies', 'joints'))
-    check('autostart', AUTOSTART, values)
-    checked = {name: check(name, row, values) for name, row in known.items()}
+    check_value('autostart', AUTOSTART, values)
+    checked = {name: check_value(name, row, values) for name, row in known.items()}
     bodies = {name: checked.pop(f'{name}.markers') for name in names}
     checked['bodies'] = bodies
     shapes = {name: checked.pop(f'{name}.shape') for name in names}
@@ -481,8 +481,8 @@ def known_rows(values: Mapping[str, Any]) -> dict[str, Parameter]:
 
     Raises ParameterError for a name among `values` that is not one of them.
     """
-    names = check('bodies', PARAMETERS['bodies'], values)
-    joints = check('joints', PARAMETERS['joints'], values)
+    names = check_value('bodies', PARAMETERS['bodies'], values)
+    joints = check_value('joints', PARAMETERS['joints'], values)
     known = {**PARAMETERS, **own_parameters(names, joints)}
     for name in values:
         if name not in known and name not in _NODE_ONLY and not name.startswith('qos_overrides.'):
@@ -510,7 +510,7 @@ def own_parameters(bodies: Iterable[str], joints: Iterable[str]) -> dict[str, Pa
     return own | {f'{joint}.bodies': JOINT_BODIES for joint in joints}
 
 
-def check(name: str, row: Parameter, values: Mapping[str, Any]) -> Any:
+def check_value(name: str, row: Parameter, values: Mapping[str, Any]) -> Any:
     """The value of one parameter, or its default, as Settings have it; raises ParameterError."""
     value = values.get(name, row.default)
     try:

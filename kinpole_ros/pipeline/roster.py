@@ -116,8 +116,9 @@ class Roster:
         solid = self._in_meters(rows.take(place, axis=1))
         if self.posed:
             axes = self._axes[first:]
-            axes = np.concatenate((axes, np.full_like(axes[:, :1], np.nan)), axis=1)
-            solid[:, :, 1:] += _ARM * axes.take(place[:, 0], axis=1)
+            none = np.full((len(axes), 1, 2, 3), np.nan)
+            axes = np.concatenate((axes, none), axis=1).take(place[:, 0], axis=1)
+            solid[:, :, 1:] += _ARM * axes
         return solid
 
     def flat(self, solid: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

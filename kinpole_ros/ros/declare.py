@@ -13,7 +13,7 @@ from kinpole_ros.pipeline.parameters import (
     Parameter,
     ParameterError,
     Settings,
-    check,
+    check_value,
     is_of_bodies,
     own_parameters,
     settings_from,
@@ -89,7 +89,7 @@ def values_of(node: Node, changes: Mapping[str, Any] | None = None) -> dict[str,
     """
     new = dict(changes or {})
     values = {**given_to(node), **new}
-    named = (check(name, PARAMETERS[name], values) for name in ('bodies', 'joints'))
+    named = (check_value(name, PARAMETERS[name], values) for name in ('bodies', 'joints'))
     names = {*PARAMETERS, *own_parameters(*named), *new}
     return {name: value for name, value in values.items() if name in names}
 

@@ -20,7 +20,7 @@ from kinpole_ros.pipeline.parameters import (
     PARAMETERS,
     ParameterError,
     Settings,
-    check,
+    check_value,
     is_of_bodies,
     known_rows,
     settings_from,
@@ -168,7 +168,7 @@ class SettableNode(LifecycleNode):
         values = values_of(self, new)
         known = known_rows(values)
         for name in new.keys() & known.keys():
-            check(name, known[name], new)
+            check_value(name, known[name], new)
         if of_bodies and self.active:
             raise ParameterError(
                 f'parameter {", ".join(of_bodies)} cannot be set while the node is active, as its '
@@ -206,9 +206,13 @@ class SettableNode(LifecycleNode):
 
 def _theory_of(settings: Settings) -> Theory | None:
     """As `load_theory`, for settings that the node can do; raises ParameterError for others."""
-    if settings.publish_tf and not WITH_TF:
-        raise ParameterError(
-            'parameter publish_tf is true, and tf2_msgs is not installed; install '
-            'ros-jazzy-tf2-msgs, or set it to false'
-        )
+    for name, value, wants in (
+        ('publish_tf', 'true', settings.publish_tf),
+        ('marker_type', 'tf', settings.marker_type == 'tf'),
+    ):
+        if wants and not WITH_TF:
+            raise ParameterError(
+                f'parameter {name} is {value}, and tf2_msgs is not installed; install '
+                'ros-jazzy-tf2-msgs, or set it otherwise'
+            )
     return load_theory(settings)

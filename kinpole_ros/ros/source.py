@@ -13,7 +13,6 @@ from kinpole_ros.messages import (
     AUTO_TYPES,
     INPUT_TYPE_NAMES,
     INPUT_TYPES,
-    WITH_TF,
     MessageError,
     PoseReader,
     reader_of,
@@ -131,11 +130,6 @@ class MarkerSource:
         return replaced
 
     def _subscribe(self, kind: str) -> None:
-        if kind == 'tf' and not WITH_TF:
-            raise ParameterError(
-                'parameter marker_type is tf, and tf2_msgs is not installed; install '
-                'ros-jazzy-tf2-msgs'
-            )
         # First, as it may not go with the parameters.
         self._reader = reader_of(kind, self._settings)
         # Drivers mostly send as sensors do; what is late is not worth waiting for.
