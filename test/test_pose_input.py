@@ -394,6 +394,14 @@ def test_messages_that_are_cut_or_claim_too_much_are_errors_and_no_more(kind: st
     for size in range(len(data)):
         found = reader.read([data[:size]])
         assert all(isinstance(part, MessageError) for part in found)
+    rng = np.random.default_rng(4)
+    for _ in range(300):
+        spoiled = bytearray(data)
+        spoiled[rng.integers(len(data))] = rng.integers(256)
+        for part in reader.read([bytes(spoiled)]):
+            if isinstance(part, MarkerFrames):
+                assert part.axes is not None and (part.stamps >= 0).all()
+                assert part.axes.shape == (*part.points.shape[:2], 2, 3)
     if kind != 'pose_stamped':
         count = data.index(b'\1\0\0\0', 4)
         (error,) = reader.read([data[:count] + b'\xff' * 4 + data[count + 4 :]])

@@ -275,7 +275,8 @@ class KinpoleNode(SettableNode):
         order = max((output.order for output, _ in self._wanted), default=None)
         read, messages, dropped = self.source.take(message, info)
         self._tracker.counts['dropped'] += dropped
-        if messages >= _BEHIND and not self.source.lossless:
+        # On /tf there may be none of ours among them.
+        if read and messages >= _BEHIND and not self.source.lossless:
             read = self._newest_last(read)
         for frames in read:
             if isinstance(frames, MessageError):

@@ -225,8 +225,9 @@ class MarkerSource:
     def note_turns(self) -> None:
         """Note whether several publishers have sent in turn since this was asked before."""
         text = ''
-        # Once may be a driver that was killed and is back, before its end was noticed.
-        if self._turns > 1:
+        # Once may be a driver that was killed and is back, before its end was noticed. /tf is for
+        # all to send on.
+        if self._turns > 1 and self._kind != 'tf':
             names = ', '.join(publishers_of(self._node, self.topic))
             text = (
                 f'several publishers send markers on {self.topic} in turn ({names}), and results '
