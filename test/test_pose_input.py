@@ -1,6 +1,7 @@
 """Poses of bodies in place of markers: what is made of them, how sure it is, what is refused."""
 
 from collections.abc import Callable
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -105,11 +106,11 @@ def test_deviations_hold_whatever_the_noise_of_angle_is_over_that_of_place(
 
 def test_poses_one_by_one_give_what_they_give_at_once() -> None:
     frames = noisy(2e-4, 1e-3)
-    part = [part_of(frames, slice(0, 400)), part_of(frames, slice(400, 600))]
+    part = [part_of(frames, slice(0, 200)), part_of(frames, slice(200, 350))]
     values = {'marker_type': 'pose_stamped', 'lag': 0.15}
     whole, single = Tracker(settings_from(values)), Tracker(settings_from(values))
     (expected,) = whole.add_parts(part, 1)
-    found = [single.add(part_of(frames, slice(k, k + 1)), 1) for k in range(600)]
+    found = [single.add(part_of(frames, slice(k, k + 1)), 1) for k in range(350)]
     angle = np.concatenate([e.angle for each in found for e in each], axis=1)
     np.testing.assert_array_equal(angle, expected.angle)
 
@@ -209,6 +210,7 @@ def results(
     """Of a simulated bag of a kind: what is estimated, said, and written."""
     folder = tmp_path_factory.mktemp('poses')
 
+    @cache
     def make(kind: str, **options: Any) -> tuple[Estimate, list[str], Path]:
         bag, written = folder / f'{kind}.mcap', folder / f'{kind}_result.mcap'
         plane = 'fit' if 'tilt' in options else 'xy'
