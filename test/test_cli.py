@@ -322,7 +322,7 @@ def test_a_scene_that_is_not_there_is_named_with_those_that_are(
         ('--dropout', '1.5', '--dropout is 1.5; it must be from 0 to 1'),
         ('--jitter', '-1', '--jitter is -1.0; it must be 0 s or more'),
         ('--jitter', '1e12', '--jitter make a bag of'),
-        ('--message', 'tf', '--message is tf; it must be one of marker_array, marker, '),
+        ('--message', 'images', '--message is images; it must be one of marker_array, marker, '),
     ],
 )
 def test_an_option_out_of_range_is_named_with_the_range(
