@@ -18,7 +18,13 @@ from kinpole_ros.pipeline.parameters import Settings
 Bag = Callable[..., Path]
 ROOT = Path(__file__).parents[1]
 JOINTS = {'elbow': ('crank', 'coupler'), 'shaft': ('ground', 'crank')}
-SETTINGS = Settings(bodies=bodies_of('four_bar'), joints=JOINTS, joint_state_rate=37.0, lag=0.15)
+SETTINGS = Settings(
+    bodies=bodies_of('four_bar'),
+    joints=JOINTS,
+    joint_state_rate=37.0,
+    lag=0.15,
+    scene='four_bar',
+)
 COVARIANT = (('nav_msgs', 'Odometry'), ('geometry_msgs', 'PoseWithCovarianceStamped'))
 PERIOD = 10**9 / 37
 
@@ -122,6 +128,8 @@ def documented() -> list[tuple[str, str]]:
         # Those after the first share what is before its last slash.
         place = listed[0].rpartition('/')[0]
         for name in listed:
+            if name.startswith('/') and name != listed[0]:
+                name = listed[0] + name
             found.append((name if '/' in name or not place else f'{place}/{name}', kind))
     return found
 
@@ -129,6 +137,7 @@ def documented() -> list[tuple[str, str]]:
 def pattern(topic: str) -> str:
     """The topic of the table that a topic of the results is an instance of."""
     bodies = '|'.join(SETTINGS.bodies)
+    topic = re.sub(r'/points/\w+', '/points/<P>', topic)
     topic = re.sub(rf'({bodies})/wrt/({bodies})', '<j>/wrt/<i>', topic)
     return re.sub(rf'^({bodies})/', '<body>/', topic)
 
