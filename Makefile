@@ -10,7 +10,7 @@ PIP = $(RUN) -m pip install --disable-pip-version-check
 PYTEST := -m pytest -p xdist -n auto --dist loadfile
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test oldest newest lint bags fuzz constraints clean
+.PHONY: help demo test docs oldest newest lint bags fuzz constraints clean
 
 help:  ## list these targets
 	@sed -n 's/^\([a-z]*\):.*## \(.*\)/make \1\t\2/p' $(MAKEFILE_LIST)
@@ -30,13 +30,13 @@ ifneq ($(AMENT_PREFIX_PATH),)
 KIND := $(shell "$(BASE)" -c 'import rclpy' 2>/dev/null && echo ros)
 endif
 ifeq ($(KIND),ros)
-EXTRAS := batch,formats,parquet,plot,test
+EXTRAS := batch,docs,formats,parquet,plot,test
 SITE := --system-site-packages
 # What is there of numpy and the like belongs to that ROS.
 INSTALL = $(PIP) --editable '.[$(EXTRAS)]'
 else
 KIND := wheels
-EXTRAS := batch,formats,parquet,plot,ros,test
+EXTRAS := batch,docs,formats,parquet,plot,ros,test
 INSTALL = $(if $(CONSTRAINTS),$(PIP) --require-hashes --requirement $(CONSTRAINTS) && \
   $(PIP) --no-deps --no-build-isolation --editable .,$(PIP) --editable '.[$(EXTRAS)]')
 # The wheels have one middleware, and no use for parts of a ROS that belongs to another Python.
@@ -63,6 +63,10 @@ oldest newest:
 	@PYTEST_DISABLE_PLUGIN_AUTOLOAD=1 OPENBLAS_NUM_THREADS=1 \
 	  .venv-$@/bin/python $(PYTEST) $(PYTEST_ARGS)
 
+docs: $(STAMP)  ## the site of the docs, in out/docs; warnings are errors
+	@OPENBLAS_NUM_THREADS=1 $(RUN) -m sphinx -q -W --keep-going -E docs out/docs
+	@echo 'out/docs/index.html'
+
 lint: $(STAMP)  ## style and types
 	@$(RUN) -m ruff check
 	@$(RUN) -m ruff format --check
@@ -80,13 +84,13 @@ fuzz: $(STAMP)  ## read 10,000 corrupted bags and 100,000 corrupted messages
 
 # For Python 3.10 to 3.14. The compiler of constraints is uv: pip install uv.
 constraints:  ## choose the newest versions for constraints.txt, with their hashes
-	@echo 'setuptools>=64' | uv pip compile setup.py - --extra batch --extra formats \
-	  --extra parquet --extra plot --extra ros --extra test --universal --python-version 3.10 --upgrade --generate-hashes \
+	@echo 'setuptools>=64' | uv pip compile setup.py - --extra batch --extra docs \
+	  --extra formats --extra parquet --extra plot --extra ros --extra test --universal --python-version 3.10 --upgrade --generate-hashes \
 	  --no-header --no-annotate --quiet --output-file constraints.txt
 
 clean:  ## remove .venv and all else that can be made again
 	rm -rf .venv .venv-oldest .venv-newest build *.egg-info
-	rm -rf .hypothesis .mypy_cache .pytest_cache .ruff_cache
+	rm -rf .hypothesis .mypy_cache .pytest_cache .ruff_cache out/docs
 	rm -f out/demo.mcap out/demo.png kinpole_ros/derivatives/*.so
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +
 

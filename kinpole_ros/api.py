@@ -94,15 +94,33 @@ def track(
     **parameters: Any,
 ) -> Tracked:
     """
-    Follow bodies by their markers: `points` (T, n, 2) or (T, n, 3), m, NaN where one is not seen.
+    Follow bodies by their markers, through the same pipeline as the node.
 
-    `stamps` (T,) int64, ns. `bodies` says which columns of the points are on which body; without
-    it, all are on one, `body`. Others are the parameters of the node by their names, such as
-    window=0.3, lag=0.1, noise=2e-4, derivative_order=3, plane='fit'. Points with two coordinates
-    are in the plane xy. An instant is known `lag` after its frame, so the last ones are left out.
+    What makes results fewer is warned of.
 
-    What makes results fewer is warned of. Raises ValueError for shapes that do not fit, and
-    ParameterError, which is one, for a parameter.
+    Parameters
+    ----------
+    points
+        Places of the markers (T, n, 2) or (T, n, 3), m, NaN where one is not seen. With two
+        coordinates they are in the plane xy.
+    stamps
+        Times of the frames (T,), int64, ns.
+    bodies
+        Which columns of the points are on which body; without it, all are on one, `body`.
+    **parameters
+        Those of the node by their names, such as window=0.3, lag=0.1, noise=2e-4,
+        derivative_order=3, plane='fit'.
+
+    Returns
+    -------
+    Tracked
+        The motion at M instants. One is known `lag` after its frame, so the last are left out.
+
+    Raises
+    ------
+    ValueError
+        For shapes that do not fit, and as ParameterError for a parameter.
+
     """
     there = np.asarray(points, float)
     if there.ndim != 3 or there.shape[2] not in (2, 3):
@@ -134,12 +152,34 @@ def replay(
     bag: str | Path, config: str | Path | None = None, topic: str | None = None, **parameters: Any
 ) -> Tracked:
     """
-    The same of the markers in a bag, an .mcap file or a rosbag2 folder.
+    Follow bodies by the markers in a bag.
 
-    `config` is a ROS 2 parameter file; `parameters`, by name, override what it says, as
-    **{'crank.markers': ['0', '1']} does for names with a dot; `topic` overrides the marker topic.
-    Warns of what `kinpole replay` prints on stderr. Raises BagError for a bag that cannot be used,
-    and ParameterError for a parameter.
+    Warns of what `kinpole replay` prints on stderr.
+
+    Parameters
+    ----------
+    bag
+        An .mcap file or a rosbag2 folder.
+    config
+        A ROS 2 parameter file, as for the node; without it, all markers are on one body, `body`.
+    topic
+        The topic of the markers, instead of the parameter `marker_topic`.
+    **parameters
+        What is to be other than `config` says, by name; ``**{'crank.markers': ['0', '1']}`` for
+        names with a dot.
+
+    Returns
+    -------
+    Tracked
+        The motion at M instants.
+
+    Raises
+    ------
+    BagError
+        For a bag that cannot be used.
+    ParameterError
+        For a parameter.
+
     """
     from kinpole_ros import bags
 

@@ -49,7 +49,7 @@ def bag_files(path: str | Path) -> list[Path]:
     """The .mcap files of a bag, in order.
 
     `path` is an .mcap file or a rosbag2 folder, whose metadata.yaml names the files; without
-    one, all *.mcap files of the folder by name, numbers in names counted as numbers.
+    one, all .mcap files of the folder by name, numbers in names counted as numbers.
 
     Raises BagError when there is no bag, or one that is not MCAP.
     """

@@ -103,7 +103,7 @@ def centrode_curvature(position: Complex, angle: Real, u: Linear | None = None) 
 
 def curvature_terms(velocity: Terms, acceleration: Terms) -> Terms:
     """
-    Im(conj(u) du) / |u|^3 (1/m), and its derivatives by v, acc and jerk and by w, a and j.
+    Im(conj(u) du) / abs(u)^3 (1/m), and its derivatives by v, acc and jerk and by w, a and j.
 
     The change is the real part of their sum. From what `velocity_terms` and `acceleration_terms`
     give; numbers, or arrays of one shape.

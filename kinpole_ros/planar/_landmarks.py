@@ -51,16 +51,32 @@ def landmark_kinematics(
     """
     Rates, poles and centrode of rigid bodies from the derivatives of their landmarks (seed 000).
 
-    All arrays have shape (..., n, 2) and one unit of length; `weights` (..., n) >= 0 tells how far
-    a landmark counts, 0 = not available (its numbers may be anything, NaN included). What needs a
-    derivative that is not given, two distinct landmarks where there is one, or a turn where there
-    is none within rounding, is NaN. Raises ValueError for shapes that do not fit, negative weights,
-    or a derivative given without the one before it.
+    Parameters
+    ----------
+    points, velocities, accelerations, jerks, snaps
+        Arrays (..., n, 2), in one unit of length and its rates by the second.
+    weights
+        How far each landmark counts (..., n), >= 0; 0 is not available, and its numbers may then be
+        anything, NaN included.
 
+    Returns
+    -------
+    LandmarkKinematics
+        NaN where something is lacking: a derivative that is not given, a second distinct landmark,
+        or a turn, where there is none within rounding.
+
+    Raises
+    ------
+    ValueError
+        For shapes that do not fit, negative weights, or a derivative without the one before it.
+
+    Examples
+    --------
     >>> still, moving = [0.0, 0.0], [0.0, 2.0]  # a rod that turns about its first end
     >>> motion = landmark_kinematics([[0.0, 0.0], [1.0, 0.0]], [still, moving])
     >>> print(motion.angular_velocity, motion.icr)
     2.0 [0. 0.]
+
     """
     r = check_vectors(points, 'points')
     if r.ndim < 2:

@@ -58,7 +58,7 @@ def variance(linear: Linear, position_covariance: Real, angle_covariance: Real) 
 
 def mean_square(factors: Complex, matrix: Real) -> Real:
     """
-    Mean |sum of factors[k] e[k]|^2 (...) of errors e (n) with covariances `matrix` (n, n, ...).
+    Mean square (...) of the sum of factors[k] e[k], where errors e have covariances (n, n, ...).
 
     Of errors equal on both axes it is that of either axis of the sum, and of its real part.
     """

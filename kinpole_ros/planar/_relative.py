@@ -13,8 +13,19 @@ def relative_center(
     """
     Relative instant center of body j with respect to body i, seed 000, 'Relative velocity'.
 
-    `omega_j`, `omega_i` (...) in rad/s; `icr_j`, `icr_i` (..., 2) in m, in the ground frame, as is
-    the result (..., 2). NaN where both rates are equal within rounding, or where an ICR is NaN.
+    Parameters
+    ----------
+    omega_j, omega_i
+        Angular velocities (...), rad/s.
+    icr_j, icr_i
+        Instant centers (..., 2), m, in the ground frame.
+
+    Returns
+    -------
+    ndarray
+        The center (..., 2), m, in the ground frame; NaN where both rates are equal within rounding,
+        or where an ICR is NaN.
+
     """
     w_j, w_i = np.asarray(omega_j, float), np.asarray(omega_i, float)
     p_j, p_i = check_vectors(icr_j, 'icr_j'), check_vectors(icr_i, 'icr_i')
