@@ -1,0 +1,170 @@
+"""
+The code blocks of README, tutorials and how-to pages do what the pages say.
+
+Blocks of a page run in order, in a folder of its own. What a page shows as output must be printed,
+but for the numbers. Live commands run in the tutorial of the live node alone; elsewhere, and for
+commands of ROS installations that the wheels lack, what they name is checked instead.
+"""
+
+import glob
+import os
+import re
+import shlex
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+import yaml
+
+from kinpole_ros.messages import result_outputs
+from kinpole_ros.pipeline.parameters import PARAMETERS, load_settings, settings_from
+from kinpole_ros.tools.cli import main
+from kinpole_ros.tools.usage import make_parser
+
+ROOT = Path(__file__).parents[1]
+DOCS = ROOT / 'docs'
+LIVE = DOCS / 'tutorial_live.md'
+PAGES = [
+    ROOT / 'README.md',
+    *sorted(DOCS.glob('tutorial_*.md')),
+    DOCS / 'real_rigs.md',
+    *sorted(DOCS.glob('howto/*.md')),
+]
+BLOCK = re.compile(r'^( *)```(\w*)\n(.*?)^\1```$', re.MULTILINE | re.DOTALL)
+NUMBER = re.compile(r'-?\d+(\.\d+)?(e-?\d+)?')
+ENDLESS = ('node', 'play', 'record')
+# s, of a process that has to come up, or to end.
+PATIENCE = 40
+
+
+def blocks(page: Path) -> list[tuple[str, str]]:
+    """Kind and text of each block, without the indent of a list."""
+    found = BLOCK.findall(page.read_text('utf-8'))
+    return [(kind, re.sub(f'^{indent}', '', text, flags=re.M)) for indent, kind, text in found]
+
+
+def masked(text: str) -> list[str]:
+    """The lines, with numbers and widths of columns left out."""
+    return [' '.join(NUMBER.sub('#', line).split()) for line in text.splitlines()]
+
+
+class Reader:
+    """Somebody who does what a page says."""
+
+    def __init__(self, live: bool) -> None:
+        self.live = live
+        self.running: list[subprocess.Popen[bytes]] = []
+
+    def bash(self, line: str) -> None:
+        words = shlex.split(line, comments=True)
+        if not words:
+            return
+        if words[0] == 'kinpole':
+            self.kinpole([w for word in words[1:] for w in (sorted(glob.glob(word)) or [word])])
+        elif words[0] == 'make':
+            assert re.search(rf'^{words[1]}:', (ROOT / 'Makefile').read_text(), re.M), line
+        elif words[:2] == ['ros2', 'launch']:
+            launch(words[2:])
+        elif words[:3] == ['ros2', 'param', 'set']:
+            assert not PARAMETERS[words[4]].fixed
+            settings_from({words[4]: yaml.safe_load(words[5])})
+        elif words[:3] == ['ros2', 'topic', 'echo']:
+            outputs = result_outputs(tuple(load_settings('rig.yaml').bodies), 'xy')
+            names = {output.under('/kinpole') for output in outputs}
+            assert words[3] in {*names, '/diagnostics'}
+        else:
+            assert line == 'source .venv/bin/activate', f'{line}: teach the test to check this'
+
+    def kinpole(self, words: list[str]) -> None:
+        make_parser().parse_known_args(words)
+        if words[0] not in ENDLESS:
+            assert main(words) == 0, words
+        elif self.live:
+            command = [sys.executable, '-m', 'kinpole_ros.tools.cli', *words]
+            self.running.append(subprocess.Popen(command))
+            if words[0] == 'record':
+                recorded(Path(words[words.index('--output') + 1]))
+                self.stop(self.running.pop())
+        elif '--params-file' in words:
+            load_settings(words[words.index('--params-file') + 1])
+
+    @staticmethod
+    def stop(process: 'subprocess.Popen[bytes]') -> None:
+        """Ctrl-C."""
+        process.send_signal(signal.SIGINT)
+        assert process.wait(PATIENCE) == 0
+
+    def close(self) -> None:
+        for process in self.running:
+            process.kill()
+            process.wait()
+
+
+def launch(words: list[str]) -> None:
+    """A launch file of this package, with arguments that it declares."""
+    package, file, *arguments = words
+    assert package == 'kinpole_ros'
+    text = (ROOT / 'launch' / file).read_text('utf-8')
+    declared = set(re.findall(r"DeclareLaunchArgument\(\s*'(\w+)'", text))
+    assert {argument.partition(':=')[0] for argument in arguments} <= declared
+
+
+def recorded(bag: Path) -> None:
+    """Wait until results are in the file."""
+    deadline = time.monotonic() + PATIENCE
+    while not bag.exists() or bag.stat().st_size < 200_000:
+        assert time.monotonic() < deadline, 'nothing was recorded'
+        time.sleep(0.05)
+
+
+@pytest.fixture
+def reader(
+    request: pytest.FixtureRequest,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> Iterator[Reader]:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv('PYTHONPATH', f'{ROOT}{os.pathsep}{os.environ.get("PYTHONPATH", "")}')
+    (tmp_path / 'config').symlink_to(ROOT / 'config')
+    one = Reader(request.node.callspec.params['page'] == LIVE)
+    yield one
+    one.close()
+
+
+def given(folder: Path, simulated) -> None:
+    """What README takes for granted: recordings, and a file of DeepLabCut."""
+    (folder / 'runs').mkdir()
+    for name in ('recording.mcap', 'runs/1.mcap'):
+        bag = simulated('four_bar', rate=100.0, duration=2.0, noise=2e-4)
+        (folder / name).symlink_to(bag)
+    code = next(text for kind, text in blocks(DOCS / 'tutorial_spreadsheet.md') if kind == 'python')
+    exec(code, {})
+    (folder / 'filmDLC.csv').rename('videoDLC.csv')
+
+
+@pytest.mark.parametrize('page', PAGES, ids=lambda page: page.stem)
+def test_blocks_run(page: Path, reader: Reader, tmp_path: Path, simulated, capfd) -> None:
+    if page.name == 'README.md':
+        given(tmp_path, simulated)
+    names: dict[str, object] = {}
+    printed: set[str] = set()
+    for kind, text in blocks(page):
+        if kind == 'bash':
+            for line in text.splitlines():
+                reader.bash(line)
+        elif kind == 'python':
+            exec(text, names)
+        elif kind == 'yaml' and (named := re.match(r'# (\S+\.yaml)', text)):
+            Path(named[1]).write_text(text, 'utf-8')
+        elif kind == 'yaml':
+            Path('shown.yaml').write_text(text, 'utf-8')
+            load_settings('shown.yaml')
+        else:
+            assert kind == 'text', f'{page}: say what kind of block this is: {text}'
+            out = capfd.readouterr()
+            printed |= {*masked(out.out), *masked(out.err)}
+            assert {*masked(text)} <= printed | {''}
