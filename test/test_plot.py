@@ -25,7 +25,7 @@ from kinpole_ros.bags import (
 from kinpole_ros.mechanism import load_scene
 from kinpole_ros.messages import ns_to_stamp, stamp_to_ns
 from kinpole_ros.pipeline.parameters import Settings
-from kinpole_ros.tools.plot import Centrodes, _draw, centrodes, plot, read_results
+from kinpole_ros.tools.plot import Centrodes, _plane, _style, centrodes, plot, read_results
 
 pytest.importorskip('matplotlib')
 
@@ -44,7 +44,7 @@ def bags(tmp_path_factory) -> dict[str, Path]:
         simulate(scene, markers, rate=100, duration=1.2, noise=1e-5)
         bodies = {body: tuple(names) for body, names in scene.marker_names.items()}
         replay(markers, Settings(bodies=bodies), found[name])
-    return {**found, 'markers': markers}
+    return {**found, 'markers': markers, 'cardan_markers': markers}
 
 
 def thinned(bag: Path, output: Path, keep) -> Path:
@@ -239,22 +239,22 @@ def test_lines_stop_at_gaps_and_where_the_pole_passes_infinity(bags, tmp_path) -
         bags['cardan'], tmp_path / 'gap.mcap', lambda _, stamp: not 0.4 < stamp - start < 0.7
     )
     (rod,) = read_results(gappy).bodies
-    (gap,) = _draw._breaks(rod, rod.stamp)
+    (gap,) = _style.breaks_of(rod, rod.stamp)
     assert rod.stamp[gap + 1] - rod.stamp[gap] > 0.29e9
-    values, alone = _draw._broken(np.arange(4.0), np.array([1, 2]))
+    values, alone = _style.broken(np.arange(4.0), np.array([1, 2]))
     np.testing.assert_array_equal(values, [0, 1, np.nan, 2, np.nan, 3])
     assert alone == [3, 5]
-    np.testing.assert_array_equal(_draw._reversals(np.array([1.0, 2, -1, -1, 3])), [1, 3])
+    np.testing.assert_array_equal(_style.reversals(np.array([1.0, 2, -1, -1, 3])), [1, 3])
 
 
-def pictured(bag: Path, folder: Path, monkeypatch):
+def pictured(bag: Path, folder: Path, monkeypatch, truth=None):
     """The figure that would have been written."""
     made = []
     with monkeypatch.context() as kept:
         kept.setattr(
             'matplotlib.figure.Figure.savefig', lambda figure, *_, **__: made.append(figure)
         )
-        plot(bag, folder / 'out.png')
+        plot(bag, folder / 'out.png', truth=truth)
     return made[0]
 
 
@@ -273,12 +273,13 @@ def test_poles_and_centrodes_of_one_instant_are_drawn_where_they_are(
     since = float(re.search(r'centrode at t = ([\d.]+) s', figure.get_suptitle())[1])
     kinds = set()
     for row, body in enumerate(results.bodies):
-        axis = figure.axes[6 * row]
+        axis = figure.axes[11 * row]
         assert axis.get_title() == body.name
         (k,) = np.flatnonzero(np.abs((body.stamp - start) * 1e-9 - since) < 6e-4)
         instant = body.stamp[k]
         marked = {}
-        for line in axis.lines:
+        lines = [line for line in axis.lines if line.get_gid() != 'linkage']
+        for line in lines:
             marked.setdefault(line.get_marker(), []).extend(places(line))
         assert marked['+'] == [body.position[k]]
         now = {name: one.value[one.stamp == instant] for name, one in body.series.items()}
@@ -288,7 +289,7 @@ def test_poles_and_centrodes_of_one_instant_are_drawn_where_they_are(
         centers = [one.value[one.stamp == instant] for one in related.values()]
         assert sorted(marked.get('D', []), key=abs) == sorted(np.ravel(centers), key=abs)
         (icr,), (u,) = now['icr'], now['icr_velocity']
-        styles = {line.get_linestyle(): places(line) for line in axis.lines}
+        styles = {line.get_linestyle(): places(line) for line in lines}
         np.testing.assert_array_equal(styles[':'], body.position)
         # The centrodes roll on each other, now in the ICR.
         assert np.abs(styles['-'] - icr).min() < 1e-9
@@ -296,7 +297,8 @@ def test_poles_and_centrodes_of_one_instant_are_drawn_where_they_are(
         assert ('-.' in styles) == bool(related)
         (last,) = np.flatnonzero(body.series['icr'].stamp == instant)
         spread = np.linalg.eigvalsh(body.series['icr'].covariance[last])
-        ellipse = next(one for one in axis.patches if complex(*one.center) == icr)
+        ellipses = [one for one in axis.patches if hasattr(one, 'center')]
+        ellipse = next(one for one in ellipses if complex(*one.center) == icr)
         assert (ellipse.width, ellipse.height) == pytest.approx(4 * np.sqrt(spread))
         arrows = [text for text in axis.texts if getattr(text, 'arrow_patch', None)]
         if instant in body.series['centrode_curvature'].stamp:
@@ -324,7 +326,7 @@ def test_rates_are_drawn_over_time_with_their_bands(bags, tmp_path, monkeypatch)
         (series['centrode_curvature'].stamp, series['centrode_curvature'].value),
         (series['icr_velocity'].stamp, np.abs(series['icr_velocity'].value)),
     ]
-    for axis, (stamp, value) in zip(figure.axes[1:], expected, strict=True):
+    for axis, (stamp, value) in zip(figure.axes[1::2], expected, strict=True):
         now, curve = axis.lines
         assert places(curve) == pytest.approx((stamp - start) * 1e-9 + 1j * value)
         assert axis.get_xlim() == pytest.approx((0, (body.stamp[-1] - start) * 1e-9))
@@ -334,6 +336,47 @@ def test_rates_are_drawn_over_time_with_their_bands(bags, tmp_path, monkeypatch)
     (band,) = figure.axes[1].collections
     edge = body.rate + 2 * body.rate_sigma
     assert band.get_paths()[0].vertices[:, 1].max() == pytest.approx(edge.max())
+    # Every curve has a band, and below it the band at its own scale.
+    for axis, strip in zip(figure.axes[1::2], figure.axes[2::2], strict=True):
+        assert axis.collections
+        (band,) = strip.collections
+        low, high = strip.get_ylim()
+        assert low == -high
+        top = band.get_paths()[0].vertices[:, 1]
+        assert np.mean(np.abs(top) <= high) > 0.8
+
+
+def test_exact_answers_are_drawn_with_the_error_in_its_band(bags, tmp_path, monkeypatch) -> None:
+    figure = pictured(bags['cardan'], tmp_path, monkeypatch, bags['cardan_markers'])
+    (body,) = read_results(bags['cardan']).bodies
+    exact = load_scene('cardan').motion(body.stamp * 1e-9 - 1.0)['rod'].angle
+    axis, strip = figure.axes[1:3]
+    *_, curve = axis.lines
+    np.testing.assert_allclose(places(curve).imag, exact[1], atol=1e-9)
+    *_, error = strip.lines
+    np.testing.assert_allclose(places(error).imag, body.rate - exact[1], atol=1e-9)
+
+
+def test_the_linkage_is_drawn_with_its_pins_where_they_are(bags, tmp_path, monkeypatch) -> None:
+    figure = pictured(bags['four_bar'], tmp_path, monkeypatch)
+    results = read_results(bags['four_bar'])
+    assert [len(body.outline) for body in results.bodies] == [3, 4, 3]
+    pins = [
+        complex(line.get_xdata()[0], line.get_ydata()[0])
+        for line in figure.axes[11].lines
+        if line.get_gid() == 'linkage' and line.get_marker() == 'o'
+    ]
+    start = min(body.stamp[0] for body in results.bodies)
+    since = float(re.search(r'centrode at t = ([\d.]+) s', figure.get_suptitle())[1])
+    motion = load_scene('four_bar').motion(start * 1e-9 - 1.0 + since)
+    arm, rod = (motion[name] for name in ('crank', 'coupler'))
+    expected = [
+        # The rocker's own is not known after so short a time.
+        0.0,
+        arm.position[0] + 0.12 * np.exp(1j * arm.angle[0]),
+        rod.position[0] + 0.36 * np.exp(1j * rod.angle[0]),
+    ]
+    np.testing.assert_allclose(sorted(pins, key=abs), sorted(expected, key=abs), atol=2e-3)
 
 
 @pytest.mark.parametrize(('scene', 'related'), [('four_bar', True), ('cardan', False)])
@@ -343,20 +386,20 @@ def test_the_legend_tells_of_what_is_drawn(bags, tmp_path, monkeypatch, scene, r
 
 
 def test_what_is_in_view_and_known_well_enough_is_kept() -> None:
-    box = _draw._View(-1 - 1j, 1 + 1j, 1.0)
+    box = _plane.View(-1 - 1j, 1 + 1j, 1.0)
     points = np.array([0.5 - 0.5j, 2, -2, 2j, -2j])
     assert box.holds(points).tolist() == [True, False, False, False, False]
     ones = np.ones(3)
     sigma = np.array([0.04, 0.06, np.nan])
     locus = Centrodes(np.arange(3), ones + 0j, ones + 0j, ones, sigma)
-    assert _draw._sharp(locus, 1.0).stamp.tolist() == [0, 2]
+    assert _plane.sharp(locus, 1.0).stamp.tolist() == [0, 2]
 
 
 def test_poles_at_infinity_do_not_squash_the_picture(bags) -> None:
     coupler = read_results(bags['four_bar']).bodies[1]
     locus = centrodes(coupler)
     assert np.abs(locus.fixed).max() > 20
-    view = _draw._view(coupler, locus, _draw._reach(coupler, locus))
+    view = _plane.view_of(coupler, locus, _plane.reach_of(coupler, locus))
     assert max(abs(view.low), abs(view.high)) < 3
 
 

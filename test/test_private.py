@@ -88,6 +88,9 @@ def test_a_wait_ends_with_the_first_message_and_take_has_all_of_them(node: Node)
     assert words == ['a', 'b', 'c'], 'rclpy has changed: take_message does not give the bytes'
     numbers = [private.sequence_number(info) for _, info in taken]
     assert numbers == [1, 2, 3], 'rclpy has changed: messages have no publication_sequence_number'
+    when = [private.received_at(info) or 0 for _, info in taken]
+    assert when == sorted(when), 'rclpy has changed: messages have no received_timestamp'
+    assert abs(time.time_ns() - when[0]) < 60e9, 'rclpy has changed: received_timestamp'
     assert [*private.take(quiet, 1)] == []
 
 

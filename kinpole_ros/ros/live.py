@@ -40,7 +40,7 @@ from kinpole_ros.bags import (
 )
 from kinpole_ros.messages import ns_to_stamp
 from kinpole_ros.ros.executor import MessagesFirst, SubscriptionGroup
-from kinpole_ros.ros.private import RCLError, take, wait_for_messages
+from kinpole_ros.ros.private import RCLError, received_at, take, wait_for_messages
 from kinpole_ros.ros.process import check_domain, reason_of, start_ros
 
 # What a kill may lose of a recording.
@@ -202,7 +202,7 @@ class Recorder(Node):
         self._prefixes = tuple(map(_whole, prefixes))
         # The type a topic is recorded as, and others it was published as.
         self._seen: dict[str, set[str]] = {}
-        self._recorded: list[tuple[Subscription, Callable[[bytes], None]]] = []
+        self._recorded: list[tuple[Subscription, Callable[..., None]]] = []
         # Those with a publisher that offers less than was asked for.
         self._unheard: set[Subscription] = set()
         self._group = SubscriptionGroup()
@@ -229,8 +229,8 @@ class Recorder(Node):
         before = self.messages
         for subscription, save in self._recorded:
             # No more than wait at most, lest a flood keeps all others waiting.
-            for data, _ in take(subscription, _DEEP):
-                save(data)
+            for data, info in take(subscription, _DEEP):
+                save(data, received_at(info))
         return self.messages - before
 
     def _complain(self) -> None:
@@ -301,9 +301,11 @@ class Recorder(Node):
                 'type for a topic; record anew'
             )
 
-    def _saver(self, name: str, cls: type) -> Callable[[bytes], None]:
-        def save(data: bytes) -> None:
-            self._writer.write_raw(name, cls, data, self.get_clock().now().nanoseconds)
+    def _saver(self, name: str, cls: type) -> Callable[..., None]:
+        def save(data: bytes, received: int | None = None) -> None:
+            # Not when its turn came, after all topics before it.
+            when = received or self.get_clock().now().nanoseconds
+            self._writer.write_raw(name, cls, data, when)
             self.messages += 1
 
         return save

@@ -62,6 +62,15 @@ def sequence_number(info: Mapping[str, Any]) -> int | None:
     return info.get('publication_sequence_number')
 
 
+def received_at(info: Mapping[str, Any]) -> int | None:
+    """
+    When the middleware received a message, ns since 1970, where it says so.
+
+    Public would be an attribute of a MessageInfo.
+    """
+    return info.get('received_timestamp') or None
+
+
 def has_known_node(endpoint: TopicEndpointInfo) -> bool:
     """
     Whether the node of an endpoint is known yet: an endpoint is known a little before its node.

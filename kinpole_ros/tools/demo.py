@@ -13,7 +13,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import rclpy
@@ -24,7 +24,7 @@ from rclpy.serialization import deserialize_message
 from kinpole_ros.bags import BagError, message_class, read_messages
 from kinpole_ros.mechanism import share_folder
 from kinpole_ros.pipeline.estimate import POLE_NAMES
-from kinpole_ros.pipeline.parameters import load_settings
+from kinpole_ros.pipeline.parameters import Settings, load_settings
 from kinpole_ros.ros.live import own_context, play
 
 _START = 20.0
@@ -55,19 +55,20 @@ def demo(output: str | Path) -> int:
     print(f'player:   kinpole play {bag}')
     count = live_run(bag, config, recording)
     print(f'{count} frames of markers played over DDS; what the node said is in {recording}\n')
-    for line in _comparison(bag, recording, tuple(load_settings(config).bodies)):
+    print('latency: from a frame to its results, as the recorder received both')
+    for line in _comparison(bag, recording, load_settings(config)):
         print(line)
 
     from kinpole_ros.tools.plot import plot
 
-    plot(recording, picture)
+    plot(recording, picture, truth=bag)
     print(f'\nthe picture: {picture}')
     return 0
 
 
 def live_run(bag: Path, config: Path, recording: Path) -> int:
     """
-    Play the markers of `bag` into a node of its own and record everything it publishes.
+    Play the markers of `bag` into a node of its own; record them, and everything it publishes.
 
     The node is set to lose no marker. Returns the number of messages played.
     Raises BagError when the node or the recorder does not come up.
@@ -78,6 +79,7 @@ def live_run(bag: Path, config: Path, recording: Path) -> int:
     node_words = ['node', '--ros-args', '--params-file', str(config)]
     prefix = f'qos_overrides.{name}.subscription'
     node_words += ['-p', f'{prefix}.reliability:=reliable', '-p', f'{prefix}.depth:=1000']
+    record = ['record', '--topic', '/kinpole/', '--topic', '/diagnostics', '--topic', name]
     context = own_context()
     executor = SingleThreadedExecutor(context=context)
     watcher = rclpy.create_node('kinpole_demo', context=context)
@@ -88,7 +90,7 @@ def live_run(bag: Path, config: Path, recording: Path) -> int:
     try:
         with (
             _process(node_words) as node,
-            _process(['record', '--output', str(recording)]) as recorder,
+            _process([*record, '--output', str(recording)]) as recorder,
         ):
             # Play only when every topic of the node is being recorded.
             _await(lambda: _all_recorded(watcher), node, recorder)
@@ -144,32 +146,80 @@ def _process(words: list[str]) -> 'Iterator[subprocess.Popen[bytes]]':
             process.wait()
 
 
-def _comparison(bag: Path, recording: Path, bodies: tuple[str, ...]) -> Iterator[str]:
+_TABLE = '{:9} {:21} {:>8} {:>13} {:>10} {:>9} {:>12}  {}'
+
+
+def _comparison(bag: Path, recording: Path, settings: Settings) -> Iterator[str]:
     """A table of what was measured against the exact answer, line by line."""
     wanted = ['angular_velocity', 'angular_acceleration', *POLE_NAMES[:3], 'centrode_curvature']
     units = ['rad/s', 'rad/s^2', 'm', 'm', 'm', '1/m']
-    yield f'{"body":10} {"quantity":22} {"instants":>9} {"median |error|":>15}  unit'
-    truth = _values(bag, [f'/kinpole/truth/{b}/{q}' for b in bodies for q in wanted])
-    found = _values(recording, [f'/kinpole/{b}/{q}' for b in bodies for q in wanted])
+    bodies = settings.bodies
+    truth = _heard(bag, [f'/kinpole/truth/{b}/{q}' for b in bodies for q in wanted])
+    topics = [f'/kinpole/{b}/{q}' for b in bodies for q in wanted]
+    beside = [f'{topic}/{part}' for topic in topics for part in ('deviation', 'with_covariance')]
+    marker_topic = settings.marker_topic
+    name = marker_topic if marker_topic.startswith('/') else f'/{marker_topic}'
+    found = _heard(recording, [name, *topics, *beside])
+    sent = found.get(name, {})
+    stamps = np.array(sorted(sent), np.int64)
+    yield _TABLE.format(
+        'body', 'quantity', 'instants', 'median error', 'deviation', 'error/dev', 'latency, ms', ''
+    )
     for body in bodies:
         for quantity, unit in zip(wanted, units, strict=True):
             exact = truth.get(f'/kinpole/truth/{body}/{quantity}', {})
-            measured = found.get(f'/kinpole/{body}/{quantity}', {})
-            both = [stamp for stamp in measured if stamp in exact]
+            topic = f'/kinpole/{body}/{quantity}'
+            measured = found.get(topic, {})
+            stated = found.get(f'{topic}/deviation') or found.get(f'{topic}/with_covariance', {})
+            both = [stamp for stamp in measured if stamp in exact and stamp in stated]
             if not both:
                 outcome = 'undetermined, as it should be' if not exact else 'undetermined'
-                yield f'{body:10} {quantity:22} {len(measured):9} {outcome}'
+                yield f'{body:9} {quantity:21} {len(measured):8} {outcome}'
                 continue
-            error = [float(np.linalg.norm(measured[s] - exact[s])) for s in both]
-            yield f'{body:10} {quantity:22} {len(measured):9} {np.median(error):15.3g}  {unit}'
+            error = np.array([np.linalg.norm(measured[s].value - exact[s].value) for s in both])
+            deviation = np.array([stated[s].deviation for s in both])
+            # The frame that a result waited for is that which is `lag` newer.
+            awaited = np.array(list(measured)) + round(settings.lag * 1e9)
+            newest = stamps[np.minimum(stamps.searchsorted(awaited - 1000), len(stamps) - 1)]
+            waits = [
+                one.log_time - sent[int(s)].log_time
+                for one, s in zip(measured.values(), newest, strict=True)
+            ]
+            yield _TABLE.format(
+                body,
+                quantity,
+                len(measured),
+                f'{np.median(error):.3g}',
+                f'{np.median(deviation):.3g}',
+                f'{np.sqrt(np.mean((error / deviation) ** 2)):.2f}',
+                f'{np.median(waits) * 1e-6:.1f}',
+                unit,
+            )
 
 
-def _values(bag: Path, topics: list[str]) -> dict[str, dict[int, np.ndarray]]:
-    """The vectors of some topics by stamp."""
-    values: dict[str, dict[int, np.ndarray]] = {}
+class _Heard(NamedTuple):
+    """A message: when it came (ns), its vector, and one standard deviation of its length."""
+
+    log_time: int
+    value: np.ndarray
+    deviation: float
+
+
+def _heard(bag: Path, topics: list[str]) -> dict[str, dict[int, _Heard]]:
+    """What came on some topics, by stamp; of markers only when."""
+    found: dict[str, dict[int, _Heard]] = {}
     for message in read_messages(bag, topics):
         decoded: Any = deserialize_message(message.data, message_class(message.type_name))
-        vector = decoded.vector if hasattr(decoded, 'vector') else decoded.point
-        stamp = decoded.header.stamp.sec * 1_000_000_000 + decoded.header.stamp.nanosec
-        values.setdefault(message.topic, {})[stamp] = np.array([vector.x, vector.y, vector.z])
-    return values
+        first = decoded.markers[0] if hasattr(decoded, 'markers') else decoded
+        value, deviation = np.empty(0), float('nan')
+        if hasattr(decoded, 'pose'):
+            deviation = float(
+                np.sqrt(np.trace(np.reshape(decoded.pose.covariance, (6, 6))[:2, :2]))
+            )
+        elif first is decoded:
+            vector = decoded.vector if hasattr(decoded, 'vector') else decoded.point
+            value = np.array([vector.x, vector.y, vector.z])
+            deviation = float(np.linalg.norm(value))
+        stamp = first.header.stamp.sec * 1_000_000_000 + first.header.stamp.nanosec
+        found.setdefault(message.topic, {})[stamp] = _Heard(message.log_time, value, deviation)
+    return found

@@ -69,7 +69,7 @@ def _draw(axis: Any, linkage: Linkage) -> None:
         markers = (pose.position[frame] + turn * pose.shape) * unit
         own = {p.name: pose.position[frame] + turn * p.on[k] for p in linkage.places if k in p.on}
         at |= {p: z * unit for p, z in own.items()}
-        corners = _hull(np.concatenate((markers, np.array([z * unit for z in own.values()]))))
+        corners = hull(np.concatenate((markers, np.array([z * unit for z in own.values()]))))
         axis.fill(corners.real, corners.imag, color=color, alpha=0.18, zorder=2)
         outline = np.append(corners, corners[0])
         axis.plot(outline.real, outline.imag, color=color, linewidth=1.4, zorder=3, label=name)
@@ -92,7 +92,7 @@ def _most_seen(linkage: Linkage) -> int:
     return int(np.sum([pose.seen for pose in linkage.poses], axis=0).argmax())
 
 
-def _hull(points: np.ndarray) -> np.ndarray:
+def hull(points: np.ndarray) -> np.ndarray:
     """Corners of the convex hull of complex points, counterclockwise (Andrew 1979)."""
     ordered = sorted({(float(z.real), float(z.imag)) for z in points if np.isfinite(z.real)})
     if len(ordered) < 3:
@@ -157,7 +157,7 @@ def _draw_joints(axis: Any, linkage: Linkage, at: dict[str, complex], extent: fl
         if z is None or place.name.endswith('_line'):
             continue
         if _GROUND in place.on:
-            _hatch(axis, z, size)
+            hatch(axis, z, size)
         axis.plot(
             [z.real],
             [z.imag],
@@ -180,10 +180,10 @@ def _draw_joints(axis: Any, linkage: Linkage, at: dict[str, complex], extent: fl
         )
 
 
-def _hatch(axis: Any, z: complex, size: float) -> None:
+def hatch(axis: Any, z: complex, size: float) -> None:
     """The sign of a point on the ground: a triangle on hatching."""
     foot = np.array([z, z + size * (-0.8 - 1.3j), z + size * (0.8 - 1.3j), z])
-    axis.plot(foot.real, foot.imag, color='black', linewidth=1.2, zorder=5)
+    axis.plot(foot.real, foot.imag, color='black', linewidth=1.2, zorder=5, gid='linkage')
     for k in range(-3, 4):
         ends = z + size * np.array([0.4 * k - 1.3j, 0.4 * k - 0.35 - 1.75j])
-        axis.plot(ends.real, ends.imag, color='black', linewidth=0.9, zorder=5)
+        axis.plot(ends.real, ends.imag, color='black', linewidth=0.9, zorder=5, gid='linkage')

@@ -5,14 +5,15 @@ Read from the messages alone, so a recording of the live node is as good as a re
 """
 
 import shlex
-from collections.abc import Callable, Collection
+from collections import deque
+from collections.abc import Callable, Collection, Iterable, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from kinpole_ros.bags import BagError, Truncated, message_class, read_messages, topics
-from kinpole_ros.messages import deserialize_message, stamp_to_ns
+from kinpole_ros.messages import DRAWING, deserialize_message, stamp_to_ns
 from kinpole_ros.rigid.plane import AXES, Plane, as_parameter, plane_along, plane_of, upward
 
 POLES = ('icr', 'iap', 'ijp', 'isp')
@@ -36,7 +37,8 @@ class Body(NamedTuple):
 
     `position` (T,) complex, m, with `sigma` (T,) of a coordinate, and its `velocity`, m/s; `angle`
     (T,), rad; `rate` and its standard deviation `rate_sigma` (T,), rad/s; `size`, m, is twice the
-    root mean square distance of the markers from their mean, NaN when it cannot be determined.
+    root mean square distance of the markers from their mean, NaN when it cannot be determined;
+    `outline` (n,), complex, are its markers in the body's frame, as they were drawn last.
     """
 
     name: str
@@ -49,6 +51,7 @@ class Body(NamedTuple):
     series: dict[str, Series]
     velocity: np.ndarray
     sigma: np.ndarray
+    outline: np.ndarray
 
 
 class Results(NamedTuple):
@@ -118,7 +121,10 @@ def read_results(
         for t in wanted & set(kinds)
         if t.endswith('/with_covariance')
     }
-    rows, cut = _read(bag, wanted | set(relative), progress)
+    deviations = {topic: f'{topic}/deviation' for topic in relative}
+    nodes = {prefix.rpartition('/')[0] for prefix in prefixes}
+    wanted |= {*relative, *deviations.values(), *(f'{node}/{DRAWING}' for node in nodes)}
+    rows, drawings, cut = _read(bag, wanted, progress)
     bodies_there = [prefix for prefix in prefixes if f'{prefix}/odom' in rows]
     if not bodies_there:
         raise BagError(
@@ -129,6 +135,7 @@ def read_results(
     odometry = {prefix: rows[f'{prefix}/odom'] for prefix in prefixes}
     plane = _plane(np.concatenate([values for _, values in odometry.values()]))
     nodes = {prefix.rpartition('/')[0] for prefix in prefixes}
+    outlines = _outlines(drawings)
     names = {
         prefix: prefix.rpartition('/')[2] if len(nodes) == 1 else prefix for prefix in prefixes
     }
@@ -145,9 +152,12 @@ def read_results(
         if f'{prefix}/{_CURVATURE}' in kinds:
             # Never estimated: the ICR was not seen to move, which is more than not recorded.
             series.setdefault(_CURVATURE, _series(np.empty(0, int), np.empty((0, 3)), plane, True))
-        bodies.append(_body(names[prefix], stamp, values, plane, series))
+        drawn = outlines.get(prefix, (0, np.empty((0, 3))))
+        bodies.append(_body(names[prefix], stamp, values, plane, series, drawn))
     between = {
-        (names[j], names[i]): _series(*rows[topic], plane, False)
+        (names[j], names[i]): _with_deviation(
+            _series(*rows[topic], plane, False), rows.get(deviations[topic]), plane
+        )
         for topic, (j, i) in relative.items()
         if topic in rows and j in names and i in names
     }
@@ -155,6 +165,23 @@ def read_results(
     if plane.axes is None:
         along = (f'along {as_parameter(plane.basis[0])}', f'along {as_parameter(plane.basis[1])}')
     return Results(plane.name, bodies, between, cut, along)
+
+
+def read_truth(bag: str | Path, results: Results) -> dict[str, dict[str, Series]]:
+    """The exact answers of simulate in a bag: rates, curvature and u by body and topic."""
+    wanted = {
+        f'/kinpole/truth/{body.name}/{part}': (body.name, part)
+        for body in results.bodies
+        for part in ('angular_velocity', *_DRAWN, 'icr_velocity')
+    }
+    rows, _, _ = _read(bag, wanted, None)
+    plane = plane_of(results.plane)
+    assert plane is not None
+    found: dict[str, dict[str, Series]] = {body.name: {} for body in results.bodies}
+    for topic, (stamp, values) in rows.items():
+        body, part = wanted[topic]
+        found[body][part] = _series(stamp, values, plane, part != 'icr_velocity')
+    return found
 
 
 def centrodes(body: Body) -> Centrodes:
@@ -172,6 +199,9 @@ def centrodes(body: Body) -> Centrodes:
 
 # A normal so near to an axis is along it; more than so much about other axes is of no one plane.
 _ROUNDING, _ELSEWHERE = 1e-9, 1e-3
+_DRAWN_AS = 'visualization_msgs/msg/MarkerArray'
+# The last ones that are kept: a body may be missing in some.
+_DRAWINGS = 20
 _CURVATURE = 'centrode_curvature'
 _NUMBERS = ('angular_acceleration', 'angular_jerk', _CURVATURE, 'angular_snap')
 _DRAWN, _DRAWN_POLES = _NUMBERS[:3], POLES[:3]
@@ -180,12 +210,13 @@ _PARTS: tuple[str, ...] = (
     *_DRAWN_POLES,
     *(f'{pole}/with_covariance' for pole in _DRAWN_POLES),
     'icr_velocity',
+    *(f'{name}/deviation' for name in (*_DRAWN, 'icr_velocity')),
 )
 _MORE_PARTS: tuple[str, ...] = (
     'angular_snap',
     'isp',
     'isp/with_covariance',
-    *(f'{name}/deviation' for name in (*_NUMBERS, 'icr_velocity')),
+    'angular_snap/deviation',
 )
 
 
@@ -227,13 +258,16 @@ def decode(type_name: str, data: bytes) -> Any:
 
 def _read(
     bag: str | Path, wanted: Collection[str], progress: Callable[[float], None] | None
-) -> tuple[dict[str, tuple[np.ndarray, np.ndarray]], str]:
-    """Stamps (T,) and numbers (T, ...) of each topic with messages, and where the bag is cut."""
+) -> tuple[dict[str, tuple[np.ndarray, np.ndarray]], dict[str, deque[bytes]], str]:
+    """Stamps (T,) and numbers (T, ...) by topic, the last drawings, and where the bag is cut."""
     found: dict[str, dict[int, list[float]]] = {}
+    drawings: dict[str, deque[bytes]] = {}
     cut = ''
     try:
         for message in read_messages(bag, wanted, progress):
             row = _ROWS.get(message.type_name)
+            if message.type_name == _DRAWN_AS:
+                drawings.setdefault(message.topic, deque(maxlen=_DRAWINGS)).append(message.data)
             if row is None:
                 continue
             decoded = decode(message.type_name, message.data)
@@ -246,7 +280,36 @@ def _read(
         stamp = np.fromiter(rows, np.int64, len(rows))
         order = np.argsort(stamp)
         arrays[topic] = stamp[order], np.array(list(rows.values()), float)[order]
-    return arrays, cut
+    return arrays, drawings, cut
+
+
+def _outlines(drawings: Mapping[str, Iterable[bytes]]) -> dict[str, tuple[int, np.ndarray]]:
+    """By body, with its node: the stamp of its outline as drawn last, and its markers (n, 3)."""
+    found = {}
+    for topic, arrays in drawings.items():
+        for data in arrays:
+            for marker in decode(_DRAWN_AS, data).markers:
+                body, _, part = marker.ns.rpartition('/')
+                if part == 'outline' and marker.points:
+                    places = np.array([_xyz(point) for point in marker.points[:-1]])
+                    stamp = stamp_to_ns(marker.header.stamp)
+                    found[f'{topic.removesuffix(DRAWING)}{body}'] = stamp, places
+    return found
+
+
+def _with_deviation(
+    series: Series, deviation: tuple[np.ndarray, np.ndarray] | None, plane: Plane
+) -> Series:
+    """A series of points with the variances along the axes that are published beside it."""
+    if deviation is None:
+        return series
+    stamp, values = deviation
+    _, here, there = np.intersect1d(series.stamp, stamp, return_indices=True)
+    both = plane.project(values[there])[0]
+    covariance = series.covariance.copy()
+    covariance[here] = 0.0
+    covariance[here, 0, 0], covariance[here, 1, 1] = both.real**2, both.imag**2
+    return series._replace(covariance=covariance)
 
 
 def _plane(odometry: np.ndarray) -> Plane:
@@ -286,6 +349,7 @@ def _body(
     values: np.ndarray,
     plane: Plane,
     series: dict[str, Series],
+    drawn: tuple[int, np.ndarray],
 ) -> Body:
     first, normal = plane.basis[0], plane.normal
     place, turn, rate = np.moveaxis(values[:, 10:37].reshape(-1, 3, 3, 3), 1, 0)
@@ -294,10 +358,13 @@ def _body(
         # The noise of the markers moves their mean and turns them about it: that ratio is a length.
         size = 2 * np.sqrt(np.median(spread) / np.median(turn_spread))
     angle = 2 * np.arctan2(values[:, 3:6] @ normal, values[:, 6])
+    position = plane.project(values[:, :3])[0]
+    here = np.flatnonzero(stamp == drawn[0])[:1]
+    outline = (plane.project(drawn[1])[0] - position[here]) * np.exp(-1j * angle[here])
     return Body(
         name,
         stamp,
-        plane.project(values[:, :3])[0],
+        position,
         angle,
         values[:, 7:10] @ normal,
         np.sqrt(np.maximum(normal @ rate @ normal, 0)),
@@ -306,4 +373,5 @@ def _body(
         # The twist is in the frame of the body.
         plane.project(values[:, 37:40])[0] * np.exp(1j * angle),
         np.sqrt(np.maximum(spread, 0)),
+        outline if len(here) else np.empty(0, complex),
     )
