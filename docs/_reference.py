@@ -42,7 +42,7 @@ def every_topic() -> str:
     theory = Theory(scene, {}, 'a body', tuple(scene.loads))
     outputs = result_outputs(('<i>', '<j>'), 'xy', theory, {'joint': ('<i>', '<j>')})
     meanings = _meanings()
-    rows = ['| topic | what | type | beside it | derivatives |', '| --- | --- | --- | --- | --- |']
+    rows = ['| topic | what | type | uncertainty | needs |', '| --- | --- | --- | --- | --- |']
     names = {output.topic for output in outputs}
     for output in outputs:
         name = output.topic
@@ -55,7 +55,7 @@ def every_topic() -> str:
         if name not in meanings:
             raise ValueError(f'docs/live.md has no row for the topic {name}')
         kind = type_name(output.message_type).replace('/msg/', '/')
-        more = ', '.join(f'`{name.rpartition("/")[2]}/{part}`' for part in beside)
+        more = ', '.join(f'`/{part}`' for part in beside)
         rows.append(f'| `{name}` | {meanings[name]} | `{kind}` | {more} | {output.order} |')
     return '\n'.join(rows) + '\n'
 

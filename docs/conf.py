@@ -16,6 +16,8 @@ from docutils import nodes
 from matplotlib import rc_context
 from matplotlib.font_manager import FontProperties
 from matplotlib.mathtext import math_to_image
+from pygments.lexers.special import TextLexer
+from sphinx.highlighting import lexers
 
 sys.path.insert(0, str(Path(__file__).parent))
 sys.path.insert(0, str(Path(__file__).parents[1]))
@@ -24,6 +26,9 @@ import _gallery
 import _reference
 
 import kinpole_ros
+
+# The numbers of a command are none of the shell's: as text they keep one color.
+lexers['bash'] = TextLexer()
 
 project = 'kinpole_ros'
 version = release = kinpole_ros.__version__

@@ -9,6 +9,7 @@ commands of ROS installations that the wheels lack, what they name is checked in
 import glob
 import os
 import re
+import runpy
 import shlex
 import signal
 import subprocess
@@ -146,6 +147,19 @@ def given(folder: Path, simulated) -> None:
     (folder / 'filmDLC.csv').rename('videoDLC.csv')
 
 
+def test_references_name_all_there_is() -> None:
+    made = runpy.run_path(str(DOCS / '_reference.py'))['MADE']
+    everything = ''.join(make() for make in made.values())
+    commands = re.findall(r'^## kinpole (\w+)', everything, re.M)
+    assert {'node', 'replay', 'report', 'discover', 'fit', 'bench'} <= {*commands}
+    outputs = {output.topic for output in result_outputs(('<body>',), 'xy')}
+    plain = {topic for topic in outputs if not topic.endswith(('/deviation', '/with_covariance'))}
+    for name in (*PARAMETERS, *plain):
+        assert f'`{name}`' in everything, name
+    for comment in made:
+        assert any(comment in page.read_text('utf-8') for page in DOCS.glob('*.md')), comment
+
+
 @pytest.mark.parametrize('page', PAGES, ids=lambda page: page.stem)
 def test_blocks_run(page: Path, reader: Reader, tmp_path: Path, simulated, capfd) -> None:
     if page.name == 'README.md':
@@ -154,7 +168,7 @@ def test_blocks_run(page: Path, reader: Reader, tmp_path: Path, simulated, capfd
     printed: set[str] = set()
     for kind, text in blocks(page):
         if kind == 'bash':
-            for line in text.splitlines():
+            for line in text.replace('\\\n', ' ').splitlines():
                 reader.bash(line)
         elif kind == 'python':
             exec(text, names)

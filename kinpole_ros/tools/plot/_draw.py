@@ -82,7 +82,7 @@ def plot(
 
 def _draw(figure: Any, bag: str, results: Results, exact: dict[str, dict[str, Series]]) -> None:
     bodies = results.bodies[:_MOST_BODIES]
-    figure.set_size_inches(_WIDTH, 1.9 + _ROW_HEIGHT * len(bodies))
+    figure.set_size_inches(_WIDTH, 1.5 + _ROW_HEIGHT * len(bodies))
     start = min(int(body.stamp[0]) for body in bodies)
     end = max(int(body.stamp[-1]) for body in bodies)
     all_shown = [_plane.shown(body) for body in bodies]
@@ -98,7 +98,7 @@ def _draw(figure: Any, bag: str, results: Results, exact: dict[str, dict[str, Se
         parse_math=False,
     )
     columns: dict[int, list[Any]] = {0: [], 1: [], 2: []}
-    grid = figure.add_gridspec(len(bodies), 3, width_ratios=[1.1, 1, 1])
+    grid = figure.add_gridspec(len(bodies), 3, width_ratios=[1.2, 1, 1])
     figure.get_layout_engine().set(w_pad=0.12)
     for row, (body, one) in enumerate(zip(bodies, all_shown, strict=True)):
         axis = figure.add_subplot(grid[row, 0])

@@ -26,6 +26,8 @@ from kinpole_ros.tools.plot._style import (
 
 # An ICR known no better than this part of the picture is left out of the centrodes.
 _BLURRED = 0.05
+# Width over height of the frame, about as the figure has room.
+_WIDER = 1.12
 # What belongs to it, apart from poles and centrodes.
 _LINKAGE = 'linkage'
 
@@ -142,9 +144,10 @@ def draw_plane(axis: Any, one: Shown, instant: int, results: Results) -> None:
     _draw_velocity(axis, body, view, instant)
     middle, size = (view.low + view.high) / 2, view.high - view.low
     half = 0.55 * max(size.real, size.imag)
-    axis.set_xlim(middle.real - half, middle.real + half)
+    wide = _WIDER * half
+    axis.set_xlim(middle.real - wide, middle.real + wide)
     axis.set_ylim(middle.imag - half, middle.imag + half)
-    axis.set_box_aspect(1)
+    axis.set_aspect('equal')
     axis.locator_params(nbins=6)
     axis.grid(True, linewidth=0.3)
     axis.set_axisbelow(True)
