@@ -5,16 +5,16 @@ Read from the messages alone, so a recording of the live node is as good as a re
 """
 
 import shlex
-from collections import deque
-from collections.abc import Callable, Collection, Iterable, Mapping
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
-from kinpole_ros.bags import BagError, Truncated, message_class, read_messages, topics
-from kinpole_ros.messages import DRAWING, deserialize_message, stamp_to_ns
+from kinpole_ros.bags import BagError, topics
+from kinpole_ros.messages import DRAWING
 from kinpole_ros.rigid.plane import AXES, Plane, as_parameter, plane_along, plane_of, upward
+from kinpole_ros.tools.plot._messages import outlines_of, read_rows
 
 POLES = ('icr', 'iap', 'ijp', 'isp')
 
@@ -124,7 +124,7 @@ def read_results(
     deviations = {topic: f'{topic}/deviation' for topic in relative}
     nodes = {prefix.rpartition('/')[0] for prefix in prefixes}
     wanted |= {*relative, *deviations.values(), *(f'{node}/{DRAWING}' for node in nodes)}
-    rows, drawings, cut = _read(bag, wanted, progress)
+    rows, drawings, cut = read_rows(bag, wanted, progress)
     bodies_there = [prefix for prefix in prefixes if f'{prefix}/odom' in rows]
     if not bodies_there:
         raise BagError(
@@ -135,7 +135,7 @@ def read_results(
     odometry = {prefix: rows[f'{prefix}/odom'] for prefix in prefixes}
     plane = _plane(np.concatenate([values for _, values in odometry.values()]))
     nodes = {prefix.rpartition('/')[0] for prefix in prefixes}
-    outlines = _outlines(drawings)
+    outlines = outlines_of(drawings)
     names = {
         prefix: prefix.rpartition('/')[2] if len(nodes) == 1 else prefix for prefix in prefixes
     }
@@ -168,15 +168,20 @@ def read_results(
 
 
 def read_truth(bag: str | Path, results: Results) -> dict[str, dict[str, Series]]:
-    """The exact answers of simulate in a bag: rates, curvature and u by body and topic."""
+    """
+    The exact answers of simulate in a bag: rates, curvature and u by body and topic.
+
+    None where the plane is oblique.
+    """
     wanted = {
         f'/kinpole/truth/{body.name}/{part}': (body.name, part)
         for body in results.bodies
         for part in ('angular_velocity', *_DRAWN, 'icr_velocity')
     }
-    rows, _, _ = _read(bag, wanted, None)
-    plane = plane_of(results.plane)
-    assert plane is not None
+    rows, _, _ = read_rows(bag, wanted, None)
+    plane = plane_of(results.plane) if results.plane in AXES else None
+    if plane is None:
+        return {}
     found: dict[str, dict[str, Series]] = {body.name: {} for body in results.bodies}
     for topic, (stamp, values) in rows.items():
         body, part = wanted[topic]
@@ -199,9 +204,6 @@ def centrodes(body: Body) -> Centrodes:
 
 # A normal so near to an axis is along it; more than so much about other axes is of no one plane.
 _ROUNDING, _ELSEWHERE = 1e-9, 1e-3
-_DRAWN_AS = 'visualization_msgs/msg/MarkerArray'
-# The last ones that are kept: a body may be missing in some.
-_DRAWINGS = 20
 _CURVATURE = 'centrode_curvature'
 _NUMBERS = ('angular_acceleration', 'angular_jerk', _CURVATURE, 'angular_snap')
 _DRAWN, _DRAWN_POLES = _NUMBERS[:3], POLES[:3]
@@ -218,83 +220,6 @@ _MORE_PARTS: tuple[str, ...] = (
     'isp/with_covariance',
     'angular_snap/deviation',
 )
-
-
-def _xyz(part: Any) -> list[float]:
-    return [part.x, part.y, part.z]
-
-
-def _odometry_row(message: Any) -> list[float]:
-    """Place, turn, rate, the covariances of the three, velocity: 3 + 4 + 3 + 3 * 9 + 3 numbers."""
-    pose, twist = message.pose, message.twist
-    turn = pose.pose.orientation
-    return [
-        *_xyz(pose.pose.position),
-        *_xyz(turn),
-        turn.w,
-        *_xyz(twist.twist.angular),
-        *(pose.covariance[6 * row + column] for row in range(3) for column in range(3)),
-        *(pose.covariance[6 * row + column] for row in range(3, 6) for column in range(3, 6)),
-        *(twist.covariance[6 * row + column] for row in range(3, 6) for column in range(3, 6)),
-        *_xyz(twist.twist.linear),
-    ]
-
-
-_ROWS: dict[str, Callable[[Any], list[float]]] = {
-    'nav_msgs/msg/Odometry': _odometry_row,
-    'geometry_msgs/msg/PointStamped': lambda message: _xyz(message.point),
-    'geometry_msgs/msg/Vector3Stamped': lambda message: _xyz(message.vector),
-    'geometry_msgs/msg/PoseWithCovarianceStamped': lambda message: [
-        *_xyz(message.pose.pose.position),
-        *message.pose.covariance,
-    ],
-}
-
-
-def decode(type_name: str, data: bytes) -> Any:
-    """A message of a bag as an object of its type."""
-    return deserialize_message(data, message_class(type_name))
-
-
-def _read(
-    bag: str | Path, wanted: Collection[str], progress: Callable[[float], None] | None
-) -> tuple[dict[str, tuple[np.ndarray, np.ndarray]], dict[str, deque[bytes]], str]:
-    """Stamps (T,) and numbers (T, ...) by topic, the last drawings, and where the bag is cut."""
-    found: dict[str, dict[int, list[float]]] = {}
-    drawings: dict[str, deque[bytes]] = {}
-    cut = ''
-    try:
-        for message in read_messages(bag, wanted, progress):
-            row = _ROWS.get(message.type_name)
-            if message.type_name == _DRAWN_AS:
-                drawings.setdefault(message.topic, deque(maxlen=_DRAWINGS)).append(message.data)
-            if row is None:
-                continue
-            decoded = decode(message.type_name, message.data)
-            # A bag played in a loop says the same of an instant again: the last word counts.
-            found.setdefault(message.topic, {})[stamp_to_ns(decoded.header.stamp)] = row(decoded)
-    except Truncated as error:
-        cut = str(error)
-    arrays = {}
-    for topic, rows in found.items():
-        stamp = np.fromiter(rows, np.int64, len(rows))
-        order = np.argsort(stamp)
-        arrays[topic] = stamp[order], np.array(list(rows.values()), float)[order]
-    return arrays, drawings, cut
-
-
-def _outlines(drawings: Mapping[str, Iterable[bytes]]) -> dict[str, tuple[int, np.ndarray]]:
-    """By body, with its node: the stamp of its outline as drawn last, and its markers (n, 3)."""
-    found = {}
-    for topic, arrays in drawings.items():
-        for data in arrays:
-            for marker in decode(_DRAWN_AS, data).markers:
-                body, _, part = marker.ns.rpartition('/')
-                if part == 'outline' and marker.points:
-                    places = np.array([_xyz(point) for point in marker.points[:-1]])
-                    stamp = stamp_to_ns(marker.header.stamp)
-                    found[f'{topic.removesuffix(DRAWING)}{body}'] = stamp, places
-    return found
 
 
 def _with_deviation(
