@@ -117,7 +117,7 @@ def launch(words: list[str]) -> None:
 def recorded(bag: Path) -> None:
     """Wait until results are in the file."""
     deadline = time.monotonic() + PATIENCE
-    while not bag.exists() or bag.stat().st_size < 200_000:
+    while not bag.exists() or bag.stat().st_size < 100_000:
         assert time.monotonic() < deadline, 'nothing was recorded'
         time.sleep(0.05)
 
