@@ -168,14 +168,14 @@ def _whole(topic: str) -> str:
 def own_context() -> rclpy.Context:
     """Start ROS in a context of its own; raises BagError where it cannot."""
     context = rclpy.Context()
-    with _starting():
+    with starting():
         check_domain()
         rclpy.init(args=[], context=context)
     return context
 
 
 @contextmanager
-def _starting() -> Iterator[None]:
+def starting() -> Iterator[None]:
     """What is wrong with ROS_DOMAIN_ID and its like is no fault of ours."""
     try:
         yield
@@ -322,7 +322,7 @@ def record(output: str | Path, prefixes: list[str]) -> int:
     there = Path(output)
     if there.is_file() and there.stat().st_size:
         raise BagError(f'{output} is there already; name another file, or remove that one first')
-    with _starting():
+    with starting():
         stop_requested = start_ros([])
     try:
         with BagWriter(output, RECORDER) as writer:

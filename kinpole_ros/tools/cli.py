@@ -350,6 +350,13 @@ def _report(options: argparse.Namespace) -> int:
     return 0
 
 
+def _view(options: argparse.Namespace) -> int:
+    from kinpole_ros.tools.view import view
+
+    view(options.topic or '', options.port)
+    return 0
+
+
 def _import(options: argparse.Namespace) -> int:
     from kinpole_ros.bags import import_points
 
@@ -531,6 +538,7 @@ _COMMANDS: dict[str, Callable[[argparse.Namespace], int]] = {
     'fit': _fit,
     'plot': _plot,
     'report': _report,
+    'view': _view,
     'import': _import,
     'play': _play,
     'record': _record,

@@ -15,6 +15,7 @@ _EPILOG = """examples:
   kinpole batch runs/*.mcap --config rig.yaml --output results
   kinpole plot result.mcap --output result.png
   kinpole report recording.mcap --config rig.yaml --output report.html
+  kinpole view
   kinpole discover recording.mcap --output rig.yaml --scene draft.yaml --plot rig.png
   kinpole solve four_bar --sweep --centers --plot four_bar.png
   kinpole import walk.trc --output walk.mcap
@@ -234,6 +235,7 @@ def make_parser() -> argparse.ArgumentParser:
     plot.add_argument('--output', metavar='FILE.png', required=True, help='picture to write')
 
     _add_report(commands)
+    _add_view(commands)
     _add_import(commands)
 
     play = commands.add_parser(
@@ -348,6 +350,29 @@ def _add_report(commands: Any) -> None:
         '--scene',
         metavar='SCENE',
         help='draw its theory beside the measurement; without --config its bodies are tracked',
+    )
+
+
+def _add_view(commands: Any) -> None:
+    view = commands.add_parser(
+        'view',
+        help='the same live: a page in the browser of what a running node publishes',
+        description='Serves the page of a report, live, to browsers on this machine: 30 times a\n'
+        'second bodies, poles with their ellipses, velocities and rates, of a node that publishes\n'
+        'anywhere in the ROS graph. Prints the address to open, which has a token in it.\n'
+        'Only what the page shows is asked of the node, and only while a page is open.',
+        epilog='examples:\n'
+        '  kinpole view\n'
+        '  kinpole view --topic /rig2 --port 8080\n'
+        '\n'
+        'From another machine: ssh -L 8080:127.0.0.1:8080 RIG, then open the address here.\n',
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    view.add_argument(
+        '--topic', metavar='NAME', help='a node, its namespace, or a topic of it (the first found)'
+    )
+    view.add_argument(
+        '--port', type=int, default=0, metavar='N', help='port on 127.0.0.1 (one that is free)'
     )
 
 

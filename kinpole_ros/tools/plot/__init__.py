@@ -2,13 +2,14 @@
 
 from kinpole_ros.tools.plot._draw import plot
 from kinpole_ros.tools.plot._linkage import draw_linkage
-from kinpole_ros.tools.plot._messages import decode
+from kinpole_ros.tools.plot._messages import decode, row_of
 from kinpole_ros.tools.plot._read import (
     Body,
     Centrodes,
     Results,
     Series,
     centrodes,
+    plane_of_motion,
     read_results,
 )
 
@@ -20,6 +21,8 @@ __all__ = [
     'centrodes',
     'decode',
     'draw_linkage',
+    'plane_of_motion',
     'plot',
     'read_results',
+    'row_of',
 ]

@@ -51,6 +51,11 @@ def decode(type_name: str, data: bytes) -> Any:
     return deserialize_message(data, message_class(type_name))
 
 
+def row_of(type_name: str, data: bytes) -> list[float]:
+    """The figures in a message of a result; see `plane_of_motion` for those of odometry."""
+    return _ROWS[type_name](decode(type_name, data))
+
+
 def read_rows(
     bag: str | Path, wanted: Collection[str], progress: Callable[[float], None] | None
 ) -> tuple[dict[str, tuple[np.ndarray, np.ndarray]], dict[str, deque[bytes]], str]:

@@ -133,7 +133,7 @@ def read_results(
         )
     prefixes = bodies_there
     odometry = {prefix: rows[f'{prefix}/odom'] for prefix in prefixes}
-    plane = _plane(np.concatenate([values for _, values in odometry.values()]))
+    plane = plane_of_motion(np.concatenate([values for _, values in odometry.values()]))
     nodes = {prefix.rpartition('/')[0] for prefix in prefixes}
     outlines = outlines_of(drawings)
     names = {
@@ -237,8 +237,13 @@ def _with_deviation(
     return series._replace(covariance=covariance)
 
 
-def _plane(odometry: np.ndarray) -> Plane:
-    """The plane whose normal the bodies turn about; where none turns, the one that was measured."""
+def plane_of_motion(odometry: np.ndarray) -> Plane:
+    """
+    The plane whose normal the bodies turn about; where none turns, the one that was measured.
+
+    Rows of `odometry` (T, 40): place, turn (a quaternion), rate, the covariances (3, 3) of the
+    three, and velocity.
+    """
     turns = np.concatenate((odometry[:, 3:6], odometry[:, 7:10]))
     squares = turns.T @ turns
     if not turns.any():

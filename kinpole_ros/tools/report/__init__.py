@@ -19,10 +19,10 @@ from kinpole_ros.mechanism import load_scene
 from kinpole_ros.pipeline.parameters import Settings
 from kinpole_ros.rigid.plane import XY, as_parameter, plane_of
 from kinpole_ros.tools.report._pack import embedded, pack
-from kinpole_ros.tools.report._record import Collector, Record
-from kinpole_ros.tools.report._results import has_results, read_record
+from kinpole_ros.tools.report._record import Collector, Record, joints_of
+from kinpole_ros.tools.report._results import has_results, read_record, words_of
 
-__all__ = ['Record', 'pack', 'page', 'report', 'settings_for']
+__all__ = ['Record', 'joints_of', 'pack', 'page', 'report', 'settings_for', 'words_of']
 
 _PAGE = Path(__file__).parent / 'page'
 # In this order: each uses those before it.
@@ -36,9 +36,10 @@ _SCRIPTS = (
     'table',
     'strips',
     'input',
+    'live',
     'page',
 )
-# Nothing may be loaded from anywhere.
+# Nothing may be loaded from anywhere; a live page has its stream.
 _POLICY = "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; img-src data:"
 # More instants than these are no clearer on a screen; with more bodies than three they are fewer,
 # so that the page stays below some 4 MB.
@@ -120,14 +121,18 @@ def _replayed(
 
 
 def page(data: dict[str, Any]) -> str:
-    """The whole page of what `pack` makes, and of what `report` adds to it."""
+    """
+    The whole page of what `pack` makes, and of what `report` adds to it.
+
+    If `data` has `live` instead, the page of a stream of events beside it.
+    """
+    live = 'live' in data
+    scripts = [name for name in _SCRIPTS if live or name != 'live']
     parts = {
-        'POLICY': _POLICY,
+        'POLICY': f"{_POLICY}; connect-src 'self'" if live else _POLICY,
         'TITLE': html.escape(data['title']),
         'STYLE': (_PAGE / 'style.css').read_text(encoding='utf-8'),
-        'SCRIPT': '\n'.join(
-            (_PAGE / f'{name}.js').read_text(encoding='utf-8') for name in _SCRIPTS
-        ),
+        'SCRIPT': '\n'.join((_PAGE / f'{name}.js').read_text(encoding='utf-8') for name in scripts),
         'DATA': embedded(data),
     }
     text = (_PAGE / 'page.html').read_text(encoding='utf-8')

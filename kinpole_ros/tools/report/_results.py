@@ -129,17 +129,12 @@ class _Diagnostics:
         self.notes = list(warned)[:_MOST_NOTES]
 
     def _take(self, at: int, status: Any, warned: dict[str, None]) -> None:
-        body = status.name.rpartition(': ')[2]
-        # A byte, of which rclpy makes bytes and rosbags a number.
-        level = status.level[0] if isinstance(status.level, bytes) else int(status.level)
+        body, level, text, reasons = words_of(status)
         if level in (_WARN, _ERROR):
-            text = status.message.partition('; undetermined: ')[0]
             warned.setdefault(f'{body}: {text}')
             self._said.setdefault((body, ''), {})[at] = text
-        for pair in status.values:
-            if pair.key.endswith(' undetermined'):
-                figure = pair.key.removesuffix(' undetermined')
-                self._said.setdefault((body, figure), {})[at] = pair.value
+        for figure, why in reasons.items():
+            self._said.setdefault((body, figure), {})[at] = why
 
     def reasons(self, body: str, figure: str, stamp: np.ndarray, lacking: np.ndarray) -> np.ndarray:
         """The reason (T,) where a figure is lacking, '' elsewhere, by the next diagnostics."""
@@ -149,3 +144,17 @@ class _Diagnostics:
         for k in lacking.nonzero()[0].tolist():
             found[k] = said.get(int(following[k]), _UNSAID)
         return found
+
+
+def words_of(status: Any) -> tuple[str, int, str, dict[str, str]]:
+    """
+    What a DiagnosticStatus of a node says: of what, its level, in what words.
+
+    Last is why each figure is undetermined, of those that are.
+    """
+    # A byte, of which rclpy makes bytes and rosbags a number.
+    level = status.level[0] if isinstance(status.level, bytes) else int(status.level)
+    end = ' undetermined'
+    reasons = {p.key.removesuffix(end): p.value for p in status.values if p.key.endswith(end)}
+    text = status.message.partition('; undetermined: ')[0]
+    return status.name.rpartition(': ')[2], level, text, reasons

@@ -9,7 +9,7 @@ function chartList(data) {
     theory: body.theory[name],
   }));
   for (const name of [...RATES, 'icr_velocity', 'centrode_curvature']) {
-    const series = ofBodies(name).filter(({ value }) => value.some(isFinite));
+    const series = ofBodies(name).filter(({ value }) => data.live || value.some(isFinite));
     if (series.length) list.push({ name, title: WORDS[name][0], unit: WORDS[name][1], series });
   }
   if (data.pairs.length) {
@@ -32,7 +32,7 @@ function makeCharts(element, page, data) {
       + '<div class="plot"><canvas></canvas><canvas></canvas></div>';
     figure.querySelector('b').textContent = spec.title;
     figure.querySelector('.unit').textContent = spec.unit;
-    if (!spec.series.some(({ sigma }) => sigma?.some(isFinite))) {
+    if (!data.live && !spec.series.some(({ sigma }) => sigma?.some(isFinite))) {
       figure.firstChild.append(tag('span', data.exact ? 'solved' : 'no deviations in this bag', { class: 'unit' }));
     }
     if (spec.series.some(({ theory }) => theory)) {
@@ -177,7 +177,10 @@ function makeCharts(element, page, data) {
   }
 
   return {
-    rest: () => charts.forEach((chart) => (chart.seen || page.printing) && draw(chart)),
+    rest: () => charts.forEach((chart) => {
+      chart.figure.hidden = page.off.has(chart.name);
+      if ((chart.seen || page.printing) && !chart.figure.hidden) draw(chart);
+    }),
     move: () => charts.forEach((chart) => (chart.seen || page.printing) && chart.x && mark(chart)),
     plots: charts.map(({ plot }) => plot),
   };

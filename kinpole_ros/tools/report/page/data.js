@@ -61,10 +61,15 @@ function prepare(raw) {
   data.pairs.forEach((pair, k) => {
     pair.color = COLORS[(data.bodies.length + k) % COLORS.length];
   });
-  const steps = Array.from(data.t.subarray(1), (t, k) => t - data.t[k]).sort((a, b) => a - b);
-  data.period = steps.length ? steps[steps.length >> 1] : 1;
-  data.end = data.n ? data.t[data.n - 1] : 0;
+  data.period = periodOf(data.t);
+  [data.begin, data.end] = data.n ? [data.t[0], data.t[data.n - 1]] : [0, 0];
   return data;
+}
+
+// The median time between instants.
+function periodOf(t) {
+  const steps = Array.from(t.subarray(1), (later, k) => later - t[k]).sort((a, b) => a - b);
+  return steps.length ? steps[steps.length >> 1] : 1;
 }
 
 function relativeRate(j, i) {

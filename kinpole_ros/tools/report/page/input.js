@@ -31,6 +31,7 @@ function onKey(event, actions, stopped) {
     '=': () => faster(1),
     '-': () => faster(-1),
     f: whole,
+    l: () => by('live').click(),
   };
   const body = by('bodies').children[Number(event.key) - 1];
   if (body) body.click();
@@ -55,7 +56,7 @@ function onChart(plot, { data, page, zoom }, stopped) {
   plot.addEventListener('pointermove', (event) => {
     if (plot.hasPointerCapture(event.pointerId)) follow(event);
   });
-  plot.addEventListener('dblclick', () => zoom(0, data.end));
+  plot.addEventListener('dblclick', () => zoom(data.begin, data.end));
   plot.addEventListener('wheel', (event) => {
     if (!event.ctrlKey && !event.metaKey) return;
     event.preventDefault();
@@ -71,6 +72,7 @@ function closer(stage, redraw, factor, at = null) {
   view.x += (u / view.scale) * (1 - 1 / factor);
   view.y += (v / view.scale) * (1 - 1 / factor);
   view.scale *= factor;
+  view.held = true;
   redraw('rest');
 }
 
@@ -98,6 +100,7 @@ function onStage(element, { stage, redraw, whole }) {
     const part = 1 / fingers.size;
     stage.view.x -= (part * (x - px)) / stage.view.scale;
     stage.view.y += (part * (y - py)) / stage.view.scale;
+    stage.view.held = true;
     if (before) closer(stage, redraw, spread().apart / (before.apart || 1), spread().at);
     redraw('rest');
   });

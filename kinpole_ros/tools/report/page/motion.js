@@ -28,8 +28,8 @@ function* someInstants(data) {
   for (let k = 0; k < data.n; k += step) yield k;
 }
 
-// The box of all bodies over time, and of the ICRs that are near to it.
-function frame(data) {
+// The box of all bodies over time, and of the ICRs that are near to it; and of what was `before`.
+function frame(data, before) {
   const box = { low: [Infinity, Infinity], high: [-Infinity, -Infinity] };
   const take = (x, y) => {
     if (!isFinite(x) || !isFinite(y)) return;
@@ -53,7 +53,11 @@ function frame(data) {
       if (near) take(icr.x[k], icr.y[k]);
     }
   }
-  if (!isFinite(box.low[0])) return { x: -0.5, y: -0.5, width: 1, height: 1 };
+  if (!isFinite(box.low[0])) return before ?? { x: -0.5, y: -0.5, width: 1, height: 1, empty: true };
+  if (before && !before.empty) {
+    take(before.x, before.y);
+    take(before.x + before.width, before.y + before.height);
+  }
   const least = 1e-6 + 0.1 * Math.hypot(box.high[0] - box.low[0], box.high[1] - box.low[1]);
   const [width, height] = [0, 1].map((axis) => Math.max(box.high[axis] - box.low[axis], least));
   return { x: box.low[0], y: box.low[1], width, height };

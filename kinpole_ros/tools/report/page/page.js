@@ -3,10 +3,11 @@
 const PACES = [0.01, 0.02, 0.05, 0.1, 0.25, 0.5, 1, 2, 5, 10];
 const by = (id) => document.getElementById(id);
 
-function makePage(data) {
+// `hooks` are called when the reader moves the cursor, and when something is shown or no longer.
+function makePage(data, off = HIDDEN, hooks = { moved() {}, toggled() {} }) {
   const page = {
-    k: 0, playing: false, pace: 1, range: [0, data.end], hidden: new Set(), off: new Set(HIDDEN),
-    printing: false,
+    k: 0, playing: false, pace: 1, range: [data.begin, data.end], hidden: new Set(),
+    off: new Set(off), printing: false,
   };
   const stage = makeStage(by('stage'), page, data);
   const [lines, strips] = [makeCharts, makeStrips].map((make) => make(by('charts'), page, data));
@@ -19,24 +20,28 @@ function makePage(data) {
   let waiting = '';
   let time = 0;
 
-  // What rests is drawn again for 'rest', else what moves; once a frame, however often asked for.
+  // Drawn again is what moves in the picture, for 'pose'; for 'move' what moves with the cursor; for
+  // 'rest' all. Once a frame, however often asked for.
+  const parts = ['', 'pose', 'move', 'rest'];
   function redraw(what = 'move') {
     if (!waiting) requestAnimationFrame(show);
-    if (waiting !== 'rest') waiting = what;
+    if (parts.indexOf(what) > parts.indexOf(waiting)) waiting = what;
   }
 
   function show() {
     const what = waiting;
     waiting = '';
-    if (what === 'rest') charts.rest();
-    else charts.move();
-    stage[what]();
-    table.move();
+    if (what !== 'pose') {
+      charts[what]();
+      table.move();
+    }
+    stage[what === 'rest' ? 'rest' : 'move']();
     by('scrub').value = page.k;
     by('clock').textContent = `t = ${data.t[page.k].toFixed(3)} s`;
   }
 
   function goTo(k) {
+    hooks.moved();
     page.k = Math.min(data.n - 1, Math.max(0, k));
     time = data.t[page.k];
     redraw();
@@ -46,6 +51,7 @@ function makePage(data) {
     page.playing = on;
     by('play').textContent = on ? 'pause' : 'play';
     if (!on) return;
+    hooks.moved();
     let before = performance.now();
     const advance = (now) => {
       if (!page.playing) return;
@@ -68,21 +74,22 @@ function makePage(data) {
   }
 
   function zoom(from, to) {
-    const width = Math.min(data.end, Math.max(4 * data.period, to - from));
-    const start = Math.min(data.end - width, Math.max(0, from));
+    const width = Math.min(data.end - data.begin, Math.max(4 * data.period, to - from));
+    const start = Math.min(data.end - width, Math.max(data.begin, from));
     page.range = [start, start + width];
     redraw('rest');
   }
 
   function whole() {
-    page.range = [0, data.end];
-    stage.fit();
+    page.range = [data.begin, data.end];
+    stage.whole();
     redraw('rest');
   }
 
   function toggle(set, name, button) {
     if (!set.delete(name)) set.add(name);
     button.setAttribute('aria-pressed', !set.has(name));
+    hooks.toggled();
     redraw('rest');
   }
 
@@ -107,6 +114,11 @@ function fillButtons({ page, data, toggle }) {
     button.append(words);
     button.onclick = () => toggle(page.off, layer, button);
     by('layers').append(button);
+  }
+  for (const name of data.live ? CHOSEN.filter((one) => data.bodies.some((b) => b[one])) : []) {
+    const button = tag('button', WORDS[name][2], { 'aria-pressed': !page.off.has(name), title: WORDS[name][0] });
+    button.onclick = () => toggle(page.off, name, button);
+    by('rates').append(button);
   }
   for (const pace of PACES) by('pace').append(tag('option', `${pace}×`, { value: pace }));
   by('pace').value = 1;
@@ -191,19 +203,27 @@ async function start() {
       + 'or newer can.');
     return;
   }
-  const data = prepare(await inflate(by('data').textContent));
-  by('title').textContent = data.title;
-  by('about').textContent = data.about;
-  if (data.notes.length) {
-    const link = tag('a', data.notes.length > 1 ? `${data.notes.length} warnings` : '1 warning', { href: '#notes' });
-    by('about').append(' · ', link);
-  }
-  by('made').textContent = data.made;
+  const raw = await inflate(by('data').textContent);
+  by('made').textContent = raw.made;
   for (const layer of [...POLES, 'relative', 'fixed', 'moving']) {
     const mark = tag('dt');
     mark.innerHTML = sample(layer);
     by('marks').append(mark, tag('dd', MEANINGS[layer]));
   }
+  if (raw.live) watch();
+  else show(prepare(raw));
+}
+
+function tellAbout({ about, notes }) {
+  by('about').textContent = about;
+  if (!notes.length) return;
+  const words = notes.length > 1 ? `${notes.length} warnings` : '1 warning';
+  by('about').append(' · ', tag('a', words, { href: '#notes' }));
+}
+
+function show(data) {
+  by('title').textContent = data.title;
+  tellAbout(data);
   drawLacking(by('lacking'), data);
   drawTheory(by('theory'), data);
   drawNotes(by('notes'), data);
@@ -215,6 +235,6 @@ async function start() {
 }
 
 start().catch((error) => {
-  trouble(`This report cannot be shown: ${error.message}. The file may be cut off; get it anew.`);
+  trouble(`This page cannot be shown: ${error.message}. The file may be cut off; get it anew.`);
   throw error;
 });

@@ -12,17 +12,34 @@ function makeStage(element, page, data) {
   const view = { x: 0, y: 0, scale: 100 };
   const shown = () => data.bodies.filter((body) => !page.hidden.has(body.name));
   const on = (layer) => !page.off.has(layer);
-  const jump = frame(data);
-  const extent = Math.hypot(jump.width, jump.height) || 1;
-  const thickness = 0.022 * extent;
-  const points = data.bodies.map((body) => anchors(data, body));
   const bars = new Map();
-  const fastest = topSpeed(data, points);
+  let [jump, extent, thickness, points, fastest] = [null, 1, 1, [], 0];
   let loci = new Map();
   let sizes = null;
+  learn();
+
+  // What the motion is like, as far as it is known; where it goes beyond all before, show all.
+  function learn() {
+    const known = jump && Object.values(jump).join();
+    jump = frame(data, jump);
+    extent = Math.hypot(jump.width, jump.height) || 1;
+    thickness = 0.022 * extent;
+    points = data.bodies.map((body) => anchors(data, body));
+    fastest = Math.max(fastest, topSpeed(data, points));
+    bars.clear();
+    if (sizes && !view.held && known !== Object.values(jump).join()) fit();
+  }
+
+  // All of the motion that is known now.
+  function whole() {
+    [jump, fastest] = [null, 0];
+    learn();
+    fit();
+  }
 
   function fit() {
     sizes = fitted(under, page.printing);
+    view.held = false;
     view.scale = 0.9 * Math.min(sizes.width / jump.width, sizes.height / jump.height);
     view.x = jump.x + jump.width / 2;
     view.y = jump.y + jump.height / 2;
@@ -55,7 +72,7 @@ function makeStage(element, page, data) {
   // What rests: the grid, tracks of markers, fixed centrodes.
   function rest() {
     sizes = fitted(under, page.printing);
-    if (loci.scale !== view.scale) loci = Object.assign(new Map(), { scale: view.scale });
+    if (data.live || loci.scale !== view.scale) loci = Object.assign(new Map(), { scale: view.scale });
     const { context } = sizes;
     drawGrid(context);
     for (const body of shown()) {
@@ -342,5 +359,5 @@ function makeStage(element, page, data) {
     context.textAlign = 'left';
   }
 
-  return { fit, rest, move, view, get sizes() { return sizes; } };
+  return { fit, whole, learn, rest, move, view, get sizes() { return sizes; } };
 }

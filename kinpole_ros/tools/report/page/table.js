@@ -9,6 +9,7 @@ function tag(name, text, attributes = {}) {
 
 function makeTable(element, page, data) {
   const cells = [];
+  const chosen = [];
   const rows = [...RATES, ...POLES, 'icr_velocity', 'centrode_curvature'].filter((name) =>
     data.bodies.some((body) => body[name]));
   const table = tag('table');
@@ -21,6 +22,7 @@ function makeTable(element, page, data) {
   for (const name of rows) {
     const row = content.insertRow();
     row.dataset.name = name;
+    chosen.push([row, name]);
     const heading = tag('th', `${WORDS[name][2]} `, { scope: 'row', title: WORDS[name][0] });
     heading.append(tag('span', WORDS[name][1], { class: 'unit' }));
     row.append(heading);
@@ -70,6 +72,8 @@ function makeTable(element, page, data) {
 
   return {
     move() {
+      // Live, only what is shown is asked for.
+      if (data.live) for (const [row, name] of chosen) row.hidden = page.off.has(name);
       for (const one of cells) {
         const [value, rest] = one.words(page.k);
         const text = `${value} ${rest}`;
@@ -159,6 +163,7 @@ function drawTheory(element, data) {
 }
 
 function drawNotes(element, data) {
+  element.replaceChildren();
   if (!data.notes.length) return;
   element.append(tag('h2', 'Warnings'));
   const list = tag('ul');
