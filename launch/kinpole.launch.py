@@ -9,7 +9,7 @@ from launch import LaunchDescription
 from launch.actions import DeclareLaunchArgument
 from launch.conditions import IfCondition
 from launch.substitutions import LaunchConfiguration, PathJoinSubstitution
-from launch_ros.actions import Node
+from launch_ros.actions import LifecycleNode, Node
 from launch_ros.substitutions import FindPackageShare
 
 
@@ -44,7 +44,8 @@ def generate_launch_description() -> LaunchDescription:
             DeclareLaunchArgument(
                 'frame', default_value='world', description='Frame of the markers, for RViz.'
             ),
-            Node(
+            # Managed: it configures and activates itself, unless autostart is false.
+            LifecycleNode(
                 package='kinpole_ros',
                 executable='kinpole_node',
                 name='kinpole',
@@ -61,6 +62,8 @@ def generate_launch_description() -> LaunchDescription:
                 executable='rviz2',
                 namespace=LaunchConfiguration('namespace'),
                 arguments=['-d', drawings, '-f', LaunchConfiguration('frame')],
+                # The topic that kinpole.rviz names, in the namespace.
+                remappings=[('/kinpole/visualization', 'kinpole/visualization')],
                 condition=IfCondition(LaunchConfiguration('rviz')),
             ),
         ]

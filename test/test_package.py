@@ -13,10 +13,12 @@ from types import ModuleType
 from typing import Any
 
 import pytest
+import yaml
 
 import kinpole_ros
 from kinpole_ros.bags import read_messages
 from kinpole_ros.mechanism import load_scene
+from kinpole_ros.messages import DRAWING
 from kinpole_ros.pipeline.parameters import load_settings
 
 ROOT = Path(__file__).parents[1]
@@ -224,7 +226,7 @@ def test_launch_file_starts_the_node_with_every_argument_it_declares(monkeypatch
     )
     conditions = of_launch(monkeypatch, 'launch.conditions', 'IfCondition')
     of_launch(monkeypatch, 'launch_ros', 'actions')
-    nodes = of_launch(monkeypatch, 'launch_ros.actions', 'Node')
+    nodes = of_launch(monkeypatch, 'launch_ros.actions', 'LifecycleNode', 'Node')
     of_launch(monkeypatch, 'launch_ros.substitutions', 'FindPackageShare')
     launch = runpy.run_path(str(ROOT / 'launch' / 'kinpole.launch.py'))
     entities = launch['generate_launch_description']().args[0]
@@ -232,7 +234,10 @@ def test_launch_file_starts_the_node_with_every_argument_it_declares(monkeypatch
     arguments = {
         e.args[0]: e.words for e in entities if isinstance(e, declare['DeclareLaunchArgument'])
     }
-    node, viewer = (e.words for e in entities if isinstance(e, nodes['Node']))
+    (node,), (viewer,) = (
+        [e.words for e in entities if isinstance(e, nodes[kind])]
+        for kind in ('LifecycleNode', 'Node')
+    )
     assert all(words['description'] for words in arguments.values())
     for file in (arguments['params_file']['default_value'], viewer['arguments'][1]):
         folder, name = file.args[0]
@@ -240,6 +245,14 @@ def test_launch_file_starts_the_node_with_every_argument_it_declares(monkeypatch
         assert share.args == ('kinpole_ros',)
         assert (ROOT / config / name).is_file()
     load_settings(ROOT / 'config' / arguments['params_file']['default_value'].args[0][1])
+
+    # In a namespace RViz shows what is drawn there: its file names the topic without one.
+    rviz = yaml.safe_load((ROOT / 'config' / 'kinpole.rviz').read_text())
+    displays = rviz['Visualization Manager']['Displays']
+    (drawn,) = (each['Topic']['Value'] for each in displays if 'Topic' in each)
+    assert drawn == f'/{node["name"]}/{DRAWING}'
+    assert viewer['remappings'] == [(drawn, drawn[1:])]
+    assert viewer['namespace'].args == node['namespace'].args
 
     assert node['package'] == 'kinpole_ros'
     scripts = setup_words()['entry_points']['console_scripts']

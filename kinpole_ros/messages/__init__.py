@@ -10,7 +10,7 @@ from kinpole_ros.messages._diagnostics import (
     not_there,
     unseen,
 )
-from kinpole_ros.messages._drawing import nothing_drawn
+from kinpole_ros.messages._drawing import COLORS, nothing_drawn
 from kinpole_ros.messages._identities import identity_lines
 from kinpole_ros.messages._markers import (
     INPUT_TYPE_NAMES,
@@ -47,6 +47,7 @@ from kinpole_ros.messages._types import (
 
 __all__ = [
     'AUTO_TYPES',
+    'COLORS',
     'DRAWING',
     'INPUT_TYPES',
     'INPUT_TYPE_NAMES',

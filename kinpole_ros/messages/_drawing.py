@@ -18,7 +18,7 @@ from kinpole_ros.messages._types import Marker
 from kinpole_ros.pipeline.estimate import POLE_NAMES, Estimate, Vectors
 from kinpole_ros.rigid.plane import Plane
 
-_COLORS = ((0.12, 0.47, 0.71), (1.0, 0.5, 0.05), (0.17, 0.63, 0.17), (0.84, 0.15, 0.16))
+COLORS = ((0.12, 0.47, 0.71), (1.0, 0.5, 0.05), (0.17, 0.63, 0.17), (0.84, 0.15, 0.16))
 _GRAY = (0.4, 0.4, 0.4)
 # A drawing nobody renews goes by itself (s).
 _LASTS = 2
@@ -113,7 +113,7 @@ def _of_body(
     """All that can be drawn of body `b`, which is known, at instant `t`."""
     size = float(estimate.size[t, b]) if estimate.size[t, b] > 0 else 1.0
     height, origin = estimate.height[t, b], estimate.origin(0)[t, b]
-    turn, color = np.exp(1j * estimate.angle[0, t, b]), _COLORS[b % len(_COLORS)]
+    turn, color = np.exp(1j * estimate.angle[0, t, b]), COLORS[b % len(COLORS)]
 
     def line(points: np.ndarray, width: float, alpha: float) -> _Drawn:
         places = plane.in_space(points, height)

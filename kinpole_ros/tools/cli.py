@@ -357,6 +357,15 @@ def _view(options: argparse.Namespace) -> int:
     return 0
 
 
+def _layout(options: argparse.Namespace) -> int:
+    from kinpole_ros.tools.layout import write_layout
+
+    _keep(options.config, options.output)
+    shown = write_layout(options.viewer, options.config, options.output)
+    print(f'{options.output}: {", ".join(shown.bodies)} of {shown.node}')
+    return 0
+
+
 def _import(options: argparse.Namespace) -> int:
     from kinpole_ros.bags import import_points
 
@@ -539,6 +548,7 @@ _COMMANDS: dict[str, Callable[[argparse.Namespace], int]] = {
     'plot': _plot,
     'report': _report,
     'view': _view,
+    'layout': _layout,
     'import': _import,
     'play': _play,
     'record': _record,

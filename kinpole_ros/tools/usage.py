@@ -236,6 +236,7 @@ def make_parser() -> argparse.ArgumentParser:
 
     _add_report(commands)
     _add_view(commands)
+    _add_layout(commands)
     _add_import(commands)
 
     play = commands.add_parser(
@@ -374,6 +375,26 @@ def _add_view(commands: Any) -> None:
     view.add_argument(
         '--port', type=int, default=0, metavar='N', help='port on 127.0.0.1 (one that is free)'
     )
+
+
+def _add_layout(commands: Any) -> None:
+    layout = commands.add_parser(
+        'layout',
+        help='a layout for Foxglove, Lichtblick or PlotJuggler, of the topics of a rig',
+        description='Writes a layout to open there: the drawing, rates with their deviations, and\n'
+        'diagnostics; in PlotJuggler also the paths of the poles, and joints.',
+        epilog='examples:\n'
+        '  kinpole layout foxglove --config rig.yaml --output rig.json\n'
+        '  kinpole layout plotjuggler --config result.mcap --output rig.xml\n',
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    layout.add_argument(
+        'viewer', choices=('foxglove', 'plotjuggler'), help='foxglove is for Lichtblick too'
+    )
+    layout.add_argument(
+        '--config', metavar='FILE', help='parameter file, or a bag of results; without it as replay'
+    )
+    layout.add_argument('--output', metavar='FILE', required=True, help='layout to write')
 
 
 def _add_discover(commands: Any) -> None:

@@ -5,7 +5,7 @@ Read from the messages alone, so a recording of the live node is as good as a re
 """
 
 import shlex
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from pathlib import Path
 from typing import NamedTuple
 
@@ -220,6 +220,13 @@ _MORE_PARTS: tuple[str, ...] = (
     'isp/with_covariance',
     'angular_snap/deviation',
 )
+
+
+def bodies_of(node: str, topics: Collection[str]) -> list[str]:
+    """Bodies that a node publishes, by its topics, in its order: each is related to all before."""
+    split = (topic.rsplit('/', 2) for topic in topics)
+    bodies = [parts[1] for parts in split if parts[::2] == [node, 'odom']]
+    return sorted(bodies, key=lambda b: sum(t.startswith(f'{node}/{b}/wrt/') for t in topics))
 
 
 def _with_deviation(

@@ -12,7 +12,7 @@ import numpy as np
 from kinpole_ros.messages import DRAWING
 from kinpole_ros.pipeline.estimate import POLE_NAMES, RATE_NAMES
 from kinpole_ros.rigid.plane import Plane
-from kinpole_ros.tools.plot import row_of
+from kinpole_ros.tools.plot import bodies_of, row_of
 
 # By subject, a body or (j, i), and by figure, as columns of a record.
 Figures: TypeAlias = dict[tuple[str | tuple[str, str], str], Any]
@@ -68,11 +68,7 @@ class Rig(NamedTuple):
 
 def rig_of(node: str, kinds: Mapping[str, str]) -> Rig:
     """What a node of this name publishes, by its topics."""
-    ends = f'/{_ODOM}'
-    bodies = [t[len(node) + 1 : -len(ends)] for t in kinds if t.endswith(ends)]
-    bodies = [body for body in bodies if '/' not in body]
-    # Each body is related to all before it.
-    bodies.sort(key=lambda body: sum(t.startswith(f'{node}/{body}/wrt/') for t in kinds))
+    bodies = bodies_of(node, kinds)
     pairs = [(j, i) for n, j in enumerate(bodies) for i in bodies[:n]]
     if len(pairs) > _MOST_PAIRS:
         pairs = list(zip(bodies[1:], bodies, strict=False))
