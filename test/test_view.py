@@ -8,10 +8,11 @@ import subprocess
 import sys
 import threading
 import time
+from collections import deque
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -21,6 +22,7 @@ from test_report import BLUE, GREEN, RED, browser, cell, colored
 from kinpole_ros.bags import read_messages, replay
 from kinpole_ros.pipeline.parameters import load_settings
 from kinpole_ros.ros.live import own_context, play
+from kinpole_ros.ros.watch import Arrived
 from kinpole_ros.tools.cli import main
 from kinpole_ros.tools.plot import plane_of_motion, row_of
 from kinpole_ros.tools.report import page as page_of
@@ -28,6 +30,7 @@ from kinpole_ros.tools.report._results import read_record
 from kinpole_ros.tools.view._feed import Feed
 from kinpole_ros.tools.view._figures import as_json, common_instant, figures_of, rig_of, stamp_of
 from kinpole_ros.tools.view._known import Known
+from kinpole_ros.tools.view._live import Live
 from kinpole_ros.tools.view._server import serving
 
 __all__ = ['browser']
@@ -139,6 +142,49 @@ def test_figures_are_those_of_a_report_of_the_same_messages(results) -> None:
                 found[key], values[110], rtol=1e-9, atol=1e-12, err_msg=str(key)
             )
     assert {name for _, name in found} >= {'isp', 'angular_snap_sigma', 'icr_velocity_covariance'}
+
+
+class Scripted:
+    """Stands for the watcher: a node that is there, and what came from it."""
+
+    def __init__(self, kinds: dict[str, str]) -> None:
+        self._kinds = kinds
+        self.newest: dict[str, deque[Any]] = {}
+
+    def nodes(self) -> dict[str, dict[str, str]]:
+        return {'/kinpole': self._kinds}
+
+    def want(self, topics: dict[str, str]) -> None:
+        self.newest = {topic: self.newest.get(topic, deque(maxlen=4)) for topic in topics}
+
+    def take(self) -> None:
+        pass
+
+
+def test_what_is_no_message_is_told_of_and_what_follows_is_shown(results) -> None:
+    kinds, stamped = messages_of(results)
+    watcher, feed = Scripted(kinds), Feed()
+    live = Live(cast(Any, watcher), feed, '')
+    events = feed.events([], 'rig')
+    page = threading.Thread(target=lambda: [*events])
+    page.start()
+    feed.wait_for_page(LIMIT)
+    told: list[str] = []
+    put = feed.put
+    feed.put = lambda kind, data: (told.append(data), put(kind, data))[1]  # type: ignore
+    pose = '/kinpole/crank/odom'
+    while pose not in watcher.newest:
+        live.step()
+    for data in (b'', stamped[0][pose][:40], b'\x00\x01' + bytes(30)):
+        watcher.newest[pose].append(Arrived(data, 0))
+        live.step()
+        watcher.newest[pose].clear()
+    assert not any('"bodies":[{"x"' in each for each in told)
+    watcher.newest[pose].append(Arrived(stamped[0][pose], 0))
+    live.step()
+    assert '"bodies":[{"x"' in told[-1]
+    feed.close()
+    page.join()
 
 
 def messages_of(results: Path) -> tuple[dict[str, str], list[dict[str, bytes]]]:

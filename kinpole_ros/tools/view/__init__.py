@@ -5,6 +5,8 @@ Only what pages show is subscribed to, and only while one is open: a topic that 
 the node nothing.
 """
 
+import os
+
 from kinpole_ros import __version__
 from kinpole_ros.tools.report import page
 from kinpole_ros.tools.view._feed import Feed
@@ -12,6 +14,7 @@ from kinpole_ros.tools.view._live import Live
 from kinpole_ros.tools.view._server import serving
 
 __all__ = ['view']
+_NICE = 10
 
 
 def view(chosen: str = '', port: int = 0) -> None:
@@ -23,6 +26,8 @@ def view(chosen: str = '', port: int = 0) -> None:
     """
     from kinpole_ros.ros.watch import watching
 
+    # Where cores are scarce the node, and whoever waits for it, comes first.
+    os.nice(_NICE)
     feed = Feed()
     words = {'live': True, 'title': 'kinpole view', 'made': f'kinpole {__version__}'}
     with serving(feed, page(words), port) as address, watching() as (watcher, stop_requested):

@@ -81,8 +81,9 @@ def rig_of(node: str, kinds: Mapping[str, str]) -> Rig:
 
 
 def stamp_of(data: bytes, at: int = 4) -> int:
-    """The stamp, ns, of a message, whose header is the first thing in it, or at this place."""
-    seconds, rest = struct.unpack_from('<iI' if data[1] else '>iI', data, at)
+    """The stamp, ns, of a message, whose header is first in it, or at that place; struct.error."""
+    order = '<iI' if data[1:2] == b'\x01' else '>iI'
+    seconds, rest = struct.unpack_from(order, data, at)
     return int(seconds) * 1_000_000_000 + int(rest)
 
 

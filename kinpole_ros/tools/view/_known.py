@@ -32,6 +32,8 @@ class Known:
         self._withheld: dict[str, dict[str, str]] = {}
         self._notes: list[str] = []
         self._rate = ''
+        # What went wrong here since the pages were told before.
+        self.trouble = ''
         self._recent: deque[Figures] = deque(maxlen=_KEPT)
 
     def figures(self, messages: Mapping[str, bytes]) -> Figures:
@@ -102,7 +104,7 @@ class Known:
                     {'bodies': joint.bodies, 'at': [_pair(z) for z in joint.at]}
                     for joint in joints_of(self._record())
                 ],
-                'notes': self._notes,
+                'notes': [*self._notes, *filter(None, [self.trouble])],
             },
             separators=(',', ':'),
             allow_nan=False,

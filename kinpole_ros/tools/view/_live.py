@@ -2,6 +2,7 @@
 
 import json
 import os
+import struct
 import time
 from typing import TYPE_CHECKING
 
@@ -57,8 +58,14 @@ class Live:
         self._frame_due = max(now, self._frame_due + _FRAME)
         if now >= self._look_due:
             self._look(now)
-        if self._known is not None:
+        if self._known is None:
+            return
+        try:
             self._follow(self._known, shown, now)
+        # What comes from the network may be anything; rclpy raises RuntimeError for what it cannot
+        # read.
+        except (RuntimeError, ValueError, struct.error) as error:
+            self._known.trouble = f'a message cannot be read: {error}'
 
     def _look(self, now: float) -> None:
         """See who is there, and tell the pages how things stand."""
@@ -86,7 +93,7 @@ class Live:
             return
         others = sorted(there.keys() - {name})
         self._feed.put(LASTING, self._known.as_json(now - self._heard, others))
-        self._known.plane = None
+        self._known.plane, self._known.trouble = None, ''
 
     def _waiting(self) -> str:
         which = f'node under {self._chosen[:-1]}' if self._chosen else 'node'
