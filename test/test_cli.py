@@ -832,7 +832,7 @@ def test_interrupted_in_an_extension_it_ends_as_at_any_place(
     def interrupted(*_: object) -> None:
         raise SystemError('<class> returned a result with an exception set') from KeyboardInterrupt
 
-    monkeypatch.setitem(cli._COMMANDS, 'plot', interrupted)
+    monkeypatch.setattr(cli.COMMANDS['plot'], 'run', interrupted)
     assert kinpole('plot', 'results.mcap', '--output', 'picture.png') == (130, '', '')
 
 

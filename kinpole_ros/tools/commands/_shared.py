@@ -1,0 +1,145 @@
+"""What several commands need: files kept, settings, progress, and one line for what is wrong."""
+
+import argparse
+import os
+import shutil
+import sys
+import time
+from collections.abc import Callable
+from contextlib import contextmanager, suppress
+from typing import TYPE_CHECKING
+
+from kinpole_ros.files import cut_line, printable
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from kinpole_ros.pipeline.parameters import Settings
+
+# Packages that may be missing, and how to come by them.
+_FIXES = {
+    'bench': 'the benchmarks are in a checkout of the source, not in an installed package: run '
+    'kinpole bench from one, after pip install --editable .',
+    'matplotlib': "drawing needs matplotlib; install it with pip install 'kinpole_ros[plot]'",
+    'mcap': "reading and writing bags needs mcap; install it with pip install 'mcap>=1.5'",
+}
+# Characters: a bag may have any number of topics, and markers, with any names.
+_LONGEST_LINE = 5000
+_NO_ROS = (
+    'source a ROS 2 installation first, or the .venv that `make demo` sets up, or get the wheels '
+    "for Linux on x86-64 with pip install 'kinpole_ros[ros]'"
+)
+
+
+def package_missing(error: object) -> str:
+    """The package, not one of ours, that could not be imported; '' if that is not the error."""
+    name = (error.name or '') if isinstance(error, ImportError) else ''
+    package = name.partition('.')[0]
+    return '' if package == 'kinpole_ros' else package
+
+
+def one_line(error: object) -> str:
+    """What is wrong, with the fix, in one line that a terminal can show."""
+    if package := package_missing(error):
+        ros = package == 'rclpy' or package.endswith(('_msgs', '_interfaces'))
+        fix = _NO_ROS if ros else f'install it with pip install {package}'
+        return _FIXES.get(package, f'the Python package {package} cannot be imported; {fix}')
+    text = cut_line(printable(' '.join(str(error).split())), _LONGEST_LINE)
+    if isinstance(error, OSError) and error.strerror:
+        # From wherever nobody had words of his own for it.
+        fix = 'check the path, its rights and the space on the disk'
+        return f'{error.filename or "a file"} cannot be used: {error.strerror}; fix: {fix}'
+    if isinstance(error, MemoryError):
+        return f'the memory is too small for this ({text or "full"}); fix: do it in shorter parts'
+    return text
+
+
+def told(command: str, troubles: list[object]) -> int:
+    """Tell what a bag lacks of which all the rest was used; the exit status."""
+    for trouble in troubles:
+        print(f'kinpole {command}: {one_line(trouble)}', file=sys.stderr)
+    return 2 if troubles else 0
+
+
+def on_terminal() -> bool:
+    """Whether somebody watches stderr, which may be closed."""
+    return sys.stderr is not None and sys.stderr.isatty()
+
+
+def settings_of(options: argparse.Namespace) -> 'Settings':
+    """Those of --config, or the defaults, with what --set says instead."""
+    from kinpole_ros.pipeline.parameters import assignments, load_settings, settings_from
+
+    changes = assignments(options.set)
+    if options.config:
+        return load_settings(options.config, changes=changes)
+    return settings_from(changes)
+
+
+def keep(given: str | None, *outputs: str | None) -> None:
+    """Refuse to write over a file that is read, or a recording, which cannot be made again."""
+    for output in filter(None, outputs):
+        # By another name too. What cannot be looked at is reported when it is opened.
+        there = given is not None and os.path.exists(given) and os.path.exists(output)
+        if there and os.path.samefile(str(given), output):
+            raise FileExistsError(f'{given} is to be read; name another file to write')
+        if os.path.isfile(output) and (recorder := _recorder_of(output)):
+            raise FileExistsError(
+                f'{output} is a recording, made by {recorder!r}; name another file to write, or '
+                'remove that one first'
+            )
+
+
+def _recorder_of(path: str) -> str:
+    with suppress(ImportError):  # solve does without mcap
+        from kinpole_ros.bags import recorder_of
+
+        return recorder_of(path)
+    return ''
+
+
+@contextmanager
+def progress_bar(what: str) -> 'Iterator[Callable[[float], None] | None]':
+    """A bar on a terminal, nothing in a pipe."""
+    if not on_terminal():
+        yield None
+        return
+    start = shown = time.monotonic()
+
+    def show(share: float) -> None:
+        nonlocal shown
+        now = time.monotonic()
+        if now - shown < 0.1 and share < 1:
+            return
+        shown = now
+        left = (now - start) * (1 - share) / share if share > 0.01 else float('nan')
+        bar = '#' * round(30 * share)
+        tail = f'{left:4.0f} s left' if left == left else ''
+        text = f'{what} [{bar:<30}] {share:4.0%} {tail:12}'[: _width()]
+        print(f'\r{text}', end='', file=sys.stderr, flush=True)
+
+    try:
+        yield show
+    finally:
+        print(cleared(), end='', file=sys.stderr, flush=True)
+
+
+def _width() -> int:
+    """Columns of a line of progress: one that wraps is not gone back over."""
+    return min(70, shutil.get_terminal_size().columns - 1)
+
+
+def cleared() -> str:
+    """What takes a bar of progress away."""
+    return f'\r{"":{_width()}}\r'
+
+
+def add_set(command: argparse.ArgumentParser) -> None:
+    """--set, for what takes --config."""
+    command.add_argument(
+        '--set',
+        action='append',
+        default=[],
+        metavar='NAME:=VALUE',
+        help='a parameter instead of what the file says, as ros2 run takes it after -p; repeatable',
+    )

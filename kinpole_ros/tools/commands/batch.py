@@ -1,0 +1,112 @@
+"""Replay of many bags."""
+
+import argparse
+import sys
+from typing import Any
+
+from kinpole_ros.tools.commands._shared import (
+    add_set,
+    cleared,
+    on_terminal,
+    one_line,
+    progress_bar,
+    settings_of,
+)
+
+
+def add(commands: Any) -> None:
+    """Add the words of the command."""
+    batch = commands.add_parser(
+        'batch',
+        help='many bags, on all cores or a Dask cluster, and a table over all',
+        description='Replays every bag by itself and writes summary.csv, a line for each named:\n'
+        'frames, time span (s), noise (m), resets, share of instants with each pole, and what\n'
+        'went wrong. A bag that fails is reported, and the rest go on. Run again, it does what is\n'
+        'not done yet: results appear under their names only when whole, and stay as long as bag\n'
+        'and settings are the same. A folder is one bag: name recordings that lie in one folder\n'
+        'by FOLDER/*.mcap. Bags and output may be URLs of stores that fsspec knows, as s3://...\n'
+        'Of more than 10,000 bags results lie in 256 folders of the output.\n'
+        "Needs Dask: pip install 'kinpole_ros[batch]'.",
+        epilog='examples:\n'
+        '  kinpole batch runs/*.mcap --config rig.yaml --output results\n'
+        '  kinpole batch runs/*/ --config rig.yaml --output results --parquet --workers 4\n'
+        '  kinpole batch runs/*/ --config rig.yaml --output results --scheduler tcp://hub:8786\n'
+        '\n'
+        'A cluster is `dask scheduler` on one machine and `dask worker tcp://hub:8786 --nthreads 1`'
+        '\non each of the others. All of them have kinpole_ros installed, and see bags and output\n'
+        'under the same paths. Dask takes code from whoever reaches it: keep it inside your lab.\n'
+        'Exit status: 0 all bags done; 2 some failed, are cut off, or never estimated a body:\n'
+        'see the columns error, truncated, unknown and warnings.',
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    batch.add_argument(
+        'bags',
+        metavar='BAG',
+        nargs='*',
+        help='.mcap files and rosbag2 folders, or URLs such as s3://lab/run.mcap',
+    )
+    batch.add_argument('--list', metavar='FILE', help='a file that names more bags, one a line')
+    batch.add_argument(
+        '--config', metavar='FILE', help='ROS 2 parameter file for all of them, as for replay'
+    )
+    add_set(batch)
+    batch.add_argument(
+        '--output',
+        metavar='DIR',
+        default='batch',
+        help='folder for results and summary, or its URL (batch)',
+    )
+    batch.add_argument('--topic', metavar='T', help="topic of the markers (config's, /markers)")
+    batch.add_argument(
+        '--mcap', action='store_true', help='a bag of results for each (if nothing else is asked)'
+    )
+    batch.add_argument('--csv', action='store_true', help='a CSV table for each')
+    batch.add_argument('--parquet', action='store_true', help='a Parquet table for each')
+    batch.add_argument(
+        '--scheduler', metavar='ADDRESS', help='of a Dask cluster; without it, this machine'
+    )
+    batch.add_argument('--workers', type=int, metavar='N', help='processes here (one a core)')
+
+
+def run(options: argparse.Namespace) -> int:
+    """Do it, and print the outcome; the exit status."""
+    from kinpole_ros.bags import BagError
+    from kinpole_ros.bags.batch import KINDS, batch, listed_bags
+
+    if options.workers is not None and options.workers < 1:
+        raise BagError(f'--workers is {options.workers}; it must be 1 or more')
+    if options.workers is not None and options.scheduler is not None:
+        raise BagError('--workers is for this machine alone; leave it out with --scheduler')
+    bags = [*options.bags, *(listed_bags(options.list) if options.list else [])]
+    if not bags:
+        raise BagError('no bags are named; give some, or a file that names them by --list')
+    settings = settings_of(options)
+    kinds = [kind for kind in KINDS if getattr(options, kind)] or ['mcap']
+
+    def report(row: dict[str, Any]) -> None:
+        for trouble in (row['error'], row.get('truncated'), row.get('warnings')):
+            if trouble:
+                name = '' if row['bag'] in trouble else f'{row["bag"]}: '
+                clear = cleared() if on_terminal() else ''
+                print(f'{clear}kinpole batch: {one_line(f"{name}{trouble}")}', file=sys.stderr)
+
+    with progress_bar('batch') as progress:
+        rows = batch(
+            bags,
+            options.output,
+            settings,
+            options.topic,
+            kinds,
+            options.scheduler,
+            options.workers,
+            progress,
+            report,
+        )
+    failed = sum(bool(row['error']) for row in rows)
+    cut = sum(bool(row.get('truncated')) for row in rows)
+    lacking = sum(bool(row.get('unknown')) for row in rows)
+    frames = sum(row.get('frames', 0) for row in rows)
+    lack = f', {lacking} never estimated a body' if lacking else ''
+    print(f'{len(rows)} bags, {failed} failed, {cut} cut off{lack}; {frames} frames in')
+    print(f'written to {options.output}, with a table over all in {options.output}/summary.csv')
+    return 2 if failed or cut or lacking else 0

@@ -1,0 +1,60 @@
+"""A scene's dimensions from measured markers."""
+
+import argparse
+from typing import Any
+
+from kinpole_ros.files import printable
+from kinpole_ros.tools.commands._shared import keep, progress_bar, told
+
+
+def add(commands: Any) -> None:
+    """Add the words of the command."""
+    fit = commands.add_parser(
+        'fit',
+        help="a scene's dimensions from measured markers, each with its deviation",
+        description='Fits points, lengths and angles of a scene to the poses of its bodies in all\n'
+        'frames, whatever drives them: least squares over what the joints lack. What the data do\n'
+        'not tell stays as it is, and is named. Markers sit where the scene has them.',
+        epilog='examples:\n'
+        '  kinpole fit rig.yaml run.mcap\n'
+        '  kinpole fit rig.yaml run.mcap --free rocker.B --free coupler --output fitted.yaml\n',
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    fit.add_argument('scene', metavar='SCENE', help='a file, or a name, see simulate')
+    fit.add_argument('bag', metavar='BAG', help='an .mcap file or a rosbag2 folder')
+    fit.add_argument(
+        '--config',
+        metavar='FILE',
+        help="ROS 2 parameter file, as for the node; without it the scene's bodies and markers",
+    )
+    fit.add_argument(
+        '--free',
+        action='append',
+        nargs='+',
+        metavar='NAME',
+        help="what to fit: rocker.B, r2.length, or all of a body, vector or joint (the scene's "
+        'free, or all)',
+    )
+    fit.add_argument('--output', metavar='SCENE.yaml', help='the scene, as fitted, to write')
+    fit.add_argument('--topic', metavar='T', help="topic of the markers (config's, /markers)")
+
+
+def run(options: argparse.Namespace) -> int:
+    """Do it, and print the outcome; the exit status."""
+    from kinpole_ros.tools.fit import fit_bag
+
+    keep(options.config, options.output)
+    troubles: list[object] = []
+    with progress_bar('fit') as progress:
+        lines = fit_bag(
+            options.scene,
+            options.bag,
+            options.config,
+            options.free or [],
+            options.output,
+            options.topic,
+            progress,
+            troubles.append,
+        )
+    print('\n'.join(map(printable, lines)))
+    return told('fit', troubles)

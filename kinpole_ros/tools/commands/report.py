@@ -1,0 +1,47 @@
+"""A recording to move through."""
+
+import argparse
+from typing import Any
+
+from kinpole_ros.tools.commands._shared import add_set, keep, progress_bar, settings_of
+
+
+def add(commands: Any) -> None:
+    """Add the words of the command."""
+    report = commands.add_parser(
+        'report',
+        help='a recording to move through: one HTML file that works anywhere, without a network',
+        description='Writes one HTML file: the linkage in motion with its poles, centrodes and\n'
+        'velocities, all figures over time with their bands, and what was withheld and why.\n'
+        'It needs a browser and nothing else. A bag of markers is replayed first.',
+        epilog='examples:\n'
+        '  kinpole report recording.mcap --config rig.yaml --output report.html\n'
+        '  kinpole report recording.mcap --scene four_bar --output report.html\n'
+        '  kinpole report result.mcap --output report.html\n',
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    report.add_argument('bag', metavar='BAG', help='bag of markers, or of results')
+    report.add_argument('--output', metavar='FILE.html', required=True, help='report to write')
+    report.add_argument('--config', metavar='FILE', help='parameter file, as for replay')
+    add_set(report)
+    report.add_argument('--topic', metavar='T', help="topic of the markers (config's, /markers)")
+    report.add_argument(
+        '--scene',
+        metavar='SCENE',
+        help='draw its theory beside the measurement; without --config its bodies are tracked',
+    )
+
+
+def run(options: argparse.Namespace) -> int:
+    """Do it, and print the outcome; the exit status."""
+    from kinpole_ros.tools.report import report, settings_for
+
+    keep(options.config, options.output)
+    keep(options.bag, options.output)
+    settings = settings_for(settings_of(options), options.scene)
+    with progress_bar('report') as progress:
+        record = report(options.bag, options.output, settings, options.topic, progress)
+    thinned = '' if len(record.stamp) == record.total else f' of {record.total}'
+    print(f'{len(record.stamp)}{thinned} instants of {", ".join(record.bodies)}')
+    print(f'written to {options.output}')
+    return 0

@@ -1,0 +1,70 @@
+"""The analysis of a mechanism."""
+
+import argparse
+from typing import Any
+
+from kinpole_ros.files import printable
+from kinpole_ros.tools.commands._shared import keep
+
+
+def add(commands: Any) -> None:
+    """Add the words of the command."""
+    solve = commands.add_parser(
+        'solve',
+        help='the analysis of a mechanism: motion, dead points, centers, forces',
+        description='Solves a scene exactly: positions and rates at time 0, at a value of its '
+        'driver, over all the way the linkage gives it, with limits and dead points, or over time.',
+        epilog='examples:\n'
+        '  kinpole solve four_bar --at "45 deg" --centers\n'
+        '  kinpole solve slider_crank --sweep --csv crank.csv --plot crank.png\n'
+        '  kinpole solve double_pendulum --time 5 --csv course.csv --html course.html\n'
+        '  kinpole solve loader_cylinder --statics\n'
+        '  kinpole solve antiparallelogram --pitch crank follower gears.svg\n',
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    solve.add_argument('scene', metavar='SCENE', help='name or path of a scene, see simulate')
+    where = solve.add_mutually_exclusive_group()
+    where.add_argument('--at', metavar='VALUE', help='value of the driver: 0.5, "-45 deg", "12 cm"')
+    where.add_argument('--sweep', action='store_true', help='all the way the linkage gives it')
+    where.add_argument('--time', metavar='S', help='as its drivers move it for S seconds')
+    solve.add_argument('--centers', action='store_true', help='instant centers, as deduced by hand')
+    solve.add_argument('--statics', action='store_true', help='what drivers and joints bear')
+    solve.add_argument('--csv', metavar='FILE', help='all figures as a table, SI units')
+    solve.add_argument('--plot', metavar='FILE.png', help='the linkage, and rates over the range')
+    solve.add_argument(
+        '--centrodes',
+        nargs='+',
+        default=(),
+        metavar='BODY',
+        help='draw their centrodes (--plot)',
+    )
+    solve.add_argument('--html', metavar='FILE.html', help='the linkage in motion, as in a report')
+    solve.add_argument(
+        '--pitch',
+        nargs=3,
+        metavar=('BODY', 'BODY', 'FILE'),
+        help='centrodes of two bodies as pitch curves: .csv, or .svg, .dxf true to scale',
+    )
+
+
+def run(options: argparse.Namespace) -> int:
+    """Do it, and print the outcome; the exit status."""
+    from kinpole_ros.tools.solve import solve_scene
+
+    pitch = options.pitch[2] if options.pitch else None
+    keep(options.scene, options.csv, options.plot, pitch, options.html)
+    lines = solve_scene(
+        options.scene,
+        options.at,
+        options.sweep,
+        options.centers,
+        options.statics,
+        options.csv,
+        options.plot,
+        options.pitch,
+        options.time,
+        options.html,
+        options.centrodes,
+    )
+    print('\n'.join(map(printable, lines)))
+    return 0
