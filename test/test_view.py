@@ -1,6 +1,7 @@
 """The page of a live node: its figures arrive and move; who may see it, and what it asks for."""
 
 import http.client
+import json
 import re
 import signal
 import socket
@@ -9,7 +10,7 @@ import sys
 import threading
 import time
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import Any, cast
@@ -145,14 +146,17 @@ def test_figures_are_those_of_a_report_of_the_same_messages(results) -> None:
 
 
 class Scripted:
-    """Stands for the watcher: a node that is there, and what came from it."""
+    """Stands for the watcher: nodes that are there, and what came from them."""
 
-    def __init__(self, kinds: dict[str, str]) -> None:
-        self._kinds = kinds
+    def __init__(self, kinds: dict[str, str], names: Sequence[str] = ('/kinpole',)) -> None:
+        self._nodes = {
+            name: {topic.replace('/kinpole', name): kind for topic, kind in kinds.items()}
+            for name in names
+        }
         self.newest: dict[str, deque[Any]] = {}
 
     def nodes(self) -> dict[str, dict[str, str]]:
-        return {'/kinpole': self._kinds}
+        return self._nodes
 
     def want(self, topics: dict[str, str]) -> None:
         self.newest = {topic: self.newest.get(topic, deque(maxlen=4)) for topic in topics}
@@ -161,30 +165,62 @@ class Scripted:
         pass
 
 
+class Told:
+    """Stands for the feed: one page is open, and this is what it was told."""
+
+    def __init__(self) -> None:
+        self.rigs: list[dict[str, Any]] = []
+        self.frames: list[dict[str, Any]] = []
+
+    def shown(self) -> frozenset[str]:
+        return frozenset()
+
+    def put(self, kind: str, data: str) -> None:
+        (self.rigs if kind == 'rig' else self.frames).append(json.loads(data))
+
+
+def live_of(watcher: Scripted, chosen: str = '') -> tuple[Live, Told]:
+    """What shows a node of the watcher, with words about it told."""
+    told = Told()
+    live = Live(cast(Any, watcher), cast(Any, told), chosen)
+    step_until(live, lambda: [rig for rig in told.rigs if 'bodies' in rig or chosen == 'none'])
+    return live, told
+
+
+def step_until(live: Live, condition: Callable[[], Any]) -> None:
+    deadline = time.monotonic() + LIMIT
+    while not condition():
+        assert time.monotonic() < deadline
+        live.step()
+
+
 def test_what_is_no_message_is_told_of_and_what_follows_is_shown(results) -> None:
     kinds, stamped = messages_of(results)
-    watcher, feed = Scripted(kinds), Feed()
-    live = Live(cast(Any, watcher), feed, '')
-    events = feed.events([], 'rig')
-    page = threading.Thread(target=lambda: [*events])
-    page.start()
-    feed.wait_for_page(LIMIT)
-    told: list[str] = []
-    put = feed.put
-    feed.put = lambda kind, data: (told.append(data), put(kind, data))[1]  # type: ignore
-    pose = '/kinpole/crank/odom'
-    while pose not in watcher.newest:
+    watcher = Scripted(kinds)
+    live, told = live_of(watcher)
+    poses = watcher.newest['/kinpole/crank/odom']
+    good = stamped[0]['/kinpole/crank/odom']
+    for data in (b'', good[:40], b'\0\1' + bytes(30)):
+        poses.append(Arrived(data, 0))
         live.step()
-    for data in (b'', stamped[0][pose][:40], b'\x00\x01' + bytes(30)):
-        watcher.newest[pose].append(Arrived(data, 0))
-        live.step()
-        watcher.newest[pose].clear()
-    assert not any('"bodies":[{"x"' in each for each in told)
-    watcher.newest[pose].append(Arrived(stamped[0][pose], 0))
+        poses.clear()
+    step_until(live, lambda: told.rigs[-1]['notes'])
+    assert told.rigs[-1]['notes'][0].startswith('a message cannot be read: ')
+    assert told.frames == []
+    poses.append(Arrived(good, 0))
     live.step()
-    assert '"bodies":[{"x"' in told[-1]
-    feed.close()
-    page.join()
+    assert [body is not None for body in told.frames[0]['bodies']] == [True, False, False]
+
+
+def test_of_several_nodes_the_chosen_one_is_shown_and_others_are_named(results) -> None:
+    kinds, _ = messages_of(results)
+    watcher = Scripted(kinds, ('/a/kinpole', '/b/kinpole'))
+    for chosen, shown in (('', 'a'), ('b', 'b'), ('/b/kinpole/', 'b'), ('b/kinpole/crank', 'b')):
+        _, told = live_of(watcher, chosen)
+        assert told.rigs[-1]['title'] == f'/{shown}/kinpole'
+        assert ('/b/kinpole' in told.rigs[-1]['about']) == (not chosen)
+    _, told = live_of(watcher, 'none')
+    assert 'under /none ' in told.rigs[-1]['waiting']
 
 
 def messages_of(results: Path) -> tuple[dict[str, str], list[dict[str, bytes]]]:

@@ -31,7 +31,8 @@ class Known:
         self._pins: set[str] = set()
         self._withheld: dict[str, dict[str, str]] = {}
         self._notes: list[str] = []
-        self._rate = ''
+        # Of frames, Hz.
+        self._rate = 0.0
         # What went wrong here since the pages were told before.
         self.trouble = ''
         self._recent: deque[Figures] = deque(maxlen=_KEPT)
@@ -46,7 +47,8 @@ class Known:
 
     def keep(self, figures: Figures) -> None:
         """Have joints found from these figures too."""
-        self._recent.append({k: v for k, v in figures.items() if k[1] in _OF_JOINTS})
+        known = {k: v for k, v in figures.items() if k[1] in _OF_JOINTS}
+        self._recent.append({k: v for k, v in known.items() if np.isfinite(v).all()})
 
     def lacks_outlines(self, figures: Figures) -> bool:
         """Whether any body that is seen has none yet."""
@@ -62,6 +64,8 @@ class Known:
             points = np.array([[p.x, p.y, p.z] for p in marker.points[:-1]])
             if body == marker.ns or not len(points) or (body, 'position') not in figures:
                 continue
+            if not np.isfinite(points).all():
+                continue
             arm = self.plane.project(points)[0] - figures[body, 'position']
             self._outlines[body] = arm * np.exp(-1j * figures[body, 'angle'])
 
@@ -75,7 +79,7 @@ class Known:
         for status in ours:
             subject, level, text, reasons = words_of(status)
             values = {pair.key: pair.value for pair in status.values}
-            self._rate = values.get('rate (Hz)', self._rate)
+            self._rate = float(values.get('rate (Hz)', self._rate))
             if values.get('motion') == 'pinned':
                 self._pins.add(subject)
             if level:
@@ -111,7 +115,7 @@ class Known:
         )
 
     def _about(self, silence: float, others: Sequence[str]) -> str:
-        parts = [f'markers at {float(self._rate):.4g} Hz'] if self._rate else []
+        parts = [f'markers at {self._rate:.4g} Hz'] if self._rate else []
         if silence > _SILENT:
             parts = [f'no results for {silence:.0f} s']
         if others:

@@ -56,16 +56,16 @@ class Live:
         time.sleep(max(0.0, self._frame_due - time.monotonic()))
         now = time.monotonic()
         self._frame_due = max(now, self._frame_due + _FRAME)
-        if now >= self._look_due:
-            self._look(now)
-        if self._known is None:
-            return
         try:
-            self._follow(self._known, shown, now)
+            if now >= self._look_due:
+                self._look(now)
+            if self._known is not None:
+                self._follow(self._known, shown, now)
         # What comes from the network may be anything; rclpy raises RuntimeError for what it cannot
         # read.
         except (RuntimeError, ValueError, struct.error) as error:
-            self._known.trouble = f'a message cannot be read: {error}'
+            if self._known is not None:
+                self._known.trouble = f'a message cannot be read: {error}'
 
     def _look(self, now: float) -> None:
         """See who is there, and tell the pages how things stand."""
