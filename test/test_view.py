@@ -353,7 +353,9 @@ def test_page_waits_for_a_node_shows_it_and_asks_for_no_more(browser, results, w
         assert view.wait(LIMIT) == 0
 
 
-def test_page_says_that_the_server_is_gone_and_goes_on_when_it_is_back(browser, results) -> None:
+def test_page_goes_on_when_the_server_is_back_and_begins_anew_with_other_bodies(
+    browser, results
+) -> None:
     kinds, stamped = messages_of(results)
     rig = rig_of('/kinpole', kinds)
     known, port = Known(rig), 0
@@ -369,4 +371,9 @@ def test_page_says_that_the_server_is_gone_and_goes_on_when_it_is_back(browser, 
                 feed.put('frame', as_json(rig, known.figures(messages), at, 0))
                 page.locator('#clock', has_text=f't = {at:.3f} s').wait_for()
                 assert page.locator('#state').inner_text() == ''
+                if at > 1:
+                    # A node with other bodies is another page.
+                    other = Known(rig._replace(bodies=('rod',), pairs=()))
+                    feed.put('rig', other.as_json(0.0, []))
+                    page.locator('#bodies', has_text='rod').wait_for()
             page.locator('#state', has_text='disconnected').wait_for()

@@ -75,11 +75,13 @@ class Known:
         ours = [s for s in decode(kind, data).status if s.name.startswith(f'{name}: ')]
         if not ours:
             return
-        self._notes, self._withheld, self._pins = [], {}, set()
+        self._notes, self._withheld = [], {}
         for status in ours:
             subject, level, text, reasons = words_of(status)
             values = {pair.key: pair.value for pair in status.values}
             self._rate = float(values.get('rate (Hz)', self._rate))
+            if 'motion' in values:
+                self._pins.discard(subject)
             if values.get('motion') == 'pinned':
                 self._pins.add(subject)
             if level:

@@ -12,7 +12,8 @@ const [LEARN_EVERY, READ_EVERY] = [15, 3];
 const LATE = 0.1;
 
 function watch() {
-  document.documentElement.dataset.live = 'yes';
+  const { dataset } = document.documentElement;
+  dataset.live = 'waiting';
   by('title').textContent = 'kinpole view';
   let [actions, data, source] = [null, null, null];
   let off = new Set(UNASKED);
@@ -54,8 +55,12 @@ function watch() {
     }
     const names = JSON.stringify([rig.title, rig.bodies.map(({ name }) => name), rig.figures, rig.pairs]);
     if (!actions) begin(rig, names);
-    // Another rig is another page.
-    else if (names !== data.names) location.reload();
+    if (names !== data.names) {
+      // Another rig is another page.
+      source.close();
+      location.reload();
+      return;
+    }
     const { about, joints, notes, along } = rig;
     Object.assign(data, { about, joints, notes, along });
     tellAbout(data);
@@ -73,13 +78,14 @@ function watch() {
   function begin(rig, names) {
     data = { ...prepare(emptyRecord(rig)), names, begin: -SPAN };
     by('title').textContent = rig.title;
+    dataset.live = 'yes';
     actions = makePage(data, off, { moved: () => follow(false), toggled: () => {
       off = actions.page.off;
       connect();
     } });
     actions.page.k = KEPT - 1;
     actions.whole();
-    document.documentElement.dataset.ready = 'yes';
+    dataset.ready = 'yes';
   }
 
   function onFrame(frame) {
@@ -92,7 +98,7 @@ function watch() {
     if (count % LEARN_EVERY === 0) stage.learn();
     redraw(count++ % READ_EVERY ? 'pose' : 'rest');
     // For whoever measures how late it is.
-    requestAnimationFrame(() => { document.documentElement.dataset.published = frame.published; });
+    requestAnimationFrame(() => { dataset.published = frame.published; });
   }
 }
 

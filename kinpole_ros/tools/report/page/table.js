@@ -50,9 +50,11 @@ function makeTable(element, page, data) {
       const row = rows.insertRow();
       row.dataset.name = `${j.name}/${i.name}`;
       row.append(tag('th', `${j.name} wrt ${i.name}`, { scope: 'row' }));
-      const none = ['', 'no relative rotation'];
-      cells.push({ cell: row.insertCell(), words: (k) => pointWords(icr, k) ?? none });
-      cells.push({ cell: row.insertCell(), words: (k) => numberWords(rate, k) ?? ['', 'not known'] });
+      const unknown = ['', 'not known'];
+      const none = (k) => (isFinite(rate.value[k]) ? ['', 'no relative rotation'] : unknown);
+      const unasked = () => data.live && page.off.has('relative') && ['', 'not shown'];
+      cells.push({ cell: row.insertCell(), words: (k) => pointWords(icr, k) ?? (unasked() || none(k)) });
+      cells.push({ cell: row.insertCell(), words: (k) => numberWords(rate, k) ?? unknown });
     }
     details.append(pairs);
     return details;
