@@ -22,8 +22,9 @@ if TYPE_CHECKING:
 
 # s, between frames, and between looks at the graph, until a node is found and from then on.
 _FRAME, _SEARCH, _LOOK = 1 / 30, 0.25, 1.0
-# s, between looks at the outlines: with the drawings a node computes all that it can.
-_REDRAW = 30.0
+# s. Outlines and joints lie still in their bodies, and drawings and relative centers cost the node
+# more than all else: they are looked at in the beginning, and then now and then for so long.
+_RELEARN, _FIRST, _LATER = 60.0, 10.0, 3.0
 _DIAGNOSTICS, _DIAGNOSTICS_TYPE = '/diagnostics', 'diagnostic_msgs/msg/DiagnosticArray'
 # Where the stamp of the first marker is in a MarkerArray.
 _FIRST_MARKER = 8
@@ -38,7 +39,8 @@ class Live:
         # What was found before, which may not be all of it yet.
         self._seen: Rig | None = None
         self._known: Known | None = None
-        self._frame_due = self._look_due = self._redraw_due = self._heard = 0.0
+        self._frame_due = self._look_due = self._relearn_due = self._heard = 0.0
+        self._learned = 0.0
         # Of instants, ns.
         self._first: int | None = None
         self._last: int | None = None
@@ -86,7 +88,7 @@ class Live:
             settled, self._seen = rig == self._seen, rig
             if settled and (self._known is None or rig != self._known.rig):
                 self._known, self._first, self._last = Known(rig), None, None
-                self._heard, self._redraw_due = now, 0.0
+                self._heard, self._relearn_due, self._learned = now, 0.0, now + _FIRST
         self._look_due = now + (_SEARCH if self._known is None else _LOOK)
         if self._known is None:
             self._feed.put(LASTING, json.dumps({'waiting': self._waiting()}))
@@ -105,9 +107,10 @@ class Live:
 
     def _follow(self, known: Known, shown: frozenset[str], now: float) -> None:
         rig, drawing = known.rig, known.rig.drawing
-        wanted = rig.topics(shown)
+        learning = now < self._learned
+        wanted = rig.topics(shown | {'relative'} if learning else shown)
         topics = {**wanted, _DIAGNOSTICS: _DIAGNOSTICS_TYPE}
-        if drawing in rig.kinds and now >= self._redraw_due:
+        if drawing in rig.kinds and now >= self._relearn_due:
             topics[drawing] = rig.kinds[drawing]
         self._watcher.want(topics)
         self._watcher.take()
@@ -131,7 +134,8 @@ class Live:
         self._last, self._heard = stamp, now
         messages = at(stamp)
         figures = known.figures(messages)
-        known.keep(figures)
+        if learning:
+            known.keep(figures)
         published = next(by_stamp[pose][stamp].published for pose in rig.poses if pose in messages)
         self._feed.put('frame', as_json(rig, figures, (stamp - self._first) * 1e-9, published))
         if drawing in topics and newest[drawing]:
@@ -140,4 +144,5 @@ class Live:
             if any(pose in then for pose in rig.poses):
                 known.add_drawing(rig.kinds[drawing], data, known.figures(then))
             if not known.lacks_outlines(figures):
-                self._redraw_due = now + _REDRAW
+                self._relearn_due = now + _RELEARN
+                self._learned = max(self._learned, now + _LATER)

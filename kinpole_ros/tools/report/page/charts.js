@@ -178,7 +178,8 @@ function makeCharts(element, page, data) {
 
   return {
     rest: () => charts.forEach((chart) => {
-      chart.figure.hidden = page.off.has(chart.name);
+      // The layer of that name is of centers, not of rates.
+      chart.figure.hidden = chart.name !== 'relative' && page.off.has(chart.name);
       if ((chart.seen || page.printing) && !chart.figure.hidden) draw(chart);
     }),
     move: () => charts.forEach((chart) => (chart.seen || page.printing) && chart.x && mark(chart)),

@@ -4,7 +4,7 @@
 const [KEPT, SPAN] = [300, 10];
 // What is not asked for until the reader wants it: each costs the node.
 const CHOSEN = [...RATES.slice(1), 'icr_velocity', 'centrode_curvature'];
-const UNASKED = [...POLES.slice(1), ...CHOSEN];
+const UNASKED = [...POLES.slice(1), ...CHOSEN, 'relative'];
 // Instants after which the picture is made to hold all that moved, and figures and charts are drawn:
 // nobody reads more of these in a second.
 const [LEARN_EVERY, READ_EVERY] = [15, 3];

@@ -53,7 +53,7 @@ function makeTable(element, page, data) {
       const unknown = ['', 'not known'];
       const none = (k) => (isFinite(rate.value[k]) ? ['', 'no relative rotation'] : unknown);
       const unasked = () => data.live && page.off.has('relative') && ['', 'not shown'];
-      cells.push({ cell: row.insertCell(), words: (k) => pointWords(icr, k) ?? (unasked() || none(k)) });
+      cells.push({ cell: row.insertCell(), words: (k) => unasked() || (pointWords(icr, k) ?? none(k)) });
       cells.push({ cell: row.insertCell(), words: (k) => numberWords(rate, k) ?? unknown });
     }
     details.append(pairs);
