@@ -1,6 +1,9 @@
 """
 Corrupted bags by the thousand: each is read, or refused in one line, soon and in little memory.
 
+What is lost of one is told of, unless no record of the file can tell: a message that no checksum
+covers may change unseen, and these are counted.
+
 `python test/fuzz_bags.py [COUNT [SEED]]` runs as many as you like, 10,000 unless told; the test
 suite runs a few hundred. Damage is done to the bytes, to the order, lengths and contents of
 records, and inside chunks that are then compressed again with their checksums put right, so that
@@ -16,6 +19,7 @@ from collections.abc import Callable
 from functools import cache
 from io import BytesIO
 from pathlib import Path
+from typing import Any, NamedTuple
 
 import lz4.frame
 import numpy as np
@@ -28,11 +32,27 @@ from mcap.records import Chunk
 from mcap.writer import MCAP0_MAGIC, CompressionType, IndexType, Writer
 from rclpy.serialization import serialize_message
 
-from kinpole_ros.bags import BagError, definition, read_blocks, replay, topics, type_name
+from kinpole_ros.bags import (
+    BagError,
+    BagMessage,
+    definition,
+    read_blocks,
+    read_messages,
+    replay,
+    topics,
+    type_name,
+)
 from kinpole_ros.messages import to_message
 from kinpole_ros.pipeline.parameters import Settings
 
 _HEAD = struct.Struct('<BQ')
+
+
+class Bag(NamedTuple):
+    """The bytes of a bag, and the messages of the sound one that they were made from."""
+
+    content: bytes
+    original: list[BagMessage]
 
 
 def fuzz_bags(count: int, seed: int = 0, folder: str | Path | None = None) -> Counter[str]:
@@ -40,29 +60,39 @@ def fuzz_bags(count: int, seed: int = 0, folder: str | Path | None = None) -> Co
     Read `count` bags with damage that follows from `seed`; returns how many ended in which way.
 
     Raises AssertionError, with the last one left in `folder`, for one that ends in anything but
-    messages or a BagError of one line, or that breaks a limit of `fuzz`. To go on from what got
+    messages or a BagError of one line, that lost messages by its own records and does not say so,
+    or that breaks a limit of `fuzz`. To go on from what got
     farthest was tried and reached no more lines: this damage knows records and chunks.
     """
     place = Path(folder or tempfile.mkdtemp(prefix='fuzz_bags_'))
     generator = random.Random(seed)
     sound = _sound_bags(place)
 
-    def ending(content: bytes) -> str:
-        bag = place / 'fuzzed.mcap'
+    def damage(generator: random.Random, bag: Bag) -> Bag:
+        return bag._replace(content=_fuzzed(generator, bag.content))
+
+    def ending(subject: Bag) -> str:
+        bag, original = place / 'fuzzed.mcap', subject.original
         if generator.random() < 0.05:
-            bag = _fuzzed_folder(generator, place / 'folder', generator.choice(sound))
+            bag = _fuzzed_folder(generator, place / 'folder', generator.choice(sound).content)
+            original = None
         else:
-            bag.write_bytes(content)
-        return _ending(bag, with_replay=generator.random() < 0.2)
+            bag.write_bytes(subject.content)
+        return _ending(bag, original, with_replay=generator.random() < 0.2)
 
-    return fuzz(count, generator, place, sound, _fuzzed, ending)
+    return fuzz(count, generator, place, sound, damage, ending)
 
 
-def _ending(bag: Path, with_replay: bool) -> str:
+def _ending(bag: Path, original: list[BagMessage] | None, with_replay: bool) -> str:
+    unseen = False
     try:
         topics(bag)
-        for block in read_blocks(bag):
-            assert all(isinstance(message.data, bytes) for message in block)
+        found = [message for block in read_blocks(bag) for message in block]
+        assert all(isinstance(message.data, bytes) for message in found)
+        if original is not None and Counter(found) != Counter(original):
+            known_by = _known_by(bag.read_bytes())
+            assert known_by(found) == known_by(original), 'messages were lost without a word'
+            unseen = True
         if with_replay:
             replay(bag, Settings())
     except BagError as error:
@@ -70,10 +100,38 @@ def _ending(bag: Path, with_replay: bool) -> str:
         assert text.isprintable()
         assert str(bag) in text
         return type(error).__name__
-    return 'read'
+    return 'changed where no checksum is' if unseen else 'read'
 
 
-def _sound_bags(place: Path) -> list[bytes]:
+def _known_by(content: bytes) -> Callable[[list[BagMessage]], object]:
+    """What of messages a whole file has records of, beside the messages themselves."""
+    if content.startswith(zstandard.FRAME_HEADER):
+        content = zstandard.ZstdDecompressor().decompressobj().decompress(content)
+    records = records_of(content)
+    opcodes = {record[0] for record in records}
+    for record in records:
+        if record[0] == Opcode.DATA_END:
+            assert record.endswith(bytes(4)), 'a checksum is wrong without a word'
+    if Opcode.MESSAGE_INDEX in opcodes:
+        return lambda messages: Counter((m.topic, m.type_name, m.log_time) for m in messages)
+    if Opcode.STATISTICS not in opcodes and records[-1].endswith(bytes(4)):
+        return lambda messages: None  # not even the checksum of a summary
+    return lambda messages: (
+        Counter((m.topic, m.type_name) for m in messages),
+        min(m.log_time for m in messages),
+        max(m.log_time for m in messages),
+    )
+
+
+_OPTIONS: tuple[dict[str, Any], ...] = (
+    {},
+    {'use_chunking': False},
+    {'use_chunking': False, 'enable_data_crcs': True},
+    {'index_types': IndexType.NONE},
+)
+
+
+def _sound_bags(place: Path) -> list[Bag]:
     """Small bags of markers and something else, of every way to lay out a file."""
     generator = np.random.default_rng(0)
     names = ['a', 'b', 'c']
@@ -87,7 +145,7 @@ def _sound_bags(place: Path) -> list[bytes]:
         data = [bytes(serialize_message(message)) for message in messages]
         schema = (type_name(type(messages[0])), definition(type(messages[0])).encode())
         for compression in CompressionType:
-            for options in ({}, {'use_chunking': False}, {'index_types': IndexType.NONE}):
+            for options in _OPTIONS:
                 path = place / 'sound.mcap'
                 writer = Writer(str(path), chunk_size=1500, compression=compression, **options)
                 writer.start('ros2', 'fuzz')
@@ -98,7 +156,7 @@ def _sound_bags(place: Path) -> list[bytes]:
                     for channel, body in zip(ids, (content, packed), strict=True):
                         writer.add_message(channel, 10**9 + k, body, 10**9 + k, k)
                 writer.finish()
-                found.append(path.read_bytes())
+                found.append(Bag(path.read_bytes(), [*read_messages(path)]))
     return found
 
 

@@ -14,7 +14,7 @@ from mcap.opcode import Opcode
 from mcap.records import Chunk
 from mcap.writer import MCAP0_MAGIC, CompressionType, IndexType, Writer
 
-from kinpole_ros.bags import BagMessage, Truncated, read_messages
+from kinpole_ros.bags import BagError, BagMessage, Truncated, read_messages
 from kinpole_ros.tools.cli import main
 
 COUNT = 200
@@ -136,6 +136,11 @@ def with_a_plain_message_at_another_time(records: list[bytes]) -> None:
     records[place] = records[place][:15] + bytes(8) + records[place][23:]
 
 
+def without_a_plain_message_and_statistics(records: list[bytes]) -> None:
+    del records[at(records, Opcode.MESSAGE)]
+    del records[at(records, Opcode.STATISTICS)]
+
+
 whole_summary: list[bytes] = []
 CHUNKED = [
     without_a_chunk,
@@ -158,6 +163,7 @@ PLAIN = [without_a_plain_message, with_a_plain_message_changed]
     + [(spoil, {'use_chunking': False, 'enable_data_crcs': True}) for spoil in PLAIN]
     + [(without_a_plain_message, {'use_chunking': False})]
     + [(with_a_plain_message_at_another_time, {'use_chunking': False})]
+    + [(without_a_plain_message_and_statistics, {'use_chunking': False})]
     + [(without_a_chunk, {'index_types': IndexType.NONE})]
     + [(without_a_message, {'use_statistics': False})],
 )
@@ -179,6 +185,24 @@ def test_what_was_lost_is_told_of_and_the_rest_is_read(tmp_path, spoil, options,
         assert len(messages) >= 0.4 * len(wanted)
         if 'with_' not in spoil.__name__:
             assert set(messages) <= set(wanted)
+
+
+def test_descriptions_that_contradict_each_other_are_told_of(tmp_path) -> None:
+    path = tmp_path / 'run.mcap'
+    records = written(path, use_chunking=False)
+    schema, channel = (
+        next(k for k, record in enumerate(records) if record[0] == opcode)
+        for opcode in (Opcode.SCHEMA, Opcode.CHANNEL)
+    )
+    renamed = records[channel].replace(b'/a', b'/c')
+    put(path, [*records[:channel], renamed, *records[channel + 1 :]])
+    assert 'it describes channel 1 in two ways' in read(path, '/a')[1]
+    # The first to be found is the one behind the messages.
+    del records[schema]
+    put(path, records)
+    assert 'it does not describe the type of /' in read(path)[1]
+    with pytest.raises(BagError, match="topic '/a' has messages in 'cdr' of type ''"):
+        read(path, '/a')
 
 
 def test_damage_to_what_a_file_says_of_itself_is_told_of(tmp_path) -> None:

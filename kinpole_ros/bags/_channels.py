@@ -37,9 +37,12 @@ class Channels:
 
     def __init__(self, path: Path, wanted: frozenset[str] | None) -> None:
         self.types: dict[str, str] = {}
+        # What is wrong with the descriptions; '' if nothing.
+        self.doubt = ''
         self._path = path
         self._wanted = wanted
         self._schemas: dict[int, str] = {}
+        self._described: dict[tuple[str, int], Schema | Channel] = {}
         self._chosen: dict[int, tuple[str, str] | None] = {}
         self._refused: dict[int, str] = {}
 
@@ -48,10 +51,15 @@ class Channels:
         name = record.name if isinstance(record, Schema) else record.topic
         if not name.isprintable() or len(name) > _LONGEST_NAME:
             raise ValueError('a name that is none')
+        kind = type(record).__name__
+        if self._described.setdefault((kind, record.id), record) != record:
+            self.doubt = f'it describes {kind.lower()} {record.id} in two ways'
         if isinstance(record, Schema):
             self._schemas[record.id] = record.name
             return
         name = self._schemas.get(record.schema_id, '')
+        if record.schema_id and record.schema_id not in self._schemas:
+            self.doubt = f'it does not describe the type of {record.topic}'
         self.types[record.topic] = name
         asked_for = self._wanted is not None and record.topic in self._wanted
         if record.message_encoding == 'cdr' and name:

@@ -16,10 +16,12 @@ from typing import BinaryIO
 import numpy as np
 from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
-from mcap.records import ChunkIndex, DataEnd, Statistics
+from mcap.records import ChunkIndex, DataEnd, Footer, Statistics
 
-TOLD = (Opcode.STATISTICS, Opcode.CHUNK_INDEX, Opcode.DATA_END)
+TOLD = (Opcode.STATISTICS, Opcode.CHUNK_INDEX, Opcode.DATA_END, Opcode.FOOTER)
+_SUM = 4  # bytes of a checksum, at the end of what it covers and of its record
 _INDEX = struct.Struct('<BQHI')  # opcode, length, channel, bytes of index to come
+_HEAD = 9  # bytes of opcode and length of a record
 _PIECE = 1 << 20
 
 
@@ -29,8 +31,8 @@ class Claims:
     def __init__(self) -> None:
         self._statistics: Statistics | None = None
         self._chunks: set[int] = set()
-        # Where the data end, and their checksum.
-        self._data: tuple[int, int] = (0, 0)
+        # Where the data and the summary begin and end, and the checksums of both.
+        self._sums: dict[str, tuple[int, int, int]] = {}
 
     def note(self, opcode: int, body: bytes, offset: int) -> None:
         """Take note of a record, one of those TOLD, that begins at `offset`."""
@@ -42,7 +44,11 @@ class Claims:
             elif opcode == Opcode.CHUNK_INDEX:
                 self._chunks.add(ChunkIndex.read(stream).chunk_start_offset)
             elif opcode == Opcode.DATA_END:
-                self._data = offset, DataEnd.read(stream).data_section_crc
+                self._sums['data'] = 0, offset, DataEnd.read(stream).data_section_crc
+            elif opcode == Opcode.FOOTER:
+                footer = Footer.read(stream)
+                end = offset + _HEAD + len(body) - _SUM
+                self._sums['summary'] = footer.summary_start, end, footer.summary_crc
 
     def lacking(self, chunks: Collection[int]) -> str:
         """What is wrong with the chunks, by where they begin; '' if nothing."""
@@ -78,16 +84,18 @@ class Claims:
         return f'its statistics tell of log times {span}, there are {there}'
 
     def wrong_sum(self, file: BinaryIO) -> str:
-        """What is wrong with the checksum of the data; '' if nothing, or there is none."""
-        left, claimed = self._data
-        if not claimed:
-            return ''
-        file.seek(0)
-        found = 0
-        while left and (piece := file.read(min(left, _PIECE))):
-            found = zlib.crc32(piece, found)
-            left -= len(piece)
-        return '' if found == claimed else 'the checksum of its data is wrong'
+        """What is wrong with the checksums of data and summary, if there are any; '' if nothing."""
+        for what, (start, end, claimed) in self._sums.items():
+            if not claimed:
+                continue
+            file.seek(min(start, end))
+            left, found = end - start, 0
+            while left > 0 and (piece := file.read(min(left, _PIECE))):
+                found = zlib.crc32(piece, found)
+                left -= len(piece)
+            if found != claimed:
+                return f'the checksum of its {what} is wrong'
+        return ''
 
 
 def indexed_times(index: bytes, channels: Collection[int]) -> list[int]:

@@ -164,6 +164,7 @@ def _read_file(
     first, latest = NEVER, 0
     for number, (span, horizon) in enumerate(zip(layout.spans, earliest[1:], strict=True)):
         found: list[BagMessage] = []
+        damaged = False
         try:
             content, index = records(file, span, layout)
             channels.read(content, found)
@@ -176,7 +177,7 @@ def _read_file(
         except (BagError, OSError):
             raise
         except Exception as error:  # mcap and each decompressor have their own for bad bytes
-            horizon = NEVER
+            horizon, damaged = NEVER, True
             if span.end <= layout.size:
                 trouble = f'is damaged at byte {span.offset} ({error})'
         if found:
@@ -188,7 +189,7 @@ def _read_file(
         for part in waiting.until(horizon):
             last = part[-1].log_time
             yield part
-        if horizon == NEVER:
+        if damaged:
             break
         if waiting.size > most:
             raise BagError(
@@ -197,7 +198,7 @@ def _read_file(
             )
         report(span.end / layout.size)
     if not trouble:
-        told = doubt or layout.claims.miscounted(counts, channels.topics)
+        told = doubt or channels.doubt or layout.claims.miscounted(counts, channels.topics)
         if count:
             told = told or layout.claims.untimely(first, latest)
         if told := told or layout.claims.wrong_sum(file):
