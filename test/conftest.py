@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 import yaml
 from hypothesis import settings
-from rclpy.serialization import deserialize_message
 from rosbags.typesys import Stores, get_typestore
 
 from kinpole_ros.bags import message_class, read_messages, simulate
 from kinpole_ros.mechanism import load_scene
+from kinpole_ros.messages import deserialize_message
 from kinpole_ros.pipeline.parameters import Settings
 
 # Nodes of the tests meet nobody else's, nor those of another run on this machine.

@@ -24,8 +24,9 @@ import kinpole_ros.bags.batch as module
 from kinpole_ros.bags import BagError
 from kinpole_ros.bags import replay as replay_one
 from kinpole_ros.bags._replay import replay_to
-from kinpole_ros.bags.batch import _cluster, _lock, _places, _results, batch
+from kinpole_ros.bags.batch import _cluster, _places, _results, batch
 from kinpole_ros.bags.batch._results import finished, replay_bag
+from kinpole_ros.files import _lock
 from kinpole_ros.pipeline.parameters import Settings
 from kinpole_ros.tools.cli import main
 
@@ -543,10 +544,12 @@ def test_a_list_without_bags_is_one_line(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     (tmp_path / 'names.txt').write_text('# none\n\n')
+    os.mkfifo(tmp_path / 'fifo')
     for words, complaint in (
         ([], 'no bags are named; give some, or a file that names them by --list'),
         (['--list', str(tmp_path / 'names.txt')], 'names no bags; fix: '),
         (['--list', str(tmp_path / 'none.txt')], 'cannot be read: No such file'),
+        (['--list', str(tmp_path / 'fifo')], 'cannot be read: it is not a regular file'),
     ):
         assert main(['batch', *words]) == 2
         line = capsys.readouterr().err

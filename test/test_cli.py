@@ -826,14 +826,15 @@ def test_what_stdout_has_no_letters_for_is_told_all_the_same(rod: Path) -> None:
     assert odd.exists()
 
 
+@pytest.mark.parametrize(('cause', 'status'), [(KeyboardInterrupt(), 130), (SystemExit(143), 143)])
 def test_interrupted_in_an_extension_it_ends_as_at_any_place(
-    kinpole: Any, monkeypatch: pytest.MonkeyPatch
+    kinpole: Any, monkeypatch: pytest.MonkeyPatch, cause: BaseException, status: int
 ) -> None:
     def interrupted(*_: object) -> None:
-        raise SystemError('<class> returned a result with an exception set') from KeyboardInterrupt
+        raise SystemError('<class> returned a result with an exception set') from cause
 
     monkeypatch.setattr(cli.COMMANDS['plot'], 'run', interrupted)
-    assert kinpole('plot', 'results.mcap', '--output', 'picture.png') == (130, '', '')
+    assert kinpole('plot', 'results.mcap', '--output', 'picture.png') == (status, '', '')
 
 
 @pytest.mark.parametrize('words', [['solve', 'four_bar', '--plot', 'p.png'], ['bench', '--quick']])

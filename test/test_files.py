@@ -3,17 +3,21 @@
 import errno
 import os
 import signal
+import sys
 from collections.abc import Callable
 from pathlib import Path
+from types import FrameType
 from typing import Any
 from unittest import mock
 
 import pytest
 import rclpy
 import yaml
+from fuzz_kills import COMMANDS, fuzz_kills
+from geometry_msgs.msg import Point
 from rclpy.node import Node
 
-from kinpole_ros.bags import BagError, bag_files, import_csv
+from kinpole_ros.bags import BagError, BagWriter, bag_files, import_csv
 from kinpole_ros.files import cut, cut_line, open_regular, printable, read_limited, whole
 from kinpole_ros.files.bounded_yaml import load_yaml
 from kinpole_ros.mechanism import SceneError, load_scene
@@ -264,6 +268,60 @@ def test_two_at_one_result_do_not_mix(tmp_path: Path) -> None:
             other.write_text('other')
         assert path.read_text() == 'other'
     assert path.read_text() == 'one'
+
+
+def test_what_a_killed_process_left_goes_with_the_next_result(tmp_path: Path) -> None:
+    path = tmp_path / 'a[1].csv'
+    dead, other = tmp_path / 'a[1].csv.01234567.part', tmp_path / 'a[1].csv.my_notes.part'
+    with whole(path) as live:
+        dead.touch()
+        other.touch()
+        with whole(path) as part:
+            part.write_text('after')
+        assert live.exists()
+    assert sorted(tmp_path.iterdir()) == [path, other]
+
+
+def test_a_signal_amid_any_line_of_the_writer_is_what_ends_it(tmp_path: Path) -> None:
+    """SIGTERM raises SystemExit wherever the program is."""
+    columns = [('/a', Point, [1, 2], [bytes(200_000)] * 2)]
+    line, last = 0, -1
+
+    def step(frame: FrameType, event: str, arg: Any) -> Any:
+        nonlocal line
+        line += event == 'line'
+        if line == last:
+            sys.settrace(None)
+            raise SystemExit(143)
+        return step if frame.f_code.co_filename.endswith('_writer.py') else None
+
+    def write() -> None:
+        nonlocal line
+        with BagWriter(tmp_path / 'out.mcap') as bag:
+            line = 0
+            sys.settrace(step)
+            try:
+                bag.write_many(columns)
+            finally:
+                sys.settrace(None)
+
+    before = sys.gettrace()
+    try:
+        write()
+        for last in range(1, line):  # noqa: B007 - `step` looks at it
+            with pytest.raises(SystemExit):
+                write()
+    finally:
+        sys.settrace(before)
+    assert last > 50
+
+
+def test_stopped_at_any_moment_a_replay_leaves_what_was_there_or_all_of_its_own(
+    tmp_path: Path,
+) -> None:
+    pytest.importorskip('pyarrow')
+    outcomes = fuzz_kills(1, seed=5, folder=tmp_path, commands=COMMANDS[:1])
+    assert outcomes['as before'] > 0
 
 
 def test_what_is_no_file_is_written_as_it_goes_and_stays(tmp_path: Path) -> None:

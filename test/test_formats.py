@@ -8,11 +8,11 @@ from typing import Any
 
 import numpy as np
 import pytest
-from rclpy.serialization import deserialize_message
-from visualization_msgs.msg import MarkerArray
 
 from kinpole_ros.bags import BagError, Imported, import_points, read_messages
 from kinpole_ros.bags.formats import FORMATS, read_points
+from kinpole_ros.messages import deserialize_message
+from kinpole_ros.messages._types import MarkerArray
 from kinpole_ros.tools.cli import main
 
 WALK = Path(__file__).parents[2] / 'shared' / 'data' / 'gait' / 'walk1.trc'

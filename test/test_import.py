@@ -5,10 +5,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from rclpy.serialization import deserialize_message
-from visualization_msgs.msg import MarkerArray
 
 from kinpole_ros.bags import BagError, import_csv, import_points, read_messages, topics
+from kinpole_ros.messages import deserialize_message
+from kinpole_ros.messages._types import MarkerArray
 
 DATA = Path(__file__).parents[2] / 'shared' / 'data' / 'double_pendulum' / 'run16.csv'
 

@@ -156,7 +156,9 @@ class BagWriter:
         if kind is None:
             self.close()
         else:
-            with suppress(BagError):  # what went wrong first is what the user should see
+            # What went wrong first is what the user should see. It may have come, as SIGTERM does,
+            # amid a chunk, and then that one cannot be finished.
+            with suppress(Exception):
                 self.close()
 
     def write(self, topic: str, message: Any, log_time: int) -> None:

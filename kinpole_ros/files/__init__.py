@@ -5,6 +5,7 @@ All readers of bags, tables, scenes and parameters open their files here, and al
 written here beside what they replace. `bounded_yaml` is for who needs PyYAML.
 """
 
+from kinpole_ros.files._lock import lock
 from kinpole_ros.files._open import open_regular, read_limited
 from kinpole_ros.files._shown import cut, cut_line, printable
 from kinpole_ros.files._whole import whole
@@ -12,6 +13,7 @@ from kinpole_ros.files._whole import whole
 __all__ = [
     'cut',
     'cut_line',
+    'lock',
     'open_regular',
     'printable',
     'read_limited',

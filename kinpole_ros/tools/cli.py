@@ -53,6 +53,8 @@ def main(args: Sequence[str] | None = None) -> int:
         # Interrupted in an extension, which raises an error of its own for it.
         if isinstance(error.__cause__, KeyboardInterrupt):
             return 130
+        if isinstance(error.__cause__, SystemExit):
+            return int(error.__cause__.code or 0)
         if not _is_for_the_user(error):
             raise
         print(f'kinpole {words[0]}: {one_line(error)}', file=sys.stderr)

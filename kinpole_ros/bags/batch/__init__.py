@@ -28,6 +28,7 @@ from kinpole_ros.bags.batch._results import (
     is_result,
     replay_bag,
 )
+from kinpole_ros.files import read_limited
 from kinpole_ros.pipeline.parameters import Settings
 
 __all__ = ['KINDS', 'batch', 'listed_bags']
@@ -35,6 +36,7 @@ __all__ = ['KINDS', 'batch', 'listed_bags']
 _TOPIC = 'kinpole'  # of Dask's events
 # Bags that each worker of a cluster has waiting for it: its scheduler slows down under more.
 _AHEAD = 8
+_MOST_LISTED = 64 << 20  # bytes: a hundred thousand paths of 600
 
 
 def listed_bags(path: str | Path) -> list[str]:
@@ -44,7 +46,7 @@ def listed_bags(path: str | Path) -> list[str]:
     Raises BagError when it cannot be read or names none.
     """
     try:
-        lines = os.fsdecode(Path(path).read_bytes()).split('\n')
+        lines = os.fsdecode(read_limited(path, _MOST_LISTED)).split('\n')
     except OSError as error:
         raise BagError(
             f'{path} cannot be read: {error.strerror}; fix: give a file that names a bag a line'

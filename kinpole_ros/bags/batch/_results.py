@@ -20,8 +20,8 @@ from kinpole_ros.bags import BagError, bag_files, warnings_of
 from kinpole_ros.bags._files import unwritable
 from kinpole_ros.bags._replay import replay_to
 from kinpole_ros.bags.batch import _store
-from kinpole_ros.bags.batch._lock import lock
-from kinpole_ros.files import read_limited
+from kinpole_ros.files import lock, read_limited
+from kinpole_ros.files.bounded_yaml import MOST_YAML
 from kinpole_ros.mechanism import LinkageError, SceneError
 from kinpole_ros.pipeline.parameters import ParameterError, Settings
 
@@ -242,7 +242,7 @@ def _made_of(bag: str, settings: Settings, topic: str | None) -> list[Any]:
     scene = Path(settings.scene)
     described = repr((__version__, topic, settings, files)).encode()
     if settings.scene and scene.is_file():
-        described += scene.read_bytes()
+        described += read_limited(scene, MOST_YAML)
     return [__version__, hashlib.sha256(described).hexdigest()]
 
 

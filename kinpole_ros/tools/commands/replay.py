@@ -19,7 +19,8 @@ def add(commands: Any) -> None:
         help='a bag of markers to results, as fast as the machine goes',
         description='Runs the markers of a bag through the same pipeline as the node. The same '
         'bag and parameters give the same figures every time. Results take the place of earlier '
-        'ones only when whole; what a killed run wrote is beside them, as NAME.….part.',
+        'ones only when whole; what a killed run wrote is beside them, as NAME.….part, until '
+        'the next.',
     )
     replay.add_argument(
         'bag',

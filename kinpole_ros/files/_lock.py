@@ -14,11 +14,11 @@ except ImportError:
 _AGAIN = 0.1
 
 
-def lock(file: IO[Any], wait: bool) -> None:
+def lock(file: IO[Any], wait: bool) -> bool:
     """
     Lock a file until it is closed; raises BlockingIOError if another has it and not to `wait`.
 
-    On a file system without locks nothing is locked.
+    Returns whether it is locked: on a file system without locks nothing is.
     """
     while True:
         try:
@@ -31,11 +31,11 @@ def lock(file: IO[Any], wait: bool) -> None:
         except PermissionError:
             # As msvcrt says that another has it.
             if _fcntl is not None:
-                return
+                return False
             if not wait:
                 raise BlockingIOError from None
             time.sleep(_AGAIN)
             continue
         except OSError:
-            pass
-        return
+            return False
+        return True
