@@ -21,10 +21,10 @@ import pytest
 from conftest import bodies_of, decoded, write_config
 
 import kinpole_ros.bags.batch as module
-from kinpole_ros.bags import BagError
+from kinpole_ros.bags import BagError, _join, read_messages, topics
 from kinpole_ros.bags import replay as replay_one
-from kinpole_ros.bags._replay import replay_to
-from kinpole_ros.bags.batch import _cluster, _places, _results, batch
+from kinpole_ros.bags._replay import replay
+from kinpole_ros.bags.batch import _cluster, _divided, _places, _results, batch
 from kinpole_ros.bags.batch._results import finished, replay_bag
 from kinpole_ros.files import _lock
 from kinpole_ros.pipeline.parameters import Settings
@@ -320,12 +320,12 @@ def test_runs_into_one_folder_take_turns_at_a_bag(
         assert not begun.is_set(), 'replayed twice, or by two at once'
         begun.set()
         assert go.wait(60)
-        return replay_to(*args, **options)
+        return replay(*args, **options)
 
     def one_run() -> None:
         rows.append(replay_bag(bag, out, SETTINGS, None, ['csv']))
 
-    monkeypatch.setattr(_results, 'replay_to', replay_when_told)
+    monkeypatch.setattr(_results, 'replay', replay_when_told)
     runs = [threading.Thread(target=one_run) for _ in range(2)]
     for run_ in runs:
         run_.start()
@@ -462,6 +462,46 @@ def test_results_do_not_become_a_part_of_the_folder_they_are_of(
     with pytest.raises(BagError, match=r'runs is a bag to be replayed, .* another folder'):
         batch([tmp_path / 'runs'], tmp_path / 'runs', Settings())
     assert [path.name for path in (tmp_path / 'runs').iterdir()] == ['run.mcap']
+
+
+def test_a_long_bag_done_by_two_workers_has_the_results_of_one(
+    simulated: Simulated, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pytest.importorskip('pyarrow')
+    from pyarrow import parquet
+
+    spoiled = {'jitter': 1e-4, 'dropout': 0.05, 'noise': 1e-4}
+    bag = simulated('cardan', rate=100, duration=50, message='point_cloud2', **spoiled)
+    monkeypatch.setattr(module, 'cluster', in_turn)
+    monkeypatch.setattr('distributed.as_completed', Completed)
+    kinds = ['mcap', 'csv', 'parquet']
+    (row,) = batch([bag], tmp_path / 'one', SETTINGS, kinds=kinds, workers=1)
+    joined: list[list[int]] = []
+
+    def join(results: list[Any]) -> Any:
+        joined.append([result.estimates for result in results])
+        return _join.joined(results)
+
+    monkeypatch.setattr(_divided, '_LONG', 0)
+    monkeypatch.setattr(_divided, 'joined', join)
+    assert batch([bag], tmp_path / 'two', SETTINGS, kinds=kinds, workers=2) == [row]
+    ((first, second),) = joined
+    assert min(first, second) > 500
+    assert not list((tmp_path / 'two').glob('*.part'))
+    one, two = (
+        {path.suffix: path for path in (tmp_path / name).iterdir() if path.stem != 'summary'}
+        for name in ('one', 'two')
+    )
+    assert one['.csv'].read_bytes() == two['.csv'].read_bytes()
+    assert parquet.read_table(one['.parquet']).equals(parquet.read_table(two['.parquet']))
+    # Drawings are of other instants: each of a tenth of a second after the one before.
+    drawn = ('/centrode/fixed', '/centrode/moving', '/visualization')
+    figures = [
+        [message for message in read_messages(path) if not message.topic.endswith(drawn)]
+        for path in (one['.mcap'], two['.mcap'])
+    ]
+    assert figures[0] == figures[1]
+    assert topics(one['.mcap']) == topics(two['.mcap'])
 
 
 def test_progress_goes_by_bytes_within_bags_and_over_what_is_left(

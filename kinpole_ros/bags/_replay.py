@@ -1,14 +1,16 @@
 """A bag of markers through the same tracker as the live node, to a bag or a table of results."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, ExitStack
 from itertools import chain
 from pathlib import Path
-from typing import NamedTuple, TypeAlias
+from typing import NamedTuple
 
 import numpy as np
 
+from kinpole_ros.bags._periodic import Column, PeriodicDiagnostics
 from kinpole_ros.bags._reader import BagError, Truncated, bag_files, read_blocks, topics
+from kinpole_ros.bags._stretch import Stretch
 from kinpole_ros.bags._table import CsvTable, ParquetTable
 from kinpole_ros.bags._writer import BagWriter, in_place_of
 from kinpole_ros.linkage.positions import PositionsFound
@@ -21,7 +23,6 @@ from kinpole_ros.messages import (
     MessageError,
     Output,
     PoseReader,
-    diagnostics_data,
     identity_lines,
     kind_of,
     outputs_of,
@@ -29,7 +30,7 @@ from kinpole_ros.messages import (
 )
 from kinpole_ros.pipeline.bodies import Outage
 from kinpole_ros.pipeline.estimate import POLE_NAMES, Estimate
-from kinpole_ros.pipeline.frame import MarkerFrames, part_of
+from kinpole_ros.pipeline.frame import MarkerFrames
 from kinpole_ros.pipeline.parameters import Settings
 from kinpole_ros.pipeline.roster import find_marker
 from kinpole_ros.pipeline.ticks import StampState
@@ -39,8 +40,6 @@ from kinpole_ros.rigid.space import SpaceReport, updated
 NODE_NAME = 'kinpole'
 _SECOND = 1_000_000_000
 _MOST_KEPT = 31 << 20  # bytes; from 32 MiB on nothing is kept
-# Topic, type, log times (ns) and messages, as `BagWriter.write_many` takes them.
-Column: TypeAlias = tuple[str, type, list[int], Sequence[bytes]]
 
 
 class Replayed(NamedTuple):
@@ -107,6 +106,9 @@ def replay(
     progress: Callable[[float], None] | None = None,
     parquet: str | Path | None = None,
     take: Callable[[Estimate], None] | None = None,
+    *,
+    place: Callable[[str | Path], AbstractContextManager[str | Path]] = in_place_of,
+    stretch: Stretch | None = None,
 ) -> Replayed:
     """
     Run the markers of a bag through the tracker, as fast as the machine goes.
@@ -116,24 +118,10 @@ def replay(
     `take` is called with them, some instants at a time.
     Deterministic: the bag's stamps drive everything. A bag that is cut off gives the results of
     all that is before the cut. Results take the place of what was there when all of them are whole;
-    until then they are beside it, as NAME.….part.
+    until then they are beside it, as NAME.….part, or where `place` says, which ends when all is
+    whole. Of a `stretch` of the bag results are what they are of all of it.
     Raises BagError when the bag, its topic or an output cannot be used.
     """
-    return replay_to(in_place_of, bag, settings, output, csv, topic, progress, parquet, take)
-
-
-def replay_to(
-    place: Callable[[str | Path], AbstractContextManager[str | Path]],
-    bag: str | Path,
-    settings: Settings,
-    output: str | Path | None = None,
-    csv: str | Path | None = None,
-    topic: str | None = None,
-    progress: Callable[[float], None] | None = None,
-    parquet: str | Path | None = None,
-    take: Callable[[Estimate], None] | None = None,
-) -> Replayed:
-    """The same to where `place`, which ends when all is whole, says for each of the results."""
     name, kind = _marker_topic(bag, settings, topic)
     files = bag_files(bag)
     taken = {_identity(file): 'the bag to be replayed' for file in files}
@@ -156,12 +144,20 @@ def replay_to(
     # glibc keeps what is freed once it has seen so much come and go, and no longer asks the system
     # for the arrays of each block anew: a tenth of all the time.
     np.empty(_MOST_KEPT, np.uint8)
+    stretch, done = stretch or Stretch(0, 1), 0.0
+
+    def report(share: float) -> None:
+        nonlocal done
+        done = share
+        if progress is not None:
+            progress(share)
+
     theory = load_theory(settings)
     tracker = Tracker(settings)
     reader = reader_of(kind, settings)
     order = settings.derivative_order or 4
     outputs = outputs_of(settings, theory)
-    periodic = _PeriodicDiagnostics(DiagnosticsMaker(NODE_NAME, theory, name))
+    periodic = PeriodicDiagnostics(DiagnosticsMaker(NODE_NAME, theory, name))
     comparison = Comparison(theory) if theory is not None else None
     found = {body: dict.fromkeys(POLE_NAMES[:order], 0) for body in tracker.bodies}
     unknown = dict.fromkeys(tracker.bodies, '')
@@ -188,7 +184,12 @@ def replay_to(
             for kind, target in ((CsvTable, csv), (ParquetTable, parquet))
             if target is not None
         ]
-        for frames, log_times, error in _frames(bag, name, kind, reader, progress):
+        if writer is not None:
+            # A topic that never has anything to say is there to be asked for, too.
+            for row in outputs:
+                writer.add_topic(row.under(f'/{NODE_NAME}'), row.message_type)
+            writer.add_topic('/diagnostics', DiagnosticArray)
+        for frames, log_times, error in _frames(bag, name, kind, reader, report):
             if isinstance(error, Truncated):
                 truncated = error
             elif error is not None:
@@ -197,6 +198,10 @@ def replay_to(
                 periodic.trouble['message'] = str(error)
             if frames is None:
                 continue
+            stretch.look(done, frames.stamps)
+            if stretch.is_over:
+                break
+            periodic.silent = not stretch.is_known
             earliest = int(frames.stamps.min())
             first = earliest if first is None else min(first, earliest)
             last = max(last, int(frames.stamps.max()))
@@ -204,10 +209,19 @@ def replay_to(
                 identities = frames.identities
                 absent = _still_absent(absent, identities)
             whole = (frames,) if writer is None else periodic.parts(frames, tracker)
-            known = tracker.add_parts(whole, order)
+            known = tracker.add_parts(whole, order if stretch.is_known else None)
             if last - looked >= _SECOND:
                 looked, space = last, updated(space, tracker.space())
-            for estimate in known:
+            if writer is not None:
+                # Known as soon as the frames came that they fell due with.
+                columns = [
+                    result_columns(outputs, estimate, f'/{NODE_NAME}', log_times[estimate.due])
+                    for estimate in known
+                ]
+                # Also of those that are not wanted: they remember what later ones need.
+                made = list(chain(*columns, periodic.columns(known, log_times)))
+                writer.write_many(made if stretch.is_wanted else ())
+            for estimate in known if stretch.is_wanted else ():
                 estimates += len(estimate)
                 _count(found, estimate)
                 unknown = _still_unknown(unknown, estimate)
@@ -217,18 +231,6 @@ def replay_to(
                     table.add(estimate)
                 if take is not None:
                     take(estimate)
-            if writer is not None:
-                # Known as soon as the frames came that they fell due with.
-                columns = [
-                    result_columns(outputs, estimate, f'/{NODE_NAME}', log_times[estimate.due])
-                    for estimate in known
-                ]
-                writer.write_many(chain(*columns, periodic.columns(known, log_times)))
-        if writer is not None:
-            # A topic that never had anything to say is still there to be asked for.
-            for row in outputs:
-                writer.add_topic(row.under(f'/{NODE_NAME}'), row.message_type)
-            writer.add_topic('/diagnostics', DiagnosticArray)
         counts = tracker.counts
         if counts['unreadable'] and not counts['frames']:
             raise BagError(f'{bag}: no message on {name} can be read: {problem}')
@@ -331,57 +333,6 @@ def _frames(
                 yield None, nothing, part
             else:
                 yield part, log_times[numbers], None
-
-
-class _PeriodicDiagnostics:
-    """
-    Diagnostics of each second of stamps, as of its last frame, out of long parts of a bag.
-
-    `trouble` names what is wrong, for the next.
-    """
-
-    def __init__(self, maker: DiagnosticsMaker) -> None:
-        self.trouble: dict[str, str] = {}
-        self._maker = maker
-        self._last: int | None = None
-        # Of the frames since the last diagnostics.
-        self._latest: Estimate | None = None
-        # Number of the frame, and what is to be finished with the estimate of that time.
-        self._begun: list[tuple[int, Callable[[Estimate | None], DiagnosticArray]]] = []
-
-    def parts(self, frames: MarkerFrames, tracker: Tracker) -> Iterator[MarkerFrames]:
-        """The frames in parts that end where a second has passed, for the tracker to take."""
-        stamps, first = frames.stamps, 0
-        while first < len(stamps):
-            previous = stamps[first] - _SECOND if self._last is None else self._last
-            over = np.abs(stamps[first:] - previous) >= _SECOND
-            end = first + int(over.argmax()) + 1 if over.any() else len(stamps)
-            yield part_of(frames, slice(first, end))
-            if over.any():
-                stamp = int(stamps[end - 1])
-                seconds = 0.0 if self._last is None else (stamp - self._last) / _SECOND
-                begun = self._maker.begin(stamp, tracker, seconds, self.trouble)
-                self._begun.append((end - 1, begun))
-                self._last, self.trouble = stamp, {}
-            first = end
-
-    def columns(self, known: list[Estimate], log_times: np.ndarray) -> Iterator[Column]:
-        """What these seconds have to say; `known` are the estimates of the same frames."""
-        data = []
-        published = -1
-        for number, finish in self._begun:
-            now, self._latest = self._latest, None
-            for estimate in known:
-                due = int(np.searchsorted(estimate.due, number, side='right'))
-                if due and estimate.due[due - 1] > published:
-                    now = estimate[due - 1]
-            data.append(diagnostics_data(finish(now)))
-            published = number
-        at = [int(log_times[number]) for number, _ in self._begun]
-        yield '/diagnostics', DiagnosticArray, at, data
-        self._begun = []
-        if known and known[-1].due[-1] > published:
-            self._latest = known[-1][-1]
 
 
 def result_columns(

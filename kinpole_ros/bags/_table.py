@@ -2,7 +2,7 @@
 
 import csv
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from itertools import combinations
 from pathlib import Path
 from types import TracebackType
@@ -201,3 +201,15 @@ class ParquetTable(_Table):
             self._writer.close()
         finally:
             self._file.close()
+
+
+def join_parquet(parts: Sequence[Path], target: Path) -> None:
+    """Put tables that a `ParquetTable` wrote together, in order."""
+    from pyarrow import parquet
+
+    files = [parquet.ParquetFile(part) for part in parts]
+    with parquet.ParquetWriter(target, files[0].schema_arrow, compression='zstd') as whole:
+        for file in files:
+            with file:
+                for number in range(file.num_row_groups):
+                    whole.write_table(file.read_row_group(number))

@@ -17,6 +17,7 @@ import numpy as np
 import zstandard
 from mcap.data_stream import RecordBuilder
 from mcap.opcode import Opcode
+from mcap.reader import make_reader
 from mcap.records import (
     Channel,
     Chunk,
@@ -38,6 +39,7 @@ from kinpole_ros.messages import serialize_message, type_name
 
 # What a kill can lose, and what a reader must hold: small enough for both, large for zstd.
 _CHUNK_SIZE = 256 * 1024
+_PIECE = 1 << 20
 # Opcode, length, channel, sequence, log time, publish time: all before the data of a message; and
 # the same of many.
 _MESSAGE_HEAD = struct.Struct('<BQHIQQ')
@@ -60,7 +62,7 @@ _FOOTER = struct.Struct('<BQQQ')  # all that the checksum in it covers
 @dataclass
 class _Channel:
     record: Channel
-    message_type: type
+    message_type: type | str
     type_name: str
     messages: int = 0
 
@@ -219,6 +221,50 @@ class BagWriter:
             first = last
             if self._chunk.size > _CHUNK_SIZE:
                 self._finish_chunk()
+
+    def append(self, path: Path) -> None:
+        """
+        Add all messages of another file that a BagWriter wrote, which come later.
+
+        Its topics must be ours, in the same order, or be the first ones here.
+        """
+        self._finish_chunk()
+        with open(path, 'rb') as file:
+            summary = make_reader(file).get_summary()
+            if summary is None or summary.statistics is None:
+                raise ValueError(f'{path} has no summary')
+            for number, record in sorted(summary.channels.items()):
+                schema = summary.schemas[record.schema_id]
+                channel = self._channels.get(record.topic)
+                if channel is None:
+                    self._schemas.setdefault(schema.name, schema)
+                    channel = _Channel(record, schema.name, schema.name)
+                    self._channels[record.topic] = channel
+                if channel.record.id != number:
+                    raise ValueError(f'{path} has other topics')
+                channel.messages += summary.statistics.channel_message_counts.get(number, 0)
+            indexes = summary.chunk_indexes
+            if not indexes:
+                return
+            first, last = indexes[0], indexes[-1]
+            end = last.chunk_start_offset + last.chunk_length + last.message_index_length
+            file.seek(first.chunk_start_offset)
+            shift = self._place - first.chunk_start_offset
+            left = end - first.chunk_start_offset
+            try:
+                while left and (piece := file.read(min(left, _PIECE))):
+                    self._put(piece)
+                    left -= len(piece)
+            except OSError as error:
+                raise self._failed(error) from error
+        for index in indexes:
+            index.chunk_start_offset += shift
+            places = index.message_index_offsets
+            index.message_index_offsets = {number: at + shift for number, at in places.items()}
+            self._chunk_indexes += _packed(index)
+        self._chunk_count += len(indexes)
+        self._earliest = min(self._earliest, summary.statistics.message_start_time)
+        self._latest = max(self._latest, summary.statistics.message_end_time)
 
     def add_topic(self, topic: str, message_type: type) -> None:
         """Have the topic in the bag, even if no message comes."""

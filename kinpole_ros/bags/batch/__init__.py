@@ -10,7 +10,7 @@ import os
 import threading
 import uuid
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import nullcontext, suppress
+from contextlib import ExitStack, nullcontext, suppress
 from dataclasses import replace
 from itertools import islice
 from pathlib import Path
@@ -19,6 +19,7 @@ from typing import Any
 from kinpole_ros.bags import BagError, bag_files
 from kinpole_ros.bags.batch import _store
 from kinpole_ros.bags.batch._cluster import cluster
+from kinpole_ros.bags.batch._divided import put_together, replay_stretch, ways
 from kinpole_ros.bags.batch._places import Places, absolute
 from kinpole_ros.bags.batch._results import (
     EXPECTED,
@@ -146,59 +147,95 @@ def _rows(
     if not left:
         return
     here = any(map(_store.lives_in_this_process, (*left, places.folder)))
+    most = workers or os.cpu_count() or 1
+    divided = ways(left, places.folder, settings, most) if scheduler is None else [1] * len(left)
     jobs: dict[Any, int] = {}
+    futures: dict[int, list[Any]] = {}
+
+    def job(number: int) -> tuple[str, Any, Settings, str | None, list[str]]:
+        return left[number], places.home(left[number]), settings, topic, kinds
+
     try:
-        with cluster(scheduler, min(workers or os.cpu_count() or 1, len(left)), here) as client:
+        with ExitStack() as held, cluster(scheduler, min(most, sum(divided)), here) as client:
             from distributed import as_completed
 
             if bar is not None:
                 bar.begin([_size(bag) for bag in left])
                 client.subscribe_topic(_TOPIC, lambda event: bar.take(*event[1]))
 
-            def begin(number: int) -> Any:
+            def begin(number: int) -> list[Any]:
                 known_as = None if bar is None else (bar.run, number)
-                home = places.home(left[number])
-                job = (left[number], home, settings, topic, kinds)
-                future = client.submit(_work, job, known_as, pure=False)
-                jobs[future] = number
-                return future
+                stretches = divided[number]
+                if stretches > 1:
+                    try:
+                        held.enter_context(alone(*job(number)[:2], wait=False))
+                    except BlockingIOError:
+                        stretches = 1  # its worker waits for the other run
+                if stretches == 1:
+                    begun = [client.submit(_work, replay_bag, job(number), known_as, pure=False)]
+                else:
+                    begun = [
+                        # The last one has the longest way.
+                        client.submit(
+                            _work,
+                            replay_stretch,
+                            (*job(number), k, stretches),
+                            known_as if k == stretches - 1 else None,
+                            pure=False,
+                        )
+                        for k in range(stretches)
+                    ]
+                futures[number] = begun
+                jobs.update(dict.fromkeys(begun, number))
+                return begun
 
             waiting = iter(range(len(left)))
             ahead = _AHEAD * max(1, len(client.nthreads()))
-            running = as_completed([begin(number) for number in islice(waiting, ahead)])
+            running = as_completed([f for number in islice(waiting, ahead) for f in begin(number)])
             for done in running:
                 number = jobs.pop(done)
+                if number in jobs.values():
+                    continue
                 for following in islice(waiting, 1):
-                    running.add(begin(following))
-                bag = left[number]
-                error = done.exception()
+                    for future in begin(following):
+                        running.add(future)
                 if bar is not None:
                     bar.take(bar.run, number, 1.0)
-                if error is None:
-                    yield places.as_seen(done.result())
-                else:  # a worker that died, or one without this package; or a fault of ours
-                    text = ' '.join(f'{type(error).__name__}: {error}'.split())
-                    yield {'bag': bag, 'error': text}
+                yield places.as_seen(_row(job(number), futures.pop(number)))
     finally:
         # Workers of our own are gone; others go on with what they began, and finish it.
         if scheduler is None:
-            for number in jobs.values():
+            for number in set(jobs.values()):
                 home = places.home(left[number])
                 if isinstance(home, Path):
                     with suppress(OSError), alone(left[number], home, wait=False):
                         pass
 
 
-def _work(
-    job: tuple[str, Path | str, Settings, str | None, list[str]], known_as: tuple[str, int] | None
-) -> Row:
-    """`replay_bag` in a worker, telling how far it is to whoever has the bag `known_as` this."""
+def _row(job: tuple[str, Any, Settings, str | None, list[str]], futures: list[Any]) -> Row:
+    """The row of a bag of which all is done."""
+    errors = [error for error in (future.exception() for future in futures) if error is not None]
+    try:
+        if not errors:
+            results = [future.result() for future in futures]
+            return results[0] if len(results) == 1 else put_together(*job, results)
+    except EXPECTED as error:
+        errors = [error]
+    text = str(errors[0])
+    if not isinstance(errors[0], EXPECTED):
+        # A worker that died, or one without this package; or a fault of ours.
+        text = f'{type(errors[0]).__name__}: {text}'
+    return {'bag': job[0], 'error': ' '.join(text.split())}
+
+
+def _work(do: Callable[..., Any], job: tuple[Any, ...], known_as: tuple[str, int] | None) -> Any:
+    """Do it in a worker, telling how far it is to whoever has the bag `known_as` this."""
     if known_as is None:
-        return replay_bag(*job)
+        return do(*job)
     from distributed import get_worker
 
     worker = get_worker()
-    return replay_bag(*job, lambda share: worker.log_event(_TOPIC, (*known_as, share)))
+    return do(*job, lambda share: worker.log_event(_TOPIC, (*known_as, share)))
 
 
 class _Progress:

@@ -5,6 +5,7 @@ A small file next to them says what they are made of, so that they are not made 
 """
 
 import csv
+import glob
 import hashlib
 import json
 import os
@@ -18,7 +19,7 @@ from typing import Any
 from kinpole_ros import __version__
 from kinpole_ros.bags import BagError, bag_files, warnings_of
 from kinpole_ros.bags._files import unwritable
-from kinpole_ros.bags._replay import replay_to
+from kinpole_ros.bags._replay import Replayed, replay
 from kinpole_ros.bags.batch import _store
 from kinpole_ros.files import lock, read_limited
 from kinpole_ros.files.bounded_yaml import MOST_YAML
@@ -75,10 +76,9 @@ def _make(
     """Replay one bag and give its results their names; raises what replay does, and OSError."""
     name = name_of(bag)
     parts = {kind: folder / f'{name}.{kind}.part' for kind in kinds}
-    made_of = _made_of(bag, settings, topic)
+    of_what = made_of(bag, settings, topic)
     with _store.fetched(bag) if _store.is_url(bag) else nullcontext(bag) as source:
-        result = replay_to(
-            nullcontext,
+        result = replay(
             source,
             settings,
             output=parts.get('mcap'),
@@ -86,9 +86,23 @@ def _make(
             topic=topic,
             progress=progress,
             parquet=parts.get('parquet'),
+            place=nullcontext,
         )
-    before = _recorded_row(bag, folder, made_of)
-    there = [kind for kind in KINDS if kind in kinds or _has(before, bag, folder, kind)]
+    return name_results(bag, folder, settings, of_what, parts, result)
+
+
+def name_results(
+    bag: str,
+    folder: Path,
+    settings: Settings,
+    of_what: list[Any],
+    parts: dict[str, Path],
+    result: Replayed,
+) -> Row:
+    """Give the results of a bag, which are whole in `parts` by kind, their names; their row."""
+    name = name_of(bag)
+    before = _recorded_row(bag, folder, of_what)
+    there = [kind for kind in KINDS if kind in parts or _has(before, bag, folder, kind)]
     row: Row = {
         'bag': bag,
         'error': '',
@@ -117,7 +131,7 @@ def _make(
     about.unlink(missing_ok=True)
     for kind, part in parts.items():
         part.replace(folder / f'{name}.{kind}')
-    _write_whole(about, json.dumps({'made_of': made_of, 'row': row}))
+    _write_whole(about, json.dumps({'made_of': of_what, 'row': row}))
     return row
 
 
@@ -153,9 +167,9 @@ def alone(bag: str, folder: Path, wait: bool = True) -> Iterator[None]:
 
 def _remove_parts(bag: str, folder: Path) -> None:
     """Remove what is left of results that were not finished, of this run or of one before."""
-    for kind in (*KINDS, 'json'):
+    for part in folder.glob(f'{glob.escape(name_of(bag))}.*.part'):
         with suppress(OSError):
-            (folder / f'{name_of(bag)}.{kind}.part').unlink()
+            part.unlink()
 
 
 def finished(
@@ -163,7 +177,7 @@ def finished(
 ) -> Row | None:
     """The row of a bag whose results are there, made of the same bag with the same settings."""
     try:
-        row = _recorded_row(bag, folder, _made_of(bag, settings, topic))
+        row = _recorded_row(bag, folder, made_of(bag, settings, topic))
     except EXPECTED:
         return None
     return row if all(_has(row, bag, folder, kind) for kind in kinds) else None
@@ -182,8 +196,8 @@ def finished_in_store(
     place = f'{home}/{name_of(bag)}'.lstrip('/')
     try:
         record = records[place]
-        row, made_of = record['row'], record['made_of']
-        if row['bag'] != bag or made_of != _made_of(bag, settings, topic):
+        row = record['row']
+        if row['bag'] != bag or record['made_of'] != made_of(bag, settings, topic):
             return None
     except (LookupError, TypeError, *EXPECTED):
         return None
@@ -191,11 +205,11 @@ def finished_in_store(
     return row if there else None
 
 
-def _recorded_row(bag: str, folder: Path, made_of: list[Any]) -> Row | None:
+def _recorded_row(bag: str, folder: Path, of_what: list[Any]) -> Row | None:
     """The row of the results of a bag that are there, if they were made of this."""
     try:
         record = json.loads(read_limited(folder / f'{name_of(bag)}.json', _MOST))
-        row = record['row'] if record['made_of'] == made_of else None
+        row = record['row'] if record['made_of'] == of_what else None
     except (OSError, ValueError, LookupError, TypeError, RecursionError):
         return None
     return row if isinstance(row, dict) and row.get('bag') == bag else None
@@ -232,7 +246,7 @@ def name_of(bag: str) -> str:
     return f'{short}-{hashlib.sha256(os.fsencode(bag)).hexdigest()[:10]}'
 
 
-def _made_of(bag: str, settings: Settings, topic: str | None) -> list[Any]:
+def made_of(bag: str, settings: Settings, topic: str | None) -> list[Any]:
     """All that the results depend on, such that equal is unchanged."""
     if _store.is_url(bag):
         files: list[Any] = list(_store.identity(bag))
