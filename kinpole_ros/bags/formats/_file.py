@@ -170,6 +170,41 @@ class Sheet:
                 points[:, index, axis] = self.column(column, first, f'{name} {"xyz"[axis]}', end)
         return points
 
+    def frames(
+        self,
+        columns: dict[str, list[int]],
+        first: int,
+        title: str = 'Frame',
+        end: int | None = None,
+    ) -> tuple[list[str], np.ndarray, np.ndarray, list[int]]:
+        """
+        Names of markers, points (T, n, 3), numbers of the frames, and the lines of these.
+
+        `columns` are those of each marker; numbers of frames are in the first, called `title`.
+        """
+        names, lines = list(columns), self.lines[first:end]
+        check_names(self.path, names)
+        points = self.points(list(columns.values()), names, first, end)
+        numbers = self.column(0, first, title, end)
+        return names, points, whole_numbers(self.path, numbers, lines, title), lines
+
+    def check_axes(self, columns: dict[str, list[int]], axes: int, program: str) -> None:
+        """Raise BagError where the `columns` of a marker are not X, Y, Z, as the row says."""
+        for name, places in columns.items():
+            if [self.cell(axes, column) for column in places] != ['X', 'Y', 'Z']:
+                raise BagError(
+                    f"{self.path}: marker '{shown(name)}' has other columns than X, Y, Z; fix: "
+                    f'give each marker a name of its own in {program}'
+                )
+
+
+def number_in(cell: str) -> float:
+    """A number of a file's head, maybe with a decimal comma; 0 where there is none."""
+    try:
+        return float(cell.replace(',', '.'))
+    except ValueError:
+        return 0.0
+
 
 def _read(path: Path) -> bytes:
     try:

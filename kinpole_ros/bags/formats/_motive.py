@@ -16,11 +16,10 @@ from kinpole_ros.bags.formats._file import (
     Points,
     Sheet,
     Wanted,
-    check_names,
     decimals_of,
     frame_times,
+    number_in,
     shown,
-    whole_numbers,
 )
 
 
@@ -57,17 +56,8 @@ def _read(file: File, wanted: Wanted) -> Points:
             f'{path} has no columns of type Marker, only {kinds}, which are not measured; '
             'fix: export the take again, with markers'
         )
-    for name, places in columns.items():
-        if [sheet.cell(axes, column) for column in places] != ['X', 'Y', 'Z']:
-            raise BagError(
-                f"{path}: marker '{shown(name)}' has other columns than X, Y, Z; fix: "
-                'give each marker a name of its own in Motive'
-            )
-    names = list(columns)
-    check_names(path, names)
-    points = sheet.points(list(columns.values()), names, axes + 1, None)
-    lines = sheet.lines[axes + 1 :]
-    frames = whole_numbers(path, sheet.column(0, axes + 1, 'Frame'), lines, 'Frame')
+    sheet.check_axes(columns, axes, 'Motive')
+    names, points, frames, lines = sheet.frames(columns, axes + 1)
     return Points(
         names,
         points,
@@ -80,16 +70,12 @@ def _read(file: File, wanted: Wanted) -> Points:
 
 
 def _times(sheet: Sheet, axes: int, frames: np.ndarray, about: dict[str, str]) -> np.ndarray | None:
-    rate = about.get('Export Frame Rate') or about.get('Capture Frame Rate', '')
-    try:
-        rate_hz = float(rate.replace(',', '.'))
-    except ValueError:
-        rate_hz = 0.0
+    rate = number_in(about.get('Export Frame Rate') or about.get('Capture Frame Rate', ''))
     if not sheet.cell(axes, 1).startswith('Time'):
-        return frame_times(frames, rate_hz)
+        return frame_times(frames, rate)
     times = sheet.column(1, axes + 1, sheet.cell(axes, 1))
     digits = decimals_of([sheet.cell(row, 1) for row in range(axes + 1, len(sheet.rows))])
-    return frame_times(frames, rate_hz, times, digits)
+    return frame_times(frames, rate, times, digits)
 
 
 FORMAT = Format(

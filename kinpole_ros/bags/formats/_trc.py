@@ -14,8 +14,8 @@ from kinpole_ros.bags.formats._file import (
     check_names,
     decimals_of,
     frame_times,
+    number_in,
     shown,
-    whole_numbers,
 )
 
 _FIX = 'export it again as .trc'
@@ -46,29 +46,20 @@ def _read(file: File, wanted: Wanted) -> Points:
         first += 1
         if first > titles + 3:
             raise BagError(f'{path}, line {sheet.lines[first - 1]}: no frames; fix: {_FIX}')
-    points = sheet.points([[c, c + 1, c + 2] for c in places], names, first, None)
-    lines = sheet.lines[first:]
-    frames = whole_numbers(path, sheet.column(0, first, 'Frame#'), lines, 'Frame#')
-    rate = sheet_number(about.get('DataRate', ''))
+    columns = {header[c]: [c, c + 1, c + 2] for c in places}
+    names, points, frames, lines = sheet.frames(columns, first, 'Frame#')
+    rate = number_in(about.get('DataRate', ''))
     times = None
     if wanted.rate is None:
         cells = [sheet.cell(row, 1) for row in range(first, len(sheet.rows))]
         known = any(cells)
         numbers = sheet.column(1, first, 'Time') if known else None
         times = frame_times(frames, rate, numbers, decimals_of(cells) if known else 9)
-    said = sheet_number(about.get('NumFrames', ''))
+    said = number_in(about.get('NumFrames', ''))
     notes = []
     if said and said != len(frames):
         notes.append(f'{path} says that it has {said:.0f} frames, and has {len(frames)}')
     return Points(names, points, frames, times, about.get('Units', ''), lines=lines, notes=notes)
-
-
-def sheet_number(cell: str) -> float:
-    """A number of the head; 0 where there is none."""
-    try:
-        return float(cell.replace(',', '.'))
-    except ValueError:
-        return 0.0
 
 
 FORMAT = Format(

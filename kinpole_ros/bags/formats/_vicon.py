@@ -13,10 +13,9 @@ from kinpole_ros.bags.formats._file import (
     Points,
     Sheet,
     Wanted,
-    check_names,
     frame_times,
+    number_in,
     shown,
-    whole_numbers,
 )
 
 _SECTION = 'Trajectories'
@@ -48,14 +47,7 @@ def _read(file: File, wanted: Wanted) -> Points:
         # With velocities there are X', too.
         if name and sheet.cell(axes, column) in ('X', 'Y', 'Z'):
             columns.setdefault(name, []).append(column)
-    for name, places in columns.items():
-        if len(places) != 3:
-            raise BagError(
-                f"{path}: marker '{shown(name)}' has other columns than X, Y, Z; fix: "
-                'give each marker a name of its own in Nexus'
-            )
-    names = list(columns)
-    check_names(path, names)
+    sheet.check_axes(columns, axes, 'Nexus')
     named = {sheet.cell(units, column) for places in columns.values() for column in places}
     if len(named) > 1:
         raise BagError(
@@ -66,13 +58,8 @@ def _read(file: File, wanted: Wanted) -> Points:
         (r for r in range(first, len(sheet.rows)) if not _is_frame(sheet.cell(r, 0))),
         len(sheet.rows),
     )
-    points = sheet.points(list(columns.values()), names, first, end)
-    lines = sheet.lines[first:end]
-    frames = whole_numbers(path, sheet.column(0, first, 'Frame', end), lines, 'Frame')
-    try:
-        rate = float(sheet.cell(row + 1, 0).replace(',', '.'))
-    except ValueError:
-        rate = 0.0
+    names, points, frames, lines = sheet.frames(columns, first, end=end)
+    rate = number_in(sheet.cell(row + 1, 0))
     if wanted.rate is None and not rate > 0:
         raise BagError(
             f'{path}, line {sheet.lines[row + 1]}: no rate under {_SECTION}; fix: give --rate HZ'
