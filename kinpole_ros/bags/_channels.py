@@ -45,6 +45,7 @@ class Channels:
         self._described: dict[tuple[str, int], Schema | Channel] = {}
         self._chosen: dict[int, tuple[str, str] | None] = {}
         self._refused: dict[int, str] = {}
+        self._untyped: dict[int, str] = {}
 
     def add(self, record: Schema | Channel) -> None:
         """Take note of a description; raises ValueError for names that no user should be shown."""
@@ -58,8 +59,6 @@ class Channels:
             self._schemas[record.id] = record.name
             return
         name = self._schemas.get(record.schema_id, '')
-        if record.schema_id and record.schema_id not in self._schemas:
-            self.doubt = f'it does not describe the type of {record.topic}'
         self.types[record.topic] = name
         asked_for = self._wanted is not None and record.topic in self._wanted
         if record.message_encoding == 'cdr' and name:
@@ -71,6 +70,8 @@ class Channels:
                 f"{record.message_encoding!r} of type '{name}'; fix: give a topic of ROS 2 "
                 'messages (cdr)'
             )
+        elif self._wanted is None and record.schema_id not in (0, *self._schemas):
+            self._untyped[record.id] = record.topic
         else:
             self._chosen[record.id] = None
 
@@ -110,6 +111,10 @@ class Channels:
                 raise ValueError('zeros in place of a record')
 
     def _complain(self, channel_id: int) -> None:
+        if channel_id in self._untyped:
+            self.doubt = f'it does not describe the type of {self._untyped[channel_id]}'
+            self._chosen[channel_id] = None
+            return
         if channel_id in self._refused:
             raise BagError(self._refused[channel_id])
         raise ValueError(f'a message of channel {channel_id}, which is not described')
