@@ -12,8 +12,8 @@ from kinpole_ros.bags.batch import _store
 from kinpole_ros.bags.batch._results import EXPECTED, Row, made_of, name_of, name_results
 from kinpole_ros.pipeline.parameters import Settings
 
-# Bytes of a bag: some ten seconds of work.
-_LONG = 16 << 20
+# Bytes of a bag, at some 200 a frame: five seconds of work or more.
+_LONG = 4 << 20
 
 
 def ways(bags: Sequence[str], folder: Path | str, settings: Settings, workers: int) -> list[int]:
