@@ -130,3 +130,8 @@ def assert_alike(
             np.testing.assert_allclose(
                 found[topic][stamp], value, rtol, atol, err_msg=f'{topic} at {stamp} ns'
             )
+
+
+def title_of(figure: Any) -> str:
+    """The title over all of a matplotlib figure, which has `get_suptitle` from 3.8 on."""
+    return str(figure._suptitle.get_text())

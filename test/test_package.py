@@ -44,7 +44,17 @@ PYTHON_PACKAGES = {
     'yaml': 'python3-yaml',
     'zstandard': None,
 }
-NOT_OURS = {'.venv', '.git', 'build', 'install', 'log', 'out', '__pycache__'}
+NOT_OURS = {
+    '.venv',
+    '.venv-oldest',
+    '.venv-newest',
+    '.git',
+    'build',
+    'install',
+    'log',
+    'out',
+    '__pycache__',
+}
 
 
 def python_files() -> list[Path]:

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from conftest import title_of
 
 from kinpole_ros.mechanism import SceneError, load_scene, poles, scene_names, scenes_folder
 from kinpole_ros.tools import cli
@@ -446,7 +447,7 @@ def test_the_picture_shows_the_position_asked_for(
     np.testing.assert_allclose(crank.get_xdata(), [0, 0.1 * np.cos(angle)], atol=1e-15)
     np.testing.assert_allclose(crank.get_ydata(), [0, 0.1 * np.sin(angle)], atol=1e-15)
     assert [*rates.lines][-1].get_xdata()[0] == pytest.approx(mark)
-    assert f'crank (deg) = {at.split()[0]}' in made[0].get_suptitle()
+    assert f'crank (deg) = {at.split()[0]}' in title_of(made[0])
 
 
 def test_a_slide_driven_steadily_is_swept_as_far_as_the_linkage_goes(
