@@ -240,11 +240,11 @@ def _tracked(found: list[Estimate], settings: Settings) -> Tracked:
     names = tuple(settings.bodies)
     stamp = np.concatenate([np.empty(0, np.int64), *(one.stamp for one in found)])
     bodies = {
-        name: BodyMotion(**_joined(BodyMotion, [_body(one, b) for one in found]))
+        name: BodyMotion(**_concatenated(BodyMotion, [_body(one, b) for one in found]))
         for b, name in enumerate(names)
     }
     pairs = {
-        (j, i): PairMotion(**_joined(PairMotion, [_pair(one, k) for one in found]))
+        (j, i): PairMotion(**_concatenated(PairMotion, [_pair(one, k) for one in found]))
         for k, (i, j) in enumerate(combinations(names, 2))
     }
     return Tracked(stamp * 1e-9, stamp, bodies, pairs)
@@ -291,18 +291,18 @@ def _vector(name: str, vectors: Vectors, k: int) -> dict[str, np.ndarray]:
     }
 
 
-def _joined(kind: type, parts: list[dict[str, np.ndarray]]) -> dict[str, np.ndarray]:
+def _concatenated(kind: type, parts: list[dict[str, np.ndarray]]) -> dict[str, np.ndarray]:
     """The fields of that kind of record, of all parts; NaN where the parts have none."""
     count = sum(len(part['angular_velocity']) for part in parts)
-    joined = {}
+    whole = {}
     for name in (field.name for field in fields(kind)):
         if parts and name in parts[0]:
-            joined[name] = np.concatenate([part[name] for part in parts])
+            whole[name] = np.concatenate([part[name] for part in parts])
         elif name == 'missing':
-            joined[name] = np.empty(0, str)
+            whole[name] = np.empty(0, str)
         elif name.endswith('_covariance'):
-            joined[name] = np.full((count, 2, 2), np.nan)
+            whole[name] = np.full((count, 2, 2), np.nan)
         else:
             vector = name in (*POLE_NAMES, 'icr_velocity', 'position')
-            joined[name] = np.full((count, 2) if vector else count, np.nan)
-    return joined
+            whole[name] = np.full((count, 2) if vector else count, np.nan)
+    return whole

@@ -476,16 +476,16 @@ def test_a_long_bag_done_by_two_workers_has_the_results_of_one(
     monkeypatch.setattr('distributed.as_completed', Completed)
     kinds = ['mcap', 'csv', 'parquet']
     (row,) = batch([bag], tmp_path / 'one', SETTINGS, kinds=kinds, workers=1)
-    joined: list[list[int]] = []
+    concatenated: list[list[int]] = []
 
     def join(results: list[Any]) -> Any:
-        joined.append([result.estimates for result in results])
-        return _join.joined(results)
+        concatenated.append([result.estimates for result in results])
+        return _join.concatenated(results)
 
     monkeypatch.setattr(_divided, '_LONG', 0)
-    monkeypatch.setattr(_divided, 'joined', join)
+    monkeypatch.setattr(_divided, 'concatenated', join)
     assert batch([bag], tmp_path / 'two', SETTINGS, kinds=kinds, workers=2) == [row]
-    ((first, second),) = joined
+    ((first, second),) = concatenated
     assert min(first, second) > 500
     assert not list((tmp_path / 'two').glob('*.part'))
     one, two = (

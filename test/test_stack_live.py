@@ -114,7 +114,8 @@ def test_asked_to_relearn_it_begins_anew_with_poses_too(peer: Peer, simulated: B
     with peer.publisher(PoseStamped, '/left/markers') as publisher:
         for one in decoded(bag, '/markers')['/markers']:
             publisher.publish(one)
-        peer.until(lambda: len(heard) > 40, 'results of what was learned anew')
+        # That another publisher sends may be noticed amid them, and a window starts anew then.
+        peer.until(lambda: len(heard) > 5, 'results of what was learned anew')
 
 
 def dumped(peer: Peer, node: str) -> dict[str, Any]:

@@ -18,7 +18,7 @@ from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
 from mcap.records import ChunkIndex, DataEnd, Footer, Statistics
 
-TOLD = (Opcode.STATISTICS, Opcode.CHUNK_INDEX, Opcode.DATA_END, Opcode.FOOTER)
+CLAIMING = (Opcode.STATISTICS, Opcode.CHUNK_INDEX, Opcode.DATA_END, Opcode.FOOTER)
 _SUM = 4  # bytes of a checksum, at the end of what it covers and of its record
 _INDEX = struct.Struct('<BQHI')  # opcode, length, channel, bytes of index to come
 _HEAD = 9  # bytes of opcode and length of a record
@@ -35,7 +35,7 @@ class Claims:
         self._sums: dict[str, tuple[int, int, int]] = {}
 
     def note(self, opcode: int, body: bytes, offset: int) -> None:
-        """Take note of a record, one of those TOLD, that begins at `offset`."""
+        """Take note of a record, one of those CLAIMING, that begins at `offset`."""
         stream = ReadDataStream(BytesIO(body))
         # One that is damaged tells nothing.
         with suppress(Exception):
@@ -57,8 +57,8 @@ class Claims:
                 return 'its index names chunks at places where there are others'
             return f'its index names {_number(len(self._chunks), "chunk")}, there are {len(chunks)}'
         if self._statistics is not None and self._statistics.chunk_count != len(chunks):
-            told = _number(self._statistics.chunk_count, 'chunk')
-            return f'its statistics count {told}, there are {len(chunks)}'
+            number = _number(self._statistics.chunk_count, 'chunk')
+            return f'its statistics count {number}, there are {len(chunks)}'
         return ''
 
     def miscounted(self, counts: Mapping[str, int], topics: Mapping[int, str]) -> str:
@@ -69,17 +69,17 @@ class Claims:
                 claimed[topic] += self._statistics.channel_message_counts.get(channel, 0)
             for topic in claimed | Counter(counts):
                 if claimed[topic] != counts.get(topic, 0):
-                    told = _number(claimed[topic], 'message')
+                    number = _number(claimed[topic], 'message')
                     there = counts.get(topic, 0)
-                    return f'its statistics count {told} on {topic}, there are {there}'
+                    return f'its statistics count {number} on {topic}, there are {there}'
         return ''
 
     def untimely(self, first: int, last: int) -> str:
         """What is wrong with messages from `first` to `last`, log times in ns; '' if nothing."""
-        told = self._statistics
-        if told is None or told.message_start_time <= first <= last <= told.message_end_time:
+        known = self._statistics
+        if known is None or known.message_start_time <= first <= last <= known.message_end_time:
             return ''
-        span = f'{told.message_start_time / 1e9:.3f} to {told.message_end_time / 1e9:.3f} s'
+        span = f'{known.message_start_time / 1e9:.3f} to {known.message_end_time / 1e9:.3f} s'
         there = f'{first / 1e9:.3f} to {last / 1e9:.3f} s'
         return f'its statistics tell of log times {span}, there are {there}'
 

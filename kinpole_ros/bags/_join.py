@@ -1,4 +1,4 @@
-"""Results of the stretches of a bag put together, as if one replay had written them."""
+"""Results of the stretches of a bag concatenated, as if one replay had written them."""
 
 import shutil
 from collections.abc import Sequence
@@ -9,7 +9,7 @@ from kinpole_ros.bags._table import join_parquet
 from kinpole_ros.bags._writer import BagWriter
 
 
-def joined(parts: Sequence[Replayed]) -> Replayed:
+def concatenated(parts: Sequence[Replayed]) -> Replayed:
     """What the replays of all stretches, in order, came to: the last has learned from all."""
     count = sum(part.estimates for part in parts)
     determined = {

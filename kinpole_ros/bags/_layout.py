@@ -20,7 +20,7 @@ from mcap.records import Channel, Chunk, ChunkIndex, Footer, Schema
 from mcap.writer import MCAP0_MAGIC
 
 from kinpole_ros.bags._channels import HEAD, LARGEST, MESSAGE, Channels, description, largest
-from kinpole_ros.bags._claims import TOLD, Claims
+from kinpole_ros.bags._claims import CLAIMING, Claims
 from kinpole_ros.bags._files import BagError, Unpacked
 
 NEVER = 2**64  # later than any log time
@@ -100,7 +100,7 @@ def _indexed(file: BinaryIO, size: int, channels: Channels) -> Layout:
         opcode, length = HEAD.unpack_from(summary, end)
         body = summary[end + HEAD.size : end + HEAD.size + length]
         end += HEAD.size + length
-        if opcode in TOLD:
+        if opcode in CLAIMING:
             claims.note(opcode, body, 0)
         if opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
             described.append(description(opcode, body))
@@ -171,7 +171,7 @@ def _scan(file: BinaryIO, size: int, farthest: int) -> Layout:
         if opcode == 0:  # no record has this, but a disk may leave a run of zeros
             trouble = f'is damaged at byte {offset} (zeros in place of a record)'
             return Layout(spans, trouble, offset, claims)
-        if opcode in TOLD and length <= largest(size):
+        if opcode in CLAIMING and length <= largest(size):
             claims.note(opcode, file.read(length), offset)
         if opcode == Opcode.MESSAGE_INDEX and spans and spans[-1].chunk:
             last = spans[-1]

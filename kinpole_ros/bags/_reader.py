@@ -198,12 +198,12 @@ def _read_file(
             )
         report(span.end / layout.size)
     if not trouble:
-        told = doubt or channels.doubt or layout.claims.miscounted(counts, channels.topics)
+        fault = doubt or channels.doubt or layout.claims.miscounted(counts, channels.topics)
         if count:
-            told = told or layout.claims.untimely(first, latest)
-        if told := told or layout.claims.wrong_sum(file):
+            fault = fault or layout.claims.untimely(first, latest)
+        if fault := fault or layout.claims.wrong_sum(file):
             raise Truncated(
-                f'{path} has lost messages, or was changed: {told}; {count} messages were read; '
+                f'{path} has lost messages, or was changed: {fault}; {count} messages were read; '
                 f'fix: record again, or `mcap recover {path} -o NEW.mcap` for what is left'
             )
     if trouble:

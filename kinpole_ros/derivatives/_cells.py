@@ -89,9 +89,9 @@ def cells_of(
     others = [np.flatnonzero(~possible)]
     while np.count_nonzero(possible):
         first = possible.argmax()
-        alike = possible & (count == count[first]) & (ahead == ahead[first])
-        possible &= ~alike
-        some = np.flatnonzero(alike)
+        equal = possible & (count == count[first]) & (ahead == ahead[first])
+        possible &= ~equal
+        some = np.flatnonzero(equal)
         complete, off = _complete(poses, windows.part(some))
         others.append(some[~complete])
         some = some[complete]

@@ -90,8 +90,8 @@ def left_over(
             if np.abs(step).max() < _THERE:
                 break
         now = lacks()
-        apart = poses.position - position[:, measured]
-        moved = np.stack((apart.real, apart.imag, poses.angle - angle[:, measured]), axis=-1)
+        between = poses.position - position[:, measured]
+        moved = np.stack((between.real, between.imag, poses.angle - angle[:, measured]), axis=-1)
         by = now.by_pose[:, :, measured]
         lacking = now.value + np.einsum('tmbk,tbk->tm', by, moved)
         spread = np.einsum('tmbk,tbkl->tmbl', by, poses.covariance)

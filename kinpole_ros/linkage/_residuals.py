@@ -100,7 +100,7 @@ class _Rows:
         values, turn = self._values, self._turn
         (a, by_a), (b, by_b) = place(joint.a, values), place(joint.b, values)
         # From the point of the one body to that of the other.
-        apart = (
+        between = (
             self._position[:, other]
             + b * turn[:, other]
             - self._position[:, one]
@@ -113,7 +113,7 @@ class _Rows:
             (np.ones(count), np.full(count, 1j), 1j * b * turn[:, other]), -1
         )
         dimensions = turn[:, other, None] * by_b - turn[:, one, None] * by_a
-        whole = apart, poses, dimensions
+        whole = between, poses, dimensions
         if joint.circle is not None:
             self._on_circle(number, joint, one, other, whole)
             return
@@ -123,20 +123,20 @@ class _Rows:
             return
         # Along the line, and off it.
         line = turn[:, one].conj() * np.exp(-1j * values[joint.along])
-        apart, poses, dimensions = (
-            line * apart,
+        between, poses, dimensions = (
+            line * between,
             line[:, None, None] * poses,
             line[:, None] * dimensions,
         )
-        poses[:, one, 2] -= 1j * apart
-        dimensions[:, joint.along] -= 1j * apart
-        off = [-1j * part for part in (apart, poses, dimensions)]
+        poses[:, one, 2] -= 1j * between
+        dimensions[:, joint.along] -= 1j * between
+        off = [-1j * part for part in (between, poses, dimensions)]
         if joint.radius is not None and joint.start is not None:
             off[0] = off[0] - values[joint.radius]
             off[2][:, joint.radius] -= 1.0
             self._row(number, *off)
             radius = values[joint.radius]
-            slide, *turned = self._since(number, apart.real, one, other)
+            slide, *turned = self._since(number, between.real, one, other)
             poses[:, other, 2] += radius
             poses[:, one, 2] -= radius
             dimensions[:, joint.radius] += turned[1] - turned[0]
@@ -166,15 +166,15 @@ class _Rows:
         circle, radius = self._values[joint.circle], self._values[joint.radius]
         arm = circle + radius
         # Along the way from the one center to the other.
-        apart = whole[0]
-        length = np.maximum(np.abs(apart), 1e-300)
-        out = apart.conj() / length
+        between = whole[0]
+        length = np.maximum(np.abs(between), 1e-300)
+        out = between.conj() / length
         poses, dimensions = out[:, None, None] * whole[1], out[:, None] * whole[2]
         by_radii = np.zeros_like(dimensions)
         by_radii[:, [joint.circle, joint.radius]] = np.sign(arm)
         self._row(number, (length - abs(arm)).astype(complex), poses, dimensions - by_radii)
         # Which of the directions that look alike: the one to which the turns of both lead.
-        heading, *turned = self._since(number, np.angle(apart * np.sign(arm)), one, other)
+        heading, *turned = self._since(number, np.angle(between * np.sign(arm)), one, other)
         ahead = (circle * turned[0] + radius * turned[1]) / arm
         heading = heading + 2 * np.pi * np.round((ahead - heading) / (2 * np.pi))
         across = -1j * arm / length

@@ -110,7 +110,7 @@ def scene_poses(
     return ScenePoses(stamp, position, angle, cofactor, noise, known, tuple(bodies))
 
 
-def joined(parts: Sequence[ScenePoses], most: int) -> ScenePoses:
+def concatenated(parts: Sequence[ScenePoses], most: int) -> ScenePoses:
     """
     All of them in one, of `most` instants at the most, evenly, with the noise as it was known but
     for the first quarter, when it was hardly known.

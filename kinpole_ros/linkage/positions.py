@@ -14,7 +14,7 @@ import numpy as np
 from kinpole_ros.linkage._adjust import left_over
 from kinpole_ros.linkage._faults import Fault, faults
 from kinpole_ros.linkage._residuals import Anchors
-from kinpole_ros.linkage._scene_poses import Lie, ScenePoses, joined, scene_poses
+from kinpole_ros.linkage._scene_poses import Lie, ScenePoses, concatenated, scene_poses
 from kinpole_ros.linkage._unknowns import (
     Guess,
     Normal,
@@ -83,13 +83,13 @@ class Positions:
         if found is not None and found.seen.any():
             self._parts.append(found.part(found.seen.any(axis=1)))
             if sum(len(part.stamp) for part in self._parts) > 4 * self._most:
-                self._parts = [joined(self._parts, 2 * self._most)]
+                self._parts = [concatenated(self._parts, 2 * self._most)]
 
     def poses(self) -> ScenePoses | None:
         """All poses in which bodies are seen that are not seldom seen; None for too few."""
         if not self._parts or not self.scene.equations.joints:
             return None
-        whole = joined(self._parts, self._most)
+        whole = concatenated(self._parts, self._most)
         # Poses of the first frames are of shapes that had hardly been seen.
         whole = whole.part(slice(min(len(whole.stamp) // 8, _LEARNING), None))
         often = np.flatnonzero(whole.seen.mean(axis=0) >= _SELDOM)

@@ -17,7 +17,7 @@ from kinpole_ros.mechanism._reactions import (
     add_teeth,
     assembled,
     has_teeth,
-    push_apart,
+    separating_forces,
 )
 from kinpole_ros.mechanism._statics import (
     Load,
@@ -51,7 +51,7 @@ def freed_reactions(mechanism: Mechanism, values: Real, loads: Sequence[Load]) -
     for k, joint in enumerate(mechanism.assembly.joints):
         if has_teeth(joint):
             teeth[k] = _freed(mechanism, values, loads, system, k, system.axis[k])
-    loads = [*loads, *push_apart(mechanism, system, teeth)]
+    loads = [*loads, *separating_forces(mechanism, system, teeth)]
     for k, part in system.rows:
         way = None if part == 2 else 1j**part * system.axis[k]
         parts[part, k] = _freed(mechanism, values, loads, system, k, way)
@@ -92,9 +92,9 @@ def _freed(
         if m != k and has_teeth(other_joint):
             # Nothing but their push keeps teeth from going apart.
             angle = system.frame.angle[other_joint.one]
-            apart = float(np.angle(1j * system.axis[m] * np.exp(-1j * angle))[0])
-            slide, carriage = f'{m} apart', f'{m} apart carriage'
-            joints.append(Slot(slide, other_joint.one, 0j, apart, carriage, 0j, 0.0))
+            away = float(np.angle(1j * system.axis[m] * np.exp(-1j * angle))[0])
+            slide, carriage = f'{m} off', f'{m} off carriage'
+            joints.append(Slot(slide, other_joint.one, 0j, away, carriage, 0j, 0.0))
             joints[m] = other_joint._replace(one=carriage)
             bodies.append(carriage)
             turned.append(angle)

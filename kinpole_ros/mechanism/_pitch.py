@@ -87,7 +87,7 @@ def _sheets(curves: Centrodes) -> tuple[list[_Sheet], complex, complex]:
         (curves.one, curves.fixed, curves.pins[0]),
         (curves.other, curves.moving, curves.pins[1]),
     ):
-        lines = _joined([1e3 * points[run] for run in runs], 1e3 * _MEET * curves.size)
+        lines = _chained([1e3 * points[run] for run in runs], 1e3 * _MEET * curves.size)
         drawn = np.concatenate([line for line, _ in lines] + [1e3 * pins])
         shift = left - min(drawn.real.min(), -_AXIS)
         sheets.append(_Sheet(name, lines, 1e3 * pins, shift))
@@ -96,7 +96,7 @@ def _sheets(curves: Centrodes) -> tuple[list[_Sheet], complex, complex]:
     return sheets, complex(0.0, low - _MARGIN), complex(left, high + _MARGIN)
 
 
-def _joined(pieces: list[Complex], near: float) -> list[tuple[Complex, bool]]:
+def _chained(pieces: list[Complex], near: float) -> list[tuple[Complex, bool]]:
     """Pieces as lines, and whether they are closed; over a turn the last may go on as the first."""
     if len(pieces) > 1 and abs(pieces[-1][-1] - pieces[0][0]) < near:
         pieces = [np.concatenate((pieces[-1], pieces[0][1:])), *pieces[1:-1]]

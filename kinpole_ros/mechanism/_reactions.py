@@ -71,9 +71,9 @@ def reactions(mechanism: Mechanism, values: Real, loads: Sequence[Load]) -> Reac
     check_loads(mechanism, loads)
     system = constraints(mechanism, values)
     parts, effort = _multipliers(mechanism, system, loads)
-    apart = push_apart(mechanism, system, parts[0])
-    if apart:
-        teeth, (parts, effort) = parts[0], _multipliers(mechanism, system, [*loads, *apart])
+    separating = separating_forces(mechanism, system, parts[0])
+    if separating:
+        teeth, (parts, effort) = parts[0], _multipliers(mechanism, system, [*loads, *separating])
         add_teeth(mechanism, parts, teeth)
     determined = system.rank == len(system.column)
     return assembled(mechanism, values, system, parts, effort, determined)
@@ -105,9 +105,9 @@ def has_teeth(joint: Joint) -> bool:
     return isinstance(joint, Rolling) and joint.pressure is not None
 
 
-def push_apart(mechanism: Mechanism, system: Constraints, along: Real) -> list[Load]:
+def separating_forces(mechanism: Mechanism, system: Constraints, along: Real) -> list[Load]:
     """
-    The forces by which teeth with a pressure angle push each other apart, as loads, from what they
+    The forces by which teeth with a pressure angle separate each other, as loads, from what they
     transmit, `along` (J, T): that does not depend on them, as they do no work.
     """
     found: list[Load] = []

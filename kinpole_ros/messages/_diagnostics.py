@@ -43,7 +43,7 @@ _WORDS = {
     'markers_renamed': 'markers under names that no body has, found by shape',
     'markers_regrouped': 'markers listed for another body than the one they move with',
     'frames_by_shape': 'frames without names that were matched by shape',
-    'bodies_unsure': 'bodies left out of a frame, since points fit them in several ways',
+    'bodies_ambiguous': 'bodies left out of a frame, since points fit them in several ways',
     'unreadable': 'messages that could not be read',
     'dropped': 'messages dropped, since the node or the network could not keep up',
     'untold': 'results left out, since the node could not keep up',

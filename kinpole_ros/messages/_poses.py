@@ -2,7 +2,7 @@
 Poses of bodies that come as such: PoseStamped, PoseArray of one body each, and frames on /tf.
 
 Read from their bytes, so that none of their classes need be there. A frame of all bodies may come
-in several messages of one stamp, as /tf brings it from some drivers; then it is put together here.
+in several messages of one stamp, as /tf brings it from some drivers; then it is assembled here.
 """
 
 import struct
@@ -68,7 +68,7 @@ class PoseReader:
         self._met: set[str] = set()
         self._others: dict[str, None] = {}
         # Whether all bodies come in one message.
-        self._together = kind != 'tf' or len(self._names) == 1
+        self._partial = kind != 'tf' or len(self._names) == 1
 
     def read(self, messages: Iterable[bytes]) -> list[MarkerFrames | MessageError]:
         """Frames of serialized messages, in order, and errors where something is wrong."""
@@ -131,7 +131,7 @@ class PoseReader:
     def _take_transforms(
         self, walk: Walk, data: bytes, found: 'list[_Poses | MessageError]'
     ) -> None:
-        """Add a TFMessage to what is being put together; what is complete then is `found`."""
+        """Add a TFMessage to what is being assembled; what is complete then is `found`."""
         children = set()
         for place in walk.transforms:
             child = _text(data, place.child)
@@ -157,8 +157,8 @@ class PoseReader:
                 self._complete(found)
                 now = self._pending = _Poses(stamp, parent, {})
             now.poses[child] = np.frombuffer(data, f'{walk.order}f8', 7, place.poses.start)
-        self._together |= children == set(self._names)
-        if self._pending and (self._together or len(self._pending.poses) == len(self._names)):
+        self._partial |= children == set(self._names)
+        if self._pending and (self._partial or len(self._pending.poses) == len(self._names)):
             self._complete(found)
 
     def _note_names(self, names: Iterable[str]) -> None:
@@ -169,7 +169,7 @@ class PoseReader:
                 self._others[name] = None
 
     def _complete(self, found: 'list[_Poses | MessageError]') -> None:
-        """What was being put together is, with those that were not seen."""
+        """What was being assembled is complete, with those that were not seen."""
         if self._pending is not None:
             seen = self._pending.poses
             whole = {name: seen.get(name, _UNSEEN) for name in self._names}

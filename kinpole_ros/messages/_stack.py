@@ -91,7 +91,7 @@ def joint_states(
         when = nearest
         if rate:
             older = before if run == estimate.run else None
-            angles = angles if older is None else _joined(older, angles)
+            angles = angles if older is None else _concatenated(older, angles)
             before, run = _Angles(*(part[..., -1:, :] for part in angles)), estimate.run
             stamps, nearest, when = _evenly(angles, rate)
             when = when - (older is not None)
@@ -136,7 +136,7 @@ def _angles(estimate: Estimate) -> _Angles:
     )
 
 
-def _joined(older: _Angles, newer: _Angles) -> _Angles:
+def _concatenated(older: _Angles, newer: _Angles) -> _Angles:
     """Both, one after the other, up to the order that both have."""
     orders = min(len(older.angle), len(newer.angle))
     cut = (

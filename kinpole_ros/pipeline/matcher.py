@@ -22,7 +22,7 @@ from kinpole_ros.rigid.identity import Expected, Match, fit_place, match, merge_
 
 # Counted in `Tracker.counts`.
 OTHERS, RENAMED, REGROUPED = 'markers_of_others', 'markers_renamed', 'markers_regrouped'
-BY_SHAPE, UNCERTAIN = 'frames_by_shape', 'bodies_unsure'
+BY_SHAPE, UNCERTAIN = 'frames_by_shape', 'bodies_ambiguous'
 # Frames that tell how many points a cloud without names has, and whether they keep their order; in
 # so many of these it may be another.
 _FIRST, _DISORDERED = 20, 2

@@ -359,7 +359,7 @@ def settings_from(values: Mapping[str, Any]) -> Settings:
     Check parameters given by their ROS names, 'lag' or 'coupler.markers', and fill in the rest.
 
     Raises ParameterError for a name that is not known, for a value out of its range, and for values
-    that do not go together.
+    that contradict each other.
     """
     known = known_rows(values)
     names, joints = (tuple(values.get(name, known[name].default)) for name in ('bodies', 'joints'))
@@ -466,7 +466,7 @@ def check_poses(settings: Settings, kind: str) -> None:
 
 
 def _consistent(settings: Settings) -> Settings:
-    """The settings as they are; raises ParameterError where they do not go together."""
+    """The settings as they are; raises ParameterError where they contradict each other."""
     if settings.lag >= settings.window:
         raise ParameterError(
             f'parameter lag is {settings.lag:g} s; it must be less than window, '

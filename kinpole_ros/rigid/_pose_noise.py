@@ -30,7 +30,7 @@ _SAME = 1.25
 _BLOCKS, _LASTS = (2, 4, 8), 4.0
 # The fewest differences that tell a deviation.
 _FEWEST = 16
-# Frames farther apart than so many times what is usual do not count as running; those of a block
+# Frames farther between than so many times what is usual do not count as running; those of a block
 # have even intervals within so much.
 _APART, _EVEN = 3.0, 1.2
 # rad, coordinates are known no better than to a few units of the last place.
@@ -139,10 +139,10 @@ def _differences(time: Real, order: int, *series: np.ndarray) -> list[np.ndarray
     length = rows[:, -1] - rows[:, 0]
     kept = length < _APART * np.median(length)
     rows = rows[kept]
-    apart = (rows[:, :, None] - rows[:, None]) / length[kept, None, None]
-    apart += np.eye(order + 1)
+    between = (rows[:, :, None] - rows[:, None]) / length[kept, None, None]
+    between += np.eye(order + 1)
     with np.errstate(divide='ignore', invalid='ignore'):
-        weights = 1 / apart.prod(axis=2)
+        weights = 1 / between.prod(axis=2)
         weights /= np.sqrt((weights**2).sum(axis=1, keepdims=True))
     good = np.isfinite(weights).all(axis=1)
     return [

@@ -2,7 +2,8 @@
 A node whose settings are the table of parameters: declared, checked, and set while it runs.
 
 Which bodies there are, and of which markers, may be set while the node is not active. They are set
-one after the other, so for a while they may not go together: then the node cannot be activated.
+one after the other, so for a while they may contradict each other: then the node cannot be
+activated.
 """
 
 from array import array
@@ -36,7 +37,7 @@ class SettableNode(LifecycleNode):
     """
     A managed node with the parameters of the table as `settings`, and the `theory` they name.
 
-    `incomplete` says why parameters do not go together, '' where they do; while they do not, the
+    `incomplete` says why parameters contradict each other, '' if none does; while they do, the
     settings are those of before. A node of this kind keeps `active`, and says what is to be done
     with new settings.
     """
@@ -192,7 +193,7 @@ class SettableNode(LifecycleNode):
             self._use_parameters()
 
     def _use_parameters(self) -> None:
-        """Take the parameters for settings, if they go together."""
+        """Take the parameters for settings, unless they contradict each other."""
         try:
             settings = settings_from(values_of(self))
             self.theory = _theory_of(settings)

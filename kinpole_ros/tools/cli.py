@@ -1,5 +1,5 @@
 """
-The command `kinpole`: one subcommand is run, and what goes wrong for the user is told in one line.
+The command `kinpole`: one subcommand is run, and what goes wrong for the user is one line.
 
 Exit status 0 is done, 2 bad usage or bad input with one line on stderr.
 """

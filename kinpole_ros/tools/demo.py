@@ -156,10 +156,10 @@ def _comparison(bag: Path, recording: Path, settings: Settings) -> Iterator[str]
     bodies = settings.bodies
     truth = _heard(bag, [f'/kinpole/truth/{b}/{q}' for b in bodies for q in wanted])
     topics = [f'/kinpole/{b}/{q}' for b in bodies for q in wanted]
-    beside = [f'{topic}/{part}' for topic in topics for part in ('deviation', 'with_covariance')]
+    spreads = [f'{topic}/{part}' for topic in topics for part in ('deviation', 'with_covariance')]
     marker_topic = settings.marker_topic
     name = marker_topic if marker_topic.startswith('/') else f'/{marker_topic}'
-    found = _heard(recording, [name, *topics, *beside])
+    found = _heard(recording, [name, *topics, *spreads])
     sent = found.get(name, {})
     stamps = np.array(sorted(sent), np.int64)
     yield _TABLE.format(

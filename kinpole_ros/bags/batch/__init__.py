@@ -19,7 +19,7 @@ from typing import Any
 from kinpole_ros.bags import BagError, bag_files
 from kinpole_ros.bags.batch import _store
 from kinpole_ros.bags.batch._cluster import cluster
-from kinpole_ros.bags.batch._divided import put_together, replay_stretch, ways
+from kinpole_ros.bags.batch._divided import assemble, replay_stretch, ways
 from kinpole_ros.bags.batch._places import Places, absolute
 from kinpole_ros.bags.batch._results import (
     EXPECTED,
@@ -218,7 +218,7 @@ def _row(job: tuple[str, Any, Settings, str | None, list[str]], futures: list[An
     try:
         if not errors:
             results = [future.result() for future in futures]
-            return results[0] if len(results) == 1 else put_together(*job, results)
+            return results[0] if len(results) == 1 else assemble(*job, results)
     except EXPECTED as error:
         errors = [error]
     text = str(errors[0])

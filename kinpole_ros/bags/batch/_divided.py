@@ -1,11 +1,11 @@
-"""One long bag done by several processes: each has a stretch of it, which is put together here."""
+"""One long bag done by several processes: each has a stretch of it, which are concatenated here."""
 
 from collections.abc import Callable, Sequence
 from contextlib import nullcontext
 from pathlib import Path
 
 from kinpole_ros.bags import bag_files
-from kinpole_ros.bags._join import join, joined
+from kinpole_ros.bags._join import concatenated, join
 from kinpole_ros.bags._replay import Replayed, replay
 from kinpole_ros.bags._stretch import Stretch, stretches
 from kinpole_ros.bags.batch import _store
@@ -60,7 +60,7 @@ def replay_stretch(
     )
 
 
-def put_together(
+def assemble(
     bag: str,
     folder: Path,
     settings: Settings,
@@ -73,7 +73,7 @@ def put_together(
     for kind, target in whole.items():
         join([_part(bag, folder, k, kind) for k in range(len(results))], target, kind)
     of_what = made_of(bag, settings, topic)
-    return name_results(bag, folder, settings, of_what, whole, joined(results))
+    return name_results(bag, folder, settings, of_what, whole, concatenated(results))
 
 
 def _part(bag: str, folder: Path, number: int, kind: str) -> Path:

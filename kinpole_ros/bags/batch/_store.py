@@ -95,9 +95,9 @@ def recorded(url: str) -> tuple[dict[str, Any], set[str]]:
         # Another run may have written since it was last looked at.
         store.invalidate_cache()
         names = store.find(path) if store.exists(path) else []
-        told = [name for name in names if name.endswith('.json')]
+        entries = [name for name in names if name.endswith('.json')]
         # All at once: a store far away takes as long for one as for many.
-        contents = store.cat(told, on_error='omit') if told else {}
+        contents = store.cat(entries, on_error='omit') if entries else {}
         records = {}
         for name, content in contents.items():
             try:

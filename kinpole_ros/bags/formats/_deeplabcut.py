@@ -59,8 +59,8 @@ def _read(file: File, wanted: Wanted) -> Points:
                 raise BagError(f"{file.path}: '{shown(name)}' has no {letter}; fix: {_FIX}")
         if (name, 'likelihood') in columns:
             # What people labeled has none.
-            unsure = values[:, columns[name, 'likelihood']] < least
-            points[unsure, index] = np.nan
+            doubtful = values[:, columns[name, 'likelihood']] < least
+            points[doubtful, index] = np.nan
     in_space = any(letter == 'z' for _, letter in labels)
     return Points(names, points, frames, None, '' if in_space else 'px', y_down=not in_space)
 

@@ -54,7 +54,7 @@ def one_line(error: object) -> str:
     return text
 
 
-def told(command: str, troubles: list[object]) -> int:
+def reported(command: str, troubles: list[object]) -> int:
     """Tell what a bag lacks of which all the rest was used; the exit status."""
     for trouble in troubles:
         print(f'kinpole {command}: {one_line(trouble)}', file=sys.stderr)

@@ -4,7 +4,7 @@ import argparse
 from typing import Any
 
 from kinpole_ros.files import printable
-from kinpole_ros.tools.commands._shared import keep, progress_bar, told
+from kinpole_ros.tools.commands._shared import keep, progress_bar, reported
 
 
 def add(commands: Any) -> None:
@@ -64,4 +64,4 @@ def run(options: argparse.Namespace) -> int:
             troubles.append,
         )
     print('\n'.join(map(printable, lines)))
-    return told('discover', troubles)
+    return reported('discover', troubles)

@@ -3,7 +3,7 @@
 import argparse
 from typing import Any
 
-from kinpole_ros.tools.commands._shared import progress_bar, told
+from kinpole_ros.tools.commands._shared import progress_bar, reported
 
 
 def add(commands: Any) -> None:
@@ -24,4 +24,4 @@ def run(options: argparse.Namespace) -> int:
     with progress_bar('plot') as progress:
         cut = plot(options.bag, options.output, progress)
     print(f'drawn to {options.output}')
-    return told('plot', [cut] if cut else [])
+    return reported('plot', [cut] if cut else [])

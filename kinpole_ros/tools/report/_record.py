@@ -77,13 +77,13 @@ class Collector:
         self._blocks.append(block)
         self._kept += len(block['', 'stamp'])
         while self._kept > self._most:
-            self._blocks = [{key: v[::2] for key, v in _joined(self._blocks).items()}]
+            self._blocks = [{key: v[::2] for key, v in _concatenated(self._blocks).items()}]
             self._kept = len(self._blocks[0]['', 'stamp'])
             self._step *= 2
 
     def record(self, along: tuple[str, str]) -> Record:
         """What was kept; there must be an instant."""
-        columns = _joined(self._blocks)
+        columns = _concatenated(self._blocks)
         stamp, run = columns.pop(('', 'stamp')), columns.pop(('', 'run'))
         sizes, outlines = {}, {}
         for body in self._bodies:
@@ -93,7 +93,7 @@ class Collector:
         return Record(stamp, self.total, self._bodies, columns, sizes, outlines, along)
 
 
-def _joined(blocks: list[Columns]) -> Columns:
+def _concatenated(blocks: list[Columns]) -> Columns:
     return {key: np.concatenate([block[key] for block in blocks]) for key in blocks[0]}
 
 
