@@ -84,25 +84,31 @@ def _moved(
     given, samples = samples, _moved_by_neighbors(samples, off)
     left = np.empty((2, off.shape[1]))
     least = 0.0 if modes.exact else _SETTLED
+    # Angles and positions settle by themselves.
+    settled = np.zeros(left.shape, bool)
 
-    def move_on(which: np.ndarray, known: float, rounds: int) -> np.ndarray:
-        """Move signals `which` (S,) until they hardly do, at most so often; which still do."""
+    def move_on(known: float, rounds: int) -> None:
+        """Move signals until they hardly do, at most so often."""
         for _ in range(rounds):
+            which = np.flatnonzero(~(settled[0] & settled[1]))
             if not len(which):
-                break
+                return
             parts = given[..., which], samples[..., which], off[:, which], seen[:, which]
             lacks = lacking and Lacking(lacking.cells[:, which], lacking.weight[..., which])
             moved = move(modes, slopes, *parts, lacks, known)
+            kept = settled[:, which]
+            moved = np.where(kept[_SIGNAL], parts[1], moved)
             change = total((moved - parts[1]) ** 2) / len(moved)
+            # Of both coordinates, whichever way the axes lie.
+            change = np.sqrt((change[0], (change[1] + change[2]) / 2))
             samples[..., which] = moved
-            left[:, which] = np.sqrt((change[0], np.maximum(change[1], change[2])))
-            which = which[np.maximum.reduce(left[:, which]) > least]
-        return which
+            left[:, which] = np.where(kept, left[:, which], change)
+            settled[:, which] = kept | (change <= least)
 
     # What is off by little is in its place at once.
-    which = move_on(np.arange(off.shape[1]), KNOWN, 1)
-    move_on(which, _KNOWN, _MORE_ROUNDS if modes.exact else _ROUNDS)
-    move_on(which, KNOWN, 2)
+    move_on(KNOWN, 1)
+    move_on(_KNOWN, _MORE_ROUNDS if modes.exact else _ROUNDS)
+    move_on(KNOWN, 2)
     return samples, left
 
 
