@@ -59,6 +59,7 @@ def play(
     progress: Callable[[float], None] | None = None,
     loop: bool = False,
     clock: float | None = None,
+    subscribers: int = 1,
 ) -> int:
     """
     Publish a bag's messages at the pace they were recorded, times `speed`.
@@ -67,9 +68,9 @@ def play(
     many times a second, for nodes with use_sim_time.
 
     `only` names the topics, None for all but the exact answers that simulate adds to the
-    markers. Waits up to `wait` s for a subscriber of each, and at the end until reliable ones have
-    everything. Returns the number of messages. Raises BagError as reading does, and for a speed
-    or clock that is not more than 0.
+    markers. Waits up to `wait` s for so many `subscribers` of each, and at the end until reliable
+    ones have everything. Returns the number of messages. Raises BagError as reading does, and for
+    a speed or clock that is not more than 0.
     """
     if not (math.isfinite(speed) and speed > 0):
         raise BagError(f'--speed is {speed}; it must be more than 0')
@@ -105,7 +106,7 @@ def play(
             raise BagError(f'{bag}: {reason}; name other topics with --topic') from None
         deadline = time.monotonic() + wait
         while time.monotonic() < deadline and context.ok():
-            if all(p.get_subscription_count() for p in publishers.values()):
+            if all(p.get_subscription_count() >= subscribers for p in publishers.values()):
                 break
             time.sleep(_LOOK_EVERY / 10)
         if context.ok():

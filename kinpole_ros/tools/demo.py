@@ -94,7 +94,8 @@ def live_run(bag: Path, config: Path, recording: Path) -> int:
         ):
             # Play only when every topic of the node is being recorded.
             _await(lambda: _all_recorded(watcher), node, recorder)
-            count = play(bag, [name], wait=_START)
+            # Node and recorder hear the markers.
+            count = play(bag, [name], wait=_START, subscribers=2)
             _await_quiet(executor, heard)
             if node.poll() is not None or recorder.poll() is not None:
                 raise BagError('the node or its recorder ended on the way; see what it printed')
