@@ -277,11 +277,14 @@ def page(rows: Rows) -> str:
     """The page of all constants."""
     without = sum(row['half'] == row['double'] == '–' for row in rows)
     number = len(motions())
+    left = len(constants()) - len(rows)
+    rest = f'{left} more are not measured yet. ' if left > 0 else ''
     lines = [
         '# Constants set by hand',
         '',
         f'{len(rows)} numbers of `rigid/`, `derivatives/` and `pipeline/`, and what becomes of',
-        'figures where one of them is half or double. `python -m bench.constants` makes this page.',
+        'figures where one of them is half or double.',
+        f'{rest}`python -m bench.constants` makes this page.',
         '',
         f'- Figures are RMS errors of {number} motions at two noises, and of the links of a',
         f'  four-bar on {len(_WHAT)} real rigs; and the shares of their frames that are known,',
