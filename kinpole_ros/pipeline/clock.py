@@ -26,7 +26,7 @@ _SEARCHED = 64
 _CANDIDATES = 41
 # Nats of a lost frame: one in fifty. Of a sure count one in a hundred is wrong.
 _LOSS, _DOUBT = 3.9, 0.01
-# So many paths are looked at, which cost no more than so many nats beside the likeliest.
+# So many paths are looked at, which cost no more than so many nats more than the likeliest.
 _MOST_PATHS, _UNLIKELY = 32, 12.0
 # A frame that comes within this share of the interval after another waited for it in a queue.
 _QUEUED = 0.1

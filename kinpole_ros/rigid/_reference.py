@@ -14,9 +14,9 @@ import numpy as np
 
 from kinpole_ros.planar._plane import Complex, Real
 
-# The fewest poses in a window that it is judged by, and the least share of its frames.
+# The fewest poses in a window that it is tested by, and the least share of its frames.
 _FEWEST, _PRESENT = 8, 0.5
-# It is judged so many frames after its end: of stamps that are late the newest frames may turn out
+# It is tested so many frames after its end: of stamps that are late the newest frames may turn out
 # to have been at other times.
 _SETTLED = 16
 # Of polynomials whose rests are looked at: one says whether, the one that tells best where. That
