@@ -21,8 +21,8 @@ from kinpole_ros.planar._plane import Complex, Real
 # How many frames the level is taken from, and which share of what is left may be outliers.
 KEPT = 512
 _OUTLIER = 0.1
-# A frame is an outlier whose fit leaves so many times what it leaves in all but the worst three tenths:
-# however far off they are, more than these tenths are never called so.
+# A frame is an outlier whose fit leaves so many times what it leaves in all but the worst three
+# tenths: however far off they are, more than these tenths are never called so.
 _FAR, _TAME = 9.0, 0.7
 
 

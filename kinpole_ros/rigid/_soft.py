@@ -27,7 +27,8 @@ Windows: TypeAlias = tuple[np.ndarray, np.ndarray, np.ndarray]
 _SURE = 4.0
 # Stencils one after the other by this share of their length tell of different errors.
 _INDEPENDENT = 1 / 2
-# Stencils are looked at that start this share of their length after each other: closer ones tell no more.
+# Stencils are looked at that start this share of their length after each other: closer ones tell
+# no more.
 _DISTANCE = 1 / 8
 # And so many windows before this one: it has no room for two independent stencils of its length,
 # and a variance of one degree of freedom is hardly known. Longer ago the motion may be another one.
