@@ -6,6 +6,7 @@ one after the other, so for a while they may contradict each other: then the nod
 activated.
 """
 
+from abc import ABC, abstractmethod
 from array import array
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -33,7 +34,7 @@ from kinpole_ros.ros.private import wrap_service
 _FIRST = ('bodies', 'joints')
 
 
-class SettableNode(LifecycleNode):
+class SettableNode(LifecycleNode, ABC):
     """
     A managed node with the parameters of the table as `settings`, and the `theory` they name.
 
@@ -54,13 +55,13 @@ class SettableNode(LifecycleNode):
         # While what bodies have of their own is declared.
         self._declaring = False
 
+    @abstractmethod
     def use_settings(self) -> None:
         """The settings have changed."""
-        raise NotImplementedError
 
+    @abstractmethod
     def check_settings(self, settings: Settings) -> None:
         """Raise ParameterError for settings that do not go with what the node does just now."""
-        raise NotImplementedError
 
     def let_parameters_be_set(self) -> None:
         """Check and take what is set from now on."""
