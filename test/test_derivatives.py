@@ -562,6 +562,24 @@ def test_a_body_at_rest_is_quiet_and_known_to_be() -> None:
     assert np.median(found.freedom) < 2
 
 
+@pytest.mark.parametrize('hidden', [(0.0, 0.0, 0.0), (2.4, -2.8, -1.0)])
+def test_what_a_parabola_hides_is_covered(hidden: tuple[float, ...]) -> None:
+    """Motion that is a parabola but for a few deviations, at a fourth of the window."""
+    rng = np.random.default_rng(3)
+    noise, count, ahead = 1e-3, 41, 10
+    powers = np.polynomial.legendre.legvander(np.linspace(-1, 1, count), 5)
+    parts, signs = np.linalg.qr(powers)
+    parts *= np.sign(np.diag(signs))
+    exact = noise * parts @ np.array([0.0, -500.0, 350.0, *hidden])
+    samples = exact[:, None] + noise * rng.normal(size=(3, count, 200))
+    position = samples[1] + 1j * samples[2]
+    found = derive(stamps(count), samples[0], position, noise, order=2, count=count, ahead=ahead)
+    weights = derivative_weights((np.arange(count) - (count - 1 - ahead)) * STEP * 1e-9, 5, 2)
+    off = found.angle[:, 0] - (weights @ exact)[:, None]
+    deviations = off / np.sqrt(np.einsum('kk...->k...', found.angle_covariance))[:, 0]
+    assert np.sqrt((deviations**2).mean(axis=1)).max() < 1.75
+
+
 # --- stamps, gaps, and what is missing ----------------------------------------------------------
 
 

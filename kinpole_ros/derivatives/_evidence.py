@@ -112,11 +112,11 @@ def derive(
     orders, bodies = len(stencils.modes), samples.shape[2]
     likely, weights, total = _weights(evidence.reshape(len(evidence), -1), modes.kinds)
     noisy = weights * variance.reshape(len(variance), -1)
-    # How much of each mode is motion in the mean, and how well that is known. That it rests is
-    # known no better than that it moves the least and the slowest there is.
+    # How much of each mode is motion in the mean, and how well that is known. That it is a low
+    # polynomial, or rests, is known no better than that it is a process which looks like that.
     spread = noisy.copy()
-    spread[0] += spread[-1]
-    spread[-1] = 0.0
+    spread[modes.simple] = 0.0
+    np.add.at(spread, modes.slowest, noisy[modes.simple, None] / modes.slowest.shape[1])
     mixed = mixture(modes, np.concatenate((likely, spread), axis=1))
     known = mixed[:, : 2 * bodies].reshape(-1, 2, bodies)[:, _SIGNAL]
     result = stencils.modes @ (rows.reshape(known.shape) * known).reshape(rows.shape)

@@ -232,8 +232,8 @@ def _pack_stencils(modes: Modes, stencils: Stencils) -> Real:
     """
     Stencils (K, rows) of the kernel, and then how uncertain models are.
 
-    That is the covariance of derivatives (G, K, K, _LANES) over that of the noise, of rest that of
-    the first model.
+    That is the covariance of derivatives (G, K, K, _LANES) over that of the noise, of low
+    polynomials and rest that of the processes they can hardly be told from.
     """
     spread = stencils.unseen + stencils.products[:, :2].sum(axis=1)[:, None]
     for part in modes.parts:
@@ -241,7 +241,7 @@ def _pack_stencils(modes: Modes, stencils: Stencils) -> Real:
         products = products.reshape(len(products), len(part.share), -1, 1)
         own = part.share @ products  # (K K, P, A, 1)
         spread[:, part.models] += own.reshape(len(spread), -1)
-    spread[:, -1] = spread[:, 0]
+    spread[:, modes.simple] = spread[:, modes.slowest].mean(axis=-1)
     lanes = _lanes(modes, spread.T, 0.0).swapaxes(1, 2)
     rows = _scattered(modes, stencils.modes.T).T
     return np.concatenate((rows.ravel(), lanes.ravel()))

@@ -34,6 +34,8 @@ _DEGREES = (1, 2)
 _LEAST, _AMPLITUDES, _MORE = 10.0**0.5, 7, 13
 FLAT = float(np.log(3 * _LEAST * 10.0 ** (_AMPLITUDES - 1)))
 """Logarithm of the deviation of mean and slope: three times the largest of the amplitudes."""
+# A process may look like a parabola up to this one of the amplitudes.
+_HIDDEN = 2
 # What of a process is at most this part of the noise is not seen.
 _SEEN = 1e-2
 # The processes have this part of the prior; low polynomials, the line, and rest have the other.
@@ -81,6 +83,9 @@ class Modes(NamedTuple):
     Model by model `place` (M, m) says which rows, of R and one more of zeros, it has, and `share`
     (M, m) how much of them is motion; `vectors` (R + 1, n) are the modes on all samples.
 
+    `simple` (L,) are the models that are low polynomials and rest, and `slowest` (L, spectra) those
+    of the slowest process of each spectrum that they can hardly be told from.
+
     If samples are `exact` each process has as many modes as there are samples.
     """
 
@@ -93,6 +98,8 @@ class Modes(NamedTuple):
     place: np.ndarray
     share: Real
     vectors: Real
+    simple: np.ndarray
+    slowest: np.ndarray
     exact: bool
 
 
@@ -265,7 +272,8 @@ def modes_of(count: int, block: int = 1, exact: bool = False, dense: bool = Fals
     _, root, lines = _half_window(count)
     amplitudes = _amplitudes(exact)
     rows: tuple[list[Real], list[Real]] = ([lines[0][None]], [lines[1][None]])
-    parts, kinds, priors, occam, freedom = [], [], [], [], []
+    parts, priors, occam, freedom = [], [], [], []
+    by_model: list[Process] = []
     first = models = 0
     for width, members in _layout(count, block, exact, dense):
         processes = [member.process for member in members]
@@ -287,15 +295,16 @@ def modes_of(count: int, block: int = 1, exact: bool = False, dense: bool = Fals
         some = slice(models, models + number)
         parts.append(Part(begin, 2 + first, some, share, 1 / (1 + large)))
         models += number
-        kinds += [process.spectrum for process in processes for _ in amplitudes]
-        priors += [process.prior / len(amplitudes) for process in processes for _ in amplitudes]
+        own = [process for process in processes for _ in amplitudes]
+        by_model += own
+        priors += [process.prior / len(amplitudes) for process in own]
         occam.append(-np.log1p(large).sum(axis=-1).ravel() / 2)
         freedom.append(2 + share.sum(axis=-1).ravel())
     even, odd = (np.concatenate(part) * root / 2 for part in rows)
     # Rest has no slope, and is more probable by all that this might be.
     occam.append(np.log([3 * amplitudes[-1]]))
     prior, less = np.log([*priors, _simple()]), np.concatenate(occam)
-    kind = np.array([*kinds, -1])
+    kind = np.array([*(process.spectrum for process in by_model), -1])
     return Modes(
         even,
         odd,
@@ -305,8 +314,25 @@ def modes_of(count: int, block: int = 1, exact: bool = False, dense: bool = Fals
         np.array([(kind == k) | (kind < 0) for k in range(len(SPECTRA))], float),
         *_by_model(parts, len(kind), 2 * len(even)),
         _whole(count, even, odd),
+        *_hardly_others(by_model, len(amplitudes)),
         exact,
     )
+
+
+def _hardly_others(models: list[Process], amplitudes: int) -> tuple[np.ndarray, np.ndarray]:
+    """
+    The models that are low polynomials, and rest, and which processes are hardly others.
+
+    Of parabolas these are the slowest of each spectrum, of the same amplitude up to the largest
+    that may look like one; of a line and rest it is the slowest and least of the first spectrum.
+    """
+    spectrum = np.array([*(process.spectrum for process in models), -1])
+    length = np.array([*(process.length for process in models), 1])
+    first = np.array([np.where(spectrum == k, length, 0).argmax() for k in range(len(SPECTRA))])
+    simple = (spectrum < 0).nonzero()[0]
+    curved = length[simple, None] > 1
+    amplitude = np.minimum(simple % amplitudes, _HIDDEN)[:, None]
+    return simple, np.where(curved, first + amplitude, first[0])
 
 
 def _by_model(parts: list[Part], models: int, rows: int) -> tuple[np.ndarray, Real]:
