@@ -500,7 +500,7 @@ class Shapes:
         self.limit = np.where(self._mature, self._limit, young)
         self._doubt = (self.limit**2)[:, None] * self._marker_noise.relative
         self._grip = grip_of(self.points, self._weights)
-        least = self._frames.min(where=known, initial=_MEMORY) if known.any() else 0
+        least = self._frames.min(where=known, initial=_MEMORY)
         self.beat = max(1, int(least * _BEAT))
 
     @property
