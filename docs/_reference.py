@@ -11,7 +11,7 @@ from typing import Any
 
 from kinpole_ros.linkage.theory import Theory
 from kinpole_ros.mechanism import load_scene
-from kinpole_ros.messages import result_outputs, type_name
+from kinpole_ros.messages import live_outputs, result_outputs, type_name
 from kinpole_ros.pipeline import parameters
 from kinpole_ros.tools.usage import make_parser
 
@@ -41,6 +41,7 @@ def every_topic() -> str:
     scene = load_scene('trebuchet')
     theory = Theory(scene, {}, 'a body', tuple(scene.loads))
     outputs = result_outputs(('<i>', '<j>'), 'xy', theory, {'joint': ('<i>', '<j>')})
+    outputs.append(live_outputs(parameters.Settings(), None)[-1])
     meanings = _meanings()
     rows = ['| topic | what | type | uncertainty | needs |', '| --- | --- | --- | --- | --- |']
     names = {output.topic for output in outputs}

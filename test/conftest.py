@@ -106,9 +106,9 @@ def figures(messages: Mapping[str, list[Any]]) -> dict[str, dict[int, np.ndarray
     """
     Numbers of the results under /kinpole/ by topic and stamp, less the exact ones.
 
-    A recorder that is early also hears the node's transitions, which are no results.
+    A recorder also hears what the node sends to pages and, if it is early, its transitions.
     """
-    others = ('/truth/', '/transition_event')
+    others = ('/truth/', '/transition_event', '/view')
     return {
         topic: {stamp_of(message): np.array(list(numbers(message))) for message in listed}
         for topic, listed in messages.items()

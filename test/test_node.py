@@ -31,7 +31,16 @@ from std_srvs.srv import Trigger
 from visualization_msgs.msg import Marker, MarkerArray
 
 from kinpole_ros.bags import BagError, BagWriter, read_messages, replay
-from kinpole_ros.messages import MARKER_TYPES, WITH_TF, read_markers, stamp_to_ns, to_message
+from kinpole_ros.messages import (
+    MARKER_TYPES,
+    VIEW,
+    WITH_TF,
+    Output,
+    live_outputs,
+    read_markers,
+    stamp_to_ns,
+    to_message,
+)
 from kinpole_ros.pipeline.estimate import Estimate
 from kinpole_ros.pipeline.frame import MarkerFrames
 from kinpole_ros.pipeline.parameters import PARAMETERS, Settings
@@ -860,3 +869,43 @@ def test_nothing_is_computed_that_nobody_subscribes_to(
     finally:
         node.destroy_node()
         rclpy.try_shutdown()
+
+
+def test_what_pages_show_is_computed_30_times_a_second_and_after_all_else_is_sent(
+    node: KinpoleNode, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked, sent, now = [], [], 100.0
+
+    class Scripted(Tracker):
+        def add(self, frames: MarkerFrames, order: int | None) -> list[Any]:
+            asked.append(order)
+            return [] if order is None else ['figures']
+
+    def build(estimate: Any) -> Any:
+        return [0], [estimate]
+
+    class Sent:
+        def __init__(self, topic: str) -> None:
+            self.publish = lambda data: sent.append(topic)
+
+    view = live_outputs(node.settings, None)[-1]
+    assert view.topic == VIEW
+    monkeypatch.setattr('kinpole_ros.ros.node.time.monotonic', lambda: now)
+    frames = MarkerFrames(np.zeros(1, np.int64), 'world', ('a',), np.zeros((1, 1, 3)))
+    monkeypatch.setattr(node.source, 'take', lambda *_: ([frames], 1, 0))
+    monkeypatch.setattr(node, '_tracker', Scripted(node.settings))
+    for read, order in (([], None), ([Output('odom', Odometry, 1, build)], 1)):
+        asked.clear()
+        monkeypatch.setattr(node, '_view_due', 0.0)
+        monkeypatch.setattr(node, '_wanted', [(row, Sent(row.topic)) for row in read])
+        monkeypatch.setattr(node, '_viewed', [(view._replace(build=build), Sent(VIEW))])
+        # A second of frames at 200 Hz.
+        for _ in range(200):
+            now += 0.005
+            node._on_markers(b'', {})
+        assert 25 <= asked.count(4) <= 30
+        assert set(asked) == {4, order}
+        assert sent.count(VIEW) == asked.count(4)
+        assert sent.count('odom') == (200 if read else 0)
+        assert sent[:2] == (['odom', VIEW] if read else [VIEW, VIEW])
+        sent.clear()

@@ -20,16 +20,17 @@ import pytest
 from rclpy.node import Node
 from test_report import BLUE, GREEN, RED, browser, cell, colored
 
-from kinpole_ros.bags import read_messages, replay
+from kinpole_ros.bags import BagWriter, read_messages, replay
+from kinpole_ros.messages import VIEW, String, live_outputs, serialize_message, view_of
+from kinpole_ros.pipeline.estimate import POLE_NAMES, RATE_NAMES, Estimate
 from kinpole_ros.pipeline.parameters import load_settings
+from kinpole_ros.rigid.plane import XY
 from kinpole_ros.ros.live import own_context, play
 from kinpole_ros.ros.watch import Arrived
 from kinpole_ros.tools.cli import main
-from kinpole_ros.tools.plot import plane_of_motion, row_of
 from kinpole_ros.tools.report import page as page_of
-from kinpole_ros.tools.report._results import read_record
 from kinpole_ros.tools.view._feed import Feed
-from kinpole_ros.tools.view._figures import as_json, common_instant, figures_of, rig_of, stamp_of
+from kinpole_ros.tools.view._figures import frame_of
 from kinpole_ros.tools.view._known import Known
 from kinpole_ros.tools.view._live import Live
 from kinpole_ros.tools.view._server import serving
@@ -89,79 +90,133 @@ def test_a_slow_page_gets_the_newest_and_misses_the_rest() -> None:
     feed = Feed()
     feed.put('rig', '0')
     feed.put('frame', 'old')
-    events = feed.events(['icr'], 'rig')
+    events = feed.events('rig')
     # What lasts is told anew, what was of its moment is not.
     assert next(events) == b'event: rig\ndata: 0\n\n'
     for number in range(1000):
         feed.put('frame', str(number))
     assert next(events) == b'event: frame\ndata: 999\n\n'
-    other = feed.events(['iap', 'relative'], 'rig')
+    other = feed.events('rig')
     next(other)
-    assert feed.shown() == {'icr', 'iap', 'relative'}
     events.close()
-    assert feed.shown() == {'iap', 'relative'}
+    assert feed.wait_for_page(0.0)
     feed.close()
     assert list(other) == []
-    assert feed.shown() is None
+    assert not feed.wait_for_page(0.0)
 
 
 # ---- The figures ----
 
 
-def test_the_instant_is_the_newest_that_most_topics_tell_of() -> None:
-    pose = ['a/odom', 'b/odom']
-    stamps = {'a/odom': [1, 2, 3], 'b/odom': [1, 2, 3], 'a/icr': [1, 2], 'b/icr': [1, 2]}
-    # Those of 3 are still on their way.
-    assert common_instant(stamps, pose, None) == 2
-    assert common_instant(stamps, pose, 2) is None
-    stamps = {name: [2, 3] for name in stamps}
-    assert common_instant(stamps, pose, 2) == 3
-    # A pole that is no longer determined, and a clock that steps back.
-    assert common_instant({**stamps, 'a/icr': [1]}, pose, 2) == 3
-    assert common_instant({name: [9, 1, 2] for name in stamps}, pose, 9) == 2
-    assert common_instant({}, pose, None) is None
+@pytest.fixture(scope='module')
+def estimates() -> list[Estimate]:
+    """What a node estimates of the four-bar."""
+    found: list[Estimate] = []
+    replay(BAG, load_settings(ROOT / 'config' / 'four_bar.yaml'), take=found.append)
+    return found
 
 
 @pytest.fixture(scope='module')
-def results(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """What a node tells of the four-bar, as a bag."""
+def results(estimates, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """What a node sends to pages, and its diagnostics, as a bag."""
     output = tmp_path_factory.mktemp('view') / 'results.mcap'
-    replay(BAG, load_settings(ROOT / 'config' / 'four_bar.yaml'), output)
+    replayed = output.with_name('replayed.mcap')
+    settings = load_settings(ROOT / 'config' / 'four_bar.yaml')
+    replay(BAG, settings, replayed)
+    made = [
+        (stamp, f'/kinpole/{VIEW}', String, message(view_of(block[k], XY)))
+        for block in estimates
+        for k, stamp in enumerate(block.stamp.tolist())
+    ]
+    others = read_messages(replayed, ['/diagnostics', '/kinpole/visualization'])
+    made += [(m.log_time, m.topic, m.type_name, m.data) for m in others]
+    with BagWriter(output) as writer:
+        for log_time, topic, kind, data in sorted(made, key=lambda row: row[0]):
+            writer.write_raw(topic, kind, data, log_time)
     return output
 
 
-def test_figures_are_those_of_a_report_of_the_same_messages(results) -> None:
-    record, _ = read_record(results, lambda _: 10_000)
-    kinds, stamped = messages_of(results)
-    rig, messages = rig_of('/kinpole', kinds), stamped[110]
-    assert rig.bodies == ('crank', 'coupler', 'rocker')
-    poses = [row_of(kinds[pose], messages[pose]) for pose in rig.poses]
-    found = figures_of(rig, messages, plane_of_motion(np.array(poses)))
-    for key, values in record.columns.items():
-        if key in found and np.isfinite(values[110]).all():
-            np.testing.assert_allclose(
-                found[key], values[110], rtol=1e-9, atol=1e-12, err_msg=str(key)
-            )
-    assert {name for _, name in found} >= {'isp', 'angular_snap_sigma', 'icr_velocity_covariance'}
+def test_figures_are_those_of_the_estimate_and_no_more(estimates) -> None:
+    block, k = estimates[-1], -1
+    settings = load_settings(ROOT / 'config' / 'four_bar.yaml')
+    when, (data,) = live_outputs(settings, None)[-1].build(block)
+    assert when == [len(block) - 1]
+    frame = frame_of(data)
+    assert frame.stamp == block.stamp[k]
+    assert frame.rig.bodies == ('crank', 'coupler', 'rocker')
+    withheld = 0
+    for b, body in enumerate(frame.bodies):
+        assert body is not None
+        place = block.origin(0)[k, b]
+        np.testing.assert_allclose([body['x'], body['y']], [place.real, place.imag], rtol=1e-6)
+        for order, (rate, pole) in enumerate(zip(RATE_NAMES, POLE_NAMES, strict=True), 1):
+            value, variance, _ = (part[k, b] for part in block.rate(order))
+            np.testing.assert_allclose(body[rate], [value, np.sqrt(variance)], rtol=1e-6)
+            value, covariance, known = (part[k, b] for part in block.pole(order))
+            assert known == (body[pole] is not None)
+            withheld += not known
+            if known:
+                x, y, major, minor, direction = body[pole]
+                turn = np.exp(1j * direction)
+                axes = np.array([[turn.real, -turn.imag], [turn.imag, turn.real]])
+                ellipse = axes @ np.diag([major**2, minor**2]) @ axes.T
+                np.testing.assert_allclose([x, y], [value.real, value.imag], rtol=1e-6)
+                least = 1e-6 * np.trace(covariance)
+                np.testing.assert_allclose(ellipse, covariance, atol=least)
+        assert (body['centrode_curvature'] is not None) == block.centrode_curvature.determined[k, b]
+    assert withheld
+    for center, value in zip(frame.pairs, block.relative_icr.value[k], strict=True):
+        assert center is not None
+        np.testing.assert_allclose(center[:2], [value.real, value.imag], rtol=1e-6)
+
+
+def message(said: Any) -> bytes:
+    return serialize_message(String(data=said if isinstance(said, str) else json.dumps(said)))
+
+
+def test_what_is_no_message_to_pages_is_refused(estimates) -> None:
+    good = view_of(estimates[0][0], XY)
+    frame_of(message(good))
+
+    def with_body(**figures: Any) -> dict[str, Any]:
+        return {**good, 'bodies': [{**good['bodies'][0], **figures}, *good['bodies'][1:]]}
+
+    wrong: list[Any] = [
+        '{',
+        '[' * 10_000,
+        '3',
+        '[]',
+        {**good, 'stamp': -1},
+        {**good, 'stamp': 1e300},
+        {**good, 'along': ['x']},
+        {**good, 'bodies': 3},
+        {**good, 'pairs': [{'bodies': ['crank', 'nobody'], 'icr': None}]},
+        with_body(x='here'),
+        with_body(x=float('nan')),
+        with_body(icr=[1.0, 2.0]),
+        with_body(icr=3.0),
+        with_body(outline=[[1.0]]),
+        with_body(size=None),
+    ]
+    for said in wrong:
+        with pytest.raises(ValueError):
+            frame_of(message(said))
 
 
 class Scripted:
     """Stands for the watcher: nodes that are there, and what came from them."""
 
-    def __init__(self, kinds: dict[str, str], names: Sequence[str] = ('/kinpole',)) -> None:
-        self._nodes = {
-            name: {topic.replace('/kinpole', name): kind for topic, kind in kinds.items()}
-            for name in names
-        }
+    def __init__(self, names: Sequence[str] = ('/kinpole',)) -> None:
+        self._nodes = list(names)
         self.newest: dict[str, deque[Any]] = {}
 
-    def nodes(self) -> dict[str, dict[str, str]]:
+    def nodes(self) -> list[str]:
         return self._nodes
 
     def want(self, topics: dict[str, str]) -> None:
         self.newest = {topic: self.newest.get(topic, deque(maxlen=4)) for topic in topics}
 
-    def take(self) -> None:
+    def wait(self, seconds: float) -> None:
         pass
 
 
@@ -172,18 +227,18 @@ class Told:
         self.rigs: list[dict[str, Any]] = []
         self.frames: list[dict[str, Any]] = []
 
-    def shown(self) -> frozenset[str]:
-        return frozenset()
+    def wait_for_page(self, seconds: float) -> bool:
+        return True
 
     def put(self, kind: str, data: str) -> None:
         (self.rigs if kind == 'rig' else self.frames).append(json.loads(data))
 
 
 def live_of(watcher: Scripted, chosen: str = '') -> tuple[Live, Told]:
-    """What shows a node of the watcher, with words about it told."""
+    """What shows a node of the watcher, with how things stand told."""
     told = Told()
     live = Live(cast(Any, watcher), cast(Any, told), chosen)
-    step_until(live, lambda: [rig for rig in told.rigs if 'bodies' in rig or chosen == 'none'])
+    live.step()
     return live, told
 
 
@@ -195,43 +250,40 @@ def step_until(live: Live, condition: Callable[[], Any]) -> None:
 
 
 def test_what_is_no_message_is_told_of_and_what_follows_is_shown(results) -> None:
-    kinds, stamped = messages_of(results)
-    watcher = Scripted(kinds)
+    watcher = Scripted()
     live, told = live_of(watcher)
-    poses = watcher.newest['/kinpole/crank/odom']
-    good = stamped[0]['/kinpole/crank/odom']
+    assert told.rigs[-1]['waiting'].startswith('/kinpole is there, and has no results yet')
+    arrived = watcher.newest[f'/kinpole/{VIEW}']
+    good = sent_to_pages(results)[0]
     for data in (b'', good[:40], b'\0\1' + bytes(30)):
-        poses.append(Arrived(data, 0))
+        arrived.append(Arrived(data, 0))
         live.step()
-        poses.clear()
+    step_until(live, lambda: 'cannot be read' in told.rigs[-1]['waiting'])
+    assert told.frames == []
+    arrived.append(Arrived(good, 0))
+    live.step()
+    assert told.rigs[-1]['title'] == '/kinpole'
+    assert [body is not None for body in told.frames[0]['bodies']] == [True, True, True]
+    arrived.append(Arrived(good[:40], 0))
     step_until(live, lambda: told.rigs[-1]['notes'])
     assert told.rigs[-1]['notes'][0].startswith('a message cannot be read: ')
-    assert told.frames == []
-    poses.append(Arrived(good, 0))
-    live.step()
-    assert [body is not None for body in told.frames[0]['bodies']] == [True, False, False]
 
 
 def test_of_several_nodes_the_chosen_one_is_shown_and_others_are_named(results) -> None:
-    kinds, _ = messages_of(results)
-    watcher = Scripted(kinds, ('/a/kinpole', '/b/kinpole'))
+    data = sent_to_pages(results)[0]
     for chosen, shown in (('', 'a'), ('b', 'b'), ('/b/kinpole/', 'b'), ('b/kinpole/crank', 'b')):
-        _, told = live_of(watcher, chosen)
+        watcher = Scripted(('/a/kinpole', '/b/kinpole'))
+        live, told = live_of(watcher, chosen)
+        watcher.newest[f'/{shown}/kinpole/{VIEW}'].append(Arrived(data, 0))
+        live.step()
         assert told.rigs[-1]['title'] == f'/{shown}/kinpole'
         assert ('/b/kinpole' in told.rigs[-1]['about']) == (not chosen)
     _, told = live_of(watcher, 'none')
     assert 'under /none ' in told.rigs[-1]['waiting']
 
 
-def messages_of(results: Path) -> tuple[dict[str, str], list[dict[str, bytes]]]:
-    """Types by topic, and the messages of figures, instant by instant."""
-    kinds: dict[str, str] = {}
-    stamped: dict[int, dict[str, bytes]] = {}
-    for message in read_messages(results):
-        kinds[message.topic] = message.type_name
-        if message.type_name.startswith(('geometry_msgs', 'nav_msgs/msg/Odometry')):
-            stamped.setdefault(stamp_of(message.data), {})[message.topic] = message.data
-    return kinds, [stamped[stamp] for stamp in sorted(stamped)]
+def sent_to_pages(results: Path) -> list[bytes]:
+    return [message.data for message in read_messages(results, [f'/kinpole/{VIEW}'])]
 
 
 # ---- In a browser ----
@@ -326,15 +378,13 @@ def test_page_waits_for_a_node_shows_it_and_asks_for_no_more(browser, results, w
                 assert colored(page, '[data-name=angular_velocity] canvas', color) > 20
             value, spread = cell(page, 'angular_velocity', 0).split('±')
             assert abs(float(value) - 2 * np.pi) < 3 * float(spread) < 0.3
-            # What is not shown is not asked for.
-            await_readers(watcher, '/kinpole/rocker/icr/with_covariance', True)
-            assert not watcher.count_subscribers('/kinpole/rocker/angular_jerk')
+            # One topic is asked for, whatever is shown.
+            await_readers(watcher, f'/kinpole/{VIEW}', True)
             page.locator('#rates button', has_text='jerk').click()
-            await_readers(watcher, '/kinpole/rocker/angular_jerk', True)
             page.locator('#now [data-name=angular_jerk] td', has_text='±').first.wait_for()
             # The last seconds can be looked through, and nothing is asked for meanwhile.
             page.keyboard.press('l')
-            await_readers(watcher, '/kinpole/rocker/odom', False)
+            await_readers(watcher, f'/kinpole/{VIEW}', False)
             held = seconds(page)
             page.keyboard.press('Shift+ArrowLeft')
             page.wait_for_function(
@@ -348,7 +398,7 @@ def test_page_waits_for_a_node_shows_it_and_asks_for_no_more(browser, results, w
             await_motion(page)
             page.locator('#about', has_text='markers at').wait_for()
         tab.close()
-        await_readers(watcher, '/kinpole/rocker/odom', False)
+        await_readers(watcher, f'/kinpole/{VIEW}', False)
         view.send_signal(signal.SIGTERM)
         assert view.wait(LIMIT) == 0
 
@@ -356,24 +406,24 @@ def test_page_waits_for_a_node_shows_it_and_asks_for_no_more(browser, results, w
 def test_page_goes_on_when_the_server_is_back_and_begins_anew_with_other_bodies(
     browser, results
 ) -> None:
-    kinds, stamped = messages_of(results)
-    rig = rig_of('/kinpole', kinds)
-    known, port = Known(rig), 0
+    known, port = Known('/kinpole'), 0
     with ExitStack() as closing:
-        for messages, at in zip(stamped[50:], (0.5, 1.25), strict=False):
+        for data, at in zip(sent_to_pages(results)[50:], (0.5, 1.25), strict=False):
+            frame = frame_of(data)
+            known.add(frame)
             feed = Feed()
             with served(feed, port) as address:
                 if not port:
                     port = int(re.findall(r':(\d+)/', address)[0])
                     page = closing.enter_context(opened(browser, address))
                 feed.wait_for_page(LIMIT)
-                feed.put('rig', known.as_json(0.0, []))
-                feed.put('frame', as_json(rig, known.figures(messages), at, 0))
+                feed.put('rig', known.as_json(frame.rig, 0.0, []))
+                feed.put('frame', frame.as_json(at, 0))
                 page.locator('#clock', has_text=f't = {at:.3f} s').wait_for()
                 assert page.locator('#state').inner_text() == ''
                 if at > 1:
                     # A node with other bodies is another page.
-                    other = Known(rig._replace(bodies=('rod',), pairs=()))
-                    feed.put('rig', other.as_json(0.0, []))
+                    other = frame.rig._replace(bodies=('rod',), pairs=())
+                    feed.put('rig', known.as_json(other, 0.0, []))
                     page.locator('#bodies', has_text='rod').wait_for()
             page.locator('#state', has_text='disconnected').wait_for()

@@ -37,6 +37,7 @@ from kinpole_ros.messages._types import (
     WITH_ROS,
     WITH_TF,
     DiagnosticArray,
+    String,
     constants,
     deserialize_message,
     fields,
@@ -44,6 +45,7 @@ from kinpole_ros.messages._types import (
     serialize_message,
     type_name,
 )
+from kinpole_ros.messages._view import VIEW, live_outputs, view_of
 
 __all__ = [
     'AUTO_TYPES',
@@ -55,6 +57,7 @@ __all__ = [
     'ROS_TYPE_NAMES',
     'SMOOTHED',
     'TF',
+    'VIEW',
     'WITH_ROS',
     'WITH_TF',
     'DiagnosticArray',
@@ -63,6 +66,7 @@ __all__ = [
     'MessageError',
     'Output',
     'PoseReader',
+    'String',
     'constants',
     'deserialize_message',
     'diagnostics_data',
@@ -71,6 +75,7 @@ __all__ = [
     'jitter_fault',
     'kind_of',
     'left_out',
+    'live_outputs',
     'marker_faults',
     'message_class',
     'not_there',
@@ -90,4 +95,5 @@ __all__ = [
     'type_name',
     'unit_fault',
     'unseen',
+    'view_of',
 ]

@@ -50,13 +50,15 @@ class Output(NamedTuple):
 
     `order` is the highest derivative it needs. `build` makes the messages of an estimate's
     instants: the indices of instants, in order, and a serialized message for each. There is none of
-    an instant at which nothing is determined, or nothing due to be drawn.
+    an instant at which nothing is determined, or nothing due to be drawn. What people look at is
+    built every so many seconds at most, `every`, of the clock on the wall; all else of every frame.
     """
 
     topic: str
     message_type: type
     order: int
     build: Build
+    every: float = 0.0
 
     def under(self, node: str) -> str:
         """The whole name of the topic, of a node of this name; one of all nodes has its own."""

@@ -32,7 +32,7 @@ if WITH_ROS or TYPE_CHECKING:
     )
     from nav_msgs.msg import Odometry, Path
     from sensor_msgs.msg import JointState, PointCloud2, PointField
-    from std_msgs.msg import ColorRGBA, Header
+    from std_msgs.msg import ColorRGBA, Header, String
     from visualization_msgs.msg import Marker, MarkerArray
 
     from kinpole_ros.messages._rosidl import (
@@ -65,6 +65,7 @@ else:
         PoseArray,
         PoseStamped,
         PoseWithCovarianceStamped,
+        String,
         TFMessage,
         Time,
         Vector3,
@@ -98,6 +99,7 @@ __all__ = [
     'PoseArray',
     'PoseStamped',
     'PoseWithCovarianceStamped',
+    'String',
     'TFMessage',
     'Time',
     'Vector3',

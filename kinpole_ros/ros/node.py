@@ -33,8 +33,8 @@ from kinpole_ros.messages import (
     DiagnosticsMaker,
     MessageError,
     Output,
+    live_outputs,
     nothing_drawn,
-    outputs_of,
 )
 from kinpole_ros.pipeline.estimate import Estimate
 from kinpole_ros.pipeline.frame import MarkerFrames, part_of
@@ -81,6 +81,9 @@ class KinpoleNode(SettableNode):
         self._outputs: list[tuple[Output, Any]] = []
         # Those that somebody reads, looked up now and then: it takes 0.6 us each.
         self._wanted: list[tuple[Output, Any]] = []
+        # Those that people look at, and when the next is due.
+        self._viewed: list[tuple[Output, Any]] = []
+        self._view_due = 0.0
         self._publishers_made: dict[str, Any] = {}
         self._amid_markers = False
         # Of the frames since the last diagnostics.
@@ -216,7 +219,7 @@ class KinpoleNode(SettableNode):
     def _make_outputs(self) -> None:
         outputs = [
             output
-            for output in outputs_of(self.settings, self.theory)
+            for output in live_outputs(self.settings, self.theory)
             if output.topic != TF or self.settings.publish_tf
         ]
         self._drop_outputs([output.topic for output in outputs])
@@ -248,7 +251,7 @@ class KinpoleNode(SettableNode):
         for publisher in going:
             self.destroy_lifecycle_publisher(publisher)
         self._outputs = []
-        self._wanted = []
+        self._note_readers()
 
     def _take_drawings_away(self) -> None:
         """Viewers keep what was drawn until a message deletes it."""
@@ -258,7 +261,9 @@ class KinpoleNode(SettableNode):
             publisher.publish(nothing_drawn(int(drawn.stamp[-1]), drawn.frame_id))
 
     def _note_readers(self) -> None:
-        self._wanted = [row for row in self._outputs if row[1].get_subscription_count()]
+        read = [row for row in self._outputs if row[1].get_subscription_count()]
+        self._wanted = [row for row in read if not row[0].every]
+        self._viewed = [row for row in read if row[0].every]
 
     def _look(self) -> None:
         """See who is there, to read and to be read."""
@@ -272,9 +277,12 @@ class KinpoleNode(SettableNode):
     def _on_markers(self, message: bytes, info: Mapping[str, Any]) -> None:
         """Take all that waits at once: what is behind catches up, and loses the oldest first."""
         self._amid_markers = True
-        order = max((output.order for output, _ in self._wanted), default=None)
+        now = time.monotonic()
+        viewed = self._viewed if now >= self._view_due else []
+        order = max((output.order for output, _ in (*self._wanted, *viewed)), default=None)
         read, messages, dropped = self.source.take(message, info)
         self._tracker.counts['dropped'] += dropped
+        last: Estimate | None = None
         # On /tf there may be none of ours among them.
         if read and messages >= _BEHIND and not self.source.lossless:
             read = self._newest_last(read)
@@ -286,14 +294,12 @@ class KinpoleNode(SettableNode):
             self._stamps.extend(frames.stamps.tolist())
             for estimate in self._tracker.add(frames, order):
                 self._latest = self._drawn = estimate
-                # All are made before the first goes out: its readers wake, and take the core.
-                made = [
-                    (publisher, data)
-                    for output, publisher in self._wanted
-                    for data in output.build(estimate)[1]
-                ]
-                for publisher, data in made:
-                    publisher.publish(data)
+                _publish(self._wanted, estimate)
+                last = estimate
+        # Nobody else waits for what people look at.
+        if viewed and last is not None:
+            _publish(viewed, last)
+            self._view_due = now + max(output.every for output, _ in viewed)
         self._tracker.settle()
         self._amid_markers = False
 
@@ -372,6 +378,15 @@ class KinpoleNode(SettableNode):
         self._tracker.counts['failures'] += 1
         text = ' '.join(str(error).split())
         self._note('failure', f'the node failed ({type(error).__name__}: {text}) and {what}')
+
+
+def _publish(outputs: Sequence[tuple[Output, Any]], estimate: Estimate) -> None:
+    """All are made before the first goes out: its readers wake, and take the core."""
+    made = [
+        (publisher, data) for output, publisher in outputs for data in output.build(estimate)[1]
+    ]
+    for publisher, data in made:
+        publisher.publish(data)
 
 
 def _let_arrive(publishers: Sequence[Any]) -> None:

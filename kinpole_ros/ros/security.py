@@ -10,7 +10,7 @@ from dataclasses import replace
 from xml.sax.saxutils import escape, quoteattr
 
 from kinpole_ros.linkage.theory import load_theory
-from kinpole_ros.messages import TF, outputs_of
+from kinpole_ros.messages import TF, live_outputs
 from kinpole_ros.pipeline.parameters import ParameterError, Settings, load_settings
 
 # Of every node, or every managed one, by rclpy; and one of its own.
@@ -40,7 +40,7 @@ def permitted(settings: Settings) -> dict[str, list[str]]:
     are publish, subscribe and reply. Raises ParameterError as load_theory does.
     """
     # Of all orders, since derivative_order may be set while the node runs.
-    outputs = outputs_of(replace(settings, derivative_order=4), load_theory(settings))
+    outputs = live_outputs(replace(settings, derivative_order=4), load_theory(settings))
     results = [o.under('~') for o in outputs if o.topic != TF or settings.publish_tf]
     return {
         'publish': sorted([*_PUBLISHED, *results]),

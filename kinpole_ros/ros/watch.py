@@ -16,14 +16,14 @@ from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.subscription import Subscription
 
-from kinpole_ros.bags import message_class
+from kinpole_ros.bags import message_class, type_name
+from kinpole_ros.messages import DRAWING, VIEW, String
 from kinpole_ros.ros.live import starting
-from kinpole_ros.ros.private import take
+from kinpole_ros.ros.private import take, wait_for_messages
 from kinpole_ros.ros.process import start_ros
 
-# Of one topic. What comes between two looks is not missed, so long as one is at one instant still.
+# Of one topic: what comes between two looks.
 _DEPTH = 4
-_ODOMETRY = 'nav_msgs/msg/Odometry'
 
 
 class Arrived(NamedTuple):
@@ -46,24 +46,17 @@ class Watcher:
         self.want({})
         self._node.destroy_node()
 
-    def nodes(self) -> dict[str, dict[str, str]]:
-        """
-        Nodes that publish results now, by full name, with all topics under it and their types.
-
-        Exact answers of simulate are no node's.
-        """
-        kinds = {name: types[0] for name, types in self._node.get_topic_names_and_types()}
-        found: dict[str, dict[str, str]] = {}
-        for topic, kind in kinds.items():
-            body, _, last = topic.rpartition('/')
-            node = body.rpartition('/')[0]
-            ours = kind == _ODOMETRY and last == 'odom' and f'{body}/icr_velocity' in kinds
-            if not ours or not node or node.endswith('/truth') or node in found:
-                continue
+    def nodes(self) -> list[str]:
+        """Full names of nodes that publish what pages show, now."""
+        kinds = dict(self._node.get_topic_names_and_types())
+        found = []
+        for topic, types in kinds.items():
+            node, _, last = topic.rpartition('/')
+            ours = last == VIEW and types == [type_name(String)] and f'{node}/{DRAWING}' in kinds
             # A topic is listed that is but listened to.
-            if self._node.count_publishers(topic):
-                found[node] = {t: kind for t, kind in kinds.items() if t.startswith(f'{node}/')}
-        return found
+            if ours and self._node.count_publishers(topic):
+                found.append(node)
+        return sorted(found)
 
     def want(self, topics: Mapping[str, str]) -> None:
         """Listen to these topics, of these types, and no others."""
@@ -83,8 +76,9 @@ class Watcher:
                 raw=True,
             )
 
-    def take(self) -> None:
-        """Take what has come; never waits."""
+    def wait(self, seconds: float) -> None:
+        """Wait so long for messages, and take them."""
+        wait_for_messages(self._node, list(self._subscriptions.values()), seconds)
         for name, subscription in self._subscriptions.items():
             for data, info in take(subscription, _DEPTH):
                 self.newest[name].append(Arrived(data, info['source_timestamp']))

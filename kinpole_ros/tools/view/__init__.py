@@ -1,8 +1,8 @@
 """
 The page of a report, live: what a node publishes, 30 times a second, in a browser on this machine.
 
-Only what pages show is subscribed to, and only while one is open: a topic that nobody reads costs
-the node nothing.
+One topic of the node is for pages, and it is subscribed to only while one is open: what nobody
+reads costs the node nothing.
 """
 
 import os

@@ -5,20 +5,20 @@ A page that is slow misses what it was too late for, so nothing piles up.
 """
 
 import threading
-from collections.abc import Collection, Iterator
+from collections.abc import Iterator
 
 # s. What has nothing to say says so, which finds out whether the page is still there.
 _SILENCE = 1.0
 
 
 class Feed:
-    """Events by kind, for pages that each say which figures they show."""
+    """Events by kind, for the pages that are open."""
 
     def __init__(self) -> None:
         self._condition = threading.Condition()
         # By kind: its number, and its bytes as they are sent.
         self._events: dict[str, tuple[int, bytes]] = {}
-        self._pages: dict[object, frozenset[str]] = {}
+        self._pages = 0
         self._count = 0
         self._closed = False
 
@@ -29,15 +29,10 @@ class Feed:
             self._events[kind] = self._count, f'event: {kind}\ndata: {data}\n\n'.encode()
             self._condition.notify_all()
 
-    def shown(self) -> frozenset[str] | None:
-        """The figures that any page shows; None without a page."""
+    def wait_for_page(self, seconds: float) -> bool:
+        """So long, until there is a page; whether there is one."""
         with self._condition:
-            return frozenset().union(*self._pages.values()) if self._pages else None
-
-    def wait_for_page(self, seconds: float) -> None:
-        """So long, until there is a page."""
-        with self._condition:
-            self._condition.wait_for(lambda: self._pages, seconds)
+            return self._condition.wait_for(lambda: self._pages > 0, seconds)
 
     def close(self) -> None:
         """Have all pages' events end."""
@@ -45,16 +40,15 @@ class Feed:
             self._closed = True
             self._condition.notify_all()
 
-    def events(self, shown: Collection[str], lasting: str) -> Iterator[bytes]:
+    def events(self, lasting: str) -> Iterator[bytes]:
         """
-        Events for a page that shows these figures, as they come, until the feed is closed.
+        Events for a page, as they come, until the feed is closed.
 
         Of the kind `lasting` what was told before too: all else is of its moment.
         """
-        page = object()
         with self._condition:
             seen = {kind: n for kind, (n, _) in self._events.items() if kind != lasting}
-            self._pages[page] = frozenset(shown)
+            self._pages += 1
             self._condition.notify_all()
 
         def news() -> list[str]:
@@ -71,4 +65,4 @@ class Feed:
                 yield data or b':\n\n'
         finally:
             with self._condition:
-                del self._pages[page]
+                self._pages -= 1

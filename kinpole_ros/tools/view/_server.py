@@ -13,7 +13,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from typing import Any
-from urllib.parse import parse_qs, urlsplit
+from urllib.parse import urlsplit
 
 from kinpole_ros.bags import BagError
 from kinpole_ros.tools.view._feed import Feed
@@ -75,19 +75,19 @@ def _handler(feed: Feed, page: bytes, token: str) -> type[BaseHTTPRequestHandler
             if host not in _OURS or not secrets.compare_digest(given.encode(), token.encode()):
                 self._answer(403, 'text/plain', b'Open the address that kinpole view printed.\n')
             elif name == 'stream':
-                self._stream(parse_qs(where.query).get('show', [''])[0].split(','))
+                self._stream()
             elif not name:
                 self._answer(200, 'text/html', page)
             else:
                 self._answer(404, 'text/plain', b'There is nothing here.\n')
 
-        def _stream(self, shown: list[str]) -> None:
+        def _stream(self) -> None:
             self.connection.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _UNREAD)
             self._begin(200, 'text/event-stream')
             # ms until a page that lost its stream asks for it again.
             self.wfile.write(b'retry: 500\n\n')
             with suppress(OSError):  # the page is gone, or sleeps
-                for data in feed.events(shown, LASTING):
+                for data in feed.events(LASTING):
                     self.wfile.write(data)
 
         def _answer(self, status: int, kind: str, body: bytes) -> None:

@@ -2,7 +2,7 @@
 
 // Instants that are kept, and the time (s) that charts show of them.
 const [KEPT, SPAN] = [300, 10];
-// What is not asked for until the reader wants it: each costs the node.
+// What is not shown until the reader wants it.
 const CHOSEN = [...RATES.slice(1), 'icr_velocity', 'centrode_curvature'];
 const UNASKED = [...POLES.slice(1), ...CHOSEN, 'relative'];
 // Instants after which the picture is made to hold all that moved, and figures and charts are drawn:
@@ -16,7 +16,6 @@ function watch() {
   dataset.live = 'waiting';
   by('title').textContent = 'kinpole view';
   let [actions, data, source] = [null, null, null];
-  let off = new Set(UNASKED);
   let [following, count] = [true, 0];
   by('live').onclick = () => follow(!following);
   // A page that nobody sees asks for nothing.
@@ -35,7 +34,7 @@ function watch() {
     source?.close();
     source = null;
     if (!following || document.hidden) return;
-    source = new EventSource(`stream?show=${shown(off).join()}`);
+    source = new EventSource('stream');
     source.addEventListener('rig', (event) => onRig(JSON.parse(event.data)));
     source.addEventListener('frame', (event) => onFrame(JSON.parse(event.data)));
     source.onopen = () => tell('');
@@ -79,10 +78,7 @@ function watch() {
     data = { ...prepare(emptyRecord(rig)), names, begin: -SPAN };
     by('title').textContent = rig.title;
     dataset.live = 'yes';
-    actions = makePage(data, off, { moved: () => follow(false), toggled: () => {
-      off = actions.page.off;
-      connect();
-    } });
+    actions = makePage(data, UNASKED, () => follow(false));
     actions.page.k = KEPT - 1;
     actions.whole();
     dataset.ready = 'yes';
@@ -100,13 +96,6 @@ function watch() {
     // For whoever measures how late it is.
     requestAnimationFrame(() => { dataset.published = frame.published; });
   }
-}
-
-// The figures that are to be asked for: a centrode is made of ICRs.
-function shown(off) {
-  const found = [...POLES, ...CHOSEN, 'relative'].filter((name) => !off.has(name));
-  if (!(off.has('fixed') && off.has('moving'))) found.push('icr');
-  return [...new Set(found)];
 }
 
 const OF_POINT = ['x', 'y', 'a', 'b', 'd'];

@@ -3,8 +3,8 @@
 const PACES = [0.01, 0.02, 0.05, 0.1, 0.25, 0.5, 1, 2, 5, 10];
 const by = (id) => document.getElementById(id);
 
-// `hooks` are called when the reader moves the cursor, and when something is shown or no longer.
-function makePage(data, off = HIDDEN, hooks = { moved() {}, toggled() {} }) {
+// `off` is what is not shown at first; `moved` is called when the reader moves the cursor.
+function makePage(data, off = HIDDEN, moved = () => {}) {
   const page = {
     k: 0, playing: false, pace: 1, range: [data.begin, data.end], hidden: new Set(),
     off: new Set(off), printing: false,
@@ -41,7 +41,7 @@ function makePage(data, off = HIDDEN, hooks = { moved() {}, toggled() {} }) {
   }
 
   function goTo(k) {
-    hooks.moved();
+    moved();
     page.k = Math.min(data.n - 1, Math.max(0, k));
     time = data.t[page.k];
     redraw();
@@ -51,7 +51,7 @@ function makePage(data, off = HIDDEN, hooks = { moved() {}, toggled() {} }) {
     page.playing = on;
     by('play').textContent = on ? 'pause' : 'play';
     if (!on) return;
-    hooks.moved();
+    moved();
     let before = performance.now();
     const advance = (now) => {
       if (!page.playing) return;
@@ -89,7 +89,6 @@ function makePage(data, off = HIDDEN, hooks = { moved() {}, toggled() {} }) {
   function toggle(set, name, button) {
     if (!set.delete(name)) set.add(name);
     button.setAttribute('aria-pressed', !set.has(name));
-    hooks.toggled();
     redraw('rest');
   }
 
