@@ -15,13 +15,16 @@ from typing import Any
 import numpy as np
 import pytest
 
-from kinpole_ros.bags import BagError, replay
+from kinpole_ros.bags import BagError, BagWriter, replay
 from kinpole_ros.linkage.theory import load_theory
+from kinpole_ros.messages import RECEIVED, RESTARTS, DiagnosticArray
+from kinpole_ros.messages._types import DiagnosticStatus, KeyValue
 from kinpole_ros.pipeline.estimate import RATE_NAMES
 from kinpole_ros.pipeline.parameters import Settings, load_settings
 from kinpole_ros.tools.cli import main
 from kinpole_ros.tools.report import _pack, report, settings_for
 from kinpole_ros.tools.report._record import Collector
+from kinpole_ros.tools.report._results import _Diagnostics
 from kinpole_ros.tools.report._theory import theory_rates
 
 ROOT = Path(__file__).parents[1]
@@ -137,11 +140,47 @@ def test_report_of_results_is_that_of_their_markers(made, tmp_path) -> None:
         ['coupler', 'crank'],
         ['rocker', 'coupler'],
     ]
+    # Drawn with their markers, about where they are in the frame of the body.
+    for one, other in zip(shown['bodies'], expected['bodies'], strict=True):
+        ((_, found),), ((_, markers),) = one['outlines'], other['outlines']
+        assert len(found) == len(markers)
+        away = np.abs(_complex(found)[:, None] - _complex(markers)).min(axis=1)
+        assert away.max() < 1e-3
+    for one, other in zip(shown['pairs'], expected['pairs'], strict=True):
+        parts = [[pair['icr'][half] for half in 'ab'] for pair in (one, other)]
+        spread = [np.hypot(*np.array(part, float)) for part in parts]
+        np.testing.assert_allclose(*spread, rtol=0.1)
     # As its diagnostics said.
     with pytest.raises(BagError, match='give the bag of these'):
         report(results, output, settings_for(settings, 'four_bar'))
     reasons = {reason for _, _, reason in shown['bodies'][1]['withheld']['isp']}
     assert 'lost in its noise' in reasons
+
+
+def _complex(points: list[list[float]]) -> np.ndarray:
+    return np.array([complex(*point) for point in points])
+
+
+@pytest.mark.parametrize(
+    'counts, expected',
+    [
+        ([(10, 0), (20, 0)], False),
+        ([(10, 0), (20, 1)], True),
+        # Told to relearn.
+        ([(10, 0), (5, 0)], True),
+    ],
+)
+def test_outlines_drawn_last_are_of_a_bag_in_which_nothing_was_learned_anew(
+    counts, expected, tmp_path
+) -> None:
+    bag = tmp_path / 'bag.mcap'
+    with BagWriter(bag) as writer:
+        for second, (received, restarts) in enumerate(counts):
+            told = {RECEIVED: received, f'{RESTARTS} after a jump of the stamps': restarts}
+            values = [KeyValue(key=key, value=str(value)) for key, value in told.items()]
+            status = DiagnosticStatus(name='kinpole: markers', values=values)
+            writer.write('/diagnostics', DiagnosticArray(status=[status]), second * 10**9)
+    assert _Diagnostics(bag).restarted == expected
 
 
 def test_scene_names_the_bodies_unless_a_file_does() -> None:

@@ -430,6 +430,10 @@ def test_the_page_has_the_motion_that_is_solved(tmp_path: Path) -> None:
     data = page_data(page)
     assert data['t'][-1] == pytest.approx(1.0)
     assert np.all(np.diff(data['bodies'][0]['angle']) < 0)
+    # A wheel is a circle with a spoke.
+    (wheel,) = [body for body in data['bodies'] if body['rims']]
+    assert wheel['rims'] == [[0.0, 0.0, 0.1]]
+    assert [0.0, 0.0] in wheel['outlines'][0][1] and [0.1, 0.0] in wheel['outlines'][0][1]
 
 
 @pytest.mark.parametrize(('at', 'mark'), [('10.5 deg', 370.5), ('45.5 deg', 45.5)])

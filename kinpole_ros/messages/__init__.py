@@ -3,6 +3,8 @@
 from kinpole_ros.messages._cdr import diagnostics_data
 from kinpole_ros.messages._cloud import MessageError
 from kinpole_ros.messages._diagnostics import (
+    RECEIVED,
+    RESTARTS,
     SMOOTHED,
     DiagnosticsMaker,
     left_out,
@@ -54,6 +56,8 @@ __all__ = [
     'INPUT_TYPES',
     'INPUT_TYPE_NAMES',
     'MARKER_TYPES',
+    'RECEIVED',
+    'RESTARTS',
     'ROS_TYPE_NAMES',
     'SMOOTHED',
     'TF',

@@ -25,14 +25,16 @@ from kinpole_ros.pipeline.tracker import Tracker
 
 # Of the names of markers in a message, which may be anything.
 _MOST_NAMES, _MOST_SHOWN = 12, 80
+# What tells whether a node started anew: these go up, or frames begin again from none.
+RECEIVED, RESTARTS = 'frames received', 'starts anew'
 _WORDS = {
-    'frames': 'frames received',
+    'frames': RECEIVED,
     'repeated': 'frames with the stamp of the one before, left out',
     'late': 'frames that came late, after newer ones, left out',
     'lost': 'frames lost on the way, by the clock of the stamps',
-    'resets': 'starts anew after a jump of the stamps',
-    'frame_changes': 'starts anew with another frame_id',
-    'restarts': 'starts anew with another publisher of the markers',
+    'resets': f'{RESTARTS} after a jump of the stamps',
+    'frame_changes': f'{RESTARTS} with another frame_id',
+    'restarts': f'{RESTARTS} with another publisher of the markers',
     'markers_not_seen': 'markers not seen, summed over frames',
     'markers_unknown': 'markers in the last new layout that no body names',
     'markers_exchanged': 'markers exchanged with one another, put back',

@@ -31,6 +31,7 @@ _SCRIPTS = (
     'geometry',
     'marks',
     'motion',
+    'moving',
     'stage',
     'charts',
     'table',

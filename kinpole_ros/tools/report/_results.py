@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from kinpole_ros.bags import Truncated, read_messages, topics
-from kinpole_ros.messages import stamp_to_ns
+from kinpole_ros.messages import RECEIVED, RESTARTS, stamp_to_ns
 from kinpole_ros.pipeline.estimate import POLE_NAMES, RATE_NAMES
 from kinpole_ros.tools.plot import Body, Series, decode, read_results
 from kinpole_ros.tools.report._record import Columns, Record
@@ -55,9 +55,13 @@ def read_record(
         columns[pair, 'icr_covariance'] = _at(stamp, series.stamp, series.covariance)
     names = tuple(body.name for body in results.bodies)
     sizes = {body.name: body.size for body in results.bodies}
-    record = Record(
-        stamp, total, names, columns, sizes, {name: [] for name in names}, results.along
-    )
+    # Where a node starts anew, frames lie otherwise in their bodies: what was drawn last is of the
+    # end alone.
+    outlines = {
+        body.name: [(0, body.outline)] if len(body.outline) and not said.restarted else []
+        for body in results.bodies
+    }
+    record = Record(stamp, total, names, columns, sizes, outlines, results.along)
     notes = said.notes
     if results.cut:
         notes = ['the bag is cut off: what lies after the cut is not shown', *notes]
@@ -114,6 +118,9 @@ class _Diagnostics:
 
     def __init__(self, bag: str | Path) -> None:
         stamps: list[int] = []
+        # Whether the node started anew amid the bag, and how many frames it last counted.
+        self.restarted = False
+        self._received = 0
         # By body and figure, '' for all of them, at which of the stamps for what reason.
         self._said: dict[tuple[str, str], dict[int, str]] = {}
         warned: dict[str, None] = {}
@@ -130,6 +137,12 @@ class _Diagnostics:
 
     def _take(self, at: int, status: Any, warned: dict[str, None]) -> None:
         body, level, text, reasons = words_of(status)
+        for key, count in ((pair.key, pair.value) for pair in status.values):
+            if key == RECEIVED and count.isdecimal():
+                self.restarted |= int(count) < self._received
+                self._received = int(count)
+            elif key.startswith(RESTARTS):
+                self.restarted |= count != '0'
         if level in (_WARN, _ERROR):
             warned.setdefault(f'{body}: {text}')
             self._said.setdefault((body, ''), {})[at] = text

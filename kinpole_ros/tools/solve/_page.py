@@ -17,7 +17,6 @@ from kinpole_ros.tools.solve._solved import Solved, centers_of, rates_of
 
 # In sizes of the bodies.
 _ZERO = 1e-9
-_RIM = np.exp(1j * np.linspace(0, 2 * np.pi, 12, endpoint=False))
 
 
 def write_page(path: Path, solved: Solved) -> None:
@@ -26,8 +25,12 @@ def write_page(path: Path, solved: Solved) -> None:
     scene = solved.scene
     seconds = (record.stamp[-1] - record.stamp[0]) * 1e-9
     driven = ', '.join(driver.name for driver in scene.mechanism.drivers)
+    packed = pack(record)
+    for body in packed['bodies']:
+        rims = _rims(scene, body['name'])
+        body['rims'] = [[hub.real, hub.imag, radius] for hub, radius in rims]
     data = {
-        **pack(record),
+        **packed,
         'title': scene.name,
         'about': f'solved, not measured: {len(record.stamp)} positions in {seconds:.4g} s, '
         f'driven: {driven}',
@@ -76,7 +79,9 @@ def _record(solved: Solved) -> Record:
             columns[body, f'{name}_withheld'] = why
         outline = _outline(solved.scene, body)
         outlines[body] = [(0, outline)]
-        sizes[body] = float(np.abs(outline[:, None] - outline).max()) or float('nan')
+        across = [2 * radius for _, radius in _rims(solved.scene, body)]
+        size = max([float(np.abs(outline[:, None] - outline).max()), *across])
+        sizes[body] = size or float('nan')
     centers = centers_of(solved)
     for (i, j), points in zip(centers.pairs, centers.points, strict=True):
         if i:
@@ -91,15 +96,24 @@ def _record(solved: Solved) -> Record:
     return Record(stamp, count, mechanism.bodies, columns, sizes, outlines, ('x', 'y'))
 
 
+def _rims(scene: Scene, body: str) -> list[tuple[complex, float]]:
+    """Circles of a body that roll: middles, complex, m, in its frame, and radii, m."""
+    found = []
+    for joint in scene.mechanism.assembly.joints:
+        if isinstance(joint, Rolling) and joint.other == body:
+            found.append((joint.b, joint.radius))
+        if isinstance(joint, Rolling) and joint.one == body and joint.circle:
+            found.append((joint.a, abs(joint.circle)))
+    return list(dict.fromkeys(found))
+
+
 def _outline(scene: Scene, body: str) -> np.ndarray:
-    """Points of a body (n,), complex, m, in its frame: those named, of its rims, of its vector."""
+    """Points of a body (n,), complex, m, in its frame: those named, spokes, and of its vector."""
     assembly = scene.mechanism.assembly
     found = [place for of, place in scene.points.values() if of == body]
-    for joint in assembly.joints:
-        if isinstance(joint, Rolling) and joint.other == body:
-            found += [*(joint.b + joint.radius * _RIM)]
-        elif isinstance(joint, Rolling) and joint.one == body and joint.circle:
-            found += [*(joint.a + joint.circle * _RIM)]
+    # A circle that turns looks like one that does not.
+    for hub, radius in _rims(scene, body):
+        found += [hub, hub + radius]
     if not assembly.joints:
         # Each vector that turns is a body, in the same order.
         loops = assembly.loops

@@ -196,7 +196,8 @@ function drawTimes(context, { step, at }, x, width, height) {
     context.fillStyle = '#6a737c';
     context.fillText(tickWords(t, step), x(t), height - 6);
   }
-  context.fillText('s', width - RIGHT + 12, height - 6);
+  context.textAlign = 'left';
+  context.fillText('s', width - RIGHT + 18, height - 6);
 }
 
 // A quantile, or that of the inner 80% where the outer ones are far beyond these, as of speeds

@@ -34,6 +34,21 @@ function barPath(points, r) {
   return path;
 }
 
+// A body by its points and rims: a bar, round where it is one point, and wheels with a spoke.
+function outlinePath(points, rims, thickness, size) {
+  const onRim = ([x, y]) => rims.some(([u, v, r]) => Math.abs(Math.hypot(x - u, y - v) - r) < 1e-6 * r);
+  const corners = points.filter((point) => !onRim(point));
+  const alone = corners.length < 2 && !rims.length;
+  const radius = alone ? Math.max(thickness, (size || 0) / 2) : thickness;
+  const path = barPath(corners.length ? corners : [[0, 0]], radius);
+  for (const [u, v, r] of rims) {
+    path.moveTo(u, v);
+    path.lineTo(u + r, v);
+    path.arc(u, v, r, 0, 2 * Math.PI);
+  }
+  return path;
+}
+
 // x and y as a path of no more than the eye can tell apart: without points nearer than `step` to
 // the one before, and of many points without going again where it has been, in cells of two steps.
 // NaN, and whatever `broken(k)` says of the way to point k, ends a line.

@@ -14,6 +14,9 @@ function anchors(data, body, outline = body.outlines[0]) {
   return found;
 }
 
+// Circles of a body that roll, in its frame: x and y of the middle, and the radius.
+const rimsOf = (body) => body.rims ?? [];
+
 // A point of the ground in the frame of a body that turns about it.
 function inBody(body, [x, y]) {
   const k = body.x.findIndex((value) => isFinite(value));
@@ -42,6 +45,11 @@ function frame(data, before) {
       const [c, s] = [Math.cos(body.angle[k]), Math.sin(body.angle[k])];
       for (const [u, v] of list.length ? list : [[0, 0]]) {
         take(body.x[k] + c * u - s * v, body.y[k] + s * u + c * v);
+      }
+      for (const [u, v, r] of rimsOf(body)) {
+        const [x, y] = [body.x[k] + c * u - s * v, body.y[k] + s * u + c * v];
+        take(x - r, y - r);
+        take(x + r, y + r);
       }
     }
   }

@@ -14,7 +14,8 @@ function makeTable(element, page, data) {
     data.bodies.some((body) => body[name]));
   const table = tag('table');
   const head = table.createTHead().insertRow();
-  head.append(tag('th', '± 2σ', { title: 'at the cursor, with two standard deviations' }));
+  const spread = { title: 'at the cursor, with two standard deviations' };
+  head.append(data.exact ? tag('th') : tag('th', '± 2σ', spread));
   for (const body of data.bodies) {
     head.append(tag('th', body.name, { style: `color:${body.color}`, scope: 'col' }));
   }
