@@ -104,7 +104,9 @@ function makeCharts(element, page, data) {
 
   function drawAxes(context, chart, from, to) {
     const { width, height, x, y } = chart;
-    const up = ticks(chart.low, chart.high, height / 36);
+    // Two at least, or nobody knows the scale.
+    const few = ticks(chart.low, chart.high, height / 36);
+    const up = few.at.length > 1 ? few : ticks(chart.low, chart.high, height / 18);
     drawTimes(context, ticks(from, to, (width - LEFT - RIGHT) / 70), x, width, height);
     for (const v of up.at) {
       context.fillStyle = Math.abs(v) < up.step / 2 ? '#b9c1c9' : '#edf0f2';
@@ -151,7 +153,7 @@ function makeCharts(element, page, data) {
     for (const { one, at } of ends) {
       context.fillStyle = one.color;
       const name = one.name.length > 15 ? `${one.name.slice(0, 14)}…` : one.name;
-      context.fillText(name, chart.width - RIGHT + 5, at + 4 - Math.max(0, over));
+      context.fillText(name, chart.width - RIGHT + 5, at + 4 - Math.max(0, over), RIGHT - 7);
     }
   }
 

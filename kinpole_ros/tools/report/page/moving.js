@@ -131,7 +131,11 @@ function makeMoving(stage) {
       context.strokeStyle = '#1c2127';
       context.lineWidth = 1.1;
       context.stroke(mark);
-      if (on('names') && data.somePairs.length < 4) say(context, `${j.name}/${i.name}`, left + 9, top + 14, '#5b6570', 11);
+      if (!on('names') || data.somePairs.length > 3) continue;
+      const name = `${j.name}/${i.name}`;
+      context.font = '11px system-ui, sans-serif';
+      const room = stage.sizes.width - 4 - context.measureText(name).width;
+      say(context, name, Math.min(left + 9, room), top + 14, '#5b6570', 11);
     }
   }
 

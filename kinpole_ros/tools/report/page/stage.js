@@ -134,7 +134,7 @@ function makeStage(element, page, data) {
     context.textAlign = 'left';
     for (const y of rows) {
       const top = screen(0, y)[1];
-      if (top > 14 && top < height - 20) context.fillText(tickWords(1e3 * y, 1e3 * step), 5, top - 3);
+      if (top > 34 && top < height - 20) context.fillText(tickWords(1e3 * y, 1e3 * step), 5, top - 3);
     }
     const names = data.along.join(', ');
     context.textAlign = 'right';
