@@ -1,9 +1,10 @@
 """
-The code blocks of README, tutorials and how-to pages do what the pages say.
+The code blocks of README, tutorials, how-to pages and others do what the pages say.
 
 Blocks of a page run in order, in a folder of its own. What a page shows as output must be printed,
 but for the numbers. Live commands run in the tutorial of the live node alone; elsewhere, and for
-commands of ROS installations that the wheels lack, what they name is checked instead.
+commands of ROS installations that the wheels lack, what they name is checked instead. What `ros2`
+would ask of a node that is inactive is asked of one in this process.
 """
 
 import glob
@@ -19,10 +20,16 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+import rclpy
 import yaml
+from rcl_interfaces.srv import SetParameters
+from rclpy.lifecycle import TransitionCallbackReturn
+from test_node import ask_to_set
 
+from kinpole_ros.mechanism import load_scene
 from kinpole_ros.messages import result_outputs
 from kinpole_ros.pipeline.parameters import PARAMETERS, load_settings, settings_from
+from kinpole_ros.ros.node import KinpoleNode
 from kinpole_ros.tools.cli import main
 from kinpole_ros.tools.usage import make_parser
 
@@ -32,7 +39,7 @@ LIVE = DOCS / 'tutorial_live.md'
 PAGES = [
     ROOT / 'README.md',
     *sorted(DOCS.glob('tutorial_*.md')),
-    DOCS / 'real_rigs.md',
+    *(DOCS / f'{name}.md' for name in ('real_rigs', 'live', 'bags', 'scenes')),
     *sorted(DOCS.glob('howto/*.md')),
 ]
 BLOCK = re.compile(r'^( *)```(\w*)\n(.*?)^\1```$', re.MULTILINE | re.DOTALL)
@@ -59,6 +66,7 @@ class Reader:
     def __init__(self, live: bool) -> None:
         self.live = live
         self.running: list[subprocess.Popen[bytes]] = []
+        self.node: KinpoleNode | None = None
 
     def bash(self, line: str) -> None:
         words = shlex.split(line, comments=True)
@@ -70,6 +78,16 @@ class Reader:
             assert re.search(rf'^{words[1]}:', (ROOT / 'Makefile').read_text(), re.M), line
         elif words[:2] == ['ros2', 'launch']:
             launch(words[2:])
+        elif words[0] == 'pip':
+            extras = re.findall(r'\[(.*)\]', words[2])[0].split(',')
+            assert all(f"'{extra}': [" in (ROOT / 'setup.py').read_text() for extra in extras)
+        elif words[0] == 'sed':
+            subprocess.run(line, shell=True, check=True)
+        elif words[:3] == ['ros2', 'lifecycle', 'set']:
+            self.change_state(words[4])
+        elif words[:3] == ['ros2', 'param', 'set'] and self.node is not None:
+            values = [(words[4], yaml.safe_load(words[5]))]
+            assert ask_to_set(self.node, SetParameters, values).results[0].successful
         elif words[:3] == ['ros2', 'param', 'set']:
             assert not PARAMETERS[words[4]].fixed
             settings_from({words[4]: yaml.safe_load(words[5])})
@@ -82,6 +100,8 @@ class Reader:
 
     def kinpole(self, words: list[str]) -> None:
         make_parser().parse_known_args(words)
+        if '--scheduler' in words:
+            return  # a cluster that is elsewhere
         if words[0] not in ENDLESS:
             assert main(words) == 0, words
         elif self.live:
@@ -93,6 +113,14 @@ class Reader:
         elif '--params-file' in words:
             load_settings(words[words.index('--params-file') + 1])
 
+    def change_state(self, transition: str) -> None:
+        if self.node is None:
+            rig = ('--params-file', str(ROOT / 'config' / 'four_bar.yaml'))
+            rclpy.init(args=['kinpole', '--ros-args', *rig])
+            self.node = KinpoleNode()
+        assert getattr(self.node, f'trigger_{transition}')() == TransitionCallbackReturn.SUCCESS
+        assert self.node.active == (transition == 'activate')
+
     @staticmethod
     def stop(process: 'subprocess.Popen[bytes]') -> None:
         """Ctrl-C."""
@@ -103,6 +131,9 @@ class Reader:
         for process in self.running:
             process.kill()
             process.wait()
+        if self.node is not None:
+            self.node.destroy_node()
+            rclpy.try_shutdown()
 
 
 def launch(words: list[str]) -> None:
@@ -137,11 +168,12 @@ def reader(
 
 
 def given(folder: Path, simulated) -> None:
-    """What README takes for granted: recordings, and a file of DeepLabCut."""
+    """What pages take for granted: recordings with their parameters, and a file of DeepLabCut."""
     (folder / 'runs').mkdir()
     for name in ('recording.mcap', 'runs/1.mcap'):
         bag = simulated('four_bar', rate=100.0, duration=2.0, noise=2e-4)
         (folder / name).symlink_to(bag)
+    (folder / 'my_rig.yaml').symlink_to(ROOT / 'config' / 'four_bar.yaml')
     code = next(text for kind, text in blocks(DOCS / 'tutorial_spreadsheet.md') if kind == 'python')
     exec(code, {})
     (folder / 'filmDLC.csv').rename('videoDLC.csv')
@@ -162,7 +194,7 @@ def test_references_name_all_there_is() -> None:
 
 @pytest.mark.parametrize('page', PAGES, ids=lambda page: page.stem)
 def test_blocks_run(page: Path, reader: Reader, tmp_path: Path, simulated, capfd) -> None:
-    if page.name == 'README.md':
+    if page.name in ('README.md', 'bags.md'):
         given(tmp_path, simulated)
     names: dict[str, object] = {}
     printed: set[str] = set()
@@ -174,6 +206,8 @@ def test_blocks_run(page: Path, reader: Reader, tmp_path: Path, simulated, capfd
             exec(text, names)
         elif kind == 'yaml' and (named := re.match(r'# (\S+\.yaml)', text)):
             Path(named[1]).write_text(text, 'utf-8')
+        elif kind == 'yaml' and 'ros__parameters' not in text:
+            load_scene(text)
         elif kind == 'yaml':
             Path('shown.yaml').write_text(text, 'utf-8')
             load_settings('shown.yaml')
