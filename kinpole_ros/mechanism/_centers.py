@@ -60,11 +60,28 @@ class Centers(NamedTuple):
 
 def instant_centers(mechanism: Mechanism, values: Real, rates: Real | None = None) -> Centers:
     """
-    All instant centers at the variables `values` (n, T): Kennedy's, and what is left by the rates.
+    All instant centers: Kennedy's, and what is left by the rates.
 
-    `rates` (d) or (d, T) are those of the drivers, needed where there are several; Kennedy's
-    centers do not depend on them, and hold also where the drivers do not determine the motion.
-    Raises LinkageError where they are needed and not given.
+    Parameters
+    ----------
+    mechanism
+        The linkage.
+    values
+        Its variables (n, T), m and rad.
+    rates
+        Those of the drivers (d,) or (d, T), per s, needed where there are several. Kennedy's
+        centers do not depend on them, and hold also where the drivers do not determine the motion.
+
+    Returns
+    -------
+    Centers
+        Of all pairs of bodies, complex, m, in the ground's frame, with the steps that lead to them.
+
+    Raises
+    ------
+    LinkageError
+        Where the rates are needed and not given.
+
     """
     steps = deduce(mechanism, values)
     places = kennedy_centers(mechanism, steps, values)

@@ -73,11 +73,31 @@ def centrodes(
     mechanism: Mechanism, one: str, other: str, low: float, high: float, count: int = 721
 ) -> Centrodes:
     """
-    Centrodes of two bodies over the inputs from `low` to `high`, or as far as the linkage goes.
+    Centrodes of two bodies of a linkage with one driver.
 
-    `count` samples at equal inputs; toward a limit, closer and closer, since there the input stands
-    still while all else moves. Raises LinkageError for several drivers, bodies that are not a pair
-    of the linkage's, fewer than two samples, and bodies that never turn against each other.
+    Parameters
+    ----------
+    mechanism
+        The linkage.
+    one, other
+        Names of the bodies; the curves are in their frames.
+    low, high
+        Inputs from where to where, m or rad, or as far as the linkage goes.
+    count
+        Samples at equal inputs; toward a limit, closer and closer, since there the input stands
+        still while all else moves.
+
+    Returns
+    -------
+    Centrodes
+        Both curves, m, with the inputs.
+
+    Raises
+    ------
+    LinkageError
+        For several drivers, bodies that are not a pair of the linkage's, fewer than two samples,
+        and bodies that never turn against each other.
+
     """
     for name in (one, other):
         if name != GROUND and name not in mechanism.bodies:

@@ -59,9 +59,23 @@ def spring_loads(
     mechanism: Mechanism, values: Real, springs: Sequence[Spring | Torsion]
 ) -> list[Load]:
     """
-    What springs do to the moving bodies at variables (n, T), a load for each end that moves.
+    What springs do to the moving bodies, a load for each end that moves.
 
-    NaN where the ends of one with a free length meet, and it has no direction.
+    Parameters
+    ----------
+    mechanism
+        The linkage.
+    values
+        Its variables (n, T), m and rad.
+    springs
+        Between points, N/m, or between bodies, N m/rad.
+
+    Returns
+    -------
+    list of Force or Torque
+        N and N m, each of shape (T,). NaN where the ends of one with a free length meet, and it has
+        no direction.
+
     """
     frame, found = frame_of(mechanism.assembly, values), list[Load]()
     for spring in springs:
@@ -81,8 +95,22 @@ def spring_loads(
 
 def inertial_loads(mechanism: Mechanism, motion: Motion, masses: Sequence[Mass]) -> list[Load]:
     """
-    What masses resist a motion up to accelerations or more with: d'Alembert's forces -m a at their
-    centers and torques -I α (T,).
+    What masses resist a motion with: d'Alembert's forces -m a at their centers, torques -I α.
+
+    Parameters
+    ----------
+    mechanism
+        The linkage.
+    motion
+        Its motion at T instants, up to accelerations or more.
+    masses
+        Masses, kg, with centers, m, and moments, kg m^2.
+
+    Returns
+    -------
+    list of Force or Torque
+        N and N m, each of shape (T,).
+
     """
     found: list[Load] = []
     for mass in masses:

@@ -33,13 +33,32 @@ from kinpole_ros.planar._plane import Complex, Real
 
 def freed_reactions(mechanism: Mechanism, values: Real, loads: Sequence[Load]) -> Reactions:
     """
-    The same as `reactions`, found by freeing one constraint at a time (seed 003).
+    What each joint bears, found by freeing one constraint at a time.
 
-    Each joint is put on a carriage that can slide on the body `one`; at unit rate of that slide,
-    all drivers held, the loads do work that only the freed reaction balances. The motion is that of
-    the loops of the linkage so changed. Takes a solution for each constraint. Raises LinkageError
-    for several positions of teeth with a pressure angle, whose line of action differs from one to
-    the next.
+    Parameters
+    ----------
+    mechanism
+        The linkage.
+    values
+        Its variables (n, T), m and rad.
+    loads
+        Forces, N, and torques, N m.
+
+    Returns
+    -------
+    Reactions
+        The same as of `reactions`, at the cost of a solution for each constraint.
+
+    Raises
+    ------
+    LinkageError
+        As `reactions`, and for several positions of teeth with a pressure angle, whose line of
+        action differs from one to the next.
+
+    Notes ----- Each joint is put on a carriage that can slide on the body `one`; at unit rate of
+    that slide, all drivers held, the loads do work that only the freed reaction balances (seed
+    003). The motion is that of the loops of the linkage so changed.
+
     """
     check_loads(mechanism, loads)
     if values.shape[1] > 1 and any(map(has_teeth, mechanism.assembly.joints)):

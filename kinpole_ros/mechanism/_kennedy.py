@@ -99,9 +99,21 @@ def kennedy_centers(mechanism: Mechanism, steps: Sequence[Step], values: Real) -
 
 def explain(mechanism: Mechanism, steps: Sequence[Step]) -> list[str]:
     """
-    The chain of deduction in lines, as written by hand; the first tells the bodies' numbers.
+    The chain of deduction of instant centers in lines, as written by hand.
 
-    The ground is 1: 'I13: line I12-I23 meets line I14-I34'.
+    Parameters
+    ----------
+    mechanism
+        The linkage.
+    steps
+        Those of its `Centers`.
+
+    Returns
+    -------
+    list of str
+        The first tells the bodies' numbers, the ground being 1; then 'I13: line I12-I23 meets line
+        I14-I34', and so on.
+
     """
     bodies, joints = bodies_of(mechanism), mechanism.assembly.joints
 
@@ -134,7 +146,22 @@ def explain(mechanism: Mechanism, steps: Sequence[Step]) -> list[str]:
 
 
 def center_name(count: int, i: int, j: int) -> str:
-    """What the center of two of `count` bodies is called, i < j from 0: I13, from ten on I1,3."""
+    """
+    What the center of two bodies is called: I13, from ten bodies on I1,3.
+
+    Parameters
+    ----------
+    count
+        How many bodies there are.
+    i, j
+        Their numbers from 0, i < j.
+
+    Returns
+    -------
+    str
+        With numbers from 1.
+
+    """
     return f'I{i + 1}{"," if count > 9 else ""}{j + 1}'
 
 

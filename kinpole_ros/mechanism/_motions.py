@@ -28,11 +28,25 @@ class BodyMotion(NamedTuple):
 
 
 def rotation_derivatives(angle: np.ndarray) -> np.ndarray:
-    """Return e^{iθ} and its time derivatives, complex, from θ and its own; both (orders, ...).
+    """
+    e^{iθ} and its time derivatives.
 
+    Parameters
+    ----------
+    angle
+        θ and its own derivatives (orders, ...), rad.
+
+    Returns
+    -------
+    ndarray
+        Of shape (orders, ...), complex.
+
+    Notes
+    -----
     Since (e^{iθ})' = i θ' e^{iθ}, Leibniz' rule gives each order from the ones below. At θ = 0 they
     are iω, iα − ω², i(ω̈ − ω³) − 3ωα, i(ω⃛ − 6ω²α) + ω⁴ − 4ωω̈ − 3α²: the matrices ωR, B, H, G
     of the poles.
+
     """
     result = np.empty(angle.shape, dtype=complex)
     result[0] = np.exp(1j * angle[0])
@@ -42,10 +56,21 @@ def rotation_derivatives(angle: np.ndarray) -> np.ndarray:
 
 
 def marker_positions(motion: BodyMotion, body_points: np.ndarray) -> np.ndarray:
-    """Return where points fixed on a body are, (..., n, 2) in m, at the times of `motion`.
+    """
+    Where points fixed to a body are, at the times of a motion.
 
-    `body_points`, (n, 2) in m, are in the body's own frame: from its reference point, along its
-    own axes.
+    Parameters
+    ----------
+    motion
+        Of a body at times (...).
+    body_points
+        Of shape (n, 2), m, from the body's reference point, along its own axes.
+
+    Returns
+    -------
+    ndarray
+        Of shape (..., n, 2), m, in the ground's frame.
+
     """
     points = body_points[:, 0] + 1j * body_points[:, 1]
     placed = motion.position[0][..., None] + np.exp(1j * motion.angle[0])[..., None] * points

@@ -36,11 +36,22 @@ def write_pitch_curves(path: str | Path, curves: Centrodes) -> None:
     """
     Write both centrodes to a file, by its suffix a table or a drawing.
 
-    CSV, in SI units: input, fixed_x, fixed_y, moving_x, moving_y, arc_length, piece; a row per
-    sample that has a center. SVG and DXF (R12, in mm), true to scale: the curve in the frame of
-    `one` and to its right that of `other`, with the axes x and y of the frames and the pins of the
-    bodies; it ends where the center is more than 3 sizes of the linkage away, and is closed where
-    its ends meet. Raises LinkageError for another suffix and for a file that cannot be written.
+    Parameters
+    ----------
+    path
+        CSV, in SI units: input, fixed_x, fixed_y, moving_x, moving_y, arc_length, piece; a row per
+        sample that has a center. SVG and DXF (R12, in mm), true to scale: the curve in the frame of
+        `one` and to its right that of `other`, with the axes x and y of the frames and the pins of
+        the bodies; it ends where the center is more than 3 sizes of the linkage away, and is closed
+        where its ends meet.
+    curves
+        What `centrodes` gives.
+
+    Raises
+    ------
+    LinkageError
+        For another suffix and for a file that cannot be written.
+
     """
     path = Path(path)
     writers = {'.csv': _table, '.dxf': _dxf, '.svg': _svg}

@@ -33,7 +33,22 @@ class Poles(NamedTuple):
 
 
 def poles(mechanism: Mechanism, motion: Motion) -> Poles:
-    """The poles of all bodies in a motion up to the snap, (5, B, T)."""
+    """
+    The poles of all bodies in a motion.
+
+    Parameters
+    ----------
+    mechanism
+        The linkage.
+    motion
+        Up to the snap, (5, B, T).
+
+    Returns
+    -------
+    Poles
+        Of B bodies at T instants, complex, m, in the ground's frame.
+
+    """
     position, angle = motion.position, motion.angle
     middle, size = extent(mechanism, motion.values[0])
     with np.errstate(all='ignore'):

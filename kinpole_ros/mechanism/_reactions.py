@@ -62,11 +62,33 @@ class Reactions(NamedTuple):
 
 def reactions(mechanism: Mechanism, values: Real, loads: Sequence[Load]) -> Reactions:
     """
-    What each joint bears at variables (n, T): the multipliers λ of the constraint Jacobian A.
+    What each joint bears: the multipliers λ of the constraint Jacobian A.
 
+    Parameters
+    ----------
+    mechanism
+        The linkage.
+    values
+        Its variables (n, T), m and rad.
+    loads
+        Forces, N, and torques, N m.
+
+    Returns
+    -------
+    Reactions
+        Of J joints at T positions, N and N m, in the ground's axes.
+
+    Raises
+    ------
+    LinkageError
+        For a linkage given by vectors alone, which has no joints, or a load on a body that is not
+        there.
+
+    Notes
+    -----
     With the loads Q in absolute coordinates, A^T λ = -Q: one row of A for each direction in which a
-    joint holds, and one for each driver. Raises LinkageError for a linkage given by vectors alone,
-    which has no joints, or a load on a body that is not there.
+    joint holds, and one for each driver.
+
     """
     check_loads(mechanism, loads)
     system = constraints(mechanism, values)
@@ -143,7 +165,22 @@ def loose_teeth(mechanism: Mechanism, values: Real) -> tuple[str, ...]:
 
 
 def undetermined(mechanism: Mechanism, values: Real) -> tuple[str, ...]:
-    """Why efforts or reactions are NaN at one position (n,): a line each, none if they are not."""
+    """
+    Why efforts or reactions are NaN at one position.
+
+    Parameters
+    ----------
+    mechanism
+        The linkage.
+    values
+        Its variables (n,), m and rad.
+
+    Returns
+    -------
+    tuple of str
+        A line each, none if they are not.
+
+    """
     here = np.asarray(values, float)[:, None]
     if not np.isfinite(here).all():
         return ('the loops do not close here: no forces without a position',)

@@ -12,7 +12,22 @@ _DIGITS = 9
 
 
 def rewritten(text: str, changes: Mapping[Dimension, float]) -> str:
-    """The text of a scene's file with these dimensions at other values (m, rad)."""
+    """
+    The text of a scene's file with some dimensions at other values.
+
+    Parameters
+    ----------
+    text
+        As in the file; its comments stay.
+    changes
+        New values, m or rad, by dimension.
+
+    Returns
+    -------
+    str
+        The new text.
+
+    """
     root = yaml.compose(text, yaml.SafeLoader)
     by_path: dict[tuple[str | int, ...], list[tuple[Dimension, float]]] = {}
     for dimension, value in changes.items():

@@ -65,12 +65,26 @@ class Scene:
 
 
 def load_scene(source: str | Path | Mapping[str, Any]) -> Scene:
-    """Return the scene of a YAML file, given by path or by bare name ('four_bar'), or as it is.
+    """
+    Read the scene of a YAML file, of its text, or of what such a text holds.
 
-    A bare name has neither folder nor suffix and means a file in `scenes_folder()`. What has lines
-    is a scene's text, and a mapping what such a text holds. Raises SceneError for a file that
-    cannot be read, a key that is missing, unknown or ill-valued, and a mechanism that cannot move
-    as asked.
+    Parameters
+    ----------
+    source
+        A path; a bare name ('four_bar'), which has neither folder nor suffix and means a file in
+        `scenes_folder()`; a text, which has lines; or a mapping.
+
+    Returns
+    -------
+    Scene
+        The mechanism with its points, markers and loads, in SI units.
+
+    Raises
+    ------
+    SceneError
+        For a file that cannot be read, a key that is missing, unknown or ill-valued, and a
+        mechanism that cannot move as asked.
+
     """
     if isinstance(source, Mapping):
         path, data = Path('scene'), dict(source)

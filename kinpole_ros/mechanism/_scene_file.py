@@ -13,17 +13,37 @@ from kinpole_ros.mechanism._units import SceneError
 
 
 def scenes_folder() -> Path:
-    """Return the folder of the scenes that come with the package.
+    """
+    The folder of the scenes that come with the package.
 
-    Raises FileNotFoundError where they are not installed.
+    Returns
+    -------
+    Path
+        It is in `share_folder()`.
+
+    Raises
+    ------
+    FileNotFoundError
+        Where they are not installed.
+
     """
     return share_folder() / 'config' / 'scenes'
 
 
 def scene_names() -> list[str]:
-    """Return the names that `load_scene` knows without a path, sorted.
+    """
+    The names that `load_scene` knows without a path.
 
-    Raises FileNotFoundError where the scenes are not installed.
+    Returns
+    -------
+    list of str
+        Sorted.
+
+    Raises
+    ------
+    FileNotFoundError
+        Where the scenes are not installed.
+
     """
     return sorted(path.stem for path in scenes_folder().glob('*.yaml'))
 
@@ -74,7 +94,25 @@ def read_scene(path: Path) -> Any:
 
 
 def scene_text(path_or_name: str | Path) -> str:
-    """Return the text of a scene's file, given as `load_scene` takes it; raises SceneError."""
+    """
+    The text of a scene's file.
+
+    Parameters
+    ----------
+    path_or_name
+        As `load_scene` takes it.
+
+    Returns
+    -------
+    str
+        As in the file.
+
+    Raises
+    ------
+    SceneError
+        For a file that cannot be read.
+
+    """
     path = scene_path(path_or_name)
     try:
         return read_limited(path, MOST_YAML).decode()

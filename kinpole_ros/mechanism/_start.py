@@ -97,11 +97,23 @@ def closing_starts(loops: Loops, values: Real, most: int = 4) -> list[Real]:
 
 def mobility(assembly: Assembly, values: Real) -> tuple[int, int]:
     """
-    Degrees of freedom: by Gruebler's count, and by the rank of the loops' Jacobian at `values`.
+    Degrees of freedom: by Gruebler's count, and by the rank of the loops' Jacobian.
 
-    The count, variables less ties less two for each loop, is 3 for each body, less 2 for a pin, a
-    prismatic or a rolling joint and 1 for a pin in a slot. It lies where lengths are special, as in
-    a parallelogram with a third crank; the rank does not, but at a dead point it is lower.
+    Parameters
+    ----------
+    assembly
+        Bodies and joints.
+    values
+        The variables (n,), m and rad.
+
+    Returns
+    -------
+    count, rank : int
+        The count, variables less ties less two for each loop, is 3 for each body, less 2 for a pin,
+        a prismatic or a rolling joint and 1 for a pin in a slot. It lies where lengths are special,
+        as in a parallelogram with a third crank; the rank does not, but at a dead point it is
+        lower.
+
     """
     loops = assembly.loops
     count = len(loops.variables)

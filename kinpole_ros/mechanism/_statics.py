@@ -83,9 +83,31 @@ def balance(
 
 def efforts(mechanism: Mechanism, values: Real, loads: Sequence[Load]) -> Efforts:
     """
-    Efforts of the drivers that balance `loads` at variables (n, T), by virtual work.
+    Efforts of the drivers that balance loads, by virtual work.
 
-    Raises LinkageError for a load on a body that is not there.
+    Parameters
+    ----------
+    mechanism
+        The linkage.
+    values
+        Its variables (n, T), m and rad.
+    loads
+        Forces, N, and torques, N m.
+
+    Returns
+    -------
+    Efforts
+        Of d drivers at T positions, N or N m.
+
+    Raises
+    ------
+    LinkageError
+        For a load on a body that is not there.
+
+    Notes
+    -----
+    Seed 003.
+
     """
     check_loads(mechanism, loads)
     drivers, count = len(mechanism.drivers), values.shape[1]
@@ -104,10 +126,36 @@ def holding(
     mechanism: Mechanism, values: Real, loads: Sequence[Load], holder: Holder
 ) -> tuple[Real, Load]:
     """
-    What `holder` exerts (T,), N or N m, to balance `loads` with the one driver free; and as a load.
+    What balances loads in place of the one driver, which is free.
 
-    By virtual work in the motion of the driver. NaN at dead points, and where the holder does not
-    move along itself. Raises LinkageError for another number of drivers, or a body not there.
+    Parameters
+    ----------
+    mechanism
+        The linkage.
+    values
+        Its variables (n, T), m and rad.
+    loads
+        Forces, N, and torques, N m.
+    holder
+        The force or torque that holds them.
+
+    Returns
+    -------
+    effort : ndarray
+        Of shape (T,), N or N m. NaN at dead points, and where the holder does not move along
+        itself.
+    load : Force or Torque
+        The same as a load.
+
+    Raises
+    ------
+    LinkageError
+        For another number of drivers, or a body that is not there.
+
+    Notes
+    -----
+    By virtual work in the motion of the driver (seed 003).
+
     """
     if len(mechanism.drivers) != 1:
         raise LinkageError(

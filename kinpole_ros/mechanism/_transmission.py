@@ -28,14 +28,34 @@ Port = Force | Torque | str
 
 def advantage(mechanism: Mechanism, values: Real, into: Port, out: Port) -> Real:
     """
-    Mechanical advantage (T,): what the linkage exerts at `out` over what is exerted at `into`.
+    Mechanical advantage: what the linkage exerts at `out` over what is exerted at `into`.
 
-    A port is a force (only its point and direction count), a torque (only its body) or a variable
-    by its name, as a driver or a slide; all power that goes in comes out, so this is the rate of
-    `into` over that of `out` (seed 003). Infinite where the output stands still while the input
-    moves (a toggle), zero the other way round, NaN at dead points of the driver. With several
-    drivers the input must be one of them, the others are held. Raises LinkageError otherwise, and
-    for a port that is not there.
+    Parameters
+    ----------
+    mechanism
+        The linkage.
+    values
+        Its variables (n, T), m and rad.
+    into, out
+        A force (only its point and direction count), a torque (only its body), or a variable by its
+        name, as a driver or a slide. With several drivers the input is one of them, the others are
+        held.
+
+    Returns
+    -------
+    ndarray
+        Of shape (T,), N or N m over N or N m. Infinite where the output stands still while the
+        input moves (a toggle), zero the other way round, NaN at dead points of the driver.
+
+    Raises
+    ------
+    LinkageError
+        For a port that is not there, or an input that is none of several drivers.
+
+    Notes
+    -----
+    All power that goes in comes out, so it is the rate of `into` over that of `out` (seed 003).
+
     """
     names = [driver.name for driver in mechanism.drivers]
     if not names:
@@ -87,11 +107,27 @@ def _rate(
 
 def transmission_angles(mechanism: Mechanism, values: Real) -> dict[tuple[str, ...], Real]:
     """
-    Transmission angles (T,), rad, 0 to π/2, at variables (n, T), by the two variables of each dyad.
+    Transmission angles, by the two variables of each dyad.
 
-    The acute angle between the dyad's two links; of a link and a slide, that between the link and
-    the normal to the slide. Its sine is the determinant of the dyad's equations over the lengths of
-    their columns, so it is zero at a dead point. Loops that are no dyads have none.
+    Parameters
+    ----------
+    mechanism
+        The linkage.
+    values
+        Its variables (n, T), m and rad.
+
+    Returns
+    -------
+    dict
+        By names of variables (T,), rad, 0 to π/2: the acute angle between the dyad's two links; of
+        a link and a slide, that between the link and the normal to the slide. Loops that are no
+        dyads have none.
+
+    Notes
+    -----
+    The sine is the determinant of the dyad's equations over the lengths of their columns, so it is
+    zero at a dead point.
+
     """
     linkage = mechanism.linkage
     inputs = np.zeros((2, len(mechanism.drivers), values.shape[1]))

@@ -58,9 +58,27 @@ _WRITTEN = re.compile(r'\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*(.*?)\s
 
 def quantity(where: str, value: Any, kind: str) -> float:
     """
-    The `value` of a key in SI units; `kind` is a key of UNITS, `where` begins the message.
+    The value of a key of a scene in SI units.
 
-    Raises SceneError for what is no number or beyond all use, or has a unit of another kind.
+    Parameters
+    ----------
+    where
+        Begins the message of an error.
+    value
+        A number, or a text with a unit.
+    kind
+        A key of UNITS.
+
+    Returns
+    -------
+    float
+        m, rad, s, N and so on.
+
+    Raises
+    ------
+    SceneError
+        For what is no number or beyond all use, or has a unit of another kind.
+
     """
     number, unit = float('nan'), ''
     if isinstance(value, str) and (written := _WRITTEN.fullmatch(value)):

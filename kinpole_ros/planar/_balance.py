@@ -88,13 +88,41 @@ def measured_balance(
     significant: float = 3.0,
 ) -> tuple[Real, Real, np.ndarray]:
     """
-    The effort at `through` that balances `loads`, its variance, and where it is determined (...).
+    The effort that balances loads on a machine, from its velocities as measured.
 
-    `position` (K, B, ...) complex, m, and `angle` (K, B, ...), rad, hold all bodies' frames with
-    their derivatives, K > 1, the covariances (K, K, B, ...) are between orders, as in `covariance`.
-    The effort is a force, N, or a torque, N m, positive along that of `through`; the variance is to
-    first order. Determined where the input's velocity is more than `significant` standard
-    deviations from zero. Raises ValueError for an input without direction.
+    Parameters
+    ----------
+    through
+        Where the effort acts; only its direction counts.
+    loads
+        What it balances.
+    position, angle
+        All bodies' frames with their derivatives, (K, B, ...), complex, m, and (K, B, ...), rad,
+        K > 1.
+    position_covariance, angle_covariance
+        Between orders (K, K, B, ...), as in `covariance`.
+    significant
+        It is determined where the input's velocity is more than so many standard deviations from
+        zero.
+
+    Returns
+    -------
+    effort : ndarray
+        Of shape (...), N or N m, positive along that of `through`.
+    variance : ndarray
+        Of shape (...), to first order.
+    determined : ndarray
+        Where it is, (...).
+
+    Raises
+    ------
+    ValueError
+        For an input without direction.
+
+    Notes
+    -----
+    Virtual work, seed 003; friction and inertia are left out.
+
     """
     size = abs(through.effort) if through.point is not None else abs(np.real(through.effort))
     if not np.all((size > 0) & (size < np.inf)):

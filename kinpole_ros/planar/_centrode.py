@@ -24,22 +24,46 @@ Terms: TypeAlias = tuple[Number, tuple[Number, ...], tuple[Number, ...]]
 @np.errstate(divide='ignore', invalid='ignore', over='ignore')
 def icr_velocity(position: Complex, angle: Real) -> Linear:
     """
-    Velocity u of the ICR along both centrodes (m/s), seed 000 'centrode velocity', seed 001 eq. 15.
+    Velocity u of the ICR along both centrodes.
 
-    `position` (K, ...) complex and `angle` (K, ...) hold reference point and angle with their
-    derivatives, K > 2. Not finite where the body does not turn. With v and acc those of
-    the reference point it is (w R acc - B v) / w^2.
+    Parameters
+    ----------
+    position, angle
+        Reference point (K, ...), complex, m, and angle (K, ...), rad, with their derivatives;
+        K > 2.
+
+    Returns
+    -------
+    Linear
+        In m/s, complex (...), in the frame of `position`; not finite where the body does not turn.
+
+    Notes
+    -----
+    (w R acc - B v) / w^2, with v and acc those of the reference point: seed 000, 'centrode
+    velocity', and seed 001, eq. 15.
+
     """
     return _linear(velocity_terms(position[1:3], complex_of(0.0, angle[1:3])), 3)
 
 
 def velocity_terms(position: Sequence[Number], turn: Sequence[Number]) -> Terms:
     """
-    The velocity of the ICR (m/s), and its derivatives by v and acc and by w and a.
+    The velocity of the ICR, and its derivatives by those of the reference point and the angle.
 
-    `position` are v and acc, complex, `turn` i w and i a; numbers, or arrays of one shape. They
-    are complex since a product with a real array takes three times as long, and the signs are
-    the same: u = v + q (acc + n v) with q = -1 / i w and n = q i a.
+    Parameters
+    ----------
+    position
+        v and acc of the reference point, complex: numbers, or arrays of one shape.
+    turn
+        i w and i a, of the same shape. They are complex since a product with a real array takes
+        three times as long, and the signs are the same.
+
+    Returns
+    -------
+    value, by_position, by_angle
+        u = v + q (acc + n v), m/s, complex, with q = -1 / i w and n = q i a, and its derivatives by
+        v and acc and by w and a.
+
     """
     (v, acc), (t1, t2) = position, turn
     q = -1 / t1
@@ -52,10 +76,25 @@ def velocity_terms(position: Sequence[Number], turn: Sequence[Number]) -> Terms:
 @np.errstate(divide='ignore', invalid='ignore', over='ignore')
 def icr_acceleration(position: Complex, angle: Real, u: Linear | None = None) -> Linear:
     """
-    Second time derivative of the ICR (m/s^2), seed 000. Shapes as in `icr_velocity`, K > 3.
+    Second time derivative of the ICR.
 
-    (-(w j - 2 a^2) R v + (w^3 - 2 w a R) acc + w^2 R jerk) / w^3; `u` is what `icr_velocity` gives,
-    if it was asked before.
+    Parameters
+    ----------
+    position, angle
+        Reference point (K, ...), complex, m, and angle (K, ...), rad, with their derivatives;
+        K > 3.
+    u
+        What `icr_velocity` gives, if it was asked before.
+
+    Returns
+    -------
+    Linear
+        In m/s^2, complex (...); not finite where the body does not turn.
+
+    Notes
+    -----
+    (-(w j - 2 a^2) R v + (w^3 - 2 w a R) acc + w^2 R jerk) / w^3, seed 000.
+
     """
     u = icr_velocity(position, angle) if u is None else u
     turn = complex_of(0.0, angle[2:4])
@@ -69,10 +108,22 @@ def acceleration_terms(
     u_by_angle: Sequence[Number],
 ) -> Terms:
     """
-    The acceleration of the ICR (m/s^2), and its derivatives by v, acc and jerk and by w, a and j.
+    The acceleration of the ICR, and its derivatives by those of the reference point and the angle.
 
-    `position` are v, acc and jerk, complex, `turn` i a and i j, and the others what
-    `velocity_terms` gives; numbers, or arrays of one shape.
+    Parameters
+    ----------
+    position
+        v, acc and jerk of the reference point, complex: numbers, or arrays of one shape.
+    turn
+        i a and i j, of the same shape.
+    u_by_position, u_by_angle
+        Derivatives of the velocity of the ICR, as `velocity_terms` gives them.
+
+    Returns
+    -------
+    value, by_position, by_angle
+        In m/s^2, complex, and its derivatives by v, acc and jerk and by w, a and j.
+
     """
     (v, acc, jerk), (t2, t3) = position, turn
     # du is the rate of u; so its derivative by one of the pose's derivatives is the rate of that of
@@ -90,11 +141,25 @@ def acceleration_terms(
 @np.errstate(divide='ignore', invalid='ignore', over='ignore')
 def centrode_curvature(position: Complex, angle: Real, u: Linear | None = None) -> Linear:
     """
-    Signed curvature of the fixed centrode (1/m), positive where it turns left along u, seed 000.
+    Signed curvature of the fixed centrode, positive where it turns left along u.
 
-    In a mechanism of one degree of freedom it does not depend on the speed. Shapes as in
-    `icr_velocity`, K > 3; `u` is what that gives, if it was asked before. Not finite where the ICR
-    stands still.
+    Parameters
+    ----------
+    position, angle
+        Reference point (K, ...), complex, m, and angle (K, ...), rad, with their derivatives;
+        K > 3.
+    u
+        What `icr_velocity` gives, if it was asked before.
+
+    Returns
+    -------
+    Linear
+        In 1/m, (...); not finite where the ICR stands still.
+
+    Notes
+    -----
+    Seed 000. In a mechanism of one degree of freedom it does not depend on the speed.
+
     """
     u = icr_velocity(position, angle) if u is None else u
     du = icr_acceleration(position, angle, u)
@@ -103,10 +168,19 @@ def centrode_curvature(position: Complex, angle: Real, u: Linear | None = None) 
 
 def curvature_terms(velocity: Terms, acceleration: Terms) -> Terms:
     """
-    Im(conj(u) du) / abs(u)^3 (1/m), and its derivatives by v, acc and jerk and by w, a and j.
+    Curvature of the fixed centrode, and its derivatives by those of reference point and angle.
 
-    The change is the real part of their sum. From what `velocity_terms` and `acceleration_terms`
-    give; numbers, or arrays of one shape.
+    Parameters
+    ----------
+    velocity, acceleration
+        What `velocity_terms` and `acceleration_terms` give: of numbers, or arrays of one shape.
+
+    Returns
+    -------
+    value, by_position, by_angle
+        Im(conj(u) du) / abs(u)^3, 1/m, and its derivatives by v, acc and jerk and by w, a and j;
+        the change is the real part of their sum.
+
     """
     u, *u_by = velocity
     du, *du_by = acceleration
@@ -133,21 +207,51 @@ def _linear(terms: Terms, end: int) -> Linear:
 
 def moving_centrode_curvature(fixed: Real, omega: Real, speed: Real) -> Real:
     """
-    Signed curvature (1/m) of the moving centrode where it touches the fixed one.
+    Signed curvature of the moving centrode where it touches the fixed one.
 
-    `fixed` is the curvature of the fixed centrode (1/m), `omega` the rate of the body (rad/s),
-    `speed` the speed of the ICR along the centrodes (m/s). The two differ by omega / speed, since
-    in the body's frame the tangent turns by omega less (seed 001, eq. 15 and 16).
+    Parameters
+    ----------
+    fixed
+        Curvature of the fixed centrode (...), 1/m.
+    omega
+        Angular velocity of the body (...), rad/s.
+    speed
+        Speed of the ICR along the centrodes (...), m/s.
+
+    Returns
+    -------
+    ndarray
+        Of shape (...), 1/m.
+
+    Notes
+    -----
+    The two differ by omega / speed, since in the body's frame the tangent turns by omega less (seed
+    001, eq. 15 and 16).
+
     """
     return np.asarray(fixed - omega / speed)
 
 
 def moving_centrode(icr: ArrayLike, reference: ArrayLike, angle: ArrayLike) -> Real:
     """
-    The ICR as seen from the body: where it is on the moving centrode (m), shape (..., 2).
+    The ICR as seen from the body: where it is on the moving centrode.
 
-    `icr` and `reference` (..., 2) are the ICR and the body's reference point in the ground frame,
-    `angle` (...) is the body's angle in rad. Seed 000, 'moving centrode'.
+    Parameters
+    ----------
+    icr, reference
+        ICR and reference point of the body (..., 2), m, in the ground's frame.
+    angle
+        Angle of the body (...), rad.
+
+    Returns
+    -------
+    ndarray
+        Of shape (..., 2), m, from the reference point, in the body's axes.
+
+    Notes
+    -----
+    Seed 000, 'moving centrode'.
+
     """
     arm = to_complex(check_vectors(icr, 'icr')) - to_complex(check_vectors(reference, 'reference'))
     return to_plane(arm * np.exp(-1j * np.asarray(angle, float)))

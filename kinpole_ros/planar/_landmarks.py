@@ -146,10 +146,24 @@ def landmark_kinematics(
 
 def point_derivatives(kinematics: LandmarkKinematics, points: ArrayLike) -> tuple[Real, ...]:
     """
-    Velocity, acceleration, jerk and snap (..., 2) of the body's points now at `points` (..., 2).
+    Velocity, acceleration, jerk and snap of points of bodies.
 
-    Seed 000: wR(P - ICR), B(P - IAP), H(P - IJP), G(P - ISP), written so that it holds for a body
-    that does not turn as well. NaN in the orders whose derivatives were not given.
+    Parameters
+    ----------
+    kinematics
+        What `landmark_kinematics` gives, of shape (...).
+    points
+        Where the bodies' points are now (..., 2), in the unit of the landmarks.
+
+    Returns
+    -------
+    tuple of ndarray
+        Four of shape (..., 2), in that unit per s to s^4; NaN in the orders whose derivatives were
+        not given.
+
+    Notes ----- Seed 000: wR(P - ICR), B(P - IAP), H(P - IJP), G(P - ISP), written so that it holds
+    for a body that does not turn as well.
+
     """
     p = to_complex(check_vectors(points, 'points'))
     position = to_complex(kinematics.position)

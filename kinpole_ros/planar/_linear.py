@@ -32,12 +32,26 @@ class Linear(NamedTuple):
 
 def covariance(linear: Linear, position_covariance: Real, angle_covariance: Real) -> Real:
     """
-    Covariance (..., 2, 2) of a vector quantity.
+    Covariance of a vector quantity, to first order.
 
-    `position_covariance` (K, K, ...) holds the covariances between the orders of derivative of one
-    axis of the reference point (equal for both axes, independent); `angle_covariance` (K, K, ...)
-    those of the angle. A circular error stays circular under a complex factor, so the share of the
-    position is a multiple of the unit matrix.
+    Parameters
+    ----------
+    linear
+        The quantity (...), and how it depends on the pose.
+    position_covariance
+        Between the orders of derivative of one axis of the reference point (K, K, ...), in SI
+        units; both axes have the same, and are independent.
+    angle_covariance
+        The same of the angle (K, K, ...).
+
+    Returns
+    -------
+    ndarray
+        Of shape (..., 2, 2), in the quantity's unit squared.
+
+    Notes ----- A circular error stays circular under a complex factor, so the share of the position
+    is a multiple of the unit matrix.
+
     """
     _, by_position, by_angle, p, a = linear
     by = _axes(by_angle)
@@ -49,7 +63,22 @@ def covariance(linear: Linear, position_covariance: Real, angle_covariance: Real
 
 
 def variance(linear: Linear, position_covariance: Real, angle_covariance: Real) -> Real:
-    """Variance (...) of a real quantity; the covariances as in `covariance`."""
+    """
+    Variance of a real quantity, to first order.
+
+    Parameters
+    ----------
+    linear
+        The quantity (...), and how it depends on the pose.
+    position_covariance, angle_covariance
+        As in `covariance`.
+
+    Returns
+    -------
+    ndarray
+        Of shape (...), in the quantity's unit squared.
+
+    """
     _, by_position, by_angle, p, a = linear
     by = by_angle.real
     of_angle = np.einsum('km...,k...,m...->...', angle_covariance[a, a], by, by)
@@ -58,9 +87,21 @@ def variance(linear: Linear, position_covariance: Real, angle_covariance: Real) 
 
 def mean_square(factors: Complex, matrix: Real) -> Real:
     """
-    Mean square (...) of the sum of factors[k] e[k], where errors e have covariances (n, n, ...).
+    Mean square of the sum of factors[k] e[k].
 
-    Of errors equal on both axes it is that of either axis of the sum, and of its real part.
+    Parameters
+    ----------
+    factors
+        Of shape (n, ...), complex.
+    matrix
+        Covariances of the errors e (n, n, ...).
+
+    Returns
+    -------
+    ndarray
+        Of shape (...): of errors equal on both axes that of either axis of the sum, and of its real
+        part.
+
     """
     by = _axes(factors)
     return np.asarray(np.einsum('km...,xk...,xm...->...', matrix, by, by))

@@ -20,14 +20,40 @@ def complex_of(real: Real | float, imag: Real) -> Complex:
 
 
 def to_complex(vectors: ArrayLike) -> Complex:
-    """Write vectors of shape (..., 2) as complex numbers of shape (...)."""
+    """
+    Write vectors as complex numbers.
+
+    Parameters
+    ----------
+    vectors
+        Of shape (..., 2).
+
+    Returns
+    -------
+    ndarray
+        Of shape (...), complex.
+
+    """
     array = check_vectors(vectors, 'vectors')
     # Not x + 1j * y: an infinite y would make x NaN.
     return complex_of(array[..., 0], array[..., 1])
 
 
 def to_plane(numbers: ArrayLike) -> Real:
-    """Write complex numbers of shape (...) as vectors of shape (..., 2)."""
+    """
+    Write complex numbers as vectors.
+
+    Parameters
+    ----------
+    numbers
+        Of shape (...), complex.
+
+    Returns
+    -------
+    ndarray
+        Of shape (..., 2).
+
+    """
     array = np.asarray(numbers, complex)
     return np.stack((array.real, array.imag), axis=-1)
 

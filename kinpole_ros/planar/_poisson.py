@@ -12,21 +12,76 @@ from kinpole_ros.planar._plane import Real, check_vectors
 
 
 def relative_velocity(omega: ArrayLike, r_ba: ArrayLike) -> Real:
-    """Velocity of B relative to A, w x r_BA (m/s), eq. 3; with v_A it gives v_B, eq. 2."""
+    """
+    Velocity of a point B of a body relative to its point A, w x r_BA.
+
+    Parameters
+    ----------
+    omega
+        Angular velocity (...), rad/s.
+    r_ba
+        From A to B (..., 2), m, in the ground's axes.
+
+    Returns
+    -------
+    ndarray
+        Of shape (..., 2), m/s, in the ground's axes; added to v_A it is v_B.
+
+    Notes
+    -----
+    Seed 001, eq. 2 and 3.
+
+    """
     return _cross(omega, check_vectors(r_ba, 'r_ba'))
 
 
 def relative_acceleration(omega: ArrayLike, alpha: ArrayLike, r_ba: ArrayLike) -> Real:
-    """Acceleration of B relative to A, a x r_BA + w x (w x r_BA) (m/s^2), eq. 4."""
+    """
+    Acceleration of a point B of a body relative to its point A, a x r_BA + w x (w x r_BA).
+
+    Parameters
+    ----------
+    omega, alpha
+        Angular velocity and acceleration (...), rad/s and rad/s^2.
+    r_ba
+        From A to B (..., 2), m, in the ground's axes.
+
+    Returns
+    -------
+    ndarray
+        Of shape (..., 2), m/s^2, in the ground's axes.
+
+    Notes
+    -----
+    Seed 001, eq. 4.
+
+    """
     r = check_vectors(r_ba, 'r_ba')
     return _cross(alpha, r) + _cross(omega, _cross(omega, r))
 
 
 def transport(derivative_a: ArrayLike, omega_ab: ArrayLike, vector: ArrayLike) -> Real:
     """
-    The derivative of a vector seen from space b, from that seen in space a, eq. 16.
+    The derivative of a vector as seen from space b, from that as seen from space a.
 
-    `omega_ab` is the rate of a with respect to b. Both derivatives in the same axes.
+    Parameters
+    ----------
+    derivative_a
+        Derivative as seen from a (..., 2), per s.
+    omega_ab
+        Angular velocity of a with respect to b (...), rad/s.
+    vector
+        The vector (..., 2), in the same axes as its derivatives.
+
+    Returns
+    -------
+    ndarray
+        Derivative as seen from b (..., 2), per s, in the same axes.
+
+    Notes
+    -----
+    Seed 001, eq. 16.
+
     """
     return check_vectors(derivative_a, 'derivative_a') + _cross(
         omega_ab, check_vectors(vector, 'vector')
@@ -34,14 +89,54 @@ def transport(derivative_a: ArrayLike, omega_ab: ArrayLike, vector: ArrayLike) -
 
 
 def pole_from_reference(v_a: ArrayLike, omega: ArrayLike) -> Real:
-    """The pole as seen from A, w x v_A / w^2 (m), eq. 21. NaN where the body does not turn."""
+    """
+    The pole of a body as seen from its point A, w x v_A / w^2.
+
+    Parameters
+    ----------
+    v_a
+        Velocity of A (..., 2), m/s, in the ground's axes.
+    omega
+        Angular velocity (...), rad/s.
+
+    Returns
+    -------
+    ndarray
+        From A to the pole (..., 2), m, in the ground's axes; NaN where the body does not turn.
+
+    Notes
+    -----
+    Seed 001, eq. 21.
+
+    """
     w = np.asarray(omega, float)
     turning = np.where(w == 0, np.nan, w)
     return _cross(1 / turning, check_vectors(v_a, 'v_a'))
 
 
 def moving_centrode_from_reference(v_a: ArrayLike, omega: ArrayLike, angle: ArrayLike) -> Real:
-    """The pole from A in the body's axes (m), eq. 22: its locus is the moving centrode."""
+    """
+    The pole from A in the body's axes: its locus is the moving centrode.
+
+    Parameters
+    ----------
+    v_a
+        Velocity of A (..., 2), m/s, in the ground's axes.
+    omega
+        Angular velocity (...), rad/s.
+    angle
+        Angle of the body's axes (...), rad.
+
+    Returns
+    -------
+    ndarray
+        Of shape (..., 2), m; NaN where the body does not turn.
+
+    Notes
+    -----
+    Seed 001, eq. 22.
+
+    """
     arm = pole_from_reference(v_a, omega)
     cosine, sine = np.cos(angle), np.sin(angle)
     x, y = arm[..., 0], arm[..., 1]
@@ -49,7 +144,26 @@ def moving_centrode_from_reference(v_a: ArrayLike, omega: ArrayLike, angle: Arra
 
 
 def fixed_centrode_from_reference(r_a: ArrayLike, v_a: ArrayLike, omega: ArrayLike) -> Real:
-    """The pole in the ground's axes (m), eq. 23: its locus is the fixed centrode."""
+    """
+    The pole in the ground's axes: its locus is the fixed centrode.
+
+    Parameters
+    ----------
+    r_a, v_a
+        Place and velocity of A (..., 2), m and m/s, in the ground's axes.
+    omega
+        Angular velocity (...), rad/s.
+
+    Returns
+    -------
+    ndarray
+        Of shape (..., 2), m; NaN where the body does not turn.
+
+    Notes
+    -----
+    Seed 001, eq. 23.
+
+    """
     return check_vectors(r_a, 'r_a') + pole_from_reference(v_a, omega)
 
 
@@ -57,10 +171,25 @@ def centrode_velocities(
     v_a: ArrayLike, a_a: ArrayLike, omega: ArrayLike, alpha: ArrayLike
 ) -> tuple[Real, Real]:
     """
-    Velocity of the pole along the fixed and along the moving centrode (m/s), ground axes.
+    Velocity of the pole along the fixed and along the moving centrode.
 
-    Both are computed by themselves, from eq. 23 and from eq. 22 with eq. 16; that they are equal
-    is eq. 15. NaN where the body does not turn.
+    Parameters
+    ----------
+    v_a, a_a
+        Velocity and acceleration of A (..., 2), m/s and m/s^2, in the ground's axes.
+    omega, alpha
+        Angular velocity and acceleration (...), rad/s and rad/s^2.
+
+    Returns
+    -------
+    fixed, moving : ndarray
+        Of shape (..., 2), m/s, in the ground's axes; NaN where the body does not turn.
+
+    Notes
+    -----
+    Each is computed by itself, from eq. 23 and from eq. 22 with eq. 16 of seed 001; that they are
+    equal is eq. 15.
+
     """
     w = np.asarray(omega, float)
     turning = np.where(w == 0, np.nan, w)

@@ -17,10 +17,24 @@ from kinpole_ros.planar._plane import Complex, Real, complex_of
 
 def rotation_coefficient(order: int, angle: Real) -> Complex:
     """
-    a_n: the n-th derivative of the points of a turning body, per m from the pole of that order.
+    The n-th derivative of the points of a turning body, per m from the pole of that order.
 
-    `angle` (K, ...) holds the angle and its derivatives (rad, rad/s, ...), K > order; order 1 to 4.
+    Parameters
+    ----------
+    order
+        1 to 4.
+    angle
+        Angle with its derivatives (K, ...), rad, K > order.
+
+    Returns
+    -------
+    ndarray
+        a_n (...), complex, 1/s^order.
+
+    Notes
+    -----
     Seed 000: w R, B = a R - w^2, H and G.
+
     """
     w = np.asarray(angle[1])
     if order == 1:
@@ -39,9 +53,23 @@ def rotation_coefficient(order: int, angle: Real) -> Complex:
 
 def rotation(order: int, angle: Real) -> tuple[Complex, Complex]:
     """
-    `rotation_coefficient` and its partial derivatives (n, ...) by the 1st to n-th of the angle.
+    `rotation_coefficient`, and its partial derivatives by those of the angle.
 
-    By the k-th it is i times n choose k times the coefficient of order n - k, of which a_0 is 1.
+    Parameters
+    ----------
+    order
+        1 to 4.
+    angle
+        Angle with its derivatives (K, ...), rad, K > order.
+
+    Returns
+    -------
+    value : ndarray
+        Of shape (...), complex, 1/s^order.
+    partials : ndarray
+        By the 1st to n-th derivative of the angle (order, ...): by the k-th it is i times n choose
+        k times the coefficient of order n - k, of which a_0 is 1.
+
     """
     a = rotation_coefficient(order, angle)
     by_angle = np.empty((order, *a.shape), complex)
@@ -56,12 +84,27 @@ def pole(
     order: int, position: Complex, angle: Real, turn: tuple[Complex, Complex] | None = None
 ) -> Linear:
     """
-    The point of the body whose n-th derivative vanishes: ICR, IAP, IJP or ISP for order 1 to 4.
+    The point of the body whose n-th derivative vanishes: ICR, IAP, IJP or ISP.
 
-    `position` (K, ...) complex and `angle` (K, ...) hold the reference point and the angle with
-    their derivatives, K > order; `turn` is what `rotation` gives, if it was asked before. Value in
-    m, in the frame of `position`; not finite where the body does not turn. Seed 000:
-    r - (wR)^-1 v and its like.
+    Parameters
+    ----------
+    order
+        1 to 4 for ICR to ISP.
+    position, angle
+        Reference point (K, ...), complex, m, and angle (K, ...), rad, with their derivatives,
+        K > order.
+    turn
+        What `rotation` gives, if it was asked before.
+
+    Returns
+    -------
+    Linear
+        In m, complex (...), in the frame of `position`; not finite where the body does not turn.
+
+    Notes
+    -----
+    r - (wR)^-1 v and its like, seed 000.
+
     """
     a, by_turn = rotation(order, angle) if turn is None else turn
     by_position = np.empty((2, *a.shape), complex)
@@ -75,8 +118,23 @@ def pole(
 
 def point_motion(order: int, arm: Complex, position: Complex, angle: Real) -> Linear:
     """
-    A point at `arm` (m, complex, in the body's frame) from the reference point: where it is (m), or
-    its derivative of order 1 to 4 (m/s^n), with its dependence on the pose. Shapes as in `pole`.
+    Where a point fixed to a body is, or a derivative of it, with its dependence on the pose.
+
+    Parameters
+    ----------
+    order
+        0 for the place, or which derivative, 1 to 4.
+    arm
+        From the reference point (...), complex, m, in the body's frame.
+    position, angle
+        Reference point (K, ...), complex, m, and angle (K, ...), rad, with their derivatives,
+        K > order.
+
+    Returns
+    -------
+    Linear
+        In m/s^order, complex (...), in the frame of `position`.
+
     """
     turned = arm * np.exp(1j * angle[0])
     orders = slice(order, order + 1), slice(0, order + 1)
@@ -93,9 +151,25 @@ def point_motion(order: int, arm: Complex, position: Complex, angle: Real) -> Li
 
 def body_point_derivative(order: int, point: Complex, position: Complex, angle: Real) -> Complex:
     """
-    The n-th derivative (m/s^n), order 1 to 4, of the body's point now at `point`.
+    A derivative of the body's point that is now at `point`.
 
-    Written with the reference point, so that it holds for a body that does not turn as well; where
-    it turns this is a_n (P - pole of order n), the form of seed 000.
+    Parameters
+    ----------
+    order
+        Which derivative, 1 to 4.
+    point
+        Where the point is (...), complex, m.
+    position, angle
+        Reference point (K, ...), complex, m, and angle (K, ...), rad, with their derivatives,
+        K > order.
+
+    Returns
+    -------
+    ndarray
+        Of shape (...), complex, m/s^order, in the frame of `position`.
+
+    Notes ----- Written with the reference point, so that it holds for a body that does not turn as
+    well; where it turns this is a_n (P - pole of order n), the form of seed 000.
+
     """
     return np.asarray(position[order] + rotation_coefficient(order, angle) * (point - position[0]))

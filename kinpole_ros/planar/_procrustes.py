@@ -50,7 +50,22 @@ class Grip(NamedTuple):
 
 
 def grip_of(shape: Complex, weights: Real) -> Grip:
-    """What `fit_pose` takes of these, to be used for many points."""
+    """
+    What `fit_pose` takes of shape and weights alone, to be used for many points.
+
+    Parameters
+    ----------
+    shape
+        Markers in the body's frame (..., n), complex, m.
+    weights
+        How far each counts (..., n), >= 0.
+
+    Returns
+    -------
+    Grip
+        What `fit_by_grip` takes.
+
+    """
     seen = weights > 0
     total = weights.sum(axis=-1)
     with np.errstate(divide='ignore', invalid='ignore', over='ignore'):
@@ -76,17 +91,47 @@ def grip_of(shape: Complex, weights: Real) -> Grip:
 
 def fit_pose(points: Complex, shape: Complex, weights: Real) -> Fit:
     """
-    Weighted orthogonal Procrustes in the plane (Schoenemann 1966; complex form, Kendall 1984).
+    Weighted orthogonal Procrustes in the plane: the pose of a body that fits its markers best.
 
-    `points` (..., n) complex, m, in the ground frame, `shape` (..., n) in the body's frame,
-    `weights` (..., n) >= 0. A marker of weight 0 may hold anything, NaN included. Angle and
-    position are NaN where fewer than two markers have weight or all of them coincide.
+    Parameters
+    ----------
+    points
+        Markers (..., n), complex, m, in the ground's frame.
+    shape
+        The same in the body's frame (..., n), complex, m.
+    weights
+        How far each counts (..., n), >= 0. A marker of weight 0 may hold anything, NaN included.
+
+    Returns
+    -------
+    Fit
+        Poses of shape (...); NaN where fewer than two markers have weight or all of them coincide.
+
+    Notes
+    -----
+    Schoenemann 1966; complex form, Kendall 1984.
+
     """
     return fit_by_grip(points, grip_of(shape, weights))
 
 
 def fit_by_grip(points: Complex, grip: Grip) -> Fit:
-    """The same of points by what is known of shape and weights, whose axes before n may be 1."""
+    """
+    `fit_pose` by what is known of shape and weights, for many points.
+
+    Parameters
+    ----------
+    points
+        Of shape (..., n), complex, m, in the ground's frame.
+    grip
+        What `grip_of` gives, whose axes before n may be 1.
+
+    Returns
+    -------
+    Fit
+        Poses of shape (...).
+
+    """
     points = np.where(grip.seen, points, 0)
     with np.errstate(divide='ignore', invalid='ignore', over='ignore'):
         mean = np.add.reduce(grip.share * points, -1)

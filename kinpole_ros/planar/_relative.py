@@ -42,10 +42,22 @@ def relative_pole(
     """
     Relative instant center of body j with respect to body i, from both bodies' poses.
 
-    Arguments as in `pole`, K > 1. Unlike `relative_center` it does not go through the two ICRs, so
-    it holds where one of the bodies does not turn. Returns the center (complex, m) twice: as it
-    depends on body j and as it depends on body i; their covariances add. Not finite where both turn
-    at one rate. With q = i w z - v of each body it is (q_j - q_i) / (i w_ji).
+    Parameters
+    ----------
+    position_j, position_i
+        Reference points with their derivatives (K, ...), complex, m, K > 1.
+    angle_j, angle_i
+        Angles with their derivatives (K, ...), rad, K > 1.
+
+    Returns
+    -------
+    by_j, by_i : Linear
+        The center (...), complex, m, twice: as it depends on body j and as it depends on body i;
+        their covariances add. Not finite where both turn at one rate.
+
+    Notes ----- Unlike `relative_center` it does not go through the two ICRs, so it holds where one
+    of the bodies does not turn. With q = i w z - v of each body it is (q_j - q_i) / (i w_ji).
+
     """
     w_j, w_i = angle_j[1], angle_i[1]
     between = position_j[0] - position_i[0]
@@ -64,13 +76,26 @@ def relative_pole(
 
 def kennedy_residual(centers: Complex, covariance: Real) -> tuple[Real, Real]:
     """
-    How far the last of three centers (3, ...) is from the line through the first two, signed.
+    How far the last of three centers is from the line through the first two, signed.
 
-    `centers` are complex, m: of three bodies, those of ik, kj and ij, such as with the ground as k
-    the pins of i and of j and their relative center; `covariance` (3, ..., 2, 2), m^2. Returns the
-    distance (...), m, positive to the left of the way from the first to the second, and that over
-    its standard deviation, to first order. NaN where the first two are one within rounding.
+    Parameters
+    ----------
+    centers
+        Of three bodies those of ik, kj and ij (3, ...), complex, m, such as with the ground as k
+        the pins of i and of j and their relative center.
+    covariance
+        Of each (3, ..., 2, 2), m^2.
 
+    Returns
+    -------
+    distance : ndarray
+        Of shape (...), m, positive to the left of the way from the first to the second; NaN where
+        these are one within rounding.
+    deviations : ndarray
+        The same over its standard deviation (...), to first order.
+
+    Notes
+    -----
     By Kennedy's theorem it is zero, and of three centers computed from one set of velocities it is
     zero by algebra, whatever these are: such a residual cannot fail and shows nothing. The centers
     have to be found independently of each other, as the covariance takes them to be: pins from the
@@ -80,6 +105,7 @@ def kennedy_residual(centers: Complex, covariance: Real) -> tuple[Real, Real]:
     moved, a body that is not rigid, velocities that lag. Velocities across the line escape it, and
     so does a joint between i and j that is elsewhere on the line, or not there at all: that is for
     `center_offset`, or for a second line, through another body.
+
     """
     first, second, third = np.asarray(centers, complex)
     way = second - first
@@ -97,12 +123,28 @@ def kennedy_residual(centers: Complex, covariance: Real) -> tuple[Real, Real]:
 
 def center_offset(center: Complex, joint: Complex, covariance: Real) -> tuple[Real, Real]:
     """
-    Distance (...), m, of a measured relative center from the joint it should be at.
+    Distance of a measured relative center from the joint that it should be at.
 
-    `center` and `joint` (...) are complex, m, `joint` where a pin is predicted, by a linkage or by
-    its place on a body; `covariance` (..., 2, 2), m^2, is the sum of both. The second result is the
-    distance in standard deviations (Mahalanobis'): its square is on average 2 where all is well.
+    Parameters
+    ----------
+    center, joint
+        Of shape (...), complex, m; `joint` is where a pin is predicted, by a linkage or by its
+        place on a body.
+    covariance
+        The sum of both (..., 2, 2), m^2.
+
+    Returns
+    -------
+    distance : ndarray
+        Of shape (...), m.
+    deviations : ndarray
+        The same in standard deviations (...), Mahalanobis' distance: its square is on average 2
+        where all is well.
+
+    Notes
+    -----
     It sees what `kennedy_residual` does not: a joint elsewhere than described, or one with play.
+
     """
     off = np.asarray(center, complex) - joint
     matrix = np.asarray(covariance, float)
