@@ -6,12 +6,21 @@ _PACKAGE = Path(__file__).resolve().parents[1]
 
 
 def share_folder() -> Path:
-    """Return the folder that holds `config/`.
+    """
+    The folder that holds `config/`.
 
-    In a source tree (also through a link from a workspace) it is the folder of package.xml.
-    Installed by pip or colcon, it is `share/kinpole_ros` under the prefix that the package lies in
-    (sys.prefix, the user's or a workspace's own), or else what the ament index names. Raises
-    FileNotFoundError where none of them has it.
+    Returns
+    -------
+    Path
+        In a source tree (also through a link from a workspace) the folder of package.xml. Installed
+        by pip or colcon, `share/kinpole_ros` under the prefix that the package lies in
+        (sys.prefix, the user's or a workspace's own), or else what the ament index names.
+
+    Raises
+    ------
+    FileNotFoundError
+        Where none of them has it.
+
     """
     candidates = [_PACKAGE.parent] if (_PACKAGE.parent / 'package.xml').is_file() else []
     candidates += [prefix / 'share' / 'kinpole_ros' for prefix in _PACKAGE.parents]
