@@ -380,8 +380,11 @@ def test_page_waits_for_a_node_shows_it_and_asks_for_no_more(browser, results, w
             assert abs(float(value) - 2 * np.pi) < 3 * float(spread) < 0.3
             # One topic is asked for, whatever is shown.
             await_readers(watcher, f'/kinpole/{VIEW}', True)
-            page.locator('#rates button', has_text='jerk').click()
             page.locator('#now [data-name=angular_jerk] td', has_text='±').first.wait_for()
+            assert not page.locator('.chart[data-name=angular_jerk]').is_visible()
+            page.locator('#rates button', has_text='jerk').click()
+            page.locator('.chart[data-name=angular_jerk]').wait_for()
+            assert colored(page, '[data-name=angular_jerk] canvas', BLUE) > 20
             # The last seconds can be looked through, and nothing is asked for meanwhile.
             page.keyboard.press('l')
             await_readers(watcher, f'/kinpole/{VIEW}', False)

@@ -9,7 +9,6 @@ function tag(name, text, attributes = {}) {
 
 function makeTable(element, page, data) {
   const cells = [];
-  const chosen = [];
   const rows = [...RATES, ...POLES, 'icr_velocity', 'centrode_curvature'].filter((name) =>
     data.bodies.some((body) => body[name]));
   const table = tag('table');
@@ -23,7 +22,6 @@ function makeTable(element, page, data) {
   for (const name of rows) {
     const row = content.insertRow();
     row.dataset.name = name;
-    chosen.push([row, name]);
     const heading = tag('th', `${WORDS[name][2]} `, { scope: 'row', title: WORDS[name][0] });
     heading.append(tag('span', WORDS[name][1], { class: 'unit' }));
     row.append(heading);
@@ -53,8 +51,7 @@ function makeTable(element, page, data) {
       row.append(tag('th', `${j.name} wrt ${i.name}`, { scope: 'row' }));
       const unknown = ['', 'not known'];
       const none = (k) => (isFinite(rate.value[k]) ? ['', 'no relative rotation'] : unknown);
-      const unasked = () => data.live && page.off.has('relative') && ['', 'not shown'];
-      cells.push({ cell: row.insertCell(), words: (k) => unasked() || (pointWords(icr, k) ?? none(k)) });
+      cells.push({ cell: row.insertCell(), words: (k) => pointWords(icr, k) ?? none(k) });
       cells.push({ cell: row.insertCell(), words: (k) => numberWords(rate, k) ?? unknown });
     }
     details.append(pairs);
@@ -75,8 +72,6 @@ function makeTable(element, page, data) {
 
   return {
     move() {
-      // Live, only what is shown is asked for.
-      if (data.live) for (const [row, name] of chosen) row.hidden = page.off.has(name);
       for (const one of cells) {
         const [value, rest] = one.words(page.k);
         const text = `${value} ${rest}`;
