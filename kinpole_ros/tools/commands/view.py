@@ -12,7 +12,7 @@ def add(commands: Any) -> None:
         description='Serves the page of a report, live, to browsers on this machine: 30 times a\n'
         'second bodies, poles with their ellipses, velocities and rates, of a node that publishes\n'
         'anywhere in the ROS graph. Prints the address to open, which has a token in it.\n'
-        'Only what the page shows is asked of the node, and only while a page is open.',
+        'The node sends that as one message, after all else, and only while a page is open.',
         epilog='examples:\n'
         '  kinpole view\n'
         '  kinpole view --topic /rig2 --port 8080\n'
