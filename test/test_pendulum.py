@@ -5,12 +5,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import decoded, figures, write_config
+from conftest import write_config
 
-from kinpole_ros.bags import BagWriter, read_messages
 from kinpole_ros.pipeline.parameters import Settings
 from kinpole_ros.tools import cli
-from kinpole_ros.tools.demo import live_run
 
 # The data stay where they are: see the README beside them for what they are and their license.
 TABLE = Path(__file__).parents[2] / 'shared' / 'data' / 'double_pendulum' / 'run16.csv'
@@ -22,9 +20,6 @@ LINKS = Settings(
     bodies={'link1': ('red', 'green'), 'link2': ('green', 'blue')}, window=0.2, lag=0.1
 )
 ORDER = 3
-# The live node takes so many frames at the pace they were filmed, whatever the machine does: no
-# more than its queue holds.
-LIVE = 600
 
 
 @pytest.fixture(scope='module')
@@ -125,28 +120,3 @@ def test_poles_are_at_the_pivot_and_the_joint(results: dict[str, np.ndarray]) ->
         if name in ('ICR', 'IAP', 'IJP'):
             # With the pin recognized; the pivot's own marker is as far off.
             assert np.percentile(off, 90) <= 0.006, name
-
-
-def test_the_live_node_says_the_same_at_the_pace_of_the_film(
-    bag: Path, config: Path, results: dict[str, np.ndarray], tmp_path: Path
-) -> None:
-    with BagWriter(tmp_path / 'start.mcap') as writer:
-        for message, _ in zip(read_messages(bag), range(LIVE), strict=False):
-            writer.write_raw(message.topic, message.type_name, message.data, message.log_time)
-    assert live_run(tmp_path / 'start.mcap', config, tmp_path / 'live.mcap') == LIVE
-    live = figures(decoded(tmp_path / 'live.mcap'))
-    lag = round(LINKS.lag * RATE)
-    odom = live['/kinpole/link1/odom']
-    rows = np.flatnonzero(results['frame'] < LIVE - lag)
-    assert len(odom) == len(rows) == LIVE - lag
-    for topic in ('link1/icr', 'link1/iap', 'link1/ijp', 'link2/icr', 'link2/wrt/link1/icr'):
-        column = points(results, topic.replace('/', '_'))
-        values = live[f'/kinpole/{topic}']
-        told = [row for row in rows if np.isfinite(column[row])]
-        assert [round(stamp * 1e-9 * RATE) - RATE for stamp in values] == told
-        found = np.array([value[0] + 1j * value[1] for value in values.values()])
-        np.testing.assert_allclose(found, column[told], rtol=1e-9, err_msg=topic)
-    rates = [value[2] for value in live['/kinpole/link2/angular_jerk'].values()]
-    column = results['link2_angular_jerk'][rows]
-    # To rounding, where it goes through zero.
-    np.testing.assert_allclose(rates, column, rtol=1e-9, atol=1e-12 * np.abs(column).max())

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from conftest import bodies_of, decoded, figures
+from conftest import bodies_of, decoded
 from recordings import START, follow, record
 
 from kinpole_ros import planar
@@ -29,7 +29,6 @@ from kinpole_ros.messages import stamp_to_ns
 from kinpole_ros.pipeline.parameters import ParameterError, Settings, load_settings, settings_from
 from kinpole_ros.rigid import References
 from kinpole_ros.tools import cli
-from kinpole_ros.tools.demo import live_run
 
 LOADS = """
 loads:
@@ -174,15 +173,6 @@ def test_points_of_the_scene_are_published_to_their_jerk(bag: Path, tmp_path: Pa
         # Of what it is in all: 0.3 m, 1.5 m/s, 12 m/s² and so on.
         assert np.median(np.abs(off)) < (1e-4, 2e-3, 0.1, 4)[order]
         assert np.mean(np.abs(off) < 1.96 * sigma) > 0.85
-
-
-def test_the_live_node_publishes_the_same_balance(bag: Path, tmp_path: Path) -> None:
-    offline = figures(replayed(bag, tmp_path, scene(tmp_path)))['/kinpole/balance']
-    live_run(bag, tmp_path / 'rig.yaml', tmp_path / 'live.mcap')
-    live = figures(decoded(tmp_path / 'live.mcap'))['/kinpole/balance']
-    assert set(live) == set(offline)
-    for stamp, value in live.items():
-        np.testing.assert_allclose(value, offline[stamp], rtol=1e-9)
 
 
 def test_bodies_that_are_as_the_scene_says_differ_by_their_noise(bag: Path, tmp_path: Path) -> None:
