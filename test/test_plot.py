@@ -176,7 +176,7 @@ def test_bodies_are_those_with_poses_in_the_order_of_their_relations(tmp_path) -
 
 
 @pytest.mark.parametrize(
-    'missing', ['/icr', '/with_covariance', '/icr_velocity', '/centrode_curvature', '/angular_']
+    'missing', ['/icr', '/with_covariance', '/centrode_curvature', '/angular_']
 )
 def test_missing_topics_leave_the_rest_drawn(bags, tmp_path, missing) -> None:
     bag = thinned(bags['cardan'], tmp_path / 'less.mcap', lambda topic, _: missing not in topic)

@@ -59,8 +59,9 @@ def test_a_motion_that_sets_in_is_followed_at_once(begun: int) -> None:
     assert float(np.sqrt(np.mean((rate[some] - 200 * time[late[some]]) ** 2))) < 0.04
 
 
-@pytest.mark.parametrize('orders', [(2, 4), (4, 2), (None, 3), (1, 4)])
-@pytest.mark.parametrize('more', [300, 307])
+@pytest.mark.parametrize(
+    ('orders', 'more'), [((2, 4), 300), ((4, 2), 307), ((None, 3), 300), ((1, 4), 307)]
+)
 def test_what_was_asked_before_changes_nothing(orders: tuple[int | None, int], more: int) -> None:
     seen = frames(2 * np.sin(np.arange(330) / 30))
     straight = one_by_one(seen, [orders[1]] * 330)

@@ -539,9 +539,10 @@ def test_a_marker_that_jumps_or_is_exchanged_makes_no_body_look_like_several_lin
 
 
 def test_a_tracker_refuses_a_second_thread_and_goes_on_in_the_first() -> None:
-    seen = record('four_bar')
-    expected = Tracker(settings_from(seen.values)).add_parts(seen.frames, 4)
-    tracker = Tracker(settings_from(seen.values))
+    seen = record('four_bar', 160)
+    values = {**seen.values, 'window': 0.2, 'lag': 0.05}
+    expected = Tracker(settings_from(values)).add_parts(seen.frames, 4)
+    tracker = Tracker(settings_from(values))
     refused: list[str] = []
 
     def meddle() -> None:

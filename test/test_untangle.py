@@ -528,7 +528,7 @@ def test_a_wild_start_comes_out_the_same_frame_by_frame(hidden: int) -> None:
         np.testing.assert_allclose(one / most, other / most, rtol=0, atol=1e-9)
 
 
-@settings(max_examples=25)
+@settings(max_examples=8)
 @given(
     turn=st.floats(-3, 3),
     shift=st.complex_numbers(max_magnitude=10),

@@ -172,10 +172,9 @@ def test_an_outage_of_all_frames_is_warned_of_when_they_are_back() -> None:
     assert 'nobody subscribes' in status[1].message
 
 
-@pytest.mark.parametrize('seed', range(2))
-def test_deviations_hold_where_nine_tenths_of_the_markers_are_hidden(seed: int) -> None:
+def test_deviations_hold_where_nine_tenths_of_the_markers_are_hidden() -> None:
     position, angle, _ = motion(np.arange(700) / RATE)
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(0)
     shape = 0.1 * (rng.normal(size=8) + 1j * rng.normal(size=8))
     flat = position[:, None] + np.exp(1j * angle)[:, None] * shape
     points = np.stack((flat.real, flat.imag, 0 * flat.real), axis=-1)
