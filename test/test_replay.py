@@ -2,7 +2,7 @@
 
 import csv
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -26,8 +26,10 @@ from kinpole_ros.bags import (
 )
 from kinpole_ros.bags import topics as topics_of
 from kinpole_ros.messages import MARKER_TYPES, TF, read_markers, result_outputs, to_message
-from kinpole_ros.pipeline.estimate import POLE_NAMES, RATE_NAMES
+from kinpole_ros.pipeline.estimate import POLE_NAMES, RATE_NAMES, Estimate
+from kinpole_ros.pipeline.frame import MarkerFrames
 from kinpole_ros.pipeline.parameters import Settings
+from kinpole_ros.pipeline.tracker import Tracker
 from kinpole_ros.rigid.plane import AXES
 
 Bag = Callable[..., Path]
@@ -484,6 +486,24 @@ def test_markers_may_go_by_place_number_namespace_or_both(simulated: Bag, run: A
     for identity, way in ways.items():
         bodies = {body: tuple(map(way, listed)) for body, listed in FOUR_BAR.bodies.items()}
         assert_alike(run(bag, Settings(bodies=bodies, marker_identity=identity)), expected)
+
+
+def test_frames_of_many_layouts_are_handed_over_together(
+    simulated: Bag, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As where markers drop out: each call costs what hundreds of frames do."""
+    calls: list[int] = []
+    add_parts = Tracker.add_parts
+
+    def counted(self: Tracker, parts: Iterable[MarkerFrames], order: int | None) -> list[Estimate]:
+        listed = list(parts)
+        calls.append(len(listed))
+        return add_parts(self, listed, order)
+
+    monkeypatch.setattr(Tracker, 'add_parts', counted)
+    replay(simulated('four_bar', **NOISY), FOUR_BAR)
+    assert max(calls) > 20
+    assert len(calls) < 5
 
 
 @pytest.mark.parametrize('order', [1, 3])

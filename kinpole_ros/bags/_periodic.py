@@ -1,6 +1,6 @@
 """The diagnostics of each second of a replay, as the node would have published them."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import TypeAlias
 
 import numpy as np
@@ -32,22 +32,25 @@ class PeriodicDiagnostics:
         # Number of the frame, and what is to be finished with the estimate of that time.
         self._begun: list[tuple[int, Callable[[Estimate | None], DiagnosticArray]]] = []
 
-    def parts(self, frames: MarkerFrames, tracker: Tracker) -> Iterator[MarkerFrames]:
+    def parts(self, given: Iterable[MarkerFrames], tracker: Tracker) -> Iterator[MarkerFrames]:
         """The frames in parts that end where a second has passed, for the tracker to take."""
-        stamps, first = frames.stamps, 0
-        while first < len(stamps):
-            previous = stamps[first] - _SECOND if self._last is None else self._last
-            over = np.abs(stamps[first:] - previous) >= _SECOND
-            end = first + int(over.argmax()) + 1 if over.any() else len(stamps)
-            yield part_of(frames, slice(first, end))
-            if over.any():
-                stamp = int(stamps[end - 1])
-                seconds = 0.0 if self._last is None else (stamp - self._last) / _SECOND
-                if not self.silent:
-                    begun = self._maker.begin(stamp, tracker, seconds, self.trouble)
-                    self._begun.append((end - 1, begun))
-                self._last, self.trouble = stamp, {}
-            first = end
+        before = 0
+        for frames in given:
+            stamps, first = frames.stamps, 0
+            while first < len(stamps):
+                previous = stamps[first] - _SECOND if self._last is None else self._last
+                over = np.abs(stamps[first:] - previous) >= _SECOND
+                end = first + int(over.argmax()) + 1 if over.any() else len(stamps)
+                yield part_of(frames, slice(first, end))
+                if over.any():
+                    stamp = int(stamps[end - 1])
+                    seconds = 0.0 if self._last is None else (stamp - self._last) / _SECOND
+                    if not self.silent:
+                        begun = self._maker.begin(stamp, tracker, seconds, self.trouble)
+                        self._begun.append((before + end - 1, begun))
+                    self._last, self.trouble = stamp, {}
+                first = end
+            before += len(stamps)
 
     def columns(self, known: list[Estimate], log_times: np.ndarray) -> Iterator[Column]:
         """What these seconds have to say; `known` are the estimates of the same frames."""

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, ExitStack
-from itertools import chain
+from itertools import chain, groupby
 from pathlib import Path
 from typing import NamedTuple
 
@@ -171,17 +171,17 @@ def replay(
     if settings.marker_identity == 'shape':
         absent = {body: names for body, names in absent.items() if body not in settings.shapes}
     with ExitStack() as results, ExitStack() as stack:
-        parts = {
+        places = {
             target: results.enter_context(place(target))
             for target in (output, csv, parquet)
             if target is not None
         }
         writer = None
         if output is not None:
-            writer = stack.enter_context(BagWriter(parts[output], name=output))
+            writer = stack.enter_context(BagWriter(places[output], name=output))
         tables = [
-            stack.enter_context(kind(parts[target], settings, target))
-            for kind, target in ((CsvTable, csv), (ParquetTable, parquet))
+            stack.enter_context(table(places[target], settings, target))
+            for table, target in ((CsvTable, csv), (ParquetTable, parquet))
             if target is not None
         ]
         if writer is not None:
@@ -189,27 +189,28 @@ def replay(
             for row in outputs:
                 writer.add_topic(row.under(f'/{NODE_NAME}'), row.message_type)
             writer.add_topic('/diagnostics', DiagnosticArray)
-        for frames, log_times, error in _frames(bag, name, kind, reader, report):
+        for parts, log_times, error in _frames(bag, name, kind, reader, report):
             if isinstance(error, Truncated):
                 truncated = error
             elif error is not None:
                 tracker.counts['unreadable'] += 1
                 problem = problem or str(error)
                 periodic.trouble['message'] = str(error)
-            if frames is None:
+            if not parts:
                 continue
-            stretch.look(done, frames.stamps)
+            stretch.look(done, parts[0].stamps)
             if stretch.is_over:
                 break
             periodic.silent = not stretch.is_known
-            earliest = int(frames.stamps.min())
-            first = earliest if first is None else min(first, earliest)
-            last = max(last, int(frames.stamps.max()))
-            if frames.identities != identities:
-                identities = frames.identities
-                absent = _still_absent(absent, identities)
-            whole = (frames,) if writer is None else periodic.parts(frames, tracker)
-            known = tracker.add_parts(whole, order if stretch.is_known else None)
+            for frames in parts:
+                earliest = int(frames.stamps.min())
+                first = earliest if first is None else min(first, earliest)
+                last = max(last, int(frames.stamps.max()))
+                if frames.identities != identities:
+                    identities = frames.identities
+                    absent = _still_absent(absent, identities)
+            handed = parts if writer is None else periodic.parts(parts, tracker)
+            known = tracker.add_parts(handed, order if stretch.is_known else None)
             if last - looked >= _SECOND:
                 looked, space = last, updated(space, tracker.space())
             if writer is not None:
@@ -306,15 +307,19 @@ def _frames(
     kind: str,
     reader: MarkerReader | PoseReader,
     progress: Callable[[float], None] | None,
-) -> Iterator[tuple[MarkerFrames | None, np.ndarray, BagError | MessageError | None]]:
-    """The frames of a bag with the log times of their messages, or what is wrong, in order."""
+) -> Iterator[tuple[list[MarkerFrames], np.ndarray, BagError | MessageError | None]]:
+    """
+    The frames of a bag with the log times of their messages, or what is wrong, in order.
+
+    Those of messages of several layouts, as where markers come and go, are in parts.
+    """
     blocks = read_blocks(bag, [topic], progress)
     nothing, wanted = np.zeros(0, np.int64), INPUT_TYPE_NAMES[kind]
     while True:
         try:
             block = next(blocks, None)
         except Truncated as error:
-            yield None, nothing, error
+            yield [], nothing, error
             return
         if block is None:
             return
@@ -325,14 +330,16 @@ def _frames(
                     f'{topic} has messages of {message.type_name} among those of {wanted}; see '
                     'that each type has a topic of its own'
                 )
-                yield None, nothing, MessageError(problem)
+                yield [], nothing, MessageError(problem)
         block = [message for message in block if message.type_name == wanted]
         log_times = np.array([message.log_time for message in block], np.int64)
-        for part, numbers in reader.read_numbered([message.data for message in block]):
-            if isinstance(part, MessageError):
-                yield None, nothing, part
+        found = reader.read_numbered([message.data for message in block])
+        for unreadable, group in groupby(found, lambda pair: isinstance(pair[0], MessageError)):
+            parts, numbers = zip(*group, strict=True)
+            if unreadable:
+                yield from (([], nothing, error) for error in parts)
             else:
-                yield part, log_times[numbers], None
+                yield list(parts), log_times[np.concatenate(numbers)], None
 
 
 def result_columns(
