@@ -114,9 +114,13 @@ class MarkerNoise:
         freedom = np.where(seen, self._freedom, 0).sum(axis=0)
         some = freedom > 0.1 * _FEWEST
         left = np.where(some, squares / np.where(some, freedom, 1.0), np.nan)
-        middle = np.nanmedian(np.where(some.any(axis=1, keepdims=True), left, 0.0), axis=1)
-        odd = np.fmax.reduce(left, axis=1) > _SUSPICIOUS * middle
-        three = some.sum(axis=1) >= 3
+        count = some.sum(axis=1)
+        # Their median, for which nanmedian takes ten times as long: NaN come last.
+        ranked, each, half = np.sort(left, axis=1), np.arange(len(left)), count // 2
+        middle = (ranked[each, np.maximum(count - 1, 0) // 2] + ranked[each, half]) / 2
+        with np.errstate(invalid='ignore'):
+            odd = np.fmax.reduce(left, axis=1) > _SUSPICIOUS * middle
+        three = count >= 3
         return np.asarray((odd & three) | (self.relative != 1).any(axis=1))
 
     def _look(self, b: int, shape: Complex) -> bool:
