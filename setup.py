@@ -50,7 +50,7 @@ setup(
         'wheels': ROS,
         'batch': ['dask>=2023.5', 'distributed>=2023.5', 'fsspec>=2023.5'],
         'bench': ['matplotlib>=3.7', 'pynumdiff>=0.3', 'scipy>=1.11'],
-        'docs': ['furo>=2024.1', 'myst-parser>=3', 'numpydoc>=1.8', 'sphinx>=7.4'],
+        'docs': ['furo>=2024.1.29', 'myst-parser>=3', 'numpydoc>=1.8', 'sphinx>=7.4'],
         'formats': ['c3d>=0.6', 'h5py>=3.8'],
         'parquet': ['pyarrow>=12'],
         'plot': ['matplotlib>=3.7'],

@@ -496,6 +496,8 @@ def test_corrupted_bags_are_read_or_refused_soon_and_in_little_memory(tmp_path):
 def test_what_rosbags_compresses_is_read(tmp_path, mode):
     rosbag2 = pytest.importorskip('rosbags.rosbag2')
     typesys = pytest.importorskip('rosbags.typesys')
+    if not hasattr(rosbag2, 'StoragePlugin'):
+        pytest.skip('this rosbags writes sqlite3 only')
     store = typesys.get_typestore(typesys.Stores.ROS2_JAZZY)
     plain = [b'\x00\x01\x00\x00' + bytes([k]) * 24 for k in range(50)]
     writer = rosbag2.Writer(tmp_path / 'bag', version=9, storage_plugin=rosbag2.StoragePlugin.MCAP)
