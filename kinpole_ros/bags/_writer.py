@@ -14,48 +14,26 @@ from types import TracebackType
 from typing import Any
 
 import numpy as np
-import zstandard
-from mcap.data_stream import RecordBuilder
 from mcap.opcode import Opcode
 from mcap.reader import make_reader
 from mcap.records import (
     Channel,
-    Chunk,
-    ChunkIndex,
     DataEnd,
     Footer,
     Header,
-    McapRecord,
     Schema,
     Statistics,
     SummaryOffset,
 )
 from mcap.writer import MCAP0_MAGIC
 
+from kinpole_ros.bags._chunk import CHUNK_SIZE, COUNTED, HEADS, MESSAGE_HEAD, PendingChunk, packed
 from kinpole_ros.bags._files import LIBRARY, BagError, unwritable
 from kinpole_ros.bags._schema import definition, message_class
 from kinpole_ros.files import whole
 from kinpole_ros.messages import serialize_message, type_name
 
-# What a kill can lose, and what a reader must hold: small enough for both, large for zstd.
-_CHUNK_SIZE = 256 * 1024
 _PIECE = 1 << 20
-# Opcode, length, channel, sequence, log time, publish time: all before the data of a message; and
-# the same of many.
-_MESSAGE_HEAD = struct.Struct('<BQHIQQ')
-_HEADS = np.dtype(
-    [
-        ('opcode', 'u1'),
-        ('length', '<u8'),
-        ('channel', '<u2'),
-        ('sequence', '<u4'),
-        ('log_time', '<u8'),
-        ('publish_time', '<u8'),
-    ]
-)
-# Of these bytes so many are in the length of the record.
-_COUNTED = _HEADS.itemsize - 9
-_INDEX_HEAD = struct.Struct('<BQHI')  # opcode, length, channel, bytes of index to come
 _FOOTER = struct.Struct('<BQQQ')  # all that the checksum in it covers
 
 
@@ -65,38 +43,6 @@ class _Channel:
     message_type: type | str
     type_name: str
     messages: int = 0
-
-
-class _Chunk:
-    """Records not written yet: sizes, channels (0 for those that are no messages), log times."""
-
-    def __init__(self) -> None:
-        self.content: list[bytes] = []
-        self.sizes: list[int] = []
-        self.channels: list[int] = []
-        self.times: list[int] = []
-        self.size = 0
-
-    def add(self, record: bytes, channel: int = 0, time: int = 0) -> None:
-        self.content.append(record)
-        self.sizes.append(len(record))
-        self.channels.append(channel)
-        self.times.append(time)
-        self.size += len(record)
-
-    def extend(self, heads: np.ndarray, data: Sequence[bytes]) -> None:
-        """Take messages: their `_HEADS` (n,) and what follows these."""
-        size = _HEADS.itemsize
-        packed = heads.tobytes()
-        pieces = [b''] * (2 * len(data))
-        pieces[::2] = [packed[first : first + size] for first in range(0, len(packed), size)]
-        pieces[1::2] = data
-        self.content += pieces
-        sizes = heads['length'] + np.uint64(size - _COUNTED)
-        self.sizes += sizes.tolist()
-        self.channels += heads['channel'].tolist()
-        self.times += heads['log_time'].tolist()
-        self.size += int(sizes.sum())
 
 
 @contextmanager
@@ -131,7 +77,7 @@ class BagWriter:
         self._path = Path(name or path)
         self._channels: dict[str, _Channel] = {}
         self._schemas: dict[str, Schema] = {}
-        self._chunk = _Chunk()
+        self._chunk = PendingChunk()
         self._place = 0
         # Packed, since a long bag has many of them.
         self._chunk_indexes = bytearray()
@@ -140,7 +86,7 @@ class BagWriter:
         try:
             Path(path).parent.mkdir(parents=True, exist_ok=True)
             self._file = open(path, 'wb')  # noqa: SIM115 - close() does
-            self._put(MCAP0_MAGIC + _packed(Header('ros2', library)))
+            self._put(MCAP0_MAGIC + packed(Header('ros2', library)))
             # A recording that cannot be should not seem to run until something comes.
             self._file.flush()
         except OSError as error:
@@ -171,11 +117,11 @@ class BagWriter:
         """Write a message that is CDR already; its type is a class or 'package/msg/Name'."""
         channel = self._channel(topic, message_type, log_time)
         number, sequence = channel.record.id, channel.messages & 0xFFFFFFFF
-        length = _COUNTED + len(data)
-        head = _MESSAGE_HEAD.pack(Opcode.MESSAGE, length, number, sequence, log_time, log_time)
+        length = COUNTED + len(data)
+        head = MESSAGE_HEAD.pack(Opcode.MESSAGE, length, number, sequence, log_time, log_time)
         self._chunk.add(head + data, number, log_time)
         channel.messages += 1
-        if self._chunk.size > _CHUNK_SIZE:
+        if self._chunk.size > CHUNK_SIZE:
             self._finish_chunk()
 
     def write_many(
@@ -199,9 +145,9 @@ class BagWriter:
             return
         parts, content = [], list[bytes]()
         for channel, log_times, data in checked:
-            heads = np.empty(len(data), _HEADS)
+            heads = np.empty(len(data), HEADS)
             heads['opcode'] = Opcode.MESSAGE
-            heads['length'] = np.fromiter(map(len, data), '<u8', len(data)) + np.uint64(_COUNTED)
+            heads['length'] = np.fromiter(map(len, data), '<u8', len(data)) + np.uint64(COUNTED)
             heads['channel'] = channel.record.id
             heads['sequence'] = channel.messages + np.arange(len(data)) & 0xFFFFFFFF
             heads['log_time'] = heads['publish_time'] = log_times
@@ -211,15 +157,15 @@ class BagWriter:
         heads = np.concatenate(parts)
         order = np.argsort(heads['log_time'], kind='stable')
         heads, content = heads[order], [content[k] for k in order.tolist()]
-        ends = np.cumsum(heads['length'].astype(np.int64) + _HEADS.itemsize - _COUNTED)
+        ends = np.cumsum(heads['length'].astype(np.int64) + HEADS.itemsize - COUNTED)
         first = 0
         while first < len(content):
             # The chunk ends with the message that makes it too large.
-            room = _CHUNK_SIZE - self._chunk.size + (ends[first - 1] if first else 0)
+            room = CHUNK_SIZE - self._chunk.size + (ends[first - 1] if first else 0)
             last = min(int(np.searchsorted(ends, room, side='right')) + 1, len(content))
             self._chunk.extend(heads[first:last], content[first:last])
             first = last
-            if self._chunk.size > _CHUNK_SIZE:
+            if self._chunk.size > CHUNK_SIZE:
                 self._finish_chunk()
 
     def append(self, path: Path) -> None:
@@ -261,7 +207,7 @@ class BagWriter:
             index.chunk_start_offset += shift
             places = index.message_index_offsets
             index.message_index_offsets = {number: at + shift for number, at in places.items()}
-            self._chunk_indexes += _packed(index)
+            self._chunk_indexes += packed(index)
         self._chunk_count += len(indexes)
         self._earliest = min(self._earliest, summary.statistics.message_start_time)
         self._latest = max(self._latest, summary.statistics.message_end_time)
@@ -281,7 +227,7 @@ class BagWriter:
             return
         self._finish_chunk()
         try:
-            self._put(_packed(DataEnd(0)))
+            self._put(packed(DataEnd(0)))
             self._put(self._summary())
             self._file.close()
         except OSError as error:
@@ -312,7 +258,7 @@ class BagWriter:
             self._schemas[name] = Schema(
                 id=number, data=definition(cls).encode(), encoding='ros2msg', name=name
             )
-            self._chunk.add(_packed(self._schemas[name]))
+            self._chunk.add(packed(self._schemas[name]))
         # rosbag2 keeps the publishers' QoS here; empty means unknown, and it takes its default.
         qos = {'offered_qos_profiles': ''}
         record = Channel(
@@ -322,58 +268,21 @@ class BagWriter:
             metadata=qos,
             schema_id=self._schemas[name].id,
         )
-        self._chunk.add(_packed(record))
+        self._chunk.add(packed(record))
         self._channels[topic] = _Channel(record, cls, name)
         return self._channels[topic]
 
     def _finish_chunk(self) -> None:
-        channels = np.array(self._chunk.channels)
-        if not channels.any():
+        chunk = self._chunk.finish(self._place)
+        if chunk is None:
             return
-        content = b''.join(self._chunk.content)
-        ends = np.cumsum(self._chunk.sizes)
-        starts = np.concatenate(([0], ends[:-1]))
-        places = np.empty((len(starts), 2), '<u8')
-        places[:, 0], places[:, 1] = self._chunk.times, starts
-        times = places[channels > 0, 0]
-        earliest, latest = int(times.min()), int(times.max())
-        packed = zstandard.compress(content)
-        chunk = _packed(
-            Chunk(
-                compression='zstd',
-                data=packed,
-                message_start_time=earliest,
-                message_end_time=latest,
-                uncompressed_crc=zlib.crc32(content),
-                uncompressed_size=len(content),
-            )
-        )
-        offsets = {}
-        indexes = bytearray()
-        for number in dict.fromkeys(channels[channels > 0].tolist()):
-            offsets[number] = self._place + len(chunk) + len(indexes)
-            pairs = places[channels == number].tobytes()
-            indexes += _INDEX_HEAD.pack(Opcode.MESSAGE_INDEX, 6 + len(pairs), number, len(pairs))
-            indexes += pairs
-        self._chunk_indexes += _packed(
-            ChunkIndex(
-                chunk_start_offset=self._place,
-                chunk_length=len(chunk),
-                message_start_time=earliest,
-                message_end_time=latest,
-                message_index_offsets=offsets,
-                message_index_length=len(indexes),
-                compression='zstd',
-                compressed_size=len(packed),
-                uncompressed_size=len(content),
-            )
-        )
+        self._chunk_indexes += chunk.entry
         self._chunk_count += 1
-        self._earliest = min(self._earliest, earliest)
-        self._latest = max(self._latest, latest)
-        self._chunk = _Chunk()
+        self._earliest = min(self._earliest, chunk.earliest)
+        self._latest = max(self._latest, chunk.latest)
+        self._chunk = PendingChunk()
         try:
-            self._put(chunk + indexes)
+            self._put(chunk.records)
             self._file.flush()
         except OSError as error:
             raise self._failed(error) from error
@@ -392,9 +301,9 @@ class BagWriter:
             message_end_time=self._latest,
         )
         groups = {
-            Opcode.SCHEMA: _packed(*self._schemas.values()),
-            Opcode.CHANNEL: _packed(*(channel.record for channel in self._channels.values())),
-            Opcode.STATISTICS: _packed(statistics),
+            Opcode.SCHEMA: packed(*self._schemas.values()),
+            Opcode.CHANNEL: packed(*(channel.record for channel in self._channels.values())),
+            Opcode.STATISTICS: packed(statistics),
             Opcode.CHUNK_INDEX: bytes(self._chunk_indexes),
         }
         summary = b''.join(groups.values())
@@ -404,9 +313,9 @@ class BagWriter:
             if group:
                 places.append(SummaryOffset(opcode, group_start=place, group_length=len(group)))
             place += len(group)
-        offsets = _packed(*places)
+        offsets = packed(*places)
         covered = summary + offsets + _FOOTER.pack(Opcode.FOOTER, 20, self._place, place)
-        footer = _packed(Footer(self._place, place, zlib.crc32(covered)))
+        footer = packed(Footer(self._place, place, zlib.crc32(covered)))
         return summary + offsets + footer + MCAP0_MAGIC
 
     def _put(self, content: bytes) -> None:
@@ -419,10 +328,3 @@ class BagWriter:
             with suppress(OSError):
                 self._file.close()
         return unwritable(self._path, error)
-
-
-def _packed(*records: McapRecord) -> bytes:
-    builder = RecordBuilder()
-    for record in records:
-        record.write(builder)
-    return bytes(builder.end())
