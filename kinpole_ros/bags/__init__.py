@@ -12,7 +12,8 @@ from kinpole_ros.bags._reader import (
     read_messages,
     topics,
 )
-from kinpole_ros.bags._replay import NODE_NAME, Replayed, replay
+from kinpole_ros.bags._replay import NODE_NAME, replay
+from kinpole_ros.bags._replayed import Replayed
 from kinpole_ros.bags._schema import definition, message_class
 from kinpole_ros.bags._simulate import simulate
 from kinpole_ros.bags._warnings import warnings_of

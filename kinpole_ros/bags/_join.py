@@ -4,7 +4,7 @@ import shutil
 from collections.abc import Sequence
 from pathlib import Path
 
-from kinpole_ros.bags._replay import Replayed
+from kinpole_ros.bags._replayed import Replayed
 from kinpole_ros.bags._table import join_parquet
 from kinpole_ros.bags._writer import BagWriter
 

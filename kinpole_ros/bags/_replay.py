@@ -4,17 +4,16 @@ from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, ExitStack
 from itertools import chain, groupby
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 
 from kinpole_ros.bags._periodic import Column, PeriodicDiagnostics
 from kinpole_ros.bags._reader import BagError, Truncated, bag_files, read_blocks, topics
+from kinpole_ros.bags._replayed import Replayed
 from kinpole_ros.bags._stretch import Stretch
 from kinpole_ros.bags._table import CsvTable, ParquetTable
 from kinpole_ros.bags._writer import BagWriter, in_place_of
-from kinpole_ros.linkage.positions import PositionsFound
-from kinpole_ros.linkage.theory import Comparison, DeviationSummary, load_theory
+from kinpole_ros.linkage.theory import Comparison, load_theory
 from kinpole_ros.messages import (
     INPUT_TYPE_NAMES,
     DiagnosticArray,
@@ -28,73 +27,16 @@ from kinpole_ros.messages import (
     outputs_of,
     reader_of,
 )
-from kinpole_ros.pipeline.bodies import Outage
 from kinpole_ros.pipeline.estimate import POLE_NAMES, Estimate
 from kinpole_ros.pipeline.frame import MarkerFrames
 from kinpole_ros.pipeline.parameters import Settings
 from kinpole_ros.pipeline.roster import find_marker
-from kinpole_ros.pipeline.ticks import StampState
 from kinpole_ros.pipeline.tracker import Tracker
-from kinpole_ros.rigid.space import SpaceReport, updated
+from kinpole_ros.rigid.space import updated
 
 NODE_NAME = 'kinpole'
 _SECOND = 1_000_000_000
 _MOST_KEPT = 31 << 20  # bytes; from 32 MiB on nothing is kept
-
-
-class Replayed(NamedTuple):
-    """
-    What a replay came to: frames in, estimates out, and the share of these with each pole.
-
-    `unreadable` counts messages that could not be read, `problem` is the first one's;
-    `truncated` says where a damaged bag ended, None for a sound one. `repeated` and `late` count
-    frames left out, `resets` and `frame_changes` starts anew, as the tracker does. `noise` is that
-    of a marker of each body at the end, per axis, m, NaN where it is not known. `rigidity_residual`
-    is how far markers are off one rigid body, m, 0 where they may be of one, by what `causes`, ''
-    where that is not known. `noise_underestimated` are the bodies whose noise is more than was
-    measured. `first` and `last` are the earliest and the latest stamp, ns, 0 without frames.
-    `absent` are the markers of each body that are in no message, and `identities` those of the last
-    one. `unknown` are the bodies that were never estimated, and why not at the last instant (''
-    where there is none). `concatenated` are the files that were read as one recording only because
-    they lie in one folder. `scene_deviations` is how far the rates were from the scene, if any,
-    and `scene_positions` how far the joints were off, and what of the scene is wrong;
-    `space` is how the motion lay in space, as last known. `lost` are frames that never came, by the
-    clock of the stamps, and `stamps` how these deviate from it, None where there are too few.
-    `misnamed` says in words which markers are not what their names say. `erring` are
-    the deviations of markers that count for less than others, m, by body and name; `wrong` is in
-    how many frames a body as a whole was wrong and left out, and `outages` when a body, or '' for
-    all, was not seen for a window or more.
-    """
-
-    frames: int
-    estimates: int
-    determined: dict[str, dict[str, float]]
-    unreadable: int
-    problem: str
-    repeated: int
-    late: int
-    resets: int
-    frame_changes: int
-    truncated: Truncated | None
-    noise: dict[str, float]
-    rigidity_residual: dict[str, float]
-    causes: dict[str, str]
-    noise_underestimated: list[str]
-    first: int
-    last: int
-    absent: dict[str, list[str]]
-    identities: tuple[str, ...]
-    unknown: dict[str, str]
-    concatenated: list[str]
-    scene_deviations: list[DeviationSummary]
-    scene_positions: PositionsFound | None
-    space: SpaceReport
-    lost: int
-    stamps: StampState | None
-    misnamed: list[str]
-    erring: dict[str, dict[str, float]]
-    wrong: dict[str, int]
-    outages: dict[str, Outage]
 
 
 def replay(

@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator
 
-from kinpole_ros.bags._replay import Replayed
+from kinpole_ros.bags._replayed import Replayed
 from kinpole_ros.derivatives import FEWEST_SAMPLES
 from kinpole_ros.messages import (
     SMOOTHED,

@@ -6,7 +6,8 @@ from pathlib import Path
 
 from kinpole_ros.bags import bag_files
 from kinpole_ros.bags._join import concatenated, join
-from kinpole_ros.bags._replay import Replayed, replay
+from kinpole_ros.bags._replay import replay
+from kinpole_ros.bags._replayed import Replayed
 from kinpole_ros.bags._stretch import Stretch, stretches
 from kinpole_ros.bags.batch import _store
 from kinpole_ros.bags.batch._results import EXPECTED, Row, made_of, name_of, name_results

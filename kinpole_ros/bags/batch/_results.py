@@ -19,7 +19,8 @@ from typing import Any
 from kinpole_ros import __version__
 from kinpole_ros.bags import BagError, bag_files, warnings_of
 from kinpole_ros.bags._files import unwritable
-from kinpole_ros.bags._replay import Replayed, replay
+from kinpole_ros.bags._replay import replay
+from kinpole_ros.bags._replayed import Replayed
 from kinpole_ros.bags.batch import _store
 from kinpole_ros.files import lock, read_limited
 from kinpole_ros.files.bounded_yaml import MOST_YAML
