@@ -14,10 +14,10 @@ import numpy as np
 
 from kinpole_ros.linkage.points import PointOfInterest, measured_point, points_of_interest
 from kinpole_ros.linkage.theory import Theory, balance, balance_direction
-from kinpole_ros.messages._cdr import stamped_doubles
 from kinpole_ros.messages._drawing import scene
-from kinpole_ros.messages._loci import Build, Built, Trail, centrode
-from kinpole_ros.messages._stack import TF, Chosen, frame_poses, frames, joint_states
+from kinpole_ros.messages._loci import Build, Trail, centrode
+from kinpole_ros.messages._rows import At, Figures, Rows, both, each
+from kinpole_ros.messages._stack import TF, frame_poses, frames, joint_states
 from kinpole_ros.messages._types import (
     JointState,
     MarkerArray,
@@ -88,50 +88,56 @@ def result_outputs(
     outputs: list[Output] = []
     trails = [Trail() for _ in bodies]
 
-    def add(topic: str, kind: type, order: int, build: Callable[[bool], Build]) -> None:
+    def add(topic: str, kind: type, order: int, builds: tuple[list[Build], ...], k: int) -> None:
         """One of those that have a topic beside them of their standard deviation."""
-        outputs.append(Output(topic, kind, order, build(False)))
-        outputs.append(Output(f'{topic}/deviation', kind, order, build(True)))
+        for name, build in zip(('', '/deviation'), builds, strict=True):
+            outputs.append(Output(f'{topic}{name}', kind, order, build[k]))
 
+    count, own = len(bodies), np.arange(len(bodies))
+    odometry = each(count, _odometry(given), frame_names)
+    rates = [both(count, partial(_numbers, _rate(n), given)) for n in range(1, 5)]
+    points = [each(count, _points(_pole(n), given, own)) for n in range(1, 5)]
+    poses = [each(count, _poses(_pole(n), given)) for n in range(1, 5)]
+    velocity = both(count, partial(_points, lambda e: e.icr_velocity, given, None))
+    curvature = both(count, partial(_numbers, lambda e: e.centrode_curvature, given))
     for b, body in enumerate(bodies):
-        outputs.append(Output(f'{body}/odom', Odometry, 1, _odometry(b, given, frame_names[b])))
-        for order in range(1, 5):
-            name = f'{body}/{RATE_NAMES[order - 1]}'
-            add(name, Vector3Stamped, order, partial(_numbers, _rate(order), b, given))
-        for order in range(1, 5):
-            name = f'{body}/{POLE_NAMES[order - 1]}'
-            point, pose = _points(_pole(order), b, given, b), _poses(_pole(order), b, given)
-            outputs.append(Output(name, PointStamped, order, point))
+        outputs.append(Output(f'{body}/odom', Odometry, 1, odometry[b]))
+        for order, name in enumerate(RATE_NAMES, 1):
+            add(f'{body}/{name}', Vector3Stamped, order, rates[order - 1], b)
+        for order, name in enumerate(POLE_NAMES, 1):
+            topic, point, pose = f'{body}/{name}', points[order - 1][b], poses[order - 1][b]
+            outputs.append(Output(topic, PointStamped, order, point))
             outputs.append(
-                Output(f'{name}/with_covariance', PoseWithCovarianceStamped, order, pose)
+                Output(f'{topic}/with_covariance', PoseWithCovarianceStamped, order, pose)
             )
-        velocity = partial(_points, lambda e: e.icr_velocity, b, given, None)
-        add(f'{body}/icr_velocity', Vector3Stamped, 2, velocity)
-        curvature = partial(_numbers, lambda e: e.centrode_curvature, b, given)
-        add(f'{body}/centrode_curvature', Vector3Stamped, 3, curvature)
+        add(f'{body}/icr_velocity', Vector3Stamped, 2, velocity, b)
+        add(f'{body}/centrode_curvature', Vector3Stamped, 3, curvature, b)
         for name, frame in (('fixed', None), ('moving', frame_names[b])):
             locus = centrode(b, given, trails[b], frame)
             outputs.append(Output(f'{body}/centrode/{name}', Path, 1, locus))
-    for k, (i, j) in enumerate(combinations(range(len(bodies)), 2)):
+    pairs = list(combinations(range(count), 2))
+    firsts = np.array([i for i, _ in pairs], int)
+    center = both(len(pairs), partial(_points, lambda e: e.relative_icr, given, firsts))
+    rate = both(len(pairs), partial(_numbers, lambda e: e.relative_rate, given))
+    for k, (i, j) in enumerate(pairs):
         name = f'{bodies[j]}/wrt/{bodies[i]}'
-        center = partial(_points, lambda e: e.relative_icr, k, given, i)
-        rate = partial(_numbers, lambda e: e.relative_rate, k, given)
-        add(f'{name}/icr', PointStamped, 1, center)
-        add(f'{name}/angular_velocity', Vector3Stamped, 1, rate)
+        add(f'{name}/icr', PointStamped, 1, center, k)
+        add(f'{name}/angular_velocity', Vector3Stamped, 1, rate, k)
     for spot in points_of_interest(theory) if theory else []:
         b = bodies.index(spot.body)
         for order, name in enumerate(('', '/velocity', '/acceleration', '/jerk')):
-            kind, height = (Vector3Stamped, None) if order else (PointStamped, b)
-            motion = partial(_points, partial(_of_point, theory, spot, order), 0, given, height)
-            add(f'{spot.body}/points/{spot.name}{name}', kind, max(order, 1), motion)
+            kind, heights = (Vector3Stamped, None) if order else (PointStamped, own[[b]])
+            motion = partial(_points, partial(_of_point, theory, spot, order), given, heights)
+            topic = f'{spot.body}/points/{spot.name}{name}'
+            add(topic, kind, max(order, 1), both(1, motion), 0)
     drawing = scene(tuple(bodies), given, trails, highest)
     outputs.append(Output(DRAWING, MarkerArray, highest, drawing))
     if joints:
         order = min(2, highest) if joint_state_rate else 1
-        states = partial(joint_states, joints, bodies, joint_state_rate)
-        add('joint_states', JointState, order, states)
+        states = [[joint_states(joints, bodies, joint_state_rate, of)] for of in (False, True)]
+        add('joint_states', JointState, order, tuple(states), 0)
     if theory is not None and theory.balances:
-        add('balance', WrenchStamped, 1, partial(_balance, theory, given))
+        add('balance', WrenchStamped, 1, both(1, partial(_balance, theory, given)), 0)
     outputs.append(Output(TF, TFMessage, 1, frames(frame_names, given)))
     return [output for output in outputs if output.order <= highest]
 
@@ -149,26 +155,23 @@ def outputs_of(settings: Settings, theory: Theory | None) -> list[Output]:
     )
 
 
-def _balance(theory: Theory, given: Plane, deviation: bool) -> Build:
+def _balance(theory: Theory, given: Plane, deviation: bool) -> Figures:
     """What balances the loads, a torque or a force, or its standard deviation."""
 
-    def build(estimate: Estimate) -> Built:
-        found, way = balance(theory, estimate), balance_direction(theory, estimate)
+    def figures(estimate: Estimate, at: At) -> Rows:
+        value, variance, known = (part[:, None][at] for part in balance(theory, estimate))
+        way = balance_direction(theory, estimate)
+        wrench = np.zeros((len(value), 6))
+        values = np.sqrt(variance) if deviation else value
+        plane = estimate.plane or given
+        if way is None:
+            wrench[:, 3:] = plane.along_normal(values)
+        else:
+            force = plane.in_space(values * way[:, None][at], 0.0)
+            wrench[:, :3] = np.abs(force) if deviation else force
+        return known, wrench
 
-        def figures(chosen: Chosen) -> np.ndarray:
-            wrench = np.zeros((len(found.value[chosen]), 6))
-            values = np.sqrt(found.variance[chosen]) if deviation else found.value[chosen]
-            plane = estimate.plane or given
-            if way is None:
-                wrench[:, 3:] = plane.along_normal(values)
-            else:
-                force = plane.in_space(values * way[chosen], 0.0)
-                wrench[:, :3] = np.abs(force) if deviation else force
-            return wrench
-
-        return _messages(estimate, found.determined, figures)
-
-    return build
+    return figures
 
 
 def _of_point(
@@ -187,133 +190,100 @@ def _pole(order: int) -> Callable[[Estimate], Vectors]:
     return lambda estimate: estimate.pole(order)
 
 
-def _messages(
-    estimate: Estimate,
-    known: np.ndarray,
-    figures: Callable[[Chosen], np.ndarray],
-    child: str | None = None,
-) -> Built:
-    """Messages of the instants where `known` (T,), from their rows of figures after the header."""
-    when = known.nonzero()[0]
-    if not len(when):
-        return [], []
-    chosen = slice(None) if len(when) == len(known) else when
-    stamps = estimate.stamp[chosen]
-    return when.tolist(), stamped_doubles(stamps, estimate.frame_id, figures(chosen), child)
+def _numbers(quantity: Callable[[Estimate], Numbers], given: Plane, deviation: bool) -> Figures:
+    """One quantity along the normal, as a vector; or its deviation."""
 
+    def figures(estimate: Estimate, at: At) -> Rows:
+        value, variance, known = quantity(estimate)
+        values = np.sqrt(variance[at]) if deviation else value[at]
+        return known[at], (estimate.plane or given).along_normal(values)
 
-def _numbers(
-    quantity: Callable[[Estimate], Numbers], k: int, given: Plane, deviation: bool
-) -> Build:
-    """One quantity along the normal, of body or pair `k`, as a vector; or its deviation."""
-
-    def build(estimate: Estimate) -> Built:
-        found = quantity(estimate)
-
-        def figures(chosen: Chosen) -> np.ndarray:
-            values = np.sqrt(found.variance[chosen, k]) if deviation else found.value[chosen, k]
-            return (estimate.plane or given).along_normal(values)
-
-        return _messages(estimate, found.determined[:, k], figures)
-
-    return build
+    return figures
 
 
 def _points(
     quantity: Callable[[Estimate], Vectors],
-    k: int,
     given: Plane,
-    body: int | None,
+    bodies: np.ndarray | None,
     deviation: bool = False,
-) -> Build:
+) -> Figures:
     """
-    One vector of body or pair `k`: a point at the height of `body`, or a free one without.
+    One vector of bodies or pairs: points at the heights of these `bodies`, or free ones without.
 
     Or its deviations, along the axes of the frame.
     """
 
-    def build(estimate: Estimate) -> Built:
-        found = quantity(estimate)
-
-        def figures(chosen: Chosen) -> np.ndarray:
-            if deviation:
-                across = (estimate.plane or given).basis[:2]
-                cells = np.einsum('ia,tij,ja->ta', across, found.covariance[chosen, k], across)
-                return np.sqrt(np.maximum(cells, 0.0))
-            heights = 0.0 if body is None else estimate.height[chosen, body]
-            return (estimate.plane or given).in_space(found.value[chosen, k], heights)
-
-        return _messages(estimate, found.determined[:, k], figures)
-
-    return build
-
-
-def _poses(quantity: Callable[[Estimate], Vectors], k: int, given: Plane) -> Build:
-    """One point of body `k` with its covariance."""
-
-    def build(estimate: Estimate) -> Built:
-        found = quantity(estimate)
-
-        def figures(chosen: Chosen) -> np.ndarray:
-            values = found.value[chosen, k]
-            poses = np.zeros((len(values), 43))
-            plane = estimate.plane or given
-            poses[:, :3] = plane.in_space(values, estimate.height[chosen, k])
-            poses[:, 6] = 1.0
+    def figures(estimate: Estimate, at: At) -> Rows:
+        value, spread, known = quantity(estimate)
+        plane = estimate.plane or given
+        if deviation:
             across = plane.basis[:2]
-            # After seven of the pose, in a 6 x 6 matrix.
-            cells = poses[:, 7:].reshape(-1, 6, 6)
-            cells[:, :3, :3] = across.T @ found.covariance[chosen, k] @ across
-            return poses
+            cells = np.einsum('ia,tij,ja->ta', across, spread[at], across)
+            return known[at], np.sqrt(np.maximum(cells, 0.0))
+        heights = 0.0 if bodies is None else estimate.height[at[0], bodies[at[1]]]
+        return known[at], plane.in_space(value[at], heights)
 
-        return _messages(estimate, found.determined[:, k], figures)
-
-    return build
+    return figures
 
 
-def _odometry(b: int, given: Plane, frame: str) -> Build:
-    """Pose of the body in the frame of the markers, twist in the body's own `frame` (REP-105)."""
+def _poses(quantity: Callable[[Estimate], Vectors], given: Plane) -> Figures:
+    """One point of each body with its covariance."""
 
-    def build(estimate: Estimate) -> Built:
-        def figures(chosen: Chosen) -> np.ndarray:
-            velocity = estimate.origin(1)[chosen, b]
-            angle, rate = estimate.angle[:2, chosen, b]
-            both = np.zeros((len(angle), 85))
-            pose, twist = both[:, :43], both[:, 43:]
-            plane = estimate.plane or given
-            pose[:, :7] = frame_poses(estimate, b, chosen, given)
-            turn = np.exp(0.5j * angle)
-            twist[:, :3] = plane.in_space(velocity / turn**2, 0.0)
-            twist[:, 3:6] = plane.along_normal(rate)
-            of_angle = estimate.angle_covariance[:2, :2, chosen, b].transpose(2, 0, 1).copy()
-            of_angle[:, 1, 1] = estimate.rate(1).variance[chosen, b]
-            # By how much they change with the angle and with the rate: the origin lies about the
-            # reference point, whose velocity is seen from the body.
-            arm = estimate.reference[chosen, b]
-            by_angle = np.zeros((2, len(angle), 3, 2))
-            for part, column, lever in (
-                (0, 0, arm * turn**2),
-                (1, 0, estimate.position[1, chosen, b] / turn**2),
-                (1, 1, arm),
-            ):
-                by_angle[part, :, 0, column] = lever.imag
-                by_angle[part, :, 1, column] = -lever.real
-            by_angle[0, :, 2, 0] = by_angle[1, :, 2, 1] = 1.0
-            spread = np.einsum('ptij,tjk,ptlk->ptil', by_angle, of_angle, by_angle)
-            known, unknown = _in_space(plane)
-            for order, part in enumerate((pose, twist)):
-                variance = estimate.position_covariance[order, order, chosen, b]
-                even = spread[order].reshape(-1, 9)[:, _SYMMETRIC].reshape(-1, 3, 3)
-                even[:, 0, 0] += variance
-                even[:, 1, 1] += variance
-                cells = known @ even @ known.T
-                cells = (cells + cells.swapaxes(1, 2)) / 2 + unknown
-                part[:, -36:] = cells.reshape(-1, 36)
-            return both
+    def figures(estimate: Estimate, at: At) -> Rows:
+        value, spread, known = (part[at] for part in quantity(estimate))
+        poses = np.zeros((len(value), 43))
+        plane = estimate.plane or given
+        poses[:, :3] = plane.in_space(value, estimate.height[at])
+        poses[:, 6] = 1.0
+        across = plane.basis[:2]
+        # After seven of the pose, in a 6 x 6 matrix.
+        cells = poses[:, 7:].reshape(-1, 6, 6)
+        cells[:, :3, :3] = across.T @ spread @ across
+        return known, poses
 
-        return _messages(estimate, estimate.missing[:, b] == '', figures, frame)
+    return figures
 
-    return build
+
+def _odometry(given: Plane) -> Figures:
+    """Pose of each body in the frame of the markers, twist in the body's own frame (REP-105)."""
+
+    def figures(estimate: Estimate, at: At) -> Rows:
+        velocity = estimate.origin(1)[at]
+        angle, rate = estimate.angle[0][at], estimate.angle[1][at]
+        rows = np.zeros((len(angle), 85))
+        pose, twist = rows[:, :43], rows[:, 43:]
+        plane = estimate.plane or given
+        pose[:, :7] = frame_poses(estimate, at, given)
+        turn = np.exp(0.5j * angle)
+        twist[:, :3] = plane.in_space(velocity / turn**2, 0.0)
+        twist[:, 3:6] = plane.along_normal(rate)
+        of_angle = np.moveaxis(estimate.angle_covariance, (0, 1), (-2, -1))[at][:, :2, :2].copy()
+        of_angle[:, 1, 1] = estimate.rate(1).variance[at]
+        # By how much they change with the angle and with the rate: the origin lies about the
+        # reference point, whose velocity is seen from the body.
+        arm = estimate.reference[at]
+        by_angle = np.zeros((2, len(angle), 3, 2))
+        for part, column, lever in (
+            (0, 0, arm * turn**2),
+            (1, 0, estimate.position[1][at] / turn**2),
+            (1, 1, arm),
+        ):
+            by_angle[part, :, 0, column] = lever.imag
+            by_angle[part, :, 1, column] = -lever.real
+        by_angle[0, :, 2, 0] = by_angle[1, :, 2, 1] = 1.0
+        spread = np.einsum('ptij,tjk,ptlk->ptil', by_angle, of_angle, by_angle)
+        known, unknown = _in_space(plane)
+        for order, part in enumerate((pose, twist)):
+            variance = estimate.position_covariance[order, order][at]
+            even = spread[order].reshape(-1, 9)[:, _SYMMETRIC].reshape(-1, 3, 3)
+            even[:, 0, 0] += variance
+            even[:, 1, 1] += variance
+            cells = known @ even @ known.T
+            cells = (cells + cells.swapaxes(1, 2)) / 2 + unknown
+            part[:, -36:] = cells.reshape(-1, 36)
+        return estimate.missing[at] == '', rows
+
+    return figures
 
 
 def _in_space(plane: Plane) -> tuple[np.ndarray, np.ndarray]:

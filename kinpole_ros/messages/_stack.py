@@ -3,32 +3,31 @@
 from collections.abc import Callable, Mapping, Sequence
 from fractions import Fraction
 from itertools import pairwise
-from typing import NamedTuple, TypeAlias
+from typing import NamedTuple
 
 import numpy as np
 
-from kinpole_ros.messages._cdr import joint_data, stamped_doubles
+from kinpole_ros.messages._cdr import joint_data
 from kinpole_ros.messages._loci import Build, Built
+from kinpole_ros.messages._rows import At, Rows, each
 from kinpole_ros.pipeline.estimate import Estimate
 from kinpole_ros.pipeline.parameters import GROUND
 from kinpole_ros.rigid.plane import Plane
 
 TF = '/tf'
 """The topic of frames, the same for all nodes."""
-# Instants, as an index of arrays.
-Chosen: TypeAlias = slice | np.ndarray
 
 
-def frame_poses(estimate: Estimate, b: int, chosen: Chosen, given: Plane) -> np.ndarray:
+def frame_poses(estimate: Estimate, at: At, given: Plane) -> np.ndarray:
     """
-    Where the frame of body `b` is at `chosen` instants, (t, 7): a point, m, and a quaternion.
+    Where the frames of the bodies `at` these (N,) are, (N, 7): a point, m, and a quaternion.
 
     In the frame of the markers; `given` is the plane of an estimate that does not say where it is.
     """
     plane = estimate.plane or given
-    turn = np.exp(0.5j * estimate.angle[0, chosen, b])
+    turn = np.exp(0.5j * estimate.angle[0][at])
     found = np.empty((len(turn), 7))
-    found[:, :3] = plane.in_space(estimate.origin(0)[chosen, b], estimate.height[chosen, b])
+    found[:, :3] = plane.in_space(estimate.origin(0)[at], estimate.height[at])
     found[:, 3:6], found[:, 6] = plane.along_normal(turn.imag), turn.real
     return found
 
@@ -36,16 +35,15 @@ def frame_poses(estimate: Estimate, b: int, chosen: Chosen, given: Plane) -> np.
 def frames(names: Sequence[str], given: Plane) -> Build:
     """A message of /tf for each body, whose frame has the name of these, at each instant."""
 
+    def figures(estimate: Estimate, at: At) -> Rows:
+        return estimate.missing[at] == '', frame_poses(estimate, at, given)
+
+    builds = each(len(names), figures, names, listed=True)
+
     def build(estimate: Estimate) -> Built:
         made: list[tuple[int, bytes]] = []
-        for b, name in enumerate(names):
-            when = (estimate.missing[:, b] == '').nonzero()[0]
-            if not len(when):
-                continue
-            figures = frame_poses(estimate, b, when, given)
-            stamps = estimate.stamp[when]
-            data = stamped_doubles(stamps, estimate.frame_id, figures, name, listed=True)
-            made += zip(when.tolist(), data, strict=True)
+        for of_body in builds:
+            made += zip(*of_body(estimate), strict=True)
         return _in_order(made)
 
     return build
