@@ -97,7 +97,7 @@ clean:  ## remove .venv and all else that can be made again
 
 # Begun anew for another Python, and when ROS 2 has come or gone. The kernel is built along with it
 # if there is a compiler, and nothing is said if there is none.
-$(STAMP): setup.py $(CONSTRAINTS) $(wildcard kinpole_ros/derivatives/_kernel*.[ch])
+$(STAMP): setup.py $(CONSTRAINTS) $(wildcard kinpole_ros/*/_kernel*.[ch])
 	@"$(BASE)" -c 'import ensurepip, venv' 2>/dev/null || { echo '$(BASE) has no venv: install it' \
 	  '(Debian and Ubuntu: sudo apt install python3-venv), then make again' >&2; exit 1; }
 	@echo 'Setting up .venv: a minute or two ...'

@@ -23,7 +23,8 @@ setup(
             depends=[f'{NAME}/derivatives/_kernel_sums.h'],
             extra_compile_args=['-O3'],
             optional=True,
-        )
+        ),
+        Extension(f'{NAME}.planar._kernel', [f'{NAME}/planar/_kernel.c'], optional=True),
     ],
     data_files=[
         ('share/ament_index/resource_index/packages', [f'resource/{NAME}']),

@@ -190,18 +190,18 @@ class Estimate:
         value, variance = self.angle[order], self.angle_covariance[order, order]
         return Numbers(value, variance, np.isfinite(value))
 
-    @np.errstate(divide='ignore', invalid='ignore', over='ignore')
+    @property
+    def _motion(self) -> tuple[np.ndarray, ...]:
+        """What figures follow from."""
+        return self.position, self.angle, self.position_covariance, self.angle_covariance
+
     def general_pole(self, order: int) -> Vectors:
         """The pole of order 1 to 4 (m) as it follows from the motion, whatever is known of pins."""
-        turn = denominator, by_angle = planar.rotation(order, self.angle)
-        pole = planar.pole(order, self.position, self.angle, turn)
-        spread = planar.covariance(pole, self.position_covariance, self.angle_covariance)
-        near = np.abs(pole.value - self.position[0]) < FARTHEST * self.size
-        orders = pole.angle_orders
-        noise = planar.mean_square(by_angle, self.angle_covariance[orders, orders])
-        turning = np.abs(denominator) > SIGNIFICANT * np.sqrt(noise)
-        known = np.isfinite(pole.value) & np.isfinite(spread).all(axis=(-2, -1))
-        return Vectors(pole.value, spread, turning & near & known)
+        value, spread, certainty = planar.pole_figures(order, *self._motion)
+        with np.errstate(invalid='ignore', over='ignore'):
+            near = np.abs(value - self.position[0]) < FARTHEST * self.size
+        known = np.isfinite(spread).all(axis=(-2, -1))
+        return Vectors(value, spread, (certainty > SIGNIFICANT) & near & known)
 
     def pole(self, order: int) -> Vectors:
         """ICR, IAP, IJP or ISP (m) for order 1 to 4, on the pin where there is one."""
@@ -236,17 +236,9 @@ class Estimate:
         return 'translating' if moves[body] else 'still'
 
     @cached_property
-    def _velocities(self) -> planar.Linear:
-        """Velocity of the ICR, as it follows from the motion."""
-        return planar.icr_velocity(self.position, self.angle)
-
-    @cached_property
-    @np.errstate(divide='ignore', invalid='ignore', over='ignore')
     def icr_velocity(self) -> Vectors:
         """Velocity of the ICR along both centrodes (m/s)."""
-        u = self._velocities
-        value = u.value
-        spread = planar.covariance(u, self.position_covariance, self.angle_covariance)
+        value, spread = planar.velocity_figures(*self._motion)
         known = np.isfinite(value) & np.isfinite(spread).all(axis=(-2, -1))
         if np.count_nonzero(self.pinned):
             value = np.where(self.pinned, 0.0, value)
@@ -258,10 +250,8 @@ class Estimate:
     @np.errstate(divide='ignore', invalid='ignore', over='ignore')
     def centrode_curvature(self) -> Numbers:
         """Signed curvature of the fixed centrode (1/m); undetermined where the ICR stands still."""
-        curvature = planar.centrode_curvature(self.position, self.angle, self._velocities)
-        u = self.icr_velocity
-        noise = planar.variance(curvature, self.position_covariance, self.angle_covariance)
-        value, known = curvature.value, np.isfinite(curvature.value) & np.isfinite(noise)
+        value, noise = planar.curvature_figures(*self._motion)
+        known, u = np.isfinite(value) & np.isfinite(noise), self.icr_velocity
         # It goes by the speed to the power of -2, which is far from linear where that is noisy:
         # of the error x of the speed, relative to it, the change of second order is 3 x^2.
         slowness = (u.covariance[..., 0, 0] + u.covariance[..., 1, 1]) / 2 / np.abs(u.value) ** 2

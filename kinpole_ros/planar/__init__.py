@@ -17,6 +17,7 @@ from kinpole_ros.planar._centrode import (
     moving_centrode_curvature,
     velocity_terms,
 )
+from kinpole_ros.planar._figures import curvature_figures, pole_figures, velocity_figures
 from kinpole_ros.planar._landmarks import (
     LandmarkKinematics,
     landmark_kinematics,
@@ -66,6 +67,7 @@ __all__ = [
     'centrode_curvature',
     'centrode_velocities',
     'covariance',
+    'curvature_figures',
     'curvature_terms',
     'fit_by_grip',
     'fit_pose',
@@ -83,6 +85,7 @@ __all__ = [
     'point_derivatives',
     'point_motion',
     'pole',
+    'pole_figures',
     'pole_from_reference',
     'relative_acceleration',
     'relative_center',
@@ -94,5 +97,6 @@ __all__ = [
     'to_plane',
     'transport',
     'variance',
+    'velocity_figures',
     'velocity_terms',
 ]

@@ -1,0 +1,149 @@
+/*
+ * Poles, the velocity of the ICR and the curvature of the centrode, with their covariances, of one
+ * instant after the other: numpy takes 50 calls for each of them, however few instants there are.
+ * _figures.py has the same of numpy, which is the one to read, and to test by; the formulas are
+ * those of _poles.py, _centrode.py and _linear.py.
+ */
+
+#define PY_SSIZE_T_CLEAN
+#include <Python.h>
+
+#include <complex.h>
+#include <math.h>
+
+#define HIGHEST 4
+typedef double complex Number;
+enum { VELOCITY = HIGHEST + 1, CURVATURE };
+
+/* A figure, and its derivatives by each of those of the position and of the angle. */
+typedef struct {
+    Number value, by_position[HIGHEST + 1], by_angle[HIGHEST + 1];
+} Linear;
+
+/* The mean product of two parts of the sum of factors times errors, whose covariances (K, K) are
+   `step` apart: real parts for 0, imaginary ones for 1. The last factor is that of `highest`. */
+static double
+product(const double *errors, long orders, long step, int highest, const Number *by, int one,
+        int other)
+{
+    double sum = 0.0;
+    for (int k = 0; k <= highest; k++)
+        for (int l = 0; l <= highest; l++)
+            sum += errors[(k * orders + l) * step] * (one ? cimag(by[k]) : creal(by[k]))
+                   * (other ? cimag(by[l]) : creal(by[l]));
+    return sum;
+}
+
+/* As in numpy, not a number for 0. */
+static Number
+inverse_of(Number number)
+{
+    return number == 0.0 ? NAN : 1.0 / number;
+}
+
+/* `turn` gets the coefficient of the turn, and its derivatives by those of the angle. */
+static void
+pole(int order, const Number *z, const double *rate, Linear *turn, Linear *out)
+{
+    static const double choose[HIGHEST + 1][HIGHEST + 1] = {
+        {1}, {1, 1}, {1, 2, 1}, {1, 3, 3, 1}, {1, 4, 6, 4, 1}};
+    Number a[HIGHEST + 1] = {1.0};
+    for (int n = 1; n <= order; n++)
+        for (int k = 1; k <= n; k++)
+            a[n] += choose[n - 1][k - 1] * rate[k] * (I * a[n - k]);
+    Number inverse = -inverse_of(a[order]), arm = z[order] * inverse;
+    turn->value = a[order], out->value = z[0] + arm;
+    out->by_position[0] = 1.0, out->by_position[order] = inverse;
+    for (int k = 1; k <= order; k++) {
+        turn->by_angle[k] = choose[order][k] * (I * a[order - k]);
+        out->by_angle[k] = arm * inverse * turn->by_angle[k];
+    }
+}
+
+static void
+velocity(const Number *z, const double *rate, Linear *out)
+{
+    Number q = -inverse_of(I * rate[1]), n = I * rate[2] * q, nv = n * z[1], iqq = I * q * q;
+    Number inner = z[2] + nv;
+    out->value = z[1] + q * inner;
+    out->by_position[1] = 1.0 + n * q, out->by_position[2] = q;
+    out->by_angle[1] = iqq * (inner + nv), out->by_angle[2] = iqq * z[1];
+}
+
+static void
+curvature(const Number *z, const double *rate, Linear *out)
+{
+    velocity(z, rate, out);
+    Number u = out->value, *p = out->by_position, *a = out->by_angle, q = p[2];
+    Number n = I * rate[2] * q, m = I * rate[3] * q, iqq = I * q * q, c = m + n * n;
+    /* Of the acceleration. */
+    Number dp[] = {0.0, (c + n * n) * q, p[1] + n * q, q};
+    Number da[] = {0.0, 2 * n * a[1] + iqq * (z[3] + 2 * n * z[2] + 2 * c * z[1]), 2 * a[1], a[2]};
+    Number du = dp[1] * z[1] + dp[2] * z[2] + dp[3] * z[3];
+    Number inverse = inverse_of(u), g = du * inverse;
+    double slowness = cabs(inverse);
+    Number by_du = -I * inverse * slowness, by_u = by_du * (0.5 * conj(g) - 1.5 * g);
+    for (int k = 1; k <= 3; k++)
+        p[k] = by_du * dp[k] + by_u * p[k], a[k] = by_du * da[k] + by_u * a[k];
+    out->value = cimag(g) * slowness;
+}
+
+/* Gets 1 to 4 for a pole, 5 or 6; position and angle (K, N) with covariances (K, K, N); and arrays
+   for values (N,), complex, covariances (N, 2, 2) and, of poles, how sure the turn is (N,). */
+static PyObject *
+figure(PyObject *self, PyObject *args)
+{
+    enum { POSITION, ANGLE, OF_POSITION, OF_ANGLE, VALUE, SPREAD, SURE, ALL };
+    Py_buffer b[ALL] = {{0}};
+    int what;
+    if (!PyArg_ParseTuple(args, "iy*y*y*y*w*w*w*", &what, &b[POSITION], &b[ANGLE], &b[OF_POSITION],
+                          &b[OF_ANGLE], &b[VALUE], &b[SPREAD], &b[SURE]))
+        return NULL;
+    long count = b[SURE].len / 8, orders = count ? b[ANGLE].len / 8 / count : HIGHEST + 1;
+    int highest = what > HIGHEST ? what - 3 : what, good = what >= 1 && what <= CURVATURE;
+    good = good && orders > highest && orders <= HIGHEST + 1;
+    good = good && b[ANGLE].len == 8 * orders * count && b[POSITION].len == 16 * orders * count;
+    good = good && b[OF_ANGLE].len == orders * b[ANGLE].len && b[VALUE].len == 16 * count;
+    good = good && b[OF_POSITION].len == b[OF_ANGLE].len && b[SPREAD].len == 32 * count;
+    if (!good)
+        PyErr_SetString(PyExc_ValueError, "arrays do not fit to each other");
+    for (long t = 0; good && t < count; t++) {
+        const double *p = (double *)b[OF_POSITION].buf + t, *a = (double *)b[OF_ANGLE].buf + t;
+        double rate[HIGHEST + 1], *spread = (double *)b[SPREAD].buf + 4 * t;
+        Number z[HIGHEST + 1], *by;
+        Linear found = {0}, turn = {0};
+        for (long k = 0; k < orders; k++) {
+            z[k] = ((Number *)b[POSITION].buf)[k * count + t];
+            rate[k] = ((double *)b[ANGLE].buf)[k * count + t];
+        }
+        if (what > HIGHEST)
+            (what == VELOCITY ? velocity : curvature)(z, rate, &found);
+        else {
+            pole(what, z, rate, &turn, &found);
+            double noise = product(a, orders, count, highest, turn.by_angle, 0, 0)
+                           + product(a, orders, count, highest, turn.by_angle, 1, 1);
+            ((double *)b[SURE].buf)[t] = cabs(turn.value) / sqrt(noise);
+        }
+        by = found.by_position;
+        double even = product(p, orders, count, highest, by, 0, 0)
+                      + product(p, orders, count, highest, by, 1, 1);
+        for (int k = 0; k < 4; k++)
+            spread[k] = (k % 3 ? 0.0 : even)
+                        + product(a, orders, count, highest, found.by_angle, k / 2, k % 2);
+        ((Number *)b[VALUE].buf)[t] = found.value;
+    }
+    for (int k = 0; k < ALL; k++)
+        PyBuffer_Release(&b[k]);
+    return good ? Py_NewRef(Py_None) : NULL;
+}
+
+static PyMethodDef methods[] = {
+    {"figure", figure, METH_VARARGS, "See _figures.py, which lays out its arrays."},
+    {0},
+};
+static struct PyModuleDef module = {PyModuleDef_HEAD_INIT, "_kernel", NULL, 0, methods};
+PyMODINIT_FUNC
+PyInit__kernel(void)
+{
+    return PyModule_Create(&module);
+}

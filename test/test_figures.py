@@ -1,0 +1,107 @@
+"""The compiled figures of the plane are the same as numpy's, and the package does without them."""
+
+import sys
+from importlib import import_module, reload
+
+import numpy as np
+import pytest
+
+from kinpole_ros.planar import _figures
+
+built = pytest.mark.skipif(
+    _figures._kernel is None, reason='the kernel is not built: setup.py build_ext --inplace'
+)
+pytestmark = pytest.mark.filterwarnings('error')
+
+FIGURES = {
+    **{
+        f'pole of order {n}': lambda *motion, n=n: _figures.pole_figures(n, *motion)
+        for n in range(1, 5)
+    },
+    'velocity': _figures.velocity_figures,
+    'curvature': _figures.curvature_figures,
+}
+# The lowest derivatives that it takes.
+LEAST = {'velocity': 2, 'curvature': 3} | {f'pole of order {n}': n for n in range(1, 5)}
+
+
+def motion(orders: int, shape: tuple[int, ...]) -> tuple[np.ndarray, ...]:
+    """Position and angle (orders + 1, ...) with covariances."""
+    rng = np.random.default_rng(orders)
+    position = rng.normal(size=(orders + 1, *shape, 2)).view(complex)[..., 0]
+    angle = rng.normal(scale=3.0, size=(orders + 1, *shape))
+    mixed = rng.normal(scale=0.01, size=(2, *shape, orders + 1, orders + 1))
+    covariances = np.moveaxis(mixed @ mixed.swapaxes(-1, -2), (-2, -1), (1, 2))
+    return position, angle, *covariances
+
+
+def equal(found: np.ndarray, expected: np.ndarray) -> bool:
+    known = np.isfinite(expected)
+    close = np.isclose(found[known], expected[known], rtol=1e-9, atol=0.0)
+    nothing = np.isnan(found) == np.isnan(expected)
+    return bool((np.isfinite(found) == known).all() and nothing.all() and close.all())
+
+
+@built
+@pytest.mark.parametrize('figure', FIGURES)
+def test_compiled_as_numpy(figure: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Also of a body that does not turn, and of one of which nothing is known."""
+    for orders in range(LEAST[figure], 5):
+        for shape in ((), (1, 1), (40, 3)):
+            given = motion(orders, shape)
+            if len(shape) > 1 and shape[1] > 1:
+                given[1][1:, :, 1] = 0.0
+                for array in given:
+                    array[..., 2] = np.nan
+            found = FIGURES[figure](*given)
+            with monkeypatch.context() as without:
+                without.setattr(_figures, '_kernel', None)
+                expected = FIGURES[figure](*given)
+            for one, other in zip(found, expected, strict=True):
+                assert np.shape(one) == np.shape(other)
+                assert equal(np.asarray(one), np.asarray(other))
+
+
+@built
+def test_each_instant_by_itself() -> None:
+    """To the last digit: what is seen live is what a replay gives."""
+    given = motion(4, (40, 3))
+    for figure in FIGURES.values():
+        whole = figure(*given)
+        for t in range(40):
+            alone = figure(*(np.ascontiguousarray(array[..., t, :]) for array in given))
+            assert all((part[t] == one).all() for part, one in zip(whole, alone, strict=True))
+
+
+@built
+def test_arrays_that_do_not_fit() -> None:
+    """Are refused: the kernel never reads beyond what it is given."""
+    position, angle, *covariances = motion(3, (5,))
+    for given in (
+        (position[:, 1:], angle, *covariances),
+        (position[1:], angle, *covariances),
+        (position, angle, covariances[0][1:], covariances[1]),
+        (position, angle, covariances[0], covariances[1][..., 1:]),
+    ):
+        with pytest.raises(ValueError, match='do not fit'):
+            _figures.velocity_figures(*given)
+    for order in (0, 4, 7):
+        with pytest.raises(ValueError, match='do not fit'):
+            _figures.pole_figures(order, position, angle, *covariances)
+    with pytest.raises(ValueError, match='do not fit'):
+        _figures.curvature_figures(*(array[:3] for array in motion(2, (5,))))
+
+
+def test_without_the_kernel(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Numpy does it where the extension cannot be imported."""
+    given = motion(4, (3, 2))
+    expected = _figures.velocity_figures(*given)
+    try:
+        with monkeypatch.context() as without:
+            without.setitem(sys.modules, 'kinpole_ros.planar._kernel', None)
+            module = reload(import_module('kinpole_ros.planar._figures'))
+            assert module._kernel is None
+            found = module.velocity_figures(*given)
+    finally:
+        reload(import_module('kinpole_ros.planar._figures'))
+    assert all(equal(one, other) for one, other in zip(found, expected, strict=True))
