@@ -83,11 +83,12 @@ def doubles_at(
     """
     first, time = HEAD + 4 * listed, _TIME.pack(*divmod(stamp, _SECOND))
     raw, size = figures.astype('<f8', copy=False).tobytes(), 8 * figures.shape[1]
-    heads = (_head(frame_id, child, listed) for child in children)
-    return [
-        head[:first] + time + head[first + _TIME.size :] + raw[k * size : (k + 1) * size]
-        for k, head in enumerate(heads)
-    ]
+    made = []
+    for k, child in enumerate(children):
+        head = _head(frame_id, child, listed)
+        doubles = raw[k * size : (k + 1) * size]
+        made.append(head[:first] + time + head[first + _TIME.size :] + doubles)
+    return made
 
 
 def joint_data(

@@ -5,8 +5,8 @@ Holds the poses with their derivatives and covariances; rates, poles and centrod
 by `planar`. Whatever does not stand out of its noise is marked undetermined, with the reason.
 """
 
-from collections.abc import Iterator
-from functools import cached_property
+from collections.abc import Callable, Iterator
+from functools import cached_property, partial
 from typing import NamedTuple, TypeVar
 
 import numpy as np
@@ -63,7 +63,7 @@ class FramePoses(NamedTuple):
     noise: np.ndarray
 
 
-_Figure = TypeVar('_Figure', bound=Vectors | Numbers)
+_Parts = TypeVar('_Parts', bound=Vectors | Numbers | FramePoses)
 
 
 class Estimate:
@@ -83,8 +83,8 @@ class Estimate:
     `pin_variance` (T, B), m^2, of one coordinate; NaN for a body on no pin. `shape` (T, B, n) are
     the markers in the bodies' frames, complex, m. `due` (T,) is which frame, of those the tracker
     was given in one call, each instant fell due with. `plane` is where all this lies in `frame_id`,
-    None for the one that the parameters name. `frame_poses` are those of the very frames, without
-    what others tell of them, None where they are not kept.
+    None for the one that the parameters name. `frame_poses` makes those of the very frames, without
+    what others tell of them, when they are first asked for; None where they are not kept.
 
     What follows is of shape (T, B) too, (T, pairs) for pairs of bodies. An index gives one instant
     as an estimate of its own, in which all arrays lack the axis of T.
@@ -111,7 +111,7 @@ class Estimate:
         due: np.ndarray | None = None,
         reference: np.ndarray | None = None,
         plane: Plane | None = None,
-        frame_poses: FramePoses | None = None,
+        frame_poses: Callable[[], FramePoses] | None = None,
     ) -> None:
         self.stamp = stamp
         self.frame_id = frame_id
@@ -130,11 +130,12 @@ class Estimate:
         self.pin = np.full(each, np.nan + 0j) if pin is None else pin
         self.pin_variance = np.full(each, np.nan) if pin_variance is None else pin_variance
         self.pinned = np.isfinite(self.pin)
+        self._any_pinned = np.count_nonzero(self.pinned) > 0
         self.shape = np.empty((*each, 0), complex) if shape is None else shape
         self.due = np.arange(np.size(stamp)).reshape(np.shape(stamp)) if due is None else due
         self.reference = np.zeros(each, complex) if reference is None else reference
         self.plane = plane
-        self.frame_poses = frame_poses
+        self._make_frame_poses = frame_poses
         self._poles: dict[int, Vectors] = {}
 
     def __len__(self) -> int:
@@ -164,7 +165,7 @@ class Estimate:
             self.due[instant],
             self.reference[instant],
             self.plane,
-            self.frame_poses and FramePoses(*(part[instant] for part in self.frame_poses)),
+            self._make_frame_poses and partial(self._frame_poses_at, instant),
         )
         # What was computed of all instants is not computed again of the one.
         one._poles = {order: _at(instant, pole) for order, pole in self._poles.items()}
@@ -172,6 +173,15 @@ class Estimate:
             if isinstance(figure, Vectors | Numbers):
                 vars(one)[name] = _at(instant, figure)
         return one
+
+    @cached_property
+    def frame_poses(self) -> FramePoses | None:
+        """The poses of the frames themselves, None where they are not kept."""
+        return self._make_frame_poses and self._make_frame_poses()
+
+    def _frame_poses_at(self, instant: int) -> FramePoses:
+        assert self.frame_poses is not None
+        return _at(instant, self.frame_poses)
 
     @property
     def order(self) -> int:
@@ -211,7 +221,7 @@ class Estimate:
 
     def _pole(self, order: int) -> Vectors:
         value, spread, determined = self.general_pole(order)
-        if np.count_nonzero(self.pinned):
+        if self._any_pinned:
             value = np.where(self.pinned, self.pin, value)
             even = self.pin_variance[..., None, None] * np.eye(2)
             spread = np.where(self.pinned[..., None, None], even, spread)
@@ -240,7 +250,7 @@ class Estimate:
         """Velocity of the ICR along both centrodes (m/s)."""
         value, spread = planar.velocity_figures(*self._motion)
         known = np.isfinite(value) & np.isfinite(spread).all(axis=(-2, -1))
-        if np.count_nonzero(self.pinned):
+        if self._any_pinned:
             value = np.where(self.pinned, 0.0, value)
             spread = np.where(self.pinned[..., None, None], 0.0, spread)
             known = known | self.pinned
@@ -360,9 +370,9 @@ class Estimate:
         }
 
 
-def _at(instant: int, figure: _Figure) -> _Figure:
-    """One instant of Vectors or Numbers (T, ...)."""
-    return type(figure)(*(part[instant] for part in figure))
+def _at(instant: int, parts: _Parts) -> _Parts:
+    """One instant of arrays (T, ...)."""
+    return type(parts)(*(part[instant] for part in parts))
 
 
 def _stands_out(values: np.ndarray, covariance: np.ndarray) -> np.ndarray:

@@ -8,8 +8,8 @@ Header stamps drive it; it never asks for the time.
 
 import itertools
 from collections import Counter
-from collections.abc import Iterable, Iterator
-from contextlib import contextmanager
+from collections.abc import Iterable
+from functools import partial
 from threading import Lock
 
 import numpy as np
@@ -44,6 +44,23 @@ NOISY_POSES = 'the noise of its angle is too large'
 _run_numbers = itertools.count(1)
 
 
+class _OneThread:
+    """Refuses a second thread; raises RuntimeError."""
+
+    def __init__(self) -> None:
+        self._in_use = Lock()
+
+    def __enter__(self) -> None:
+        if not self._in_use.acquire(blocking=False):
+            raise RuntimeError(
+                'this Tracker is at work in another thread; give each thread a Tracker of its own, '
+                'or have them take turns'
+            )
+
+    def __exit__(self, *_: object) -> None:
+        self._in_use.release()
+
+
 class Tracker:
     """
     Follows the bodies of `settings` from frame to frame.
@@ -60,7 +77,7 @@ class Tracker:
     def __init__(self, settings: Settings) -> None:
         self.settings = settings
         self.bodies = tuple(settings.bodies)
-        self._in_use = Lock()
+        self._alone = _OneThread()
         self.counts: Counter[str] = Counter()
         # By body, '' for all frames.
         self._outages: dict[str, Outage] = {}
@@ -72,21 +89,8 @@ class Tracker:
 
     def reset(self) -> None:
         """Forget all samples, and the shapes and noise learned from them."""
-        with self._alone():
+        with self._alone:
             self._start(None)
-
-    @contextmanager
-    def _alone(self) -> Iterator[None]:
-        """Refuse a second thread; raises RuntimeError."""
-        if not self._in_use.acquire(blocking=False):
-            raise RuntimeError(
-                'this Tracker is at work in another thread; give each thread a Tracker of its own, '
-                'or have them take turns'
-            )
-        try:
-            yield
-        finally:
-            self._in_use.release()
 
     def _start(self, before: Timeline | None) -> None:
         """Start anew; `before` a jump of the stamps frames were as in that timeline."""
@@ -217,7 +221,7 @@ class Tracker:
         Each is taken before the next is asked for: then the tracker is as it was with the last
         frame of that part. Instants are `due` by the number of the frame in all parts.
         """
-        with self._alone():
+        with self._alone:
             return self._add_parts(parts, order)
 
     def _add_parts(self, parts: Iterable[MarkerFrames], order: int | None) -> list[Estimate]:
@@ -273,7 +277,7 @@ class Tracker:
 
     def settle(self) -> None:
         """Learn from what is due, while nobody waits for it; else the next `add` does."""
-        with self._alone():
+        with self._alone:
             self._rigid.settle()
             self._space.settle()
             if self._timeline.look_due:
@@ -466,7 +470,7 @@ class Tracker:
             due,
             reference,
             self.plane,
-            _frame_poses(frames, seen, known),
+            partial(_frame_poses, frames, seen, known),
         )
 
     def _add_deformation(

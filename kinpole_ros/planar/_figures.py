@@ -73,6 +73,14 @@ def _compiled(
 ) -> tuple[Complex, Real, Real]:
     shape = angle.shape[1:]
     value, spread, sure = np.empty(shape, complex), np.empty((*shape, 2, 2)), np.empty(shape)
-    real = (np.ascontiguousarray(each, float) for each in (angle, of_position, of_angle))
-    _kernel.figure(what, np.ascontiguousarray(position, complex), *real, value, spread, sure)
+    _kernel.figure(
+        what,
+        np.ascontiguousarray(position, complex),
+        np.ascontiguousarray(angle, float),
+        np.ascontiguousarray(of_position, float),
+        np.ascontiguousarray(of_angle, float),
+        value,
+        spread,
+        sure,
+    )
     return value, spread, sure
