@@ -70,25 +70,7 @@ def stamped_doubles(
     rows[:, : len(head)] = np.frombuffer(head, np.uint8)
     rows[:, first : first + _TIME.size] = _times(stamps)
     rows[:, len(head) :] = doubles.view(np.uint8)
-    return _messages(rows)
-
-
-def doubles_at(
-    stamp: int, frame_id: str, figures: np.ndarray, children: Sequence[str | None], listed: bool
-) -> list[bytes]:
-    """
-    The same of one stamp, ns: a message of each row (N, n), each with its own of `children` (N,).
-
-    As the live node needs it: without the rows of bytes, a third of the time.
-    """
-    first, time = HEAD + 4 * listed, _TIME.pack(*divmod(stamp, _SECOND))
-    raw, size = figures.astype('<f8', copy=False).tobytes(), 8 * figures.shape[1]
-    made = []
-    for k, child in enumerate(children):
-        head = _head(frame_id, child, listed)
-        doubles = raw[k * size : (k + 1) * size]
-        made.append(head[:first] + time + head[first + _TIME.size :] + doubles)
-    return made
+    return rows_of_bytes(rows)
 
 
 def joint_data(
@@ -111,12 +93,12 @@ def joint_data(
     rows[:, HEAD : HEAD + _TIME.size] = _times(stamps)
     for place, figures in zip(places, (positions, velocities), strict=True):
         rows[:, place] = np.ascontiguousarray(figures, '<f8').view(np.uint8)
-    return _messages(rows)
+    return rows_of_bytes(rows)
 
 
-def _messages(rows: np.ndarray) -> list[bytes]:
-    """Rows of bytes (T, n) one by one."""
-    data, size = rows.tobytes(), rows.shape[1]
+def rows_of_bytes(rows: np.ndarray) -> list[bytes]:
+    """Rows (T, n) of bytes or doubles one by one."""
+    data, size = rows.tobytes(), rows.shape[1] * rows.itemsize
     return [data[first : first + size] for first in range(0, len(data), size)]
 
 
@@ -162,6 +144,14 @@ def _times(stamps: np.ndarray) -> np.ndarray:
     times = np.empty((len(stamps), 2), '<u4')
     times[:, 0], times[:, 1] = np.divmod(stamps, _SECOND)
     return times.view(np.uint8)
+
+
+# As many as there are frames of bodies: most topics of an instant share one.
+@lru_cache(maxsize=128)
+def stamped_head(stamp: int, frame_id: str, child: str | None, listed: bool) -> bytes:
+    """All before the doubles of a message, as in `stamped_doubles`; `stamp` in ns."""
+    head, first = _head(frame_id, child, listed), HEAD + 4 * listed
+    return head[:first] + _TIME.pack(*divmod(stamp, _SECOND)) + head[first + _TIME.size :]
 
 
 # As many as there are frames of bodies, and of what moves them.

@@ -16,7 +16,7 @@ from kinpole_ros.linkage.points import PointOfInterest, measured_point, points_o
 from kinpole_ros.linkage.theory import Theory, balance, balance_direction
 from kinpole_ros.messages._drawing import scene
 from kinpole_ros.messages._loci import Build, Trail, centrode
-from kinpole_ros.messages._rows import At, Figures, Rows, both, each
+from kinpole_ros.messages._rows import At, Figures, Found, both, each
 from kinpole_ros.messages._stack import TF, frame_poses, frames, joint_states
 from kinpole_ros.messages._types import (
     JointState,
@@ -158,18 +158,22 @@ def outputs_of(settings: Settings, theory: Theory | None) -> list[Output]:
 def _balance(theory: Theory, given: Plane, deviation: bool) -> Figures:
     """What balances the loads, a torque or a force, or its standard deviation."""
 
-    def figures(estimate: Estimate, at: At) -> Rows:
-        value, variance, known = (part[:, None][at] for part in balance(theory, estimate))
+    def figures(estimate: Estimate, which: int | slice) -> Found:
+        value, variance, known = (part[:, None] for part in balance(theory, estimate))
         way = balance_direction(theory, estimate)
-        wrench = np.zeros((len(value), 6))
-        values = np.sqrt(variance) if deviation else value
         plane = estimate.plane or given
-        if way is None:
-            wrench[:, 3:] = plane.along_normal(values)
-        else:
-            force = plane.in_space(values * way[:, None][at], 0.0)
-            wrench[:, :3] = np.abs(force) if deviation else force
-        return known, wrench
+
+        def rows(at: At) -> np.ndarray:
+            values = np.sqrt(variance[at]) if deviation else value[at]
+            wrench = np.zeros((len(values), 6))
+            if way is None:
+                wrench[:, 3:] = plane.along_normal(values)
+            else:
+                force = plane.in_space(values * way[:, None][at], 0.0)
+                wrench[:, :3] = np.abs(force) if deviation else force
+            return wrench
+
+        return known[:, which], rows
 
     return figures
 
@@ -193,10 +197,14 @@ def _pole(order: int) -> Callable[[Estimate], Vectors]:
 def _numbers(quantity: Callable[[Estimate], Numbers], given: Plane, deviation: bool) -> Figures:
     """One quantity along the normal, as a vector; or its deviation."""
 
-    def figures(estimate: Estimate, at: At) -> Rows:
+    def figures(estimate: Estimate, which: int | slice) -> Found:
         value, variance, known = quantity(estimate)
-        values = np.sqrt(variance[at]) if deviation else value[at]
-        return known[at], (estimate.plane or given).along_normal(values)
+
+        def rows(at: At) -> np.ndarray:
+            values = np.sqrt(variance[at]) if deviation else value[at]
+            return (estimate.plane or given).along_normal(values)
+
+        return known[:, which], rows
 
     return figures
 
@@ -213,15 +221,19 @@ def _points(
     Or its deviations, along the axes of the frame.
     """
 
-    def figures(estimate: Estimate, at: At) -> Rows:
+    def figures(estimate: Estimate, which: int | slice) -> Found:
         value, spread, known = quantity(estimate)
-        plane = estimate.plane or given
-        if deviation:
-            across = plane.basis[:2]
-            cells = np.einsum('ia,tij,ja->ta', across, spread[at], across)
-            return known[at], np.sqrt(np.maximum(cells, 0.0))
-        heights = 0.0 if bodies is None else estimate.height[at[0], bodies[at[1]]]
-        return known[at], plane.in_space(value[at], heights)
+
+        def rows(at: At) -> np.ndarray:
+            plane = estimate.plane or given
+            if deviation:
+                across = plane.basis[:2]
+                cells = np.einsum('ia,tij,ja->ta', across, spread[at], across)
+                return np.asarray(np.sqrt(np.maximum(cells, 0.0)))
+            heights = 0.0 if bodies is None else estimate.height[at[0], bodies[at[1]]]
+            return plane.in_space(value[at], heights)
+
+        return known[:, which], rows
 
     return figures
 
@@ -229,17 +241,22 @@ def _points(
 def _poses(quantity: Callable[[Estimate], Vectors], given: Plane) -> Figures:
     """One point of each body with its covariance."""
 
-    def figures(estimate: Estimate, at: At) -> Rows:
-        value, spread, known = (part[at] for part in quantity(estimate))
-        poses = np.zeros((len(value), 43))
-        plane = estimate.plane or given
-        poses[:, :3] = plane.in_space(value, estimate.height[at])
-        poses[:, 6] = 1.0
-        across = plane.basis[:2]
-        # After seven of the pose, in a 6 x 6 matrix.
-        cells = poses[:, 7:].reshape(-1, 6, 6)
-        cells[:, :3, :3] = across.T @ spread @ across
-        return known, poses
+    def figures(estimate: Estimate, which: int | slice) -> Found:
+        value, spread, known = quantity(estimate)
+
+        def rows(at: At) -> np.ndarray:
+            values = value[at]
+            poses = np.zeros((len(values), 43))
+            plane = estimate.plane or given
+            poses[:, :3] = plane.in_space(values, estimate.height[at])
+            poses[:, 6] = 1.0
+            across = plane.basis[:2]
+            # After seven of the pose, in a 6 x 6 matrix.
+            cells = poses[:, 7:].reshape(-1, 6, 6)
+            cells[:, :3, :3] = across.T @ spread[at] @ across
+            return poses
+
+        return known[:, which], rows
 
     return figures
 
@@ -247,13 +264,13 @@ def _poses(quantity: Callable[[Estimate], Vectors], given: Plane) -> Figures:
 def _odometry(given: Plane) -> Figures:
     """Pose of each body in the frame of the markers, twist in the body's own frame (REP-105)."""
 
-    def figures(estimate: Estimate, at: At) -> Rows:
+    def rows_of(estimate: Estimate, at: At) -> np.ndarray:
         velocity = estimate.origin(1)[at]
         angle, rate = estimate.angle[0][at], estimate.angle[1][at]
         rows = np.zeros((len(angle), 85))
         pose, twist = rows[:, :43], rows[:, 43:]
         plane = estimate.plane or given
-        pose[:, :7] = frame_poses(estimate, at, given)
+        pose[:, :7] = frame_poses(estimate, given, at)
         turn = np.exp(0.5j * angle)
         twist[:, :3] = plane.in_space(velocity / turn**2, 0.0)
         twist[:, 3:6] = plane.along_normal(rate)
@@ -281,9 +298,9 @@ def _odometry(given: Plane) -> Figures:
             cells = known @ even @ known.T
             cells = (cells + cells.swapaxes(1, 2)) / 2 + unknown
             part[:, -36:] = cells.reshape(-1, 36)
-        return estimate.missing[at] == '', rows
+        return rows
 
-    return figures
+    return lambda e, which: (e.missing[:, which] == '', partial(rows_of, e))
 
 
 def _in_space(plane: Plane) -> tuple[np.ndarray, np.ndarray]:

@@ -11,15 +11,16 @@ from typing import TypeAlias
 
 import numpy as np
 
-from kinpole_ros.messages._cdr import doubles_at, stamped_doubles
+from kinpole_ros.messages._cdr import rows_of_bytes, stamped_doubles, stamped_head
 from kinpole_ros.messages._loci import Build, Built
 from kinpole_ros.pipeline.estimate import Estimate
 
-# An index of (T, B): all instants of one body, or all bodies at one instant.
-At: TypeAlias = tuple[slice, int] | tuple[int, slice]
-# Which of these N are known (N,), and their doubles (N, n).
-Rows: TypeAlias = tuple[np.ndarray, np.ndarray]
-Figures: TypeAlias = Callable[[Estimate, At], Rows]
+# An index of (T, B): some instants of one body, or some bodies at one instant.
+At: TypeAlias = tuple[slice | np.ndarray, int] | tuple[int, slice | np.ndarray]
+# Where a quantity is known, (T,) or (T, B), and what makes its doubles (N, n) where it is.
+Found: TypeAlias = tuple[np.ndarray, Callable[[At], np.ndarray]]
+# That of an estimate, of one body or of all.
+Figures: TypeAlias = Callable[[Estimate, int | slice], Found]
 
 
 def each(
@@ -35,26 +36,28 @@ def each(
     made: list[Built] = []
 
     def of_one(estimate: Estimate, k: int) -> Built:
-        known, rows = figures(estimate, (slice(None), k))
+        known, rows = figures(estimate, k)
         when = known.nonzero()[0]
         if not len(when):
             return [], []
         chosen = slice(None) if len(when) == len(known) else when
-        about = estimate.stamp[chosen], estimate.frame_id, rows[chosen], names[k], listed
+        about = estimate.stamp[chosen], estimate.frame_id, rows((chosen, k)), names[k], listed
         return when.tolist(), stamped_doubles(*about)
 
     def of_all(estimate: Estimate) -> list[Built]:
-        known, rows = figures(estimate, (0, slice(None)))
-        data = doubles_at(int(estimate.stamp[0]), estimate.frame_id, rows, names, listed)
-        there = zip(known.tolist(), data, strict=True)
-        return [([0], [one]) if is_known else ([], []) for is_known, one in there]
+        known, rows = figures(estimate, slice(None))
+        there = known[0].nonzero()[0]
+        found: list[Built] = [([], [])] * count
+        if len(there):
+            doubles = rows((0, slice(None) if len(there) == count else there))
+            head = int(estimate.stamp[0]), estimate.frame_id
+            for k, row in zip(there.tolist(), rows_of_bytes(doubles), strict=True):
+                found[k] = [0], [stamped_head(*head, names[k], listed) + row]
+        return found
 
     def build(k: int, estimate: Estimate) -> Built:
         nonlocal taken, made
-        if estimate is taken:
-            return made[k]
-        # What is not known may be anything.
-        with np.errstate(invalid='ignore', over='ignore'):
+        if estimate is not taken:
             if len(estimate) > 1:
                 return of_one(estimate, k)
             taken, made = estimate, of_all(estimate)

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from fractions import Fraction
+from functools import partial
 from itertools import pairwise
 from typing import NamedTuple
 
@@ -9,7 +10,7 @@ import numpy as np
 
 from kinpole_ros.messages._cdr import joint_data
 from kinpole_ros.messages._loci import Build, Built
-from kinpole_ros.messages._rows import At, Rows, each
+from kinpole_ros.messages._rows import At, Found, each
 from kinpole_ros.pipeline.estimate import Estimate
 from kinpole_ros.pipeline.parameters import GROUND
 from kinpole_ros.rigid.plane import Plane
@@ -18,7 +19,7 @@ TF = '/tf'
 """The topic of frames, the same for all nodes."""
 
 
-def frame_poses(estimate: Estimate, at: At, given: Plane) -> np.ndarray:
+def frame_poses(estimate: Estimate, given: Plane, at: At) -> np.ndarray:
     """
     Where the frames of the bodies `at` these (N,) are, (N, 7): a point, m, and a quaternion.
 
@@ -35,8 +36,8 @@ def frame_poses(estimate: Estimate, at: At, given: Plane) -> np.ndarray:
 def frames(names: Sequence[str], given: Plane) -> Build:
     """A message of /tf for each body, whose frame has the name of these, at each instant."""
 
-    def figures(estimate: Estimate, at: At) -> Rows:
-        return estimate.missing[at] == '', frame_poses(estimate, at, given)
+    def figures(estimate: Estimate, which: int | slice) -> Found:
+        return estimate.missing[:, which] == '', partial(frame_poses, estimate, given)
 
     builds = each(len(names), figures, names, listed=True)
 

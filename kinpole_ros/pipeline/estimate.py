@@ -6,7 +6,7 @@ by `planar`. Whatever does not stand out of its noise is marked undetermined, wi
 """
 
 from collections.abc import Callable, Iterator
-from functools import cached_property, partial
+from functools import cached_property, lru_cache, partial
 from typing import NamedTuple, TypeVar
 
 import numpy as np
@@ -285,8 +285,7 @@ class Estimate:
     @cached_property
     def pairs(self) -> tuple[np.ndarray, np.ndarray]:
         """Indices (j, i) of every pair of bodies, i before j."""
-        i, j = np.triu_indices(len(self.bodies), 1)
-        return j, i
+        return _pairs(len(self.bodies))
 
     @cached_property
     def relative_rate(self) -> Numbers:
@@ -368,6 +367,12 @@ class Estimate:
         return {
             name: np.where(self.missing == '', why, self.missing) for name, why in found.items()
         }
+
+
+@lru_cache(maxsize=8)
+def _pairs(bodies: int) -> tuple[np.ndarray, np.ndarray]:
+    i, j = np.triu_indices(bodies, 1)
+    return j, i
 
 
 def _at(instant: int, parts: _Parts) -> _Parts:
