@@ -1,8 +1,8 @@
 """
 Everything that is published, as one table: topic, type, what it needs and how it is made.
 
-Node, replay and simulate all walk this table, so a topic added here is there in all of them. A row
-is only built for a topic somebody reads.
+Node, replay and simulate all walk this table, so a topic added here is there in all of them. What
+nobody reads, of any body, is not built.
 """
 
 from collections.abc import Callable, Mapping, Sequence
