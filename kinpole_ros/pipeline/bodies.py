@@ -29,16 +29,12 @@ from kinpole_ros.rigid import (
     Shapes,
     Verdict,
 )
+from kinpole_ros.rigid.levels import LITTLE, ROUNDING, SURE
 
-# Coordinates are known no better than a few units of their last place.
-_ROUNDING = 4 * np.finfo(float).eps
 # rad. An angle noisier than this wanders round, and its errors are no longer small.
 UNSTEADY = 0.15
 # A noise of fewer degrees of freedom may well be a third of what it is, or three times that.
 _LEAST_FREEDOM = 6.0
-# Markers are not of one rigid body that are off it by so many times their noise and by this share
-# of its size.
-_LOOSE, _LOOSE_SHARE = 5.0, 0.01
 # Those that are off by this share of its size are of other links: no tissue moves so far.
 _OTHERS = 0.05
 
@@ -181,7 +177,7 @@ class RigidBodies:
             # While hardly any frames come running, by all that keeps markers off their places.
             few = self._noise.degrees() < _LEAST_FREEDOM
             level = np.where(few, np.sqrt(self._shapes.misfit()), level)
-        return np.maximum(level, _ROUNDING * self._shapes.farthest)
+        return np.maximum(level, ROUNDING * self._shapes.farthest)
 
     def angle_noise(self) -> np.ndarray | None:
         """Noise (B,) of the angles of poses that come as such, rad; None where markers come."""
@@ -194,7 +190,7 @@ class RigidBodies:
         No noise accounts for it: the markers are of several links, or their body bends.
         """
         off, noise = np.sqrt(self._shapes.misfit()), self._noise.level()
-        loose = (off > _LOOSE * noise) & (off > _LOOSE_SHARE * self._size())
+        loose = (off > SURE * noise) & (off > LITTLE * self._size())
         # A lens moves poles by more than it bends bodies.
         loose |= [cause in (LENS, SLANT) for cause in self.causes()]
         return np.where(loose, off, 0.0)
@@ -446,10 +442,10 @@ class RigidBodies:
         self._learned = True
         if self._by_pose:
             variance = self._variance(news.information)
-            poses = news.stamps, news.position, news.angle, variance, size
+            poses = news.stamps, news.position, news.angle, variance
             with np.errstate(divide='ignore', invalid='ignore'):
                 left = self._shapes.weighted(news.residual) / np.sqrt(self._misfit())[:, None]
-            self._pins.add(*poses, left)
+            self._pins.add(*poses, size, left)
             self._references.add(*poses, self._middle())
         self._learn_noise(news)
 
@@ -491,7 +487,7 @@ class RigidBodies:
 
     def _misfit(self) -> np.ndarray:
         """Variance (B,) of one coordinate of a marker, of all that keeps it off its place."""
-        rounding = _ROUNDING * self._shapes.farthest
+        rounding = ROUNDING * self._shapes.farthest
         return np.maximum(self._shapes.misfit(), np.maximum(self._given, rounding) ** 2)
 
     def _size(self) -> np.ndarray:

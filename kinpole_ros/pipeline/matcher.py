@@ -16,28 +16,21 @@ from kinpole_ros.pipeline.roster import Layout, Roster
 from kinpole_ros.planar import Fit
 from kinpole_ros.planar._plane import Complex, Real
 from kinpole_ros.rigid import Shapes
-from kinpole_ros.rigid.ahead import TRACKED, ahead
+from kinpole_ros.rigid.ahead import ahead
 from kinpole_ros.rigid.grouping import group
 from kinpole_ros.rigid.identity import Expected, Match, fit_place, match, merge_names
+from kinpole_ros.rigid.levels import FEW, LATE, LITTLE, RECENT, SURE
 
 # Counted in `Tracker.counts`.
 OTHERS, RENAMED, REGROUPED = 'markers_of_others', 'markers_renamed', 'markers_regrouped'
 BY_SHAPE, UNCERTAIN = 'frames_by_shape', 'bodies_ambiguous'
-# Frames that tell how many points a cloud without names has, and whether they keep their order; in
-# so many of these it may be another.
-_FIRST, _DISORDERED = 20, 2
+# Of the first frames, which tell how many points a cloud without names has, and whether they keep
+# their order, in so many it may be another.
+_DISORDERED = 2
 # A number of points that is just those named counts so many times.
 _ALL_NAMED = 4
-# Where bodies are not rigid their markers are looked at after so many frames, then after half as
-# many again, and at last every so many.
-_LOOK, _LOOK_OFTEN = 20, 50
-# Frames of late that tell which markers are of one body.
-_LATE = 128
 # Corrections that are remembered by name.
 _MOST_NOTES = 12
-# A given shape is another if it is off by so many times what markers may be, and by this share of
-# its size.
-_WRONG, _WRONG_SHARE = 3.0, 0.02
 
 
 class Matcher:
@@ -80,10 +73,10 @@ class Matcher:
         # Frames that were fitted, that were arranged by shape, and in which each body was found.
         self._frames, self._arranged = 0, 0
         self.found = np.zeros(bodies, int)
-        self._next_look, self._groupings = _LOOK, 0
+        self._next_look, self._groupings = FEW, 0
         # The poses of late: stamps (T,), positions and angles (T, B); and the points they are of.
-        self._track: deque[tuple[np.ndarray, Complex, Real]] = deque(maxlen=TRACKED)
-        self._late: deque[Complex] = deque(maxlen=_LATE)
+        self._track: deque[tuple[np.ndarray, Complex, Real]] = deque(maxlen=RECENT)
+        self._late: deque[Complex] = deque(maxlen=LATE)
         self._first = self._end = 0
         self._matched_here = False
 
@@ -110,7 +103,7 @@ class Matcher:
         """
         if not (self._may_be_nameless and self._layout.indexed):
             return False
-        for _ in range(min(frames, _FIRST)):
+        for _ in range(min(frames, FEW)):
             self._is_whole_anew()
         return len(self._roster.identities) != self._whole
 
@@ -125,7 +118,7 @@ class Matcher:
         if not self._nameless:
             return most, False
         anew = False
-        if self._arranged < _FIRST:
+        if self._arranged < FEW:
             most = 1
             anew = self._is_whole_anew() and not self.has_shape.all()
             self._arranged += 1
@@ -221,11 +214,11 @@ class Matcher:
         Returns which bodies (B,) begin anew.
         """
         nothing = np.zeros(len(loose), bool)
-        self._next_look = self._frames + min(self._frames // 2, _LOOK_OFTEN)
+        self._next_look = 3 * self._frames // 2
         loose = loose & ~self.has_shape & ~self.withheld
         if loose.sum() < 2 or self._groupings > 2 * len(loose) or self._by_shape or not self._late:
             return nothing
-        order, confused = group(np.concatenate(self._late)[-_LATE:], loose)
+        order, confused = group(np.concatenate(self._late)[-LATE:], loose)
         self.withheld[confused] = True
         self._withholds = bool(self.withheld.any())
         if order is None:
@@ -248,13 +241,13 @@ class Matcher:
             given, now = self.given[b], self._shapes.points[b]
             here = np.flatnonzero(~np.isnan(given))
             size = np.abs(given[here] - given[here].mean()).max()
-            most = max(_WRONG * float(np.nan_to_num(self._shapes.limit[b])), _WRONG_SHARE * size)
+            most = max(SURE * float(np.nan_to_num(self._shapes.limit[b])), LITTLE * size)
             off = fit_place(now, np.nan_to_num(given), np.where(np.isnan(given), -1, _row(given)))
             mirror = np.nan_to_num(given.conj())
             if not off[2] <= most:
                 turned = fit_place(now, mirror, np.where(np.isnan(given), -1, _row(given)))
                 found[self._names[b]] = 'mirrored' if turned[2] <= most else 'other'
-            elif self._by_shape and self._frames >= _FIRST and not self.found[b]:
+            elif self._by_shape and self._frames >= FEW and not self.found[b]:
                 found[self._names[b]] = 'mirrored' if self._fits_mirrored(b) else 'nowhere'
         return found
 
@@ -309,7 +302,7 @@ class Matcher:
         nowhere = len(points)
         named = np.where(self._layout.place < nowhere, self._layout.place, -1)
         # Where the order is to be learned from, it goes first.
-        learning = whole and self._arranged < _FIRST and not self.disordered
+        learning = whole and self._arranged < FEW and not self.disordered
         names = np.where(self.has_shape[:, None] | (not learning), -1, named)
         held = np.zeros(len(known), bool)
         if learning:
@@ -338,7 +331,7 @@ class Matcher:
 
     def _see_order(self, same: np.ndarray) -> None:
         """Note a frame among the first in which bodies (B,) do not keep their order."""
-        if self._by_shape and self._arranged < _FIRST and not same.all():
+        if self._by_shape and self._arranged < FEW and not same.all():
             self._out_of_order += 1
             if self._out_of_order > _DISORDERED:
                 self.disordered = True
@@ -368,7 +361,7 @@ class Matcher:
             end = first + len(fit.angle)
             track.append((self._stamps[first:end], fit.position, fit.angle))
             first = end
-        return ahead(track[-TRACKED:], int(self._stamps[k]), len(self._names))
+        return ahead(track[-RECENT:], int(self._stamps[k]), len(self._names))
 
     def _fits_mirrored(self, b: int) -> bool:
         """Whether the points of the last frame have a body's given shape mirrored."""

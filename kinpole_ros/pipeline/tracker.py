@@ -26,12 +26,11 @@ from kinpole_ros.pipeline.roster import Roster
 from kinpole_ros.pipeline.ticks import StampState
 from kinpole_ros.pipeline.timeline import Timeline
 from kinpole_ros.rigid import (
-    MOST_SUSPECT,
-    STRIKES,
     Samples,
     constant_segments,
     seen_at,
 )
+from kinpole_ros.rigid.levels import RUNNING
 from kinpole_ros.rigid.plane import Plane
 from kinpole_ros.rigid.scatter import HISTORY
 from kinpole_ros.rigid.space import Space, SpaceReport
@@ -336,7 +335,7 @@ class Tracker:
                 solid = np.full_like(solid, np.nan)
         else:
             self._rigid.are_timed(self._timeline.counts_are_sure)
-            every = self._timeline.view()[-len(rows) - MOST_SUSPECT :]
+            every = self._timeline.view()[-len(rows) - RUNNING :]
             self._rigid.take(every, points, heights, gaps, landmarks)
             seen = points[..., 0] if self._posed else points
             if not self._posed:
@@ -523,7 +522,7 @@ class Tracker:
             if suspect is not None:
                 last = np.maximum(newest[:, None] - suspect, oldest[:, None])
                 until = np.take_along_axis(times, last, axis=0)
-            held &= until - times[oldest] + off_pin[oldest] < STRIKES
+            held &= until - times[oldest] + off_pin[oldest] < RUNNING
         return (
             np.where(held, pin, complex(np.nan, np.nan)),
             np.where(held, variance, np.nan),

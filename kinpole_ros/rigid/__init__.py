@@ -4,11 +4,11 @@ From markers to poses: shapes, noise, pins, hubs, and what is wrong with all of 
 Knows rigid bodies only as shapes to fit, and neither ROS nor derivatives.
 """
 
-from kinpole_ros.rigid._continuity import MOST_SUSPECT, Verdict
+from kinpole_ros.rigid._continuity import Verdict
 from kinpole_ros.rigid._lasting import LastingNoise
 from kinpole_ros.rigid._lens import LENS, SLANT, TISSUE, Fields
 from kinpole_ros.rigid._noise import Noise
-from kinpole_ros.rigid._pin import STRIKES, Pins
+from kinpole_ros.rigid._pin import Pins
 from kinpole_ros.rigid._pose_noise import PoseNoise
 from kinpole_ros.rigid._reference import References, constant_segments, seen_at
 from kinpole_ros.rigid._samples import Samples
@@ -18,10 +18,8 @@ from kinpole_ros.rigid._turn import NOT_FAR
 
 __all__ = [
     'LENS',
-    'MOST_SUSPECT',
     'NOT_FAR',
     'SLANT',
-    'STRIKES',
     'TISSUE',
     'Deformation',
     'Fields',

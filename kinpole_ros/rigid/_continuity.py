@@ -15,30 +15,20 @@ import numpy as np
 
 from kinpole_ros.planar._plane import Complex, Real
 from kinpole_ros.rigid._noise import tame_part
+from kinpole_ros.rigid.levels import FEW, LATE, LITTLE, RECENT, RUNNING
 
-# Highest degree of the polynomials that predict: through so many samples and one more.
-_DEGREE = 3
-_POINTS = _DEGREE + 1
 # An innovation is far that is so many times what all but the worst three tenths of late stay below.
-# Those of late are so many, and none is far while there are fewer than the other.
-_FAR, _LATE, _FEWEST = 7.0, 128, 12
-# rad, and share of the body's size: what is nearer is no jump, however smooth the motion.
-_LEAST_TURN, _LEAST_SHIFT = 0.02, 0.01
-# So many frames running may be wrong. A body that has not gone back after them has jumped.
-MOST_SUSPECT = 3
+_FAR = 7.0
 # A pose has gone back that is off by no more than this share of what the suspect ones were off.
 _BACK = 0.5
-# Steps that differ by less than this share are even.
-_EVEN = 0.01
-# Samples predict a frame that were seen so many frames ago at most.
-_RECENT = 8
 # Weights of the samples before, oldest first, by degree, where they are even.
 _WEIGHTS = np.array([(0, 0, 0, 1), (0, 0, -1, 2), (0, 1, -3, 3), (-1, 4, -6, 4)], float)
+_POINTS = len(_WEIGHTS)
 _OWN = np.arange(_POINTS)
 # How many frames ago they came if none is left out.
 _AGO = _POINTS - _OWN[:, None]
 # Which of them each degree takes.
-_TAKEN = _OWN[:, None] + _OWN >= _DEGREE
+_TAKEN = _OWN[:, None] + _OWN >= _POINTS - 1
 # Variances of their innovations, by degree, where there is nothing but noise.
 _GAINS = 1 + (_WEIGHTS**2).sum(axis=1)
 _REACHES = np.abs(_WEIGHTS).sum(axis=1)
@@ -85,7 +75,7 @@ class Continuity:
         self._runs: dict[int, list[tuple[float, Complex]]] = {}
         # Squares of innovations of late, by degree, and the frames since the last beat, of which
         # the first so many are from before.
-        self._squares = np.full((_LATE, _POINTS, 2 * bodies), np.nan)
+        self._squares = np.full((LATE, _POINTS, 2 * bodies), np.nan)
         self._count = self._before = 0
         self._news: list[tuple[Real, Complex]] = []
         self._degree = np.zeros(2 * bodies, int)
@@ -188,7 +178,7 @@ class Continuity:
                 continue
             run.append((float(stamp), signals[0, both]))
             held[0, both] = _NOTHING
-            if len(run) > MOST_SUSPECT:
+            if len(run) > RUNNING:
                 # It has jumped, and what was before says nothing of it.
                 self._signals[:, both] = _NOTHING
                 for k, (time, here) in enumerate(run):
@@ -210,21 +200,22 @@ class Continuity:
         if not self._news:
             return
         stamps, signals = (np.concatenate(part) for part in zip(*self._news, strict=True))
-        fresh = _innovations(stamps, signals)[max(self._before, _POINTS) :][-_LATE:]
+        fresh = _innovations(stamps, signals)[max(self._before, _POINTS) :][-LATE:]
         # The next frames are predicted from the last of these.
-        self._news = [(stamps[-_RECENT:], signals[-_RECENT:])]
+        self._news = [(stamps[-RECENT:], signals[-RECENT:])]
         self._before = len(self._news[0][0])
         if not len(fresh):
             return
-        self._squares[(self._count + np.arange(len(fresh))) % _LATE] = fresh
+        self._squares[(self._count + np.arange(len(fresh))) % LATE] = fresh
         self._count += len(fresh)
-        filled = self._squares[: min(self._count, _LATE)]
-        enough = np.isfinite(filled).sum(axis=0) >= _FEWEST
+        filled = self._squares[: min(self._count, LATE)]
+        enough = np.isfinite(filled).sum(axis=0) >= FEW
         usual = tame_part(filled.reshape(len(filled), -1).T).reshape(enough.shape)
         usual = np.where(enough, usual, np.inf)
         self._degree = usual.argmin(axis=0)
         self._weights = _WEIGHTS[self._degree].T + 0j
-        least = np.concatenate((np.full(self._bodies, _LEAST_TURN), _LEAST_SHIFT * size))
+        least = LITTLE * np.concatenate((np.ones(self._bodies), size))
+        # rad, and m: what is nearer is no jump, however smooth the motion.
         self._limit = np.maximum(_FAR**2 * usual.min(axis=0), least**2)
 
     def _off(self, stamps: np.ndarray, signals: Complex) -> tuple[Complex, Complex, np.ndarray]:
@@ -380,12 +371,12 @@ def _lagrange(times: Real, numbers: np.ndarray) -> Real:
     factors[:, _OWN, _OWN] = 1.0
     products = np.multiply.accumulate(factors[..., ::-1], axis=-1)
     weights = np.where(_TAKEN, products.swapaxes(1, 2), 0.0)
-    weights[numbers[_POINTS:] - numbers[:count] > _RECENT] = np.nan
+    weights[numbers[_POINTS:] - numbers[:count] > RECENT] = np.nan
     return weights
 
 
 def _even(steps: Real) -> bool:
-    return bool(np.maximum.reduce(steps) - np.minimum.reduce(steps) <= _EVEN * steps[0])
+    return bool(np.maximum.reduce(steps) - np.minimum.reduce(steps) <= LITTLE * steps[0])
 
 
 def _wrapped(angle: Real) -> Real:

@@ -11,12 +11,11 @@ counts, which changes with the motion.
 import numpy as np
 
 from kinpole_ros.planar._plane import Complex, Real
-from kinpole_ros.rigid._noise import KEPT, Noise
+from kinpole_ros.rigid._noise import Noise
+from kinpole_ros.rigid.levels import LATE, SURE
 
 # So many blocks make a window; half a block has no more frames than this.
 _BLOCKS, _LONGEST = 12, 8
-# It lasts where so many standard deviations below what was found is more than white noise.
-_SURE = 4.0
 # Where blocks have so many times the noise of their halves, longer ones had more still.
 _RISES = 3.0
 
@@ -36,7 +35,7 @@ class LastingNoise:
     def _start_anew(self, half: int) -> None:
         self._half = half
         # Of the same frames as the noise they are held against, which may have been louder before.
-        kept = KEPT // max(2 * half, 1)
+        kept = LATE // max(2 * half, 1)
         self._blocks, self._halves = Noise(self._bodies, kept), Noise(self._bodies, 2 * kept)
         # Frames that make no block yet, and whether the next block goes on from one before.
         self._rest: tuple[Complex, Real] | None = None
@@ -109,5 +108,5 @@ class LastingNoise:
 
     def _lasts(self, white: Real) -> np.ndarray:
         # A standard deviation of n degrees of freedom has that of 1 / (2 n)^1/2 of it.
-        share = 1 - _SURE / np.sqrt(2 * np.maximum(self._blocks.degrees(), 1.0))
+        share = 1 - SURE / np.sqrt(2 * np.maximum(self._blocks.degrees(), 1.0))
         return np.asarray(self._blocks.level() * share > white)

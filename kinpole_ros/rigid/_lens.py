@@ -12,13 +12,12 @@ from typing import NamedTuple
 import numpy as np
 
 from kinpole_ros.planar._plane import Complex, Real
+from kinpole_ros.rigid.levels import FEW, LATE
 
-# One in so many frames is looked at, and so many of these are remembered, about.
-_EACH, _KEPT = 4, 512
+# One in so many frames is looked at.
+_EACH = 4
 # A field is the cause where it explains this share of what is beyond the noise.
 _EXPLAINED = 0.8
-# Degrees of freedom that what is left must have for each parameter of a field.
-_FREEDOM = 20
 LENS, SLANT, TISSUE = 'lens', 'slant', 'tissue'
 
 
@@ -78,7 +77,7 @@ class Fields:
             np.einsum('tbn,tbn->b', left.conj(), left).real,
         )
         if self._sums is not None:
-            kept = np.clip(_KEPT / np.maximum(self._sums.frames, 1), 0, 1)
+            kept = np.clip(LATE / np.maximum(self._sums.frames, 1), 0, 1)
             by_marker = kept[:, None]
             old, factors = self._sums, (kept, by_marker, by_marker, kept, kept, kept)
             parts = zip(old, factors, new, strict=True)
@@ -102,7 +101,8 @@ class Fields:
         total = total - (left.real**2 + left.imag**2).sum(axis=-1) / count
         beyond = total - np.where(frames > 0, freedom * frames * noise**2, 0.0)
         beyond = np.maximum(beyond, np.finfo(float).tiny)
-        if (freedom * frames)[bodies].sum() < _FREEDOM * len(field):
+        # Of what is left, for each parameter of a field.
+        if (freedom * frames)[bodies].sum() < FEW * len(field):
             return found
         for parameters, name in ((2, SLANT), (5, LENS)):
             some = slice(parameters)

@@ -17,24 +17,20 @@ import numpy as np
 
 from kinpole_ros.planar._plane import Complex, Real
 from kinpole_ros.rigid._soft import chi_square, student
+from kinpole_ros.rigid.levels import FEW, RUNNING, SURE
 
 # Poses kept per body, and the angle between them, rad: 4 rad of one-way turning.
 _KEPT = 64
-_STEP = 1 / 16
-# Poses wanted before a body is called pinned, and before it can be called not pinned; twice as many
-# after each time it was and then was not, up to so many.
-_ENOUGH, _SOME, _WARY = 32, 12, 512
+_STEP = 4 / _KEPT
 # Mean square misfit, over what the rigid fit lets expect, below which a pin is taken and above
-# which it is dropped. Apart, so that nothing flaps.
-_TAKEN, _DROPPED = 1.5, 2.5
-# Off by so many deviations so many frames running, a body has left its pin.
-_OFF, STRIKES = 5.0, 3
-# A misfit is similar from pose to pose when the product of neighbors stands so many deviations out
-# of chance; an arc bent by it has its center off by this many times its square over the spread of
+# which it is dropped.
+_MISFIT = 2.0
+# What is not noise makes a pin less sure from so many deviations on: the sum of residuals, or
+# products of neighbors, where the misfit is similar from pose to pose.
+_DOUBTED = 2.0
+# An arc bent by such a misfit has its center off by this many times its square over the spread of
 # the angles (a centrode of constant speed, seen over a small arc).
-_SIMILAR, _BEND = 3.0, 15.0
-# Residuals make a pin less sure whose sum stands so many deviations out of what noise makes of it.
-_COHERENT = 2.0
+_BEND = 15.0
 # An ICR that wandered by this much, body sizes per rad, would have been seen.
 _WANDER = 0.05
 
@@ -59,7 +55,8 @@ class Pins:
         self._variances = np.zeros((2, _KEPT, bodies))
         self._residuals = np.zeros((_KEPT, bodies, width), complex)
         self._count = np.zeros(bodies, int)
-        self._wanted = np.full(bodies, _ENOUGH)
+        # Poses wanted before a body is called pinned.
+        self._wanted = np.full(bodies, _KEPT // 2)
         self._last = np.full(bodies, np.nan)
         self._strikes = np.zeros(bodies, int)
 
@@ -68,7 +65,7 @@ class Pins:
         with np.errstate(invalid='ignore'):
             off = np.abs(position + np.exp(1j * angle) * self.arm - self.center) ** 2
             spread = variance[:, 0] + np.abs(self.arm) ** 2 * variance[:, 1]
-            return np.asarray(off > _OFF**2 * spread)
+            return np.asarray(off > SURE**2 * spread)
 
     def widen(self, width: int) -> None:
         """Let bodies have more markers."""
@@ -99,7 +96,7 @@ class Pins:
         back = np.maximum.accumulate(np.where(off_pin, -1, frame), axis=0)
         running = np.where(back < 0, frame + 1 + self._strikes, frame - back)
         self._strikes = running[-1]
-        gone = (running >= STRIKES).any(axis=0)
+        gone = (running >= RUNNING).any(axis=0)
         self._leave(gone)
         fresh = np.zeros(len(gone), bool)
         usable = known & ~off_pin & ~gone
@@ -121,7 +118,7 @@ class Pins:
             self._last[b] = angle[at[-1], b]
             self._count[b] += len(at)
             fresh[b] = True
-        ready = np.flatnonzero(fresh & (self._count >= _SOME))
+        ready = np.flatnonzero(fresh & (self._count >= FEW))
         if len(ready):
             self._update(ready, size[ready])
 
@@ -152,21 +149,21 @@ class Pins:
         misfit *= np.sqrt(weights)
         similar = (misfit * np.roll(misfit, 1, axis=0).conj()).real.sum(axis=0)
         total = (np.abs(misfit) ** 2).sum(axis=0)
-        bent = np.maximum(similar - _SIMILAR * total / np.sqrt(count), 0) / 2
+        bent = np.maximum(similar - _DOUBTED * total / np.sqrt(count), 0) / 2
         found = (np.abs(shares) ** 2 * each).sum(axis=0) + _BEND * bent / spread
         # The same sum of what the rigid fits leave over, per degree of freedom.
         left = self._residuals[:, which]
         slow = np.einsum('kb,kbn->bn', shares * e * np.sqrt((even + across) / 2), left)
         freedom = np.maximum(2 * left.any(axis=0).sum(axis=-1) - 3, 1)
         slow = (np.abs(slow) ** 2).sum(axis=-1) / freedom
-        surely = slow > chi_square(freedom, _COHERENT) * found
+        surely = slow > chi_square(freedom, _DOUBTED) * found
         found = np.where(surely, slow * student(freedom), found)
-        contradicted = square > _DROPPED
+        contradicted = square > _MISFIT
         # What wandering would leave: 0.45 of it times the spread of the angles (to third order).
         noise = (weights * even).sum(axis=0)
         seen = np.sqrt(noise) < _WANDER * 0.45 * size * spread
         seen &= found < (_WANDER * size) ** 2
-        taken = (square < _TAKEN) & (self._count[which] >= self._wanted[which]) & seen
+        taken = (self._count[which] >= self._wanted[which]) & seen
         taken |= np.isfinite(self.center[which])
         taken &= ~contradicted
         pinned = which[taken]
@@ -178,9 +175,8 @@ class Pins:
         self._leave(gone)
 
     def _leave(self, which: np.ndarray) -> None:
-        """Take the bodies `which` (B,) off their pins; more is wanted to call them pinned again."""
-        left = which & np.isfinite(self.center)
-        self._wanted[left] = np.minimum(2 * self._wanted[left], _WARY)
+        """Take the bodies `which` (B,) off their pins; twice as much is wanted the next time."""
+        self._wanted[which & np.isfinite(self.center)] *= 2
         self.forget(which)
 
     def forget(self, which: np.ndarray) -> None:

@@ -20,21 +20,17 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
 from kinpole_ros.planar._plane import Complex, Real
-from kinpole_ros.rigid._noise import KEPT, trimmed_mean
+from kinpole_ros.rigid._noise import trimmed_mean
+from kinpole_ros.rigid.levels import FEW, LATE, ROUNDING, SURE
 
 # Differences are of this order; of another one for comparison, which motion would make larger.
 _ORDER, _LOWER = 6, 4
 _SAME = 1.25
-# Frames in a block; noise lasts that is more by so many deviations of what it is measured by, in
-# which n differences count for half as many degrees of freedom.
-_BLOCKS, _LASTS = (2, 4, 8), 4.0
-# The fewest differences that tell a deviation.
-_FEWEST = 16
+# Frames in a block.
+_BLOCKS = 2, 4, 8
 # Frames farther between than so many times what is usual do not count as running; those of a block
 # have even intervals within so much.
 _APART, _EVEN = 3.0, 1.2
-# rad, coordinates are known no better than to a few units of the last place.
-_ROUNDING = 4 * np.finfo(float).eps
 
 
 class PoseNoise:
@@ -63,7 +59,7 @@ class PoseNoise:
 
     def add(self, stamps: np.ndarray, position: Complex, angle: Real) -> None:
         """Take the poses (T, B) of frames at `stamps` (T,), ns, NaN for none; measure anew."""
-        some = slice(-KEPT, None)
+        some = slice(-LATE, None)
         self._stamps = np.concatenate((self._stamps, stamps))[some]
         both = zip(self._poses, (angle, position), strict=True)
         angles, places = (np.concatenate(pair)[some] for pair in both)
@@ -71,10 +67,10 @@ class PoseNoise:
         for b in range(len(self.middle)):
             seen = np.isfinite(angles[:, b])
             seen[1:] &= ~((np.diff(angles[:, b]) == 0) & (np.diff(places[:, b]) == 0))
-            if seen.sum() < _FEWEST + _ORDER:
+            if seen.sum() < FEW + _ORDER:
                 # A tracker that rounds says nothing of its noise while its body rests.
                 seen = np.isfinite(angles[:, b])
-            if seen.sum() >= _FEWEST + _ORDER:
+            if seen.sum() >= FEW + _ORDER:
                 rows = self._stamps[seen], np.unwrap(angles[seen, b]), places[seen, b]
                 self._measure(b, *rows)
 
@@ -83,13 +79,13 @@ class PoseNoise:
         time = (stamps - stamps[0]) * 1e-9
         turn = np.exp(1j * angle)
         off, turned, about = _differences(time, _ORDER, angle, turn, position)
-        if len(off) < _FEWEST:
+        if len(off) < FEW:
             return
         squares = float((turned.real**2 + turned.imag**2).sum())
         if squares > 0:
             self.middle[b] = -(turned.conj() * about).sum() / squares
         place = position + self.middle[b] * turn
-        floor = _ROUNDING * np.pi, _ROUNDING * float(np.abs(position).max())
+        floor = ROUNDING * np.pi, ROUNDING * float(np.abs(position).max())
         found = []
         for values, least in zip((angle, place), floor, strict=True):
             level = _deviation(time, values, _ORDER)
@@ -97,13 +93,14 @@ class PoseNoise:
             for block in _BLOCKS:
                 times, means = _means(block, time, values)
                 count = len(times) - _ORDER
-                if count < _FEWEST:
+                if count < FEW:
                     break
                 new, lower = (_deviation(times, means, order) for order in (_ORDER, _LOWER))
                 # Motion makes the lower one larger, and is seen in all blocks that are longer.
                 if lower > _SAME * new:
                     break
-                lasts = math.sqrt(block) * new > (1 + _LASTS / math.sqrt(count)) * level
+                # Of n differences half as many are degrees of freedom.
+                lasts = math.sqrt(block) * new > (1 + SURE / math.sqrt(count)) * level
                 if lasts:
                     level = math.sqrt(block) * new
             found.append((max(level, least), lasts))

@@ -13,27 +13,20 @@ from itertools import pairwise
 import numpy as np
 
 from kinpole_ros.planar._plane import Complex, Real
+from kinpole_ros.rigid.levels import FEW, SURE
 
-# The fewest poses in a window that it is tested by, and the least share of its frames.
-_FEWEST, _PRESENT = 8, 0.5
-# It is tested so many frames after its end: of stamps that are late the newest frames may turn out
-# to have been at other times.
-_SETTLED = 16
+# A window is looked at in which the body is seen in this share of the frames.
+_PRESENT = 0.5
 # Of polynomials whose rests are looked at: one says whether, the one that tells best where. That
 # may be a line, as the hub of a wheel goes, of which a parabola takes half away.
 _DEGREES = np.arange(1, 6)[:, None]
 _WHETHER = 1
-# A point is taken when turning about it explains this share of what moves, and so many times what
-# the noise would have it explain; the angle must turn by as many times its noise.
-_SHARE, _CLEAR = 0.9, 25.0
-# It is no farther from the middle of the markers than so many body sizes.
-_FARTHEST = 30.0
+# A point is taken when turning about it explains this share of what moves, and far more than the
+# noise would have it explain; the angle must turn by as many times its noise.
+_SHARE, _CLEAR = 0.9, SURE**2
 # So many windows must tell so, reckoned as many that turn alike; one counts for this share of the
 # next, which makes 2.99 of three.
 _WINDOWS, _FADING = 2.9, 0.95
-# A window of which so many times more is left than of those before, as where a pose jumps, tells
-# nothing unless the next is like it.
-_OUT = 50.0
 
 
 class References:
@@ -55,8 +48,6 @@ class References:
         self._sums = np.zeros((5, len(_DEGREES), bodies))
         # Of the squares of |e|^2 by the first degree.
         self._squares = np.zeros(bodies)
-        # Whether the last window was far out of those before.
-        self._out = np.zeros(bodies, bool)
 
     def add(
         self,
@@ -64,15 +55,13 @@ class References:
         position: Complex,
         angle: Real,
         variance: Real,
-        size: Real,
         middle: Complex,
     ) -> None:
         """
         Take the poses (T, B) of some frames of `stamps` (T,), NaN where not known.
 
         `variance` (T, 2, B) is that of one coordinate of the position, m^2, and of the angle;
-        `size` (B,), m, is that of the bodies, and `middle` (B,) the mean of their markers now, in
-        their frames.
+        `middle` (B,), m, are the means of their markers now, in their frames.
         """
         self._kept.append((stamps, position, angle, variance))
         stamps, position, angle, variance = map(np.concatenate, zip(*self._kept, strict=True))
@@ -80,10 +69,11 @@ class References:
         while True:
             # With the frame that ends the window.
             end = int(stamps.searchsorted(stamps[first] + self._span)) + 1
-            if end + _SETTLED > len(stamps):
+            # Of stamps that are late the newest frames may turn out to have been at other times.
+            if end + FEW > len(stamps):
                 break
             rows = slice(first, end)
-            self._update(stamps[rows], position[rows], angle[rows], variance[rows], size, middle)
+            self._update(stamps[rows], position[rows], angle[rows], variance[rows], middle)
             first = end
         self._kept = [(stamps[first:], position[first:], angle[first:], variance[first:])]
 
@@ -106,7 +96,6 @@ class References:
         position: Complex,
         angle: Real,
         variance: Real,
-        size: Real,
         middle: Complex,
     ) -> None:
         """See what turning explains of one window of poses, and of those before."""
@@ -114,7 +103,7 @@ class References:
         number = seen.sum(axis=0)
         # The first frames of all come before their noise is known.
         sure = seen & np.isfinite(variance).all(axis=1)
-        known = sure.any(axis=0) & (number >= np.maximum(_FEWEST, _PRESENT * len(seen)))
+        known = sure.any(axis=0) & (number > np.maximum(_DEGREES[-1] + 1, _PRESENT * len(seen)))
         if not np.count_nonzero(known):
             return
         seen &= known
@@ -127,11 +116,6 @@ class References:
         mean = np.where(sure[:, None], variance, 0.0).sum(axis=0) / np.maximum(sure.sum(axis=0), 1)
         even, still = 2 * count * mean[0], count * mean[1]
         new = np.stack((moves, turns, even, still, np.where(known, count, 0)))
-        usual = new[4] * self._sums[:2] / np.maximum(self._sums[4], 1)
-        out = (new[:2] > _OUT * usual) & (self._sums[4] > new[4])
-        out = known & out[:, _WHETHER:].any((0, 1))
-        known &= ~out | self._out
-        self._out = out
         # One that is no better than the origin now is left, and all begins anew.
         wrong = np.abs(both + self.point * turns) ** 2 > np.abs(both) ** 2
         wrong = (wrong & (turns > _CLEAR * still))[_WHETHER] & known & (self.point != 0)
@@ -156,8 +140,7 @@ class References:
 
         degree = np.where(clear, left / turns, np.inf).argmin(axis=0), np.arange(len(known))
         clear, best = clear[degree], best[degree]
-        near = np.abs(best - middle) < _FARTHEST * size
-        moved = clear & taken[_WHETHER] & near
+        moved = clear & taken[_WHETHER]
         self.point = np.where(moved, best, self.point)
         self.middle = np.where(moved, middle, self.middle)
 

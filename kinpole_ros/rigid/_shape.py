@@ -11,6 +11,7 @@ be fitted at once, and a frame comes out the same whether it is in a stretch or 
 """
 
 from collections import Counter
+from statistics import NormalDist
 from typing import NamedTuple, Protocol
 
 import numpy as np
@@ -19,9 +20,11 @@ from kinpole_ros.planar import Fit, fit_by_grip, fit_pose, grip_of
 from kinpole_ros.planar._plane import ROUNDING, Complex, Real
 from kinpole_ros.rigid._continuity import Continuity, Verdict
 from kinpole_ros.rigid._marker_noise import MarkerNoise
-from kinpole_ros.rigid._noise import mean_square, tame_part
+from kinpole_ros.rigid._noise import TAME, mean_square, tame_part
+from kinpole_ros.rigid._soft import chi_square
 from kinpole_ros.rigid._turn import Turns
 from kinpole_ros.rigid._untangle import EXCHANGED, agreed, correct_swaps, half_turn
+from kinpole_ros.rigid.levels import FEW, LITTLE, SURE, TINY
 
 # A marker's place is held from so many frames on, when it is known to a twentieth of the noise. It
 # is learned on (a marker that creeps) while its residuals, averaged over as many frames, are off by
@@ -29,16 +32,14 @@ from kinpole_ros.rigid._untangle import EXCHANGED, agreed, correct_swaps, half_t
 _MEMORY, _CONTRADICTED = 1000, 0.25
 # Frames between two beats: this share of those that the least known marker was seen in.
 _BEAT = 1 / 8
-# A marker is suspect beyond this many times what residuals come to as a rule, which is known from
-# so many frames on and taken from so many, each counted for no more than so many times the rule.
+# A marker is suspect beyond this many times what residuals come to as a rule, which is taken from
+# so many frames, each counted for no more than so many times the rule. Until that is known it is
+# suspect beyond a little share of the body's size, and only names are doubted by it.
 _SUSPECT = 6.0
-_MATURE, _RULE_MEMORY, _RULE_CLIP = 20, 200, 9.0
-# What all but the worst three tenths of chi-squares stay below, over their mean, within a tenth.
-_RULE_SHARE = 1.15
-# Until that is known: beyond this share of the body's size. Only names are doubted by it.
-_YOUNG_SUSPECT = 0.03
-# What is less than this share of the body's size is rounding.
-_TINY = 1e-6
+_RULE_MEMORY, _RULE_CLIP = 200, SURE**2
+# What all but the worst three tenths of chi-squares stay below, over their mean: of 5 degrees of
+# freedom, as fits of four markers leave, and within a tenth of others.
+_RULE_SHARE = float(chi_square(np.float64(5), NormalDist().inv_cdf(TAME)))
 # A marker that does not fit in so many frames running sits elsewhere from the next beat on, and
 # markers that are exchanged in so many have changed their names.
 _MOVED = 100
@@ -270,7 +271,7 @@ class Shapes:
             # As it would have been with these weights.
             left = mean_square(*self.refitted(b)[:2])[0]
             left = left[~np.isnan(left)][-_RULE_MEMORY:]
-            if len(left) >= _MATURE:
+            if len(left) >= FEW:
                 self._fits[b] = len(left)
                 self._left[b] = np.nan
                 self._left[b, : len(left)] = left
@@ -339,7 +340,7 @@ class Shapes:
             self._left[b] = np.nan
             self._marker_noise.forget(np.arange(len(self.points))[:, None] == [[b]])
         for b, early in enumerate(self._early):
-            if early is not None and self._fits[b] >= _MATURE:
+            if early is not None and self._fits[b] >= FEW:
                 anew[b] = self._look_back(b, np.array(early))
                 self._early[b] = None
         if anew.any():
@@ -356,7 +357,7 @@ class Shapes:
         Until what residuals come to is known nobody can tell, and what is wild would spoil the
         shape for long: see `agreed`.
         """
-        found = agreed(points, _SUSPECT / np.sqrt(_RULE_SHARE), _TINY)
+        found = agreed(points, _SUSPECT / np.sqrt(_RULE_SHARE), TINY)
         if found is None:
             return False
         self.points[b], fits, corrected = found
@@ -384,7 +385,7 @@ class Shapes:
         self._exchanged[fits.any(axis=-1)] = 0
 
     def _least_rule(self) -> Real:
-        return np.maximum(self._rule, _TINY**2 * self.spread)
+        return np.maximum(self._rule, TINY**2 * self.spread)
 
     def _correct(self, points: Complex, fit: Fit) -> tuple[Fit, Complex, Complex, Real]:
         """
@@ -441,7 +442,7 @@ class Shapes:
     def _learn_rule(self, news: '_News') -> None:
         """Take the mean squares that the fits of frames leave."""
         left = mean_square(self.of_the_same(news.residual), news.freedom)[0]
-        most = np.where(self._fits < _MATURE, np.inf, _RULE_CLIP * self._least_rule())
+        most = np.where(self._fits < FEW, np.inf, _RULE_CLIP * self._least_rule())
         # A body at rest in a tracker that rounds seems to fit to the last digit, until it moves.
         before = np.concatenate((self._before[None], news.points[:-1]))
         idle = np.isnan(news.points) | (self._weights == 0)
@@ -490,13 +491,13 @@ class Shapes:
         # A marker known from N frames has 1 + 1/N times the variance of a well-known one.
         self._weights = self._frames / (self._frames + 1.0) / self._marker_noise.relative
         self._limit = _SUSPECT * np.sqrt(self._least_rule())
-        self._mature = self._fits >= _MATURE
+        self._mature = self._fits >= FEW
         # What all frames share in which every marker is seen, as a rule all there are.
         most = np.where(self._mature, self._limit**2, np.inf)[:, None]
         # A marker that is known to err more may do so.
         self._most = most * self._marker_noise.relative
         size = 2 * np.sqrt(self.spread / np.maximum(self.known, 1))
-        young = np.maximum(_YOUNG_SUSPECT * size, 2 * self._limit)
+        young = np.maximum(LITTLE * size, 2 * self._limit)
         self.limit = np.where(self._mature, self._limit, young)
         self._doubt = (self.limit**2)[:, None] * self._marker_noise.relative
         self._grip = grip_of(self.points, self._weights)

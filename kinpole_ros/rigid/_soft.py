@@ -12,19 +12,18 @@ poses' derivatives have in addition to those of the noise.
 
 from functools import lru_cache
 from math import factorial
+from statistics import NormalDist
 from typing import TypeAlias
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
 from kinpole_ros.planar._plane import Complex, Real
-from kinpole_ros.rigid._noise import KEPT
 from kinpole_ros.rigid._samples import Samples
+from kinpole_ros.rigid.levels import LATE, SURE
 
 # Frames (T,) that are instants, and the oldest and newest in their windows.
 Windows: TypeAlias = tuple[np.ndarray, np.ndarray, np.ndarray]
-# A body is deformed where so many standard deviations below what was found is more than noise.
-_SURE = 4.0
 # Stencils one after the other by this share of their length tell of different errors.
 _INDEPENDENT = 1 / 2
 # Stencils are looked at that start this share of their length after each other: closer ones tell
@@ -36,8 +35,6 @@ _BEFORE = 1 / 2
 # Lengths of stencils are rounded to powers of this: what is found hardly changes in between.
 _LADDER = 1.15
 _DEGREES = 2, 8
-# The 97.5% quantile of a normal distribution.
-_QUANTILE = 1.959964
 
 
 class Deformation:
@@ -128,14 +125,14 @@ class Deformation:
         new = there, np.where(there, squares, 0.0), seen.sum(axis=-1) / markers
         new = np.stack([part.sum(axis=0) for part in new])
         # Of as many frames as the noise.
-        kept = np.clip(KEPT - new[0], 0, self._sums[0]) / np.maximum(self._sums[0], 1)
+        kept = np.clip(LATE - new[0], 0, self._sums[0]) / np.maximum(self._sums[0], 1)
         self._sums = kept * self._sums + new
         frames, squares, markers_seen = self._sums
         with np.errstate(divide='ignore', invalid='ignore'):
             # Samples that hold for random times, by the mean of their squares over their mean.
             self.held = np.where(frames > 0, 2 * frames / markers_seen - 1, 1.0)
-            sure = chi_square(free * frames / (_INDEPENDENT * count), _SURE)
-            sure = sure / chi_square(degrees, -_SURE)
+            sure = chi_square(free * frames / (_INDEPENDENT * count), SURE)
+            sure = sure / chi_square(degrees, -SURE)
             most = frames * free * (row @ row) * self.held * noise**2 * sure
             self.freedom = np.where(squares > most, free, 0.0)
 
@@ -287,7 +284,7 @@ def student(freedom: Real) -> Real:
     A variance that is measured has errors of its own: figures are to be within 1.96 deviations as
     often. By the expansion of Cornish and Fisher (Hill 1970, ACM algorithm 396), second order.
     """
-    z = _QUANTILE
+    z = NormalDist().inv_cdf(0.975)
     first, second = (z**2 + 1) / 4, (5 * z**4 + 16 * z**2 + 3) / 96
     return np.asarray((1 + (first + second / freedom) / freedom) ** 2)
 

@@ -5,9 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from kinpole_ros.planar._plane import Complex, Real
-
-# Poses go on from those of so many intervals ago, by the last so many.
-_RECENT, TRACKED = 5, 6
+from kinpole_ros.rigid.levels import RECENT
 
 
 def ahead(
@@ -22,14 +20,14 @@ def ahead(
     if not track:
         nowhere = np.full(bodies, complex(np.nan, np.nan))
         return nowhere, nowhere
-    stamps, position, angle = (np.concatenate(part)[-TRACKED:] for part in zip(*track, strict=True))
+    stamps, position, angle = (np.concatenate(part)[-RECENT:] for part in zip(*track, strict=True))
     row, body = np.arange(1, len(stamps) + 1)[:, None], np.arange(bodies)
     there = np.where(np.isfinite(angle), row, 0)
     last = there.max(axis=0)
     prior = np.where(there < last, there, 0).max(axis=0)
     seconds = (stamps - now) * 1e-9
     # Of one frame alone there is no interval.
-    recent = 1.01 * _RECENT * (seconds[-1] - seconds[0]) / max(len(stamps) - 1, 1) or np.inf
+    recent = 1.01 * RECENT * (seconds[-1] - seconds[0]) / max(len(stamps) - 1, 1) or np.inf
     ago, step = -seconds[last - 1], seconds[last - 1] - seconds[prior - 1]
     here, was = position[last - 1, body], position[prior - 1, body]
     turned = angle[last - 1, body] - angle[prior - 1, body]

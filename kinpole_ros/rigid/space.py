@@ -11,6 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from kinpole_ros.rigid.levels import LITTLE, SURE
 from kinpole_ros.rigid.plane import Plane, PlaneSetting, plane_along, plane_of, upward
 from kinpole_ros.rigid.scatter import GROUP, Scatter
 
@@ -18,18 +19,17 @@ from kinpole_ros.rigid.scatter import GROUP, Scatter
 _AT_ONCE = 4 * GROUP
 # With fewer blocks their pull does not tell a deviation.
 _FEWEST = 6
-# The variance of a motion, over that of its noise; its extent over the size of the bodies; and
-# across over along: below these it shows no direction, or is as good as a straight line.
-_MOVES, _EXTENT, _STRAIGHT = 9.0, 0.01, 0.03
+# The extent of a motion across over that along: below this it is as good as a straight line.
+_STRAIGHT = 0.03
 # The cosine to the normal from which on a line is as good as along it.
 _UPRIGHT = 0.95
 # rad. A plane is fitted when its normal is known so well at once, or so well after a while (s).
 _SURE, _KNOWN, _WHILE = np.radians(0.02), np.radians(0.1), 2.0
 # rad. What rounds to 3 deg is worth a warning, if it is known to 1 deg at three deviations.
 TILTED, _TILT_KNOWN = np.radians(2.5), np.radians(1 / 3)
-# A body leaves the plane by so many times its noise and by this share of its size: as it does when
-# it is not rigid. The distances of its markers change by less than this share of that.
-_LEAVES, _LEAVES_SHARE, KEEPS = 5.0, 0.01, 0.25
+# A body that leaves the plane may seem not to be rigid: the distances of its markers in space
+# change by less than this share of that.
+KEEPS = 0.25
 
 
 class SpaceReport(NamedTuple):
@@ -165,13 +165,13 @@ class Space:
             return nothing
         rough = self._scatter.kept.rough.sum((0, 1)) / max(self._scatter.kept.rough_count.sum(), 1)
         values, vectors = np.linalg.eigh(total)
-        least = np.nanmean(size) * _EXTENT
+        least = np.nanmean(size) * LITTLE
 
         def shows(k: int) -> bool:
             # Where it moves most: it may have been at rest for long.
             way = vectors[:, k]
             extent = (blocks @ way @ way / np.maximum(counts, 1)).max()
-            return bool(extent > max(_MOVES * way @ rough @ way, least**2))
+            return bool(extent > max(SURE**2 * way @ rough @ way, least**2))
 
         def variance(normal: np.ndarray, k: int) -> float:
             way = vectors[:, k]
@@ -216,6 +216,6 @@ class Space:
             noise = (normal @ self._scatter.kept.rough.sum(0) @ normal) / rough_count
             path = np.trace(scatter, axis1=-2, axis2=-1) / count
             off = np.sqrt(off)
-            least = _LEAVES_SHARE * np.maximum(size, np.sqrt(path))
-            leaves = (off > np.maximum(_LEAVES * np.sqrt(noise), least)) & (stretch < KEEPS * off)
+            least = LITTLE * np.maximum(size, np.sqrt(path))
+            leaves = (off > np.maximum(SURE * np.sqrt(noise), least)) & (stretch < KEEPS * off)
         return np.where(leaves, off, 0.0)
