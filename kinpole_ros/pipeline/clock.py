@@ -13,49 +13,40 @@ from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
+from kinpole_ros.derivatives import FEWEST_SAMPLES
 from kinpole_ros.planar._plane import Real
+from kinpole_ros.rigid.levels import FEW, TINY
 
 # What paths (H, n) of the pending frames cost by the motion, nats (H,).
 Motion: TypeAlias = Callable[[np.ndarray], Real]
 
-# As many frames as a window needs.
-FEWEST_FRAMES = 7
 # Below these the interval is searched for, which takes as long as n^2; above it is known well
-# enough to go on from what it was.
+# enough to go on from what it was. Fewer say nothing of a rate that has changed.
 _SEARCHED = 64
 _CANDIDATES = 41
 # Nats of a lost frame: one in fifty. Of a sure count one in a hundred is wrong.
-_LOSS, _DOUBT = 3.9, 0.01
+_LOSS, _DOUBT = math.log(50), 1 / 100
 # So many paths are looked at, which cost no more than so many nats more than the likeliest.
 _MOST_PATHS, _UNLIKELY = 32, 12.0
-# A frame that comes within this share of the interval after another waited for it in a queue.
-_QUEUED = 0.1
-# No frame tells more than this, nats: a driver hangs for once about as often as frames are lost.
-_MOST_SAID = 4.3
 # A frame that comes more than this share of the interval before its tick has another.
 _EARLY = 0.2
-# So many frames at most wait for their count.
-_MOST_PENDING = 16
 # Deviation of the slope of a line along the edge of n points, by the inverse of their density there
 # over n^2 (simulated); so many points nearest to the edge tell the density.
 _EDGE, _NEAREST = 8.0, 6
 # The edge is known from n frames and is gone by for a quarter of n more: it may be off by so many
 # deviations of its slope, by n, two on the far side of the middle (simulated: 0.96 are within).
 _AHEAD = 1.5
-# Ticks are rounded to less than this part of one.
-_ROUNDING = 1e-6
-# Nats by which the newest frames must be likelier at a rate of their own for it to have changed.
-_CHANGED = 20.0
+# Nats by which the newest frames must be likelier at a rate of their own for it to have changed, or
+# another count for that of a frame to be wrong.
+SURE_NATS = 20.0
 # Stamps that are late by no more than this share of the interval leave no doubt of any count.
 _PLAIN = 1 / 4
 # One frame in so many may be as late as no other.
 _RARE = 500
 # Newest frames whose counts are not sure enough to find the clock by.
-_UNSETTLED = 8
+UNSETTLED = 8
 # So many frames after a loss may have been captured before it.
 _AFTER = 4
-# Fewer frames than these say nothing of a rate that has changed.
-_FEW = 64
 
 
 class Clock(NamedTuple):
@@ -94,7 +85,7 @@ def find_clock(stamps: np.ndarray, before: Clock | None) -> tuple[Clock, np.ndar
 
     `before` is the clock as it was known from most of these. The counts (n,) are of the newest
     frames, from which the clock is found; those before had another rate. There are at least
-    `FEWEST_FRAMES`.
+    `FEWEST_SAMPLES`.
     """
     origin = int(stamps[0])
     since = (stamps - origin).astype(float)
@@ -132,7 +123,7 @@ def follow_clock(stamps: np.ndarray, counts: np.ndarray) -> tuple[Clock, np.ndar
     Also whether those are as they were: where the newest are likelier at a rate of their own the
     clock is found anew from them.
     """
-    if len(stamps) <= 2 * _UNSETTLED:
+    if len(stamps) <= 2 * UNSETTLED:
         return *find_clock(stamps, None), False
     origin = int(stamps[0])
     since = (stamps - origin).astype(float)
@@ -141,8 +132,8 @@ def follow_clock(stamps: np.ndarray, counts: np.ndarray) -> tuple[Clock, np.ndar
     newest = since[-_SEARCHED:]
     trials = np.stack((counts[-_SEARCHED:], _search(newest, resolution)))
     costs = _costs(newest, trials, np.array([_edge_of(newest, c) for c in trials]), resolution)
-    lost = np.ptp(trials[:, : len(newest) - _UNSETTLED], axis=1)
-    if lost[0] != lost[1] and costs[1] < costs[0] - _CHANGED:
+    lost = np.ptp(trials[:, : len(newest) - UNSETTLED], axis=1)
+    if lost[0] != lost[1] and costs[1] < costs[0] - SURE_NATS:
         used = len(newest)
     if used == len(counts):
         return clock, counts, True
@@ -172,7 +163,7 @@ def _likeliest(since: Real, trials: list[np.ndarray], resolution: float) -> np.n
 
 def _costs(since: Real, counts: np.ndarray, intervals: Real, resolution: float) -> Real:
     """Minus logs (I,) of how likely `counts` (I, N) and `intervals` (I,) are, up to a constant."""
-    settled = max(FEWEST_FRAMES, counts.shape[1] - _UNSETTLED)
+    settled = max(FEWEST_SAMPLES, counts.shape[1] - UNSETTLED)
     late = (since - counts * intervals[:, None])[:, :settled]
     late = (late - late.min(axis=1, keepdims=True)).mean(axis=1)
     lost = counts[:, settled - 1] - counts[:, 0] - (settled - 1)
@@ -191,7 +182,7 @@ def _search(since: Real, resolution: float) -> np.ndarray:
     deviation = 2 * float(np.median(np.abs(steps - middle))) + resolution
     most = min(3 * deviation / math.sqrt(len(steps)), 0.5 * middle)
     # Also the mean rate if none, one, ... were lost.
-    most_lost = max(FEWEST_FRAMES - 1, len(since) // 8)
+    most_lost = max(FEWEST_SAMPLES - 1, len(since) // 8)
     trials = np.concatenate(
         (
             middle + most * np.linspace(-1, 1, _CANDIDATES),
@@ -247,14 +238,14 @@ def _fit(
     sure = np.ones(used, bool)
     after = (np.diff(counts) > 1).nonzero()[0][:, None] + np.arange(1, _AFTER + 1)
     sure[np.minimum(after, used - 1)] = False
-    sure[-_UNSETTLED:] = False
-    if 2 * np.count_nonzero(sure) < max(used, 4 * _UNSETTLED):
-        sure[: max(FEWEST_FRAMES, used - _UNSETTLED)] = True
+    sure[-UNSETTLED:] = False
+    if 2 * np.count_nonzero(sure) < max(used, 4 * UNSETTLED):
+        sure[: max(FEWEST_SAMPLES, used - UNSETTLED)] = True
     since, counts = since[sure], counts[sure]
     interval, deviation = _slope(since, counts, resolution)
     interval = _forward(interval, since)
     part = len(counts) // 2
-    while part > _FEW and (counted or (since - interval * counts).std() < _PLAIN * interval):
+    while part > _SEARCHED and (counted or (since - interval * counts).std() < _PLAIN * interval):
         newest = slice(len(counts) - part, None)
         now, sure_now = _slope(since[newest], counts[newest], resolution)
         left, own = (
@@ -262,7 +253,7 @@ def _fit(
             for one in (interval, now)
         )
         differs = abs(now - interval) * part > 2 * resolution
-        if differs and part / 2 * math.log(left / own) > _CHANGED:
+        if differs and part / 2 * math.log(left / own) > SURE_NATS:
             since, counts = since[newest], counts[newest]
             interval, deviation = max(now, 1.0), sure_now
             used = len(sure) - int(sure.nonzero()[0][-part])
@@ -366,7 +357,6 @@ class FrameCounter:
     def __init__(self, clock: Clock, count: int) -> None:
         self.count = count
         self._forget()
-        self._stamp = 0
         self.follow(clock)
 
     def _forget(self) -> None:
@@ -379,7 +369,6 @@ class FrameCounter:
         """Go by a clock that is known better, by these counts."""
         self.clock, self._shift = clock, 0
         self._weight_of_loss = clock.interval / max(clock.lateness, 1.0)
-        self._queued = _QUEUED * clock.interval
 
     @property
     def pending(self) -> int:
@@ -400,7 +389,7 @@ class FrameCounter:
         """Counts (T,) of the next frames until they are counted: none is later than the latest."""
         ticks = self.clock.ticks(stamps) + self._shift
         # Of even stamps these are whole numbers but for rounding, which must not count a frame.
-        least = np.minimum(np.ceil(ticks - self.clock.reach - _ROUNDING), np.floor(ticks))
+        least = np.minimum(np.ceil(ticks - self.clock.reach - TINY), np.floor(ticks))
         number = np.arange(1, len(stamps) + 1)
         ahead = np.maximum(least.astype(np.int64) - number, self.newest)
         return np.asarray(np.maximum.accumulate(ahead) + number)
@@ -420,13 +409,10 @@ class FrameCounter:
 
         They are of the frames from the oldest that was pending on.
         """
-        queued = np.diff(stamps, prepend=self._stamp) < self._queued
-        self._stamp = int(stamps[-1])
-        ticks = self.clock.ticks(stamps).tolist()
-        for tick, late in zip(ticks, queued.tolist(), strict=True):
-            yield self._next(tick, late, motion)
+        for tick in self.clock.ticks(stamps).tolist():
+            yield self._next(tick, motion)
 
-    def _next(self, tick: float, queued: bool, motion: Motion) -> np.ndarray:
+    def _next(self, tick: float, motion: Motion) -> np.ndarray:
         number = self.pending + 1
         tick += self._shift
         most = math.floor(tick) - self.count - number
@@ -441,7 +427,7 @@ class FrameCounter:
             self.count += number
             self._forget()
             return np.arange(self.count - number + 1, self.count + 1)
-        self._extend(most, queued)
+        self._extend(most)
         costs = self._costs + motion(self._paths)
         order = costs.argsort(kind='stable')[:_MOST_PATHS]
         order = order[costs[order] < costs[order[0]] + _UNLIKELY]
@@ -449,10 +435,10 @@ class FrameCounter:
         weights = np.exp(costs[order[0]] - costs[order])
         doubt = weights @ (self._paths != self._paths[0]) / weights.sum()
         sure = (doubt < _DOUBT).nonzero()[0]
-        known = max(int(sure[-1]) + 1 if len(sure) else 0, number - _MOST_PENDING)
+        known = max(int(sure[-1]) + 1 if len(sure) else 0, number - FEW)
         return self._settle(known)
 
-    def _extend(self, most: int, queued: bool) -> None:
+    def _extend(self, most: int) -> None:
         """Go on with the next frame, before which at most so many were lost in all."""
         number = self.pending
         before = self._paths[:, -1] if number else np.zeros(1, np.int64)
@@ -461,14 +447,13 @@ class FrameCounter:
             before = self._paths[:, -1]
         # Either nothing was lost now, or the frame is no later than the latest, nor than it may
         # wait for its count.
-        least = max(most - min(math.ceil(self.clock.reach), _MOST_PENDING), 0)
+        least = max(most - min(math.ceil(self.clock.reach), FEW), 0)
         lost = np.unique(np.concatenate((before, np.arange(least, most + 1))))
         path, which = ((lost >= before[:, None]) & (lost <= most)).nonzero()
         more = lost[which] - before[path]
         self._costs = self._costs[path] + _LOSS * np.minimum(more, 2)
-        # What waited for others tells nothing.
-        if not queued:
-            self._costs -= np.minimum(lost[which] * self._weight_of_loss, _MOST_SAID)
+        # No frame tells more: a driver hangs for once about as often as frames are lost.
+        self._costs -= np.minimum(lost[which] * self._weight_of_loss, _LOSS)
         self._paths = np.column_stack((self._paths[path], lost[which]))
 
     def _settle(self, known: int) -> np.ndarray:

@@ -12,8 +12,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from kinpole_ros.pipeline.clock import FEWEST_FRAMES, Clock, find_clock, follow_clock
+from kinpole_ros.derivatives import FEWEST_SAMPLES
+from kinpole_ros.pipeline.clock import SURE_NATS, UNSETTLED, Clock, find_clock, follow_clock
 from kinpole_ros.planar._plane import Real
+from kinpole_ros.rigid.levels import FEW, SURE
 
 # Windows that the clock is found from, and frames at least and at most: 10 s of 0.3 s each.
 _MEMORY, _LEAST, _MOST = 33, 128, 4096
@@ -23,18 +25,13 @@ _GROWTH, _SELDOM = 4, 1.7
 _DECIDES, _HALF_LIFE = 6.0, 3.3
 # No more than so many nats are kept: a driver may be changed.
 _MOST_NATS = 50.0
-# Neighbors on each side that predict a pose, and frames for the first evidence.
+# Neighbors on each side that predict a pose.
 _SIDE = 3
-_FEWEST_EVIDENCE = 16
-# Newest frames whose ticks are not sure enough to say anything.
-_UNCERTAIN = 8
-# One prediction does not count for more than so many mean squares.
-_OUTLIER = 9.0
 # Of the polynomial that places a lost frame, and the highest of those that tell frames' counts.
 _DEGREE, _HIGHEST = 3, 6
-# Frames on each side that tell how long a gap is, nats that contradict what it was taken for, and
-# mean squares up to which a polynomial follows the motion. So many gaps are corrected at once.
-_OFF_CLOCK, _CONTRADICTS, _FOLLOWED, _MOST_CORRECTED = 4, 20.0, 4.0, 16
+# Frames on each side that tell how long a gap is, and mean squares up to which a polynomial follows
+# the motion.
+_OFF_CLOCK, _FOLLOWED = 4, 4.0
 # What neighbors predict is correlated: there is half as much evidence as predictions.
 _INDEPENDENT = 0.5
 
@@ -75,7 +72,7 @@ class Ticks:
         self.clock: Clock | None = None
         self.lost = 0
         # Frames until the next look.
-        self.room = FEWEST_FRAMES
+        self.room = FEWEST_SAMPLES
         self.seen = 0
         self.nats = 0.0
         self._stamps = np.zeros(0, np.int64)
@@ -126,9 +123,9 @@ class Ticks:
         before = len(self._stamps)
         self._stamps = np.concatenate((self._stamps, news[0]))
         self._taken = np.concatenate((self._taken, news[1]))
-        if newest is not None and len(self._stamps) < FEWEST_FRAMES:
+        if newest is not None and len(self._stamps) < FEWEST_SAMPLES:
             self.counts = np.concatenate((self.counts, newest))
-            self.room = FEWEST_FRAMES - len(self._stamps)
+            self.room = FEWEST_SAMPLES - len(self._stamps)
             return True
         latest = int(self._stamps[-1])
         old = int((self._stamps > latest - _MEMORY * self._window).argmax())
@@ -147,12 +144,12 @@ class Ticks:
         dropped = len(self._stamps) - len(counts)
         self._forget(dropped)
         before = max(before - dropped, 0)
-        steps = np.diff(counts)[max(before - _UNCERTAIN, 0) : len(counts) - _UNCERTAIN]
+        steps = np.diff(counts)[max(before - UNSETTLED, 0) : len(counts) - UNSETTLED]
         # Stamps that are out of order, say, are of no clock that could miss any.
         if len(steps) and (self.regular or clock.largest < clock.interval / 2):
             self.lost += int((steps - 1).clip(0).sum())
         self.clock = clock
-        seldom = max(FEWEST_FRAMES, int(_SELDOM * self._window / max(clock.interval, 1.0)))
+        seldom = max(FEWEST_SAMPLES, int(_SELDOM * self._window / max(clock.interval, 1.0)))
         self.room = min(max(1, self.seen // _GROWTH), seldom)
         self._weigh(counts[self._taken], noise)
         late = self._stamps - clock.origin - counts * clock.interval
@@ -174,7 +171,7 @@ class Ticks:
 
     def _may_be_rounded(self, step: float) -> bool:
         """Whether stamps that are off their ticks may be so since they are in such steps, ns."""
-        usual = self.mode == 'auto' and self.seen >= _FEWEST_EVIDENCE
+        usual = self.mode == 'auto' and self.seen >= FEW
         assert self.clock is not None
         likely = _COARSE <= step <= self.clock.interval
         return usual and likely and self.nats > -_DECIDES
@@ -221,16 +218,16 @@ class Ticks:
         poses, information = (np.concatenate(parts) for parts in zip(*self._poses, strict=True))
         held = min(len(poses), len(counts))
         # What is not looked at now is looked at next time.
-        kept = min(held, 2 * _SIDE + _UNCERTAIN)
+        kept = min(held, 2 * _SIDE + UNSETTLED)
         self._poses = [(poses[len(poses) - kept :], information[len(poses) - kept :])]
-        usable = held - _UNCERTAIN
-        if self.seen < _FEWEST_EVIDENCE or usable < 2 * _SIDE + 1:
+        usable = held - UNSETTLED
+        if self.seen < FEW or usable < 2 * _SIDE + 1:
             self._poses = [(poses, information)]
             return
         assert self.clock is not None
         interval = self.clock.interval
-        part = slice(len(poses) - held, len(poses) - _UNCERTAIN)
-        at = slice(len(counts) - held, len(counts) - _UNCERTAIN)
+        part = slice(len(poses) - held, len(poses) - UNSETTLED)
+        at = slice(len(counts) - held, len(counts) - UNSETTLED)
         stamps = self._stamps[self._taken][at]
         times = np.stack(((stamps - stamps[0]) / interval, (counts[at] - counts[at][0]) * 1.0))
         signals, variance = _signals(poses[part], information[part], noise)
@@ -310,7 +307,8 @@ def evidence(times: Real, signals: Real, variance: Real) -> tuple[float, float]:
     squares = np.where(known, squares, 0.0)
     # By the better of the two, for no polynomial follows every motion.
     scale = np.maximum((squares.sum(axis=1) / number).min(axis=0), 1.0)
-    cost = np.minimum(squares / scale, _OUTLIER)
+    # None counts for more than an outlier would.
+    cost = np.minimum(squares / scale, SURE**2)
     nats = float((cost[0] - cost[1]).sum() / 2) * _INDEPENDENT
     rate = np.diff(signals, axis=0) ** 2 / np.where(variance[1:] > 0, variance[1:], np.nan)
     rate = rate[np.isfinite(rate).all(axis=1)]
@@ -330,7 +328,7 @@ def correct_counts(counts: np.ndarray, poses: Real, information: Real, noise: Re
     """
     held = min(len(poses), len(counts))
     signals, variance = _signals(poses[len(poses) - held :], information[-held:], noise)
-    for _ in range(_MOST_CORRECTED):
+    for _ in range(FEW):
         here, more = gap_to_correct(counts[len(counts) - held :], signals, variance)
         if not more:
             break
@@ -367,7 +365,7 @@ def gap_to_correct(counts: np.ndarray, signals: Real, variance: Real) -> tuple[i
     gain = cost[0] - cost
     gain[:, (np.where(known, least, 0.0) > _FOLLOWED).any(axis=-1)] = 0.0
     which, gap = np.unravel_index(gain.argmax(), gain.shape)
-    if gain[which, gap] < _CONTRADICTS:
+    if gain[which, gap] < SURE_NATS:
         return 0, 0
     return int(gap) + _OFF_CLOCK, int(more[which])
 

@@ -13,7 +13,7 @@ import numpy as np
 
 from kinpole_ros.derivatives import FEWEST_SAMPLES, Windows
 from kinpole_ros.pipeline.bodies import pose_columns
-from kinpole_ros.pipeline.clock import FrameCounter, counts_by
+from kinpole_ros.pipeline.clock import UNSETTLED, FrameCounter, counts_by
 from kinpole_ros.pipeline.parameters import Settings
 from kinpole_ros.pipeline.ticks import StampState, Ticks, correct_counts, course_costs
 from kinpole_ros.rigid import Samples
@@ -22,8 +22,6 @@ from kinpole_ros.rigid import Samples
 _LATE = 2.5
 # ns. Frames are no nearer to each other than this.
 _LEAST_STEP = 1000
-# Motion is followed by so many frames before those whose count is not sure.
-_BEFORE = 8
 # Before the clock is known a frame may be late by this share of the window.
 _PLAUSIBLE = 1 / 4
 
@@ -276,7 +274,7 @@ class Timeline:
         def motion(paths: np.ndarray) -> np.ndarray:
             """Nats by what the poses up to now say."""
             number = paths.shape[1]
-            frames = every[max(0, begin - _BEFORE) : begin + number]
+            frames = every[max(0, begin - UNSETTLED) : begin + number]
             counts = counter.count + np.arange(1, number + 1) + paths
             return course_costs(
                 frames, len(frames) - number, counts, noise[begin + number - 1 - first]
