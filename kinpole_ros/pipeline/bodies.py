@@ -29,12 +29,10 @@ from kinpole_ros.rigid import (
     Shapes,
     Verdict,
 )
-from kinpole_ros.rigid.levels import LITTLE, ROUNDING, SURE
+from kinpole_ros.rigid.levels import FEWEST, LITTLE, ROUNDING, SURE
 
 # rad. An angle noisier than this wanders round, and its errors are no longer small.
 UNSTEADY = 0.15
-# A noise of fewer degrees of freedom may well be a third of what it is, or three times that.
-_LEAST_FREEDOM = 6.0
 # Those that are off by this share of its size are of other links: no tissue moves so far.
 _OTHERS = 0.05
 
@@ -175,7 +173,7 @@ class RigidBodies:
         else:
             level = self._lasting.level(self._noise.level())
             # While hardly any frames come running, by all that keeps markers off their places.
-            few = self._noise.degrees() < _LEAST_FREEDOM
+            few = self._noise.degrees() < FEWEST
             level = np.where(few, np.sqrt(self._shapes.misfit()), level)
         return np.maximum(level, ROUNDING * self._shapes.farthest)
 

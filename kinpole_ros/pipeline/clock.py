@@ -15,24 +15,23 @@ import numpy as np
 
 from kinpole_ros.derivatives import FEWEST_SAMPLES
 from kinpole_ros.planar._plane import Real
-from kinpole_ros.rigid.levels import FEW, TINY
+from kinpole_ros.rigid.levels import FEW, FEWEST, LATE, TINY
 
 # What paths (H, n) of the pending frames cost by the motion, nats (H,).
 Motion: TypeAlias = Callable[[np.ndarray], Real]
 
 # Below these the interval is searched for, which takes as long as n^2; above it is known well
 # enough to go on from what it was. Fewer say nothing of a rate that has changed.
-_SEARCHED = 64
-_CANDIDATES = 41
+SEARCHED = 64
 # Nats of a lost frame: one in fifty. Of a sure count one in a hundred is wrong.
 _LOSS, _DOUBT = math.log(50), 1 / 100
-# So many paths are looked at, which cost no more than so many nats more than the likeliest.
-_MOST_PATHS, _UNLIKELY = 32, 12.0
+# So many paths are looked at.
+_MOST_PATHS = 32
 # A frame that comes more than this share of the interval before its tick has another.
 _EARLY = 0.2
 # Deviation of the slope of a line along the edge of n points, by the inverse of their density there
-# over n^2 (simulated); so many points nearest to the edge tell the density.
-_EDGE, _NEAREST = 8.0, 6
+# over n^2 (simulated); the points nearest to the edge tell the density.
+_EDGE = 8.0
 # The edge is known from n frames and is gone by for a quarter of n more: it may be off by so many
 # deviations of its slope, by n, two on the far side of the middle (simulated: 0.96 are within).
 _AHEAD = 1.5
@@ -41,8 +40,6 @@ _AHEAD = 1.5
 SURE_NATS = 20.0
 # Stamps that are late by no more than this share of the interval leave no doubt of any count.
 _PLAIN = 1 / 4
-# One frame in so many may be as late as no other.
-_RARE = 500
 # Newest frames whose counts are not sure enough to find the clock by.
 UNSETTLED = 8
 # So many frames after a loss may have been captured before it.
@@ -129,8 +126,8 @@ def follow_clock(stamps: np.ndarray, counts: np.ndarray) -> tuple[Clock, np.ndar
     since = (stamps - origin).astype(float)
     resolution = float(max(np.gcd.reduce(np.diff(stamps)), 1))
     clock, used = _fit(origin, since, counts, resolution, True)
-    newest = since[-_SEARCHED:]
-    trials = np.stack((counts[-_SEARCHED:], _search(newest, resolution)))
+    newest = since[-SEARCHED:]
+    trials = np.stack((counts[-SEARCHED:], _search(newest, resolution)))
     costs = _costs(newest, trials, np.array([_edge_of(newest, c) for c in trials]), resolution)
     lost = np.ptp(trials[:, : len(newest) - UNSETTLED], axis=1)
     if lost[0] != lost[1] and costs[1] < costs[0] - SURE_NATS:
@@ -146,7 +143,7 @@ def _afresh(since: Real, resolution: float) -> np.ndarray:
 
     A rate that is wrong by a frame now and then is confirmed by the counts that it gives.
     """
-    count = min(_SEARCHED, len(since))
+    count = min(SEARCHED, len(since))
     counts = _search(since[-count:], resolution)
     while count < len(since):
         interval = _edge_of(since[-count:], counts)
@@ -185,8 +182,8 @@ def _search(since: Real, resolution: float) -> np.ndarray:
     most_lost = max(FEWEST_SAMPLES - 1, len(since) // 8)
     trials = np.concatenate(
         (
-            middle + most * np.linspace(-1, 1, _CANDIDATES),
-            slope / (1 + np.linspace(-1, most_lost, 2 * _CANDIDATES) / len(steps)),
+            middle + most * np.linspace(-1, 1, (SEARCHED + 1)),
+            slope / (1 + np.linspace(-1, most_lost, 2 * (SEARCHED + 1)) / len(steps)),
         )
     )
     counts = _counts_of(since, trials)
@@ -245,7 +242,7 @@ def _fit(
     interval, deviation = _slope(since, counts, resolution)
     interval = _forward(interval, since)
     part = len(counts) // 2
-    while part > _SEARCHED and (counted or (since - interval * counts).std() < _PLAIN * interval):
+    while part > SEARCHED and (counted or (since - interval * counts).std() < _PLAIN * interval):
         newest = slice(len(counts) - part, None)
         now, sure_now = _slope(since[newest], counts[newest], resolution)
         left, own = (
@@ -267,7 +264,8 @@ def _fit(
     edge = float(ranked[min(4, len(ranked) - 1)]) - phase + resolution
     edge += _AHEAD * deviation * len(ranked)
     parts = np.sort(late % interval)
-    free = interval - float(parts[-1 - len(parts) // _RARE])
+    # One frame in so many may be as late as no other.
+    free = interval - float(parts[-1 - len(parts) // LATE])
     clock = Clock(
         origin,
         phase,
@@ -305,7 +303,7 @@ def _slope(since: Real, counts: np.ndarray, resolution: float) -> tuple[float, f
     for sign in (1.0, -1.0):
         edge = _edge(sign * since, around, sign * line)
         left = np.sort(sign * since - edge * around)
-        few = min(_NEAREST, count - 1)
+        few = min(FEWEST, count - 1)
         inverse = (left[few] - left[0] + resolution) * count / few
         reach = max(float(around[-1] - around[0]), 1.0)
         found.append((sign * edge, _EDGE * inverse / (count * reach)))
@@ -430,7 +428,7 @@ class FrameCounter:
         self._extend(most)
         costs = self._costs + motion(self._paths)
         order = costs.argsort(kind='stable')[:_MOST_PATHS]
-        order = order[costs[order] < costs[order[0]] + _UNLIKELY]
+        order = order[costs[order] < costs[order[0]] + SURE_NATS]
         self._paths, self._costs = self._paths[order], self._costs[order]
         weights = np.exp(costs[order[0]] - costs[order])
         doubt = weights @ (self._paths != self._paths[0]) / weights.sum()

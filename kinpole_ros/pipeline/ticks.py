@@ -13,25 +13,32 @@ from typing import NamedTuple
 import numpy as np
 
 from kinpole_ros.derivatives import FEWEST_SAMPLES
-from kinpole_ros.pipeline.clock import SURE_NATS, UNSETTLED, Clock, find_clock, follow_clock
+from kinpole_ros.pipeline.clock import (
+    SEARCHED,
+    SURE_NATS,
+    UNSETTLED,
+    Clock,
+    find_clock,
+    follow_clock,
+)
 from kinpole_ros.planar._plane import Real
 from kinpole_ros.rigid.levels import FEW, SURE
+from kinpole_ros.rigid.scatter import HISTORY
 
-# Windows that the clock is found from, and frames at least and at most: 10 s of 0.3 s each.
-_MEMORY, _LEAST, _MOST = 33, 128, 4096
+# Windows that the clock is found from: 10 s of 0.3 s each.
+_MEMORY = 33
 # Looks at the clock come after a quarter more frames each time, and at least so often, windows.
-_GROWTH, _SELDOM = 4, 1.7
+_GROWTH, _SELDOM = 4, _MEMORY / 20
 # Evidence in nats decides from so many on; half of it is forgotten in so many windows.
-_DECIDES, _HALF_LIFE = 6.0, 3.3
-# No more than so many nats are kept: a driver may be changed.
-_MOST_NATS = 50.0
+_DECIDES, _HALF_LIFE = 6.0, _MEMORY / 10
 # Neighbors on each side that predict a pose.
 _SIDE = 3
 # Of the polynomial that places a lost frame, and the highest of those that tell frames' counts.
-_DEGREE, _HIGHEST = 3, 6
+_DEGREE = 3
+_HIGHEST = 2 * _DEGREE
 # Frames on each side that tell how long a gap is, and mean squares up to which a polynomial follows
 # the motion.
-_OFF_CLOCK, _FOLLOWED = 4, 4.0
+_OFF_CLOCK, _FOLLOWED = _DEGREE + 1, 4.0
 # What neighbors predict is correlated: there is half as much evidence as predictions.
 _INDEPENDENT = 0.5
 
@@ -130,7 +137,7 @@ class Ticks:
         latest = int(self._stamps[-1])
         old = int((self._stamps > latest - _MEMORY * self._window).argmax())
         # Of a slow camera as many as are looked at same.
-        old = max(min(old, len(self._stamps) - _LEAST), len(self._stamps) - _MOST, 0)
+        old = max(min(old, len(self._stamps) - 2 * SEARCHED), len(self._stamps) - HISTORY, 0)
         self._forget(old)
         before = max(before - old, 0)
         if newest is None:
@@ -233,7 +240,8 @@ class Ticks:
         signals, variance = _signals(poses[part], information[part], noise)
         nats, speed = evidence(times, signals, variance)
         fading = 0.5 ** ((usable - 2 * _SIDE) * interval / (_HALF_LIFE * self._window))
-        self.nats = float(np.clip(fading * self.nats + nats, -_MOST_NATS, _MOST_NATS))
+        # No more are kept: a driver may be changed.
+        self.nats = float(np.clip(fading * self.nats + nats, -SURE_NATS, SURE_NATS))
         self._speed = max(speed, fading * self._speed)
         if self.mode == 'auto' and abs(self.nats) > _DECIDES:
             # Frames are not late by windows: then it is no clock.

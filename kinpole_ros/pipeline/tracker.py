@@ -342,7 +342,7 @@ class Tracker:
                 # As they were corrected.
                 solid = plane.in_space(points, heights)
         self._rigid.were_at(self._timeline.pose(rows, self._rigid.known['noise']))
-        self._space.add(frames.stamps, solid)
+        self._space.add(solid)
         missing = np.count_nonzero(np.isnan(seen)) - seen.size
         self.counts['markers_not_seen'] += int(self._roster.wanted * len(rows) + missing)
 

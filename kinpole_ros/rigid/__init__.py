@@ -14,11 +14,9 @@ from kinpole_ros.rigid._reference import References, constant_segments, seen_at
 from kinpole_ros.rigid._samples import Samples
 from kinpole_ros.rigid._shape import Shapes
 from kinpole_ros.rigid._soft import Deformation
-from kinpole_ros.rigid._turn import NOT_FAR
 
 __all__ = [
     'LENS',
-    'NOT_FAR',
     'SLANT',
     'TISSUE',
     'Deformation',

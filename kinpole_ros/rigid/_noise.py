@@ -17,13 +17,13 @@ from statistics import NormalDist
 import numpy as np
 
 from kinpole_ros.planar._plane import Complex, Real
-from kinpole_ros.rigid.levels import LATE, SURE
+from kinpole_ros.rigid.levels import LATE
 
 # This share of what is left may be outliers.
 _OUTLIER = 0.1
-# A frame is an outlier whose fit leaves far more than it leaves in all but the worst three tenths:
-# however far off they are, more than these tenths are never called so.
-TAME, _FAR = 0.7, SURE**2
+# A frame is an outlier whose fit leaves so many times what it leaves in all but the worst three
+# tenths: however far off they are, more than these tenths are never called so.
+_FAR, _TAME = 9.0, 0.7
 
 
 class Noise:
@@ -126,7 +126,7 @@ class Noise:
 def tame_part(values: Real) -> Real:
     """What (B,) all but the worst three tenths of the values (B, m) stay below, NaN left out."""
     ranked = np.sort(values)  # NaN come last
-    place = np.ceil(TAME * np.maximum((~np.isnan(ranked)).sum(axis=-1) - 1, 0)).astype(int)
+    place = np.ceil(_TAME * np.maximum((~np.isnan(ranked)).sum(axis=-1) - 1, 0)).astype(int)
     return np.asarray(ranked[np.arange(len(ranked)), place])
 
 

@@ -24,13 +24,14 @@ from kinpole_ros.rigid._noise import trimmed_mean
 from kinpole_ros.rigid.levels import FEW, LATE, ROUNDING, SURE
 
 # Differences are of this order; of another one for comparison, which motion would make larger.
-_ORDER, _LOWER = 6, 4
+_ORDER = 6
+_LOWER = _ORDER - 2
+# Deviations, and intervals of a block, are the same within this factor.
 _SAME = 1.25
 # Frames in a block.
 _BLOCKS = 2, 4, 8
-# Frames farther between than so many times what is usual do not count as running; those of a block
-# have even intervals within so much.
-_APART, _EVEN = 3.0, 1.2
+# Frames farther between than so many times what is usual do not count as running.
+_APART = 3.0
 
 
 class PoseNoise:
@@ -114,7 +115,7 @@ def _means(block: int, time: Real, values: np.ndarray) -> tuple[Real, np.ndarray
     shape = count, block
     times, values = (one[len(one) - count * block :].reshape(shape) for one in (time, values))
     length = times[:, -1] - times[:, 0]
-    even = length < _EVEN * (block - 1) * np.median(np.diff(time))
+    even = length < _SAME * (block - 1) * np.median(np.diff(time))
     return times[even].mean(axis=1), values[even].mean(axis=1)
 
 

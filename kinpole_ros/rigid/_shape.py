@@ -11,7 +11,6 @@ be fitted at once, and a frame comes out the same whether it is in a stretch or 
 """
 
 from collections import Counter
-from statistics import NormalDist
 from typing import NamedTuple, Protocol
 
 import numpy as np
@@ -20,8 +19,7 @@ from kinpole_ros.planar import Fit, fit_by_grip, fit_pose, grip_of
 from kinpole_ros.planar._plane import ROUNDING, Complex, Real
 from kinpole_ros.rigid._continuity import Continuity, Verdict
 from kinpole_ros.rigid._marker_noise import MarkerNoise
-from kinpole_ros.rigid._noise import TAME, mean_square, tame_part
-from kinpole_ros.rigid._soft import chi_square
+from kinpole_ros.rigid._noise import mean_square, tame_part
 from kinpole_ros.rigid._turn import Turns
 from kinpole_ros.rigid._untangle import EXCHANGED, agreed, correct_swaps, half_turn
 from kinpole_ros.rigid.levels import FEW, LITTLE, SURE, TINY
@@ -32,17 +30,18 @@ from kinpole_ros.rigid.levels import FEW, LITTLE, SURE, TINY
 _MEMORY, _CONTRADICTED = 1000, 0.25
 # Frames between two beats: this share of those that the least known marker was seen in.
 _BEAT = 1 / 8
-# A marker is suspect beyond this many times what residuals come to as a rule, which is taken from
-# so many frames, each counted for no more than so many times the rule. Until that is known it is
-# suspect beyond a little share of the body's size, and only names are doubted by it.
+# A marker is suspect beyond this many times what residuals come to as a rule, to which no frame
+# counts for more than so many times the rule. Until that is known a marker is suspect beyond a
+# little share of the body's size, and only names are doubted by it.
 _SUSPECT = 6.0
-_RULE_MEMORY, _RULE_CLIP = 200, SURE**2
-# What all but the worst three tenths of chi-squares stay below, over their mean: of 5 degrees of
-# freedom, as fits of four markers leave, and within a tenth of others.
-_RULE_SHARE = float(chi_square(np.float64(5), NormalDist().inv_cdf(TAME)))
+_RULE_CLIP = SURE**2
+# What all but the worst three tenths of chi-squares stay below, over their mean, within a tenth.
+_RULE_SHARE = 1.15
 # A marker that does not fit in so many frames running sits elsewhere from the next beat on, and
 # markers that are exchanged in so many have changed their names.
 _MOVED = 100
+# They are no rule by then.
+_RULE_MEMORY = 2 * _MOVED
 
 
 class _News(NamedTuple):

@@ -32,8 +32,8 @@ _DISTANCE = 1 / 8
 # And so many windows before this one: it has no room for two independent stencils of its length,
 # and a variance of one degree of freedom is hardly known. Longer ago the motion may be another one.
 _BEFORE = 1 / 2
-# Lengths of stencils are rounded to powers of this: what is found hardly changes in between.
-_LADDER = 1.15
+# Nor do lengths in between the powers of this, to which those of stencils are rounded.
+_LADDER = 1 + _DISTANCE
 _DEGREES = 2, 8
 
 

@@ -7,14 +7,11 @@ That is what the markers of a symmetric body look like when they are exchanged: 
 import numpy as np
 
 from kinpole_ros.planar._plane import Real
+from kinpole_ros.rigid.levels import FEW, RECENT
 
 # rad. A body has jumped if it is turned this far from where it was to be; known while it turns by
-# less than the other per frame, was seen so many frames ago at most, and did so for so many.
-_HALF_TURN, _SLOW, _RECENT, _CALM = 0.75 * np.pi, 0.25 * np.pi, 3, 20
-# Cosine of how far a body turns in a frame without a jump.
-NOT_FAR = np.cos(_HALF_TURN - _SLOW)
-# Times angles are taken before they are worked in.
-_MANY = 64
+# less than the other per frame, and did so for a few.
+_HALF_TURN, _SLOW = 0.75 * np.pi, 0.25 * np.pi
 
 
 class Turns:
@@ -39,26 +36,26 @@ class Turns:
         """The angles (B,) that are to be expected in the next frame, NaN where nothing tells."""
         self._work()
         turned = np.where(np.isfinite(self._turning), self._turning * self._ago, 0.0)
-        return np.asarray(np.where(self._ago <= _RECENT, self._angle + turned, np.nan))
+        return np.asarray(np.where(self._ago <= RECENT, self._angle + turned, np.nan))
 
     def jumped(self, angle: Real) -> np.ndarray:
         """Which bodies (B,) have jumped by half a turn in the next frame, NaN for none seen."""
         self._work()
         ahead = self._turning * self._ago
         far = np.abs(_wrapped(angle - self._angle - ahead)) > _HALF_TURN
-        calm = (np.abs(ahead) < _SLOW) & (self._ago <= _RECENT) & (self._calm >= _CALM)
+        calm = (np.abs(ahead) < _SLOW) & (self._ago <= RECENT) & (self._calm >= FEW)
         return np.asarray(far & calm)
 
     def may_jump(self, angle: Real) -> np.ndarray:
         """In which of the next frames (T,) a body may have jumped, by its angles (T, B)."""
         before = self._last[None] if len(angle) == 1 else self._before(angle)[0]
-        return np.logical_or.reduce(np.cos(angle - before) < NOT_FAR, -1)
+        return np.logical_or.reduce(np.cos(angle - before) < np.cos(_HALF_TURN - _SLOW), -1)
 
     def follow(self, angle: Real) -> None:
         """Take the angles (T, B) of the next frames, NaN for a body not seen."""
         self._news.append(angle)
         self._last = angle[-1]
-        if len(self._news) == _MANY or np.count_nonzero(np.isnan(self._last)):
+        if len(self._news) == FEW or np.count_nonzero(np.isnan(self._last)):
             self._work()
 
     def _work(self) -> None:
@@ -69,7 +66,7 @@ class Turns:
         fitted = np.isfinite(angle)
         before, ago = self._before(angle)
         turning = _wrapped(angle - before) / ago
-        slow = (np.abs(turning) < _SLOW) & (ago <= _RECENT)
+        slow = (np.abs(turning) < _SLOW) & (ago <= RECENT)
         # What is not seen in between may have turned by any number of revolutions.
         number = np.arange(1, len(angle) + 1)[:, None]
         broken = (number * (fitted & ~slow)).max(axis=0)

@@ -11,10 +11,8 @@ from typing import NamedTuple
 import numpy as np
 
 from kinpole_ros.planar._plane import Complex
+from kinpole_ros.rigid.levels import SURE
 
-# A distance is that of one body if it varies by no more than so many times what those of the most
-# constant ones do: among them are about as many as there are of one body.
-_RIGID = 3.0
 # Frames that are looked at.
 _FRAMES = 64
 
@@ -42,7 +40,8 @@ def group(points: Complex, loose: np.ndarray) -> Grouping:
     within = int((body[i] == body[j]).sum())
     if not within:
         return Grouping(None, [])
-    rigid = varied <= _RIGID * np.median(np.sort(varied[i, j])[:within])
+    # Distances of one body, as the most constant ones: of those are about as many as of one body.
+    rigid = varied <= SURE * np.median(np.sort(varied[i, j])[:within])
     members = [np.flatnonzero(body == b).tolist() for b in range(bodies)]
     bent = [b for b in np.flatnonzero(loose).tolist() if not _is_rigid(members[b], rigid)]
     exchanges = _exchanges(members, bent, rigid)

@@ -21,10 +21,8 @@ _NEARER = 2.0
 _BY_TWO = 3.0
 # Poses that are tried of one body in one frame: those by its longest pairs, which tell most.
 _MOST_POSES = 4096
-# Pairs of markers by which poses are tried, the longest.
-_MOST_PAIRS = 200
-# In a cloud with more points nothing is searched for.
-_MOST_POINTS = 512
+# In a cloud with more points nothing is searched for, nor by more pairs than the longest.
+_MOST = 512
 
 
 class Match(NamedTuple):
@@ -207,12 +205,12 @@ def _search(points: Complex, free: np.ndarray, shape: Complex, limit: float) -> 
     there, own = points[free], shape[marker]
     i, j = np.triu_indices(len(marker), 1)
     long = np.abs(own[j] - own[i])
-    order = np.argsort(-long, kind='stable')[:_MOST_PAIRS]
+    order = np.argsort(-long, kind='stable')[:_MOST]
     i, j, long = (part[order][long[order] > 2 * limit] for part in (i, j, long))
     nothing = _Poses(
         np.zeros((0, n), int), np.zeros(0, complex), np.zeros(0, complex), np.zeros(0, int)
     )
-    if not len(long) or not 2 <= len(there) <= _MOST_POINTS:
+    if not len(long) or not 2 <= len(there) <= _MOST:
         return nothing
     distance = np.abs(there - there[:, None])
     first, second, pair = [], [], []

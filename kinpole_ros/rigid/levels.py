@@ -8,8 +8,10 @@ import numpy as np
 
 # So many standard deviations are no chance.
 SURE = 4.0
-# Fewer frames, or degrees of freedom, than these do not tell how large errors are.
+# Fewer frames, or degrees of freedom, than these do not tell how large errors are for sure.
 FEW = 20
+# Fewer degrees of freedom than these do not even tell an order of magnitude.
+FEWEST = 6
 # Frames of late by which that is told.
 LATE = 512
 # What was seen so many frames ago says where a body is to be expected now.

@@ -11,20 +11,18 @@ from typing import NamedTuple
 
 import numpy as np
 
-from kinpole_ros.rigid.levels import LITTLE, SURE
+from kinpole_ros.rigid.levels import FEWEST, LITTLE, SURE
 from kinpole_ros.rigid.plane import Plane, PlaneSetting, plane_along, plane_of, upward
 from kinpole_ros.rigid.scatter import GROUP, Scatter
 
 # Frames that are measured at once, where nothing waits for it: several groups cost little more.
 _AT_ONCE = 4 * GROUP
-# With fewer blocks their pull does not tell a deviation.
-_FEWEST = 6
 # The extent of a motion across over that along: below this it is as good as a straight line.
 _STRAIGHT = 0.03
 # The cosine to the normal from which on a line is as good as along it.
 _UPRIGHT = 0.95
-# rad. A plane is fitted when its normal is known so well at once, or so well after a while (s).
-_SURE, _KNOWN, _WHILE = np.radians(0.02), np.radians(0.1), 2.0
+# rad. A plane is fitted when its normal is known so well.
+_KNOWN = np.radians(0.05)
 # rad. What rounds to 3 deg is worth a warning, if it is known to 1 deg at three deviations.
 TILTED, _TILT_KNOWN = np.radians(2.5), np.radians(1 / 3)
 # A body that leaves the plane may seem not to be rigid: the distances of its markers in space
@@ -75,8 +73,6 @@ class Space:
 
     def __init__(self, setting: PlaneSetting, bodies: int, width: int) -> None:
         self.plane = plane_of(setting)
-        # The stamps of the first and of the last frame, ns.
-        self._begun = self._last = 0
         self._shape = bodies, width
         self._waiting: list[np.ndarray] = []
         self._number = 0
@@ -95,12 +91,9 @@ class Space:
         self.settle()
         return min(frames, GROUP - self._number)
 
-    def add(self, stamps: np.ndarray, solid: np.ndarray) -> None:
-        """Take frames at `stamps` (T,), ns, of markers (T, B, w, 3), m, NaN for none."""
+    def add(self, solid: np.ndarray) -> None:
+        """Take frames of markers (T, B, w, 3), m, NaN for none."""
         self.settle()
-        if not self._begun:
-            self._begun = int(stamps[0])
-        self._last = int(stamps[-1])
         self._waiting.append(solid)
         self._number += len(solid)
         if len(solid) > GROUP:
@@ -123,9 +116,7 @@ class Space:
         self._scatter.add(every[:done].reshape(groups, GROUP, *every.shape[1:]))
         if self.plane is None and self._scatter.look():
             normal, line, deviation = self._motion(None)
-            seconds = 1e-9 * (self._last - self._begun)
-            least = _KNOWN if seconds >= _WHILE else _SURE
-            if normal is not None and not line and deviation < least:
+            if normal is not None and not line and deviation < _KNOWN:
                 self.plane = plane_along(upward(normal))
 
     def report(self) -> SpaceReport:
@@ -145,7 +136,7 @@ class Space:
             size = self._scatter.size()
             stretch = self._scatter.stretch()
             # A tilt would look like it before the motion shows one.
-            if across is not None and len(self._scatter.kept.count) >= _FEWEST:
+            if across is not None and len(self._scatter.kept.count) >= FEWEST:
                 off = self._off_plane(across, size, stretch)
         return SpaceReport(self.plane, normal, line, tilt, deviation, size, off, stretch)
 
@@ -161,7 +152,7 @@ class Space:
         counts = self._scatter.kept.count.sum((1, 2))
         count = counts.sum()
         size = self._scatter.size()
-        if len(blocks) < _FEWEST or not np.isfinite(size).any():
+        if len(blocks) < FEWEST or not np.isfinite(size).any():
             return nothing
         rough = self._scatter.kept.rough.sum((0, 1)) / max(self._scatter.kept.rough_count.sum(), 1)
         values, vectors = np.linalg.eigh(total)
