@@ -8,10 +8,11 @@ from hypothesis import strategies as st
 from kinpole_ros.mechanism import marker_positions
 from kinpole_ros.mechanism._motions import ORDERS, BodyMotion
 from kinpole_ros.messages import DiagnosticsMaker
-from kinpole_ros.pipeline.clock import Clock, FrameCounter, find_clock, follow_clock
+from kinpole_ros.pipeline.clock import Clock, find_clock, follow_clock
+from kinpole_ros.pipeline.counter import FrameCounter
+from kinpole_ros.pipeline.course import course_costs
 from kinpole_ros.pipeline.frame import MarkerFrames
 from kinpole_ros.pipeline.parameters import settings_from
-from kinpole_ros.pipeline.ticks import course_costs
 from kinpole_ros.pipeline.tracker import Tracker
 
 START = 10**18

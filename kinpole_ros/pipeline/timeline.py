@@ -13,9 +13,11 @@ import numpy as np
 
 from kinpole_ros.derivatives import FEWEST_SAMPLES, Windows
 from kinpole_ros.pipeline.bodies import pose_columns
-from kinpole_ros.pipeline.clock import UNSETTLED, FrameCounter, counts_by
+from kinpole_ros.pipeline.clock import UNSETTLED, counts_by
+from kinpole_ros.pipeline.counter import FrameCounter
+from kinpole_ros.pipeline.course import correct_counts, course_costs
 from kinpole_ros.pipeline.parameters import Settings
-from kinpole_ros.pipeline.ticks import StampState, Ticks, correct_counts, course_costs
+from kinpole_ros.pipeline.ticks import StampState, Ticks
 from kinpole_ros.rigid import Samples
 
 # Frames later than this many intervals of late come after a gap.

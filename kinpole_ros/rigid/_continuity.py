@@ -15,23 +15,21 @@ import numpy as np
 
 from kinpole_ros.planar._plane import Complex, Real
 from kinpole_ros.rigid._noise import tame_part
+from kinpole_ros.rigid._predict import (
+    AGO,
+    GAINS,
+    POINTS,
+    REACHES,
+    WEIGHTS,
+    innovations,
+    lagrange,
+)
 from kinpole_ros.rigid.levels import FEW, LATE, LITTLE, RECENT, RUNNING
 
 # An innovation is far that is so many times what all but the worst three tenths of late stay below.
 _FAR = 7.0
 # A pose has gone back that is off by no more than this share of what the suspect ones were off.
 _BACK = 0.5
-# Weights of the samples before, oldest first, by degree, where they are even.
-_WEIGHTS = np.array([(0, 0, 0, 1), (0, 0, -1, 2), (0, 1, -3, 3), (-1, 4, -6, 4)], float)
-_POINTS = len(_WEIGHTS)
-_OWN = np.arange(_POINTS)
-# How many frames ago they came if none is left out.
-_AGO = _POINTS - _OWN[:, None]
-# Which of them each degree takes.
-_TAKEN = _OWN[:, None] + _OWN >= _POINTS - 1
-# Variances of their innovations, by degree, where there is nothing but noise.
-_GAINS = 1 + (_WEIGHTS**2).sum(axis=1)
-_REACHES = np.abs(_WEIGHTS).sum(axis=1)
 _TURN = 2 * np.pi
 _NOTHING = complex(np.nan, np.nan)
 # What is predicted from nothing comes out as NaN.
@@ -62,9 +60,9 @@ class Continuity:
         self.timed = True
         # The last samples of each body that are right, oldest first: stamps, ns, numbers of their
         # frames, signals.
-        self._stamps = np.zeros((_POINTS, bodies))
-        self._numbers = np.zeros((_POINTS, bodies), int)
-        self._signals = np.full((_POINTS, 2 * bodies), _NOTHING)
+        self._stamps = np.zeros((POINTS, bodies))
+        self._numbers = np.zeros((POINTS, bodies), int)
+        self._signals = np.full((POINTS, 2 * bodies), _NOTHING)
         # How many frames came.
         self._number = 0
         self._last_angle = np.zeros(bodies)
@@ -75,11 +73,11 @@ class Continuity:
         self._runs: dict[int, list[tuple[float, Complex]]] = {}
         # Squares of innovations of late, by degree, and the frames since the last beat, of which
         # the first so many are from before.
-        self._squares = np.full((LATE, _POINTS, 2 * bodies), np.nan)
+        self._squares = np.full((LATE, POINTS, 2 * bodies), np.nan)
         self._count = self._before = 0
         self._news: list[tuple[Real, Complex]] = []
         self._degree = np.zeros(2 * bodies, int)
-        self._weights = _WEIGHTS[self._degree].T + 0j
+        self._weights = WEIGHTS[self._degree].T + 0j
         self._limit = np.full(2 * bodies, np.inf)
 
     def forget(self) -> None:
@@ -120,12 +118,12 @@ class Continuity:
         # What is where even steps lead to is not far off, however long they are. That is soon seen.
         every = np.concatenate((self._signals, signals))
         off = signals - self._weights[0] * every[:count]
-        for k in range(1, _POINTS):
+        for k in range(1, POINTS):
             off -= self._weights[k] * every[k : k + count]
         near = off.real**2 + off.imag**2 <= self._limit
-        consecutive = self._numbers == self._number - _AGO
+        consecutive = self._numbers == self._number - AGO
         if np.count_nonzero(consecutive) < consecutive.size:
-            near[:_POINTS] &= np.tile(consecutive, 2)[:count]
+            near[:POINTS] &= np.tile(consecutive, 2)[:count]
         if np.count_nonzero(near) < near.size:
             near |= np.isnan(signals)
         if np.count_nonzero(near) == near.size or not self.timed:
@@ -140,10 +138,10 @@ class Continuity:
         numbers = self._number + np.arange(count)
         if np.count_nonzero(np.isnan(signals)):
             for b in range(self._bodies):
-                kept = np.isfinite(signals[:, b]).nonzero()[0][-_POINTS:]
+                kept = np.isfinite(signals[:, b]).nonzero()[0][-POINTS:]
                 self._append(b, times[kept], numbers[kept], signals[kept])
         else:
-            new = min(count, _POINTS)
+            new = min(count, POINTS)
             for kept, rows in (
                 (self._stamps, times[:, None]),
                 (self._numbers, numbers[:, None]),
@@ -200,7 +198,7 @@ class Continuity:
         if not self._news:
             return
         stamps, signals = (np.concatenate(part) for part in zip(*self._news, strict=True))
-        fresh = _innovations(stamps, signals)[max(self._before, _POINTS) :][-LATE:]
+        fresh = innovations(stamps, signals)[max(self._before, POINTS) :][-LATE:]
         # The next frames are predicted from the last of these.
         self._news = [(stamps[-RECENT:], signals[-RECENT:])]
         self._before = len(self._news[0][0])
@@ -213,7 +211,7 @@ class Continuity:
         usual = tame_part(filled.reshape(len(filled), -1).T).reshape(enough.shape)
         usual = np.where(enough, usual, np.inf)
         self._degree = usual.argmin(axis=0)
-        self._weights = _WEIGHTS[self._degree].T + 0j
+        self._weights = WEIGHTS[self._degree].T + 0j
         least = LITTLE * np.concatenate((np.ones(self._bodies), size))
         # rad, and m: what is nearer is no jump, however smooth the motion.
         self._limit = np.maximum(_FAR**2 * usual.min(axis=0), least**2)
@@ -237,7 +235,7 @@ class Continuity:
             # As a rule all bodies are seen in the same frames.
             key = every.tobytes()
             if key not in found:
-                found[key] = _lagrange(times, every)
+                found[key] = lagrange(times, every)
             for signal in (b, self._bodies + b):
                 values = np.concatenate((self._signals[:, signal], signals[kept, signal]))
                 parts = self._predicted(signal, values, found[key])
@@ -253,15 +251,15 @@ class Continuity:
         Of degrees from that on which is best as a rule.
         """
         rows = np.arange(len(weights))
-        past = values[rows[:, None] + np.arange(_POINTS)]
+        past = values[rows[:, None] + np.arange(POINTS)]
         ahead = (weights * past[:, None]).sum(axis=-1)
-        off = values[_POINTS:, None] - ahead
+        off = values[POINTS:, None] - ahead
         if signal < self._bodies:
             off = _wrapped(off.real) + 0j
         degree = int(self._degree[signal])
         # So much more than one step ahead of even samples, and than by the degree that is best.
-        growth = np.fmax(np.abs(weights).sum(axis=-1) / _REACHES, 1.0) ** 2
-        growth *= _GAINS / _GAINS[degree]
+        growth = np.fmax(np.abs(weights).sum(axis=-1) / REACHES, 1.0) ** 2
+        growth *= GAINS / GAINS[degree]
         share = (off.real**2 + off.imag**2) / (self._limit[signal] * growth)
         best = degree + np.where(np.isnan(share), np.inf, share)[:, degree:].argmin(axis=1)
         return ahead[rows, best], off[rows, best], share[rows, best] > 1
@@ -284,9 +282,9 @@ class Continuity:
     def _ahead(self, signal: int, stamp: float, value: complex) -> tuple[Complex, bool]:
         """How far (degrees,) a sample is off what each predicts; whether that is too far."""
         times = np.append(self._stamps[:, signal % self._bodies], stamp)
-        weights = _lagrange(times, np.arange(len(times)))
+        weights = lagrange(times, np.arange(len(times)))
         values = np.append(self._signals[:, signal], value)
-        off = value - weights[0] @ values[:_POINTS]
+        off = value - weights[0] @ values[:POINTS]
         if signal < self._bodies:
             off = _wrapped(off.real) + 0j
         return off, bool(self._predicted(signal, values, weights)[2][0])
@@ -328,55 +326,6 @@ class Continuity:
         steps = angle - np.concatenate((self._last_angle[None], angle[:-1]))
         turns = self._last_turn - np.add.accumulate(np.rint(steps / _TURN))
         return given + _TURN * turns, turns
-
-
-def _innovations(stamps: Real, signals: Complex) -> Real:
-    """Squares (T, degrees, S) of what frames are off their predictions, NaN for none."""
-    found = np.full((len(stamps), _POINTS, signals.shape[1]), np.nan)
-    if len(stamps) <= _POINTS:
-        return found
-    if _even(np.diff(stamps)) and not np.isnan(signals).any():
-        off = signals
-        for degree in range(_POINTS):
-            off = off[1:] - off[:-1]
-            found[degree + 1 :, degree] = off.real**2 + off.imag**2
-        return found
-    for b in range(signals.shape[1] // 2):
-        both = [b, signals.shape[1] // 2 + b]
-        kept = np.isfinite(signals[:, b]).nonzero()[0]
-        if len(kept) <= _POINTS:
-            continue
-        weights = _lagrange(stamps[kept], kept)
-        past = kept[np.arange(len(weights))[:, None] + np.arange(_POINTS)]
-        for signal in both:
-            values = signals[:, signal]
-            ahead = (weights * values[past][:, None]).sum(axis=-1)
-            off = values[kept[_POINTS:], None] - ahead
-            found[kept[_POINTS:], :, signal] = off.real**2 + off.imag**2
-    return found
-
-
-def _lagrange(times: Real, numbers: np.ndarray) -> Real:
-    """
-    Weights (T, degree, 4) by which samples predict those after them, at `times` (4 + T,).
-
-    By polynomials through the last of each four, as many as the degree and one more. NaN where they
-    are of frames, by their numbers (4 + T,), too long ago.
-    """
-    count = len(times) - _POINTS
-    rows = np.arange(count)[:, None] + np.arange(_POINTS)
-    past, now = times[rows], times[_POINTS:]
-    # What each of the others adds to the weight of one, from the last back.
-    factors = (now[:, None] - past)[:, None] / (past[..., None] - past[:, None])
-    factors[:, _OWN, _OWN] = 1.0
-    products = np.multiply.accumulate(factors[..., ::-1], axis=-1)
-    weights = np.where(_TAKEN, products.swapaxes(1, 2), 0.0)
-    weights[numbers[_POINTS:] - numbers[:count] > RECENT] = np.nan
-    return weights
-
-
-def _even(steps: Real) -> bool:
-    return bool(np.maximum.reduce(steps) - np.minimum.reduce(steps) <= LITTLE * steps[0])
 
 
 def _wrapped(angle: Real) -> Real:
