@@ -179,17 +179,6 @@ def _search(since: Real, resolution: float) -> np.ndarray:
         )
     )
     counts = _counts_of(since, trials)
-    # Once more by the lines through them, which are exact where lateness is small.
-    mean = counts - counts.mean(axis=1, keepdims=True)
-    slopes = (mean @ since) / np.maximum((mean * mean).sum(axis=1), 1.0)
-    slopes = slopes[slopes > 0]
-    trials, counts = (
-        np.concatenate(pair) for pair in ((trials, slopes), (counts, _counts_of(since, slopes)))
-    )
-    for _ in range(2):
-        edge = _edge_of(since, counts[_costs(since, counts, trials, resolution).argmin()])
-        trials = np.append(trials, edge * (1 + np.arange(-2, 3) / len(since)))
-        counts = np.concatenate((counts, _counts_of(since, trials[-5:])))
     return np.asarray(counts[_costs(since, counts, trials, resolution).argmin()])
 
 

@@ -1,5 +1,5 @@
 """
-The frames that are held: which of those that come go on, what their windows hold, what falls due.
+The frames that are held: when they were, what their windows hold, what falls due.
 
 Header stamps alone decide; nobody asks for the time. Frames are at their stamps, or at the ticks of
 the clock behind these: see `ticks`.
@@ -12,6 +12,7 @@ from functools import partial
 import numpy as np
 
 from kinpole_ros.derivatives import FEWEST_SAMPLES, Windows
+from kinpole_ros.pipeline.arrivals import Arrivals
 from kinpole_ros.pipeline.bodies import pose_columns
 from kinpole_ros.pipeline.clock import UNSETTLED, counts_by
 from kinpole_ros.pipeline.counter import FrameCounter
@@ -69,10 +70,7 @@ class Timeline:
         self._due = 0
         # How many of the newest frames are not estimated yet.
         self._waiting = 0
-        # Stamp and points of the frame that came last, taken or not, and the latest stamp taken.
-        self._last = 0
-        self._last_points: np.ndarray | None = None
-        self._newest = 0
+        self._arrivals = Arrivals(self.window, counts)
         self._ticks = Ticks(settings.stamps, self.window)
         if before is not None:
             self._ticks.regular = before._ticks.regular
@@ -134,71 +132,19 @@ class Timeline:
             self._slips = True
             return stamps[:0], 0, False
         stamps = stamps[:until]
-        accept = self._accept_arrivals if self._regular else self._accept_captures
-        ahead, end, repeated = accept(stamps, points)
+        ahead, end, came = self._arrivals.accept(stamps, points, self._regular, self._plausible())
         if end:
-            came = slice(None) if repeated is None else ~repeated
             self._ticks.add(stamps[:end][came], (ahead > 0)[came])
-            self._last, self._last_points = int(stamps[end - 1]), points[end - 1].copy()
         return ahead, end, end < len(stamps)
 
-    def _accept_captures(
-        self, stamps: np.ndarray, points: np.ndarray
-    ) -> tuple[np.ndarray, int, np.ndarray | None]:
-        last, newest = self._last, int(stamps[0]) - 1
-        if len(self._frames):
-            newest = int(self._frames.view()['stamp'][-1])
-        else:
-            last = newest
-        ahead = stamps - np.concatenate(((newest,), stamps[:-1]))
-        if np.minimum.reduce(ahead) > 0 and np.maximum.reduce(ahead) <= self.window:
-            return ahead, len(stamps), None
-        # As it is when each frame comes.
-        reached = np.maximum.accumulate(np.concatenate(((newest,), stamps[:-1])))
-        before = np.concatenate(((last,), stamps[:-1]))
-        ahead = stamps - reached
-        # A clock that steps back is no frame that arrives early after one that was late.
-        plausible = 0 if self._ticks.mode == 'capture' else self._plausible(0)
-        back = (before < reached) & (before < stamps) & (ahead <= -plausible)
-        anew = back | (np.abs(ahead) > self.window)
-        end = int(anew.argmax()) if anew.any() else len(stamps)
-        ahead = ahead[:end]
-        self._counts['late'] += int((ahead < 0).sum())
-        self._counts['repeated'] += int((ahead == 0).sum())
-        return ahead, end, self._repeated((stamps == before)[:end], points)
-
-    def _accept_arrivals(
-        self, stamps: np.ndarray, points: np.ndarray
-    ) -> tuple[np.ndarray, int, np.ndarray | None]:
-        last, newest = self._last, self._newest
-        if not len(self._frames):
-            last = newest = int(stamps[0]) - 1
-        reached = np.maximum.accumulate(np.concatenate(((newest,), stamps[:-1])))
-        before = np.concatenate(((last,), stamps[:-1]))
-        ahead = stamps - reached
-        late = ahead <= -self._plausible(round(_PLAUSIBLE * self.window))
-        anew = (late & (before < reached) & (before < stamps)) | (np.abs(ahead) > self.window)
-        end = int(anew.argmax()) if anew.any() else len(stamps)
-        repeated = self._repeated((stamps == before)[:end], points)
-        taken = ~(late[:end] | repeated)
-        self._counts['late'] += int(late[:end].sum())
-        self._counts['repeated'] += int(repeated.sum())
-        if end:
-            self._newest = max(int(reached[end - 1]), int(stamps[end - 1]))
-        return taken.astype(np.int64), end, repeated
-
-    def _plausible(self, unknown: int) -> int:
-        """By how much a frame may be late, ns; `unknown` while the clock is."""
+    def _plausible(self) -> int:
+        """By how much a frame may be late, ns."""
         clock = self._ticks.clock
-        return unknown if clock is None else round(clock.largest + clock.interval)
-
-    def _repeated(self, same: np.ndarray, points: np.ndarray) -> np.ndarray:
-        """Which frames (T,), of those with the stamp of the one before, are it once more."""
-        repeated = np.zeros(len(same), bool)
-        for k in same.nonzero()[0].tolist():
-            before = points[k - 1] if k else self._last_points
-            repeated[k] = before is not None and np.array_equal(points[k], before, equal_nan=True)
-        return repeated
+        if not self._regular and self._ticks.mode == 'capture':
+            return 0
+        if clock is None:
+            return round(_PLAUSIBLE * self.window) if self._regular else 0
+        return round(clock.largest + clock.interval)
 
     def enter(
         self, stamps: np.ndarray, steps: np.ndarray, numbers: np.ndarray
@@ -357,7 +303,6 @@ class Timeline:
         every['time'][here:] = self._times(corrected['count'])
         # Frames of another rate.
         every['time'][:here] = _rising(every['stamp'][:here] - round(clock.lateness))
-        self._newest = int(every['stamp'].max())
         return other
 
     def _to_stamps(self) -> bool:

@@ -9,6 +9,7 @@ to move. A pose that is far off is suspect until the next ones come: they
 go back to where the body was to be, and it was wrong, or they do not, and the body did jump.
 """
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -30,7 +31,7 @@ from kinpole_ros.rigid.levels import FEW, LATE, LITTLE, RECENT, RUNNING
 _FAR = 7.0
 # A pose has gone back that is off by no more than this share of what the suspect ones were off.
 _BACK = 0.5
-_TURN = 2 * np.pi
+_TURN = math.tau
 _NOTHING = complex(np.nan, np.nan)
 # What is predicted from nothing comes out as NaN.
 _UNDEFINED = np.errstate(divide='ignore', invalid='ignore', over='ignore')
