@@ -1,9 +1,10 @@
 """
 Constants set by hand, and what comes of half and of double of each: `python -m bench.constants`.
 
-A constant is a number that a module of the estimate's rooms gives a name in capitals; its reason is
-the comment above it. Each is changed in a copy of the package, and a process of its own measures a
-panel of figures with it. So what is made of it on import goes with it.
+A constant is a number that a module of the estimate's rooms gives a name in capitals, be it written
+as an expression; what is made of other constants is none. Its reason is the comment above it. Each
+is changed in a copy of the package, and a process of its own measures a panel of figures with it.
+So what is made of it on import goes with it.
 """
 
 import ast
@@ -95,13 +96,16 @@ def _constants_of(file: Path) -> Iterator[Constant]:
 
 
 def _number(value: ast.expr) -> float | None:
-    """The number that is written there, or the ratio of two of them."""
-    if isinstance(value, ast.BinOp) and isinstance(value.op, ast.Div):
-        over, under = _number(value.left), _number(value.right)
-        return over / under if over is not None and under else None
-    if not isinstance(value, ast.Constant) or isinstance(value.value, bool):
+    """The number that is written there, or is made of such, as `np.radians(0.1)`; else None."""
+    parts = list(ast.walk(value))
+    written = any(isinstance(part, ast.Constant) for part in parts)
+    named = {part.id for part in parts if isinstance(part, ast.Name)}
+    if not written or not named <= {'np', 'math'}:
         return None
-    return value.value if isinstance(value.value, int | float) else None
+    number = eval(ast.unparse(value), {'np': np, 'math': math})
+    if isinstance(number, bool) or not isinstance(number, int | float):
+        return None
+    return number if isinstance(number, int) else float(number)
 
 
 def _reason(lines: list[str], line: int) -> str:
