@@ -267,14 +267,25 @@ def constant_rows(
     rows: Rows = []
 
     def known_or_new(one: Constant) -> dict[str, object]:
-        key = one.path.removeprefix('kinpole_ros/'), one.name, one.value
-        return {**found.pop(key), 'reason': one.reason} if key in found else row(one)
+        return found.pop(_key(one), None) or row(one)
 
     with ThreadPoolExecutor(workers) as pool:
         for one in pool.map(known_or_new, every):
             rows.append(one)
             keep([*rows, *found.values()])
             progress(len(rows) / len(every))
+
+
+def _key(one: Constant) -> tuple[str, str, float]:
+    """By what its row is found; floats have five digits there."""
+    return one.path.removeprefix('kinpole_ros/'), one.name, float(f'{one.value:.5g}')
+
+
+def of_now(rows: Rows) -> Rows:
+    """The rows of constants that are there with these values, in their order."""
+    found = {(row['module'], row['constant'], row['value']): row for row in rows}
+    there = ((found.get(_key(one)), one.reason) for one in constants())
+    return [{**row, 'reason': reason} for row, reason in there if row]
 
 
 def page(rows: Rows) -> str:
@@ -321,15 +332,18 @@ def main() -> None:
     if options.panel:
         json.dump(panel(), sys.stdout)
         return
-    if not options.page:
-        table = options.output / TABLE
+    table = options.output / TABLE
+    known = of_now(read_rows(table)) if table.exists() and not options.anew else []
+    if options.page:
+        write_rows(table, known)
+    else:
         constant_rows(
             lambda share: print(f'\r{share:4.0%}', end='', file=sys.stderr, flush=True),
             options.workers,
-            read_rows(table) if table.exists() and not options.anew else [],
+            known,
             lambda rows: write_rows(table, rows),
         )
-    (options.output / PAGE).write_text(page(read_rows(options.output / TABLE)), encoding='utf-8')
+    (options.output / PAGE).write_text(page(read_rows(table)), encoding='utf-8')
 
 
 if __name__ == '__main__':

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from bench import _long, hindsight_table, motions
+from bench import _long, constants, hindsight_table, motions
 from bench._bounds import propagated
 from bench._charts_first import spread
 from bench._hindsight import LEVELS, apply_weights, coverage, fixed_weights, visible
@@ -192,6 +192,25 @@ def test_rows_that_lack_something_are_read_back_as_they_were_written(tmp_path: P
     assert found == first
     assert (second['a'], second['sure'], second['said']) == (3.0, False, '')
     assert np.isnan(second['b'])
+
+
+def test_constants_are_numbers_as_written_or_made_of_such(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    room = tmp_path / 'kinpole_ros' / 'rigid'
+    room.mkdir(parents=True)
+    monkeypatch.setattr(constants, '_ROOT', tmp_path)
+    text = '# Why.\n_A, _B = 3, np.radians(90)\n_C = 2 * _A\n_D = math.tau\n_E = True\n_f = 4\n'
+    (room / '_module.py').write_text(text, encoding='utf-8')
+    found = constants.constants()
+    assert [(one.name, one.value, one.reason) for one in found] == [
+        ('_A', 3, 'Why.'),
+        ('_B', np.pi / 2, 'Why.'),
+    ]
+    # What is no more, or has another value now, is not on the page.
+    row: dict[str, Any] = {'module': 'rigid/_module.py', 'half': '–', 'double': '–'}
+    rows = [row | {'constant': name, 'value': value} for name, value in (('_B', 1.5708), ('_A', 4))]
+    assert [one['constant'] for one in constants.of_now(rows)] == ['_B']
 
 
 def test_pendulum_of_exact_motion_has_its_poles_at_pivot_and_joint() -> None:
