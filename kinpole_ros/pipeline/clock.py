@@ -174,7 +174,7 @@ def _search(since: Real, resolution: float) -> np.ndarray:
     most_lost = max(FEWEST_SAMPLES - 1, len(since) // 8)
     trials = np.concatenate(
         (
-            middle + most * np.linspace(-1, 1, (SEARCHED + 1)),
+            middle + most * np.linspace(-1, 1, SEARCHED + 1),
             slope / (1 + np.linspace(-1, most_lost, 2 * (SEARCHED + 1)) / len(steps)),
         )
     )

@@ -214,7 +214,7 @@ class Matcher:
         Returns which bodies (B,) begin anew.
         """
         nothing = np.zeros(len(loose), bool)
-        self._next_look = 3 * self._frames // 2
+        self._next_look = self._frames + min(self._frames // 2, LATE)
         loose = loose & ~self.has_shape & ~self.withheld
         if loose.sum() < 2 or self._groupings > 2 * len(loose) or self._by_shape or not self._late:
             return nothing

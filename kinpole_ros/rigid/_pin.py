@@ -17,7 +17,7 @@ import numpy as np
 
 from kinpole_ros.planar._plane import Complex, Real
 from kinpole_ros.rigid._soft import chi_square, student
-from kinpole_ros.rigid.levels import FEW, RUNNING, SURE
+from kinpole_ros.rigid.levels import FEW, LATE, RUNNING, SURE
 
 # Poses kept per body, and the angle between them, rad: 4 rad of one-way turning.
 _KEPT = 64
@@ -176,7 +176,8 @@ class Pins:
 
     def _leave(self, which: np.ndarray) -> None:
         """Take the bodies `which` (B,) off their pins; twice as much is wanted the next time."""
-        self._wanted[which & np.isfinite(self.center)] *= 2
+        left = which & np.isfinite(self.center)
+        self._wanted[left] = np.minimum(2 * self._wanted[left], LATE)
         self.forget(which)
 
     def forget(self, which: np.ndarray) -> None:
