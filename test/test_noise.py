@@ -8,6 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from stretches import fit_frames
 
+from bench._record import make_recording, measure
 from kinpole_ros.planar import fit_pose
 from kinpole_ros.rigid import Noise, Shapes
 
@@ -97,3 +98,12 @@ def test_the_level_scales_with_the_markers_and_depends_on_nothing_else(
     points = gone_wild(markers(4, 80, 1), 0.15, 300, 1)
     there = (scale * np.exp(1j * turn) * points + scale * shift)[:, order]
     assert level(there)[0] == pytest.approx(scale * level(points)[0], rel=1e-6)
+
+
+def test_noise_of_a_hundredth_of_the_size_is_no_doubt_of_names() -> None:
+    """Before it is known what markers leave as a rule."""
+    recording = make_recording(('dead point', 'four-bar coupler'), (1e-2,), 2, 2.0)
+    found = measure(recording)
+    square = found.squares['ω'][found.determined['ω']]
+    assert len(square) > 200
+    assert square.max() < 36

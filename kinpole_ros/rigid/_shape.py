@@ -22,7 +22,7 @@ from kinpole_ros.rigid._marker_noise import MarkerNoise
 from kinpole_ros.rigid._noise import mean_square, tame_part
 from kinpole_ros.rigid._turn import Turns
 from kinpole_ros.rigid._untangle import EXCHANGED, agreed, correct_swaps, half_turn
-from kinpole_ros.rigid.levels import FEW, LITTLE, SURE, TINY
+from kinpole_ros.rigid.levels import FEW, SURE, TINY
 
 # A marker's place is held from so many frames on, when it is known to a twentieth of the noise. It
 # is learned on (a marker that creeps) while its residuals, averaged over as many frames, are off by
@@ -31,9 +31,9 @@ _MEMORY, _CONTRADICTED = 1000, 0.25
 # Frames between two beats: this share of those that the least known marker was seen in.
 _BEAT = 1 / 8
 # A marker is suspect beyond this many times what residuals come to as a rule, to which no frame
-# counts for more than so many times the rule. Until that is known a marker is suspect beyond a
-# little share of the body's size, and only names are doubted by it.
-_SUSPECT = 6.0
+# counts for more than so many times the rule. Until that is known a marker is suspect beyond this
+# share of the body's size, more than its noise may be, and only names are doubted by it.
+_SUSPECT, _YOUNG_SUSPECT = 6.0, 0.03
 _RULE_CLIP = SURE**2
 # What all but the worst three tenths of chi-squares stay below, over their mean, within a tenth.
 _RULE_SHARE = 1.15
@@ -496,7 +496,7 @@ class Shapes:
         # A marker that is known to err more may do so.
         self._most = most * self._marker_noise.relative
         size = 2 * np.sqrt(self.spread / np.maximum(self.known, 1))
-        young = np.maximum(LITTLE * size, 2 * self._limit)
+        young = np.maximum(_YOUNG_SUSPECT * size, 2 * self._limit)
         self.limit = np.where(self._mature, self._limit, young)
         self._doubt = (self.limit**2)[:, None] * self._marker_noise.relative
         self._grip = grip_of(self.points, self._weights)
