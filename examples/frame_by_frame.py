@@ -3,7 +3,7 @@ Frames as they come, from a driver of your own: the tracker without ROS.
 
 Prints:
 at 0.945 s: 3.890 rad/s
-2.00 +- 0.11 rad/s^2
+2.00 +- 0.26 rad/s^2
 """
 
 import numpy as np

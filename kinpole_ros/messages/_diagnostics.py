@@ -265,7 +265,7 @@ class DiagnosticsMaker:
             reason = 'nothing known: too few frames yet'
             return _status(name, DiagnosticStatus.STALE, reason, values)
         values['size (m)'] = float(now.size[b])
-        if np.isfinite(now.span[b]):
+        if np.isfinite(now.degree[b]):
             values['time used for the angular velocity (s)'] = float(now.span[b])
             values['degree used for the angular velocity'] = float(now.degree[b])
         reasons = now.reasons(b)

@@ -30,9 +30,22 @@ def pole_figures(
     order: int, position: Complex, angle: Real, position_covariance: Real, angle_covariance: Real
 ) -> tuple[Complex, Real, Real]:
     """
-    The pole of order 1 to 4 (...), m, and its covariance (..., 2, 2); arguments as for these.
+    The pole of a body and how well it is known, compiled if that could be built.
 
-    Also of how many standard deviations the body's turn of that order is (...): see `rotation`.
+    Parameters
+    ----------
+    order
+        Of the pole, 1 to 4.
+    position, angle
+        Derivatives (K, ...) from order 0 on, complex, m/s^k, and rad/s^k.
+    position_covariance, angle_covariance
+        Those (K, K, ...) between the orders, of one coordinate.
+
+    Returns
+    -------
+    tuple
+        The pole (...), complex, m, its covariance (..., 2, 2), and how many standard deviations the
+        body's turn of that order is (...): see `rotation`.
     """
     covariances = position_covariance, angle_covariance
     if _kernel is not None:
@@ -46,7 +59,19 @@ def pole_figures(
 def velocity_figures(
     position: Complex, angle: Real, position_covariance: Real, angle_covariance: Real
 ) -> tuple[Complex, Real]:
-    """The velocity of the ICR (...), m/s, and its covariance (..., 2, 2)."""
+    """
+    The velocity of the ICR and how well it is known, compiled if that could be built.
+
+    Parameters
+    ----------
+    position, angle, position_covariance, angle_covariance
+        As for `pole_figures`, from order 0 to 2 and more.
+
+    Returns
+    -------
+    tuple
+        The velocity (...), complex, m/s, and its covariance (..., 2, 2).
+    """
     covariances = position_covariance, angle_covariance
     if _kernel is not None:
         return _compiled(_VELOCITY, position, angle, *covariances)[:2]
@@ -58,7 +83,19 @@ def velocity_figures(
 def curvature_figures(
     position: Complex, angle: Real, position_covariance: Real, angle_covariance: Real
 ) -> tuple[Real, Real]:
-    """The curvature of the fixed centrode (...), 1/m, and its variance (...)."""
+    """
+    The curvature of the fixed centrode and how well it is known, compiled if that could be built.
+
+    Parameters
+    ----------
+    position, angle, position_covariance, angle_covariance
+        As for `pole_figures`, from order 0 to 3 and more.
+
+    Returns
+    -------
+    tuple
+        The curvature (...), 1/m, and its variance (...).
+    """
     covariances = position_covariance, angle_covariance
     if _kernel is not None:
         value, spread, _ = _compiled(_CURVATURE, position, angle, *covariances)
