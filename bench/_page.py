@@ -20,6 +20,8 @@ Tables = dict[str, Rows]
 MISSING = 'Not measured.'
 # Load of a machine, over its cores, above which others have their part in the times.
 _BUSY = 0.25
+# Tables that are no part of this page: the runs themselves, and those of the constants' own page.
+_ELSEWHERE = {'run', 'constants'}
 
 
 def make_page(tables: Tables) -> str:
@@ -38,12 +40,15 @@ def make_page(tables: Tables) -> str:
 
 
 def warnings(tables: Tables) -> list[str]:
-    """What keeps figures from being judged: an old version, too little data, a busy machine."""
+    """What keeps figures from being judged: age, too little data, a busy machine."""
     runs = tables.get('run', [])
     found = []
     noted = {name for row in runs for name in row['tables'].split()}
-    if earlier := [name for name in tables if name not in noted and name != 'run']:
-        found.append(f'**Measured with an earlier version: {", ".join(earlier)}.**')
+    earlier = [name for name in tables if name not in noted and name not in _ELSEWHERE]
+    newest = max((row['day'] for row in runs), default='')
+    earlier += [f'{row["part"]} ({row["day"]})' for row in runs if row['day'] != newest]
+    if earlier:
+        found.append(f'**Measured before the rest: {", ".join(earlier)}.**')
     quick = [row['part'] for row in runs if row['quick']]
     if quick:
         found.append(f'**Made with --quick, too little data to judge by: {", ".join(quick)}.**')

@@ -361,8 +361,11 @@ def test_the_page_says_what_the_rows_say_and_no_more() -> None:
     assert 'Other programs ran' in make_page({'run': [run | words]})
     quiet = {'run': [run | words | {'load': 0.1}], 'costs': costs}
     assert 'Other programs ran' not in make_page(quiet)
-    assert 'an earlier version' not in make_page(quiet)
-    assert 'an earlier version: peers.' in make_page(quiet | {'peers': peers})
+    assert 'before the rest' not in make_page(quiet)
+    assert 'before the rest: peers.' in make_page(quiet | {'peers': peers})
+    older = {'part': 'speed', 'tables': 'speed', 'day': '2025-12-31', 'load': 0.1}
+    later = quiet | {'run': [*quiet['run'], run | words | older]}
+    assert 'before the rest: speed (2025-12-31).' in make_page(later)
 
 
 def test_paragraphs_and_lists_are_wrapped_and_tables_are_not() -> None:

@@ -14,7 +14,6 @@ import numpy as np
 
 from kinpole_ros.derivatives import FEWEST_SAMPLES
 from kinpole_ros.planar._plane import Real
-from kinpole_ros.rigid.levels import FEWEST, LATE
 
 # Below these the interval is searched for, which takes as long as n^2; above it is known well
 # enough to go on from what it was. Fewer say nothing of a rate that has changed.
@@ -22,8 +21,8 @@ SEARCHED = 64
 # Nats of a lost frame: one in fifty.
 LOSS = math.log(50)
 # Deviation of the slope of a line along the edge of n points, by the inverse of their density there
-# over n^2 (simulated); the points nearest to the edge tell the density.
-_EDGE = 8.0
+# over n^2 (simulated); so many points nearest to the edge tell the density.
+_EDGE, _NEAREST = 8.0, 6
 # The edge is known from n frames and is gone by for a quarter of n more: it may be off by so many
 # deviations of its slope, by n, two on the far side of the middle (simulated: 0.96 are within).
 _AHEAD = 1.5
@@ -32,6 +31,8 @@ _AHEAD = 1.5
 SURE_NATS = 20.0
 # Stamps that are late by no more than this share of the interval leave no doubt of any count.
 _PLAIN = 1 / 4
+# One frame in so many may be as late as no other.
+_RARE = 512
 # Newest frames whose counts are not sure enough to find the clock by.
 UNSETTLED = 8
 # So many frames after a loss may have been captured before it.
@@ -245,8 +246,7 @@ def _fit(
     edge = float(ranked[min(4, len(ranked) - 1)]) - phase + resolution
     edge += _AHEAD * deviation * len(ranked)
     parts = np.sort(late % interval)
-    # One frame in so many may be as late as no other.
-    free = interval - float(parts[-1 - len(parts) // LATE])
+    free = interval - float(parts[-1 - len(parts) // _RARE])
     clock = Clock(
         origin,
         phase,
@@ -284,7 +284,7 @@ def _slope(since: Real, counts: np.ndarray, resolution: float) -> tuple[float, f
     for sign in (1.0, -1.0):
         edge = _edge(sign * since, around, sign * line)
         left = np.sort(sign * since - edge * around)
-        few = min(FEWEST, count - 1)
+        few = min(_NEAREST, count - 1)
         inverse = (left[few] - left[0] + resolution) * count / few
         reach = max(float(around[-1] - around[0]), 1.0)
         found.append((sign * edge, _EDGE * inverse / (count * reach)))

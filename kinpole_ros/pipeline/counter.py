@@ -13,14 +13,14 @@ import numpy as np
 
 from kinpole_ros.pipeline.clock import LOSS, SURE_NATS, Clock
 from kinpole_ros.planar._plane import Real
-from kinpole_ros.rigid.levels import FEW, TINY
+from kinpole_ros.rigid.levels import TINY
 
 # What paths (H, n) of the pending frames cost by the motion, nats (H,).
 Motion: TypeAlias = Callable[[np.ndarray], Real]
 # Of a sure count one in a hundred is wrong.
 _DOUBT = 1 / 100
-# So many paths are looked at.
-_MOST_PATHS = 32
+# So many paths are looked at, and so many frames at most wait for their count.
+_MOST_PATHS, _MOST_PENDING = 32, 20
 # A frame that comes more than this share of the interval before its tick has another.
 _EARLY = 0.2
 
@@ -115,7 +115,7 @@ class FrameCounter:
         weights = np.exp(costs[order[0]] - costs[order])
         doubt = weights @ (self._paths != self._paths[0]) / weights.sum()
         sure = (doubt < _DOUBT).nonzero()[0]
-        known = max(int(sure[-1]) + 1 if len(sure) else 0, number - FEW)
+        known = max(int(sure[-1]) + 1 if len(sure) else 0, number - _MOST_PENDING)
         return self._settle(known)
 
     def _extend(self, most: int) -> None:
@@ -127,7 +127,7 @@ class FrameCounter:
             before = self._paths[:, -1]
         # Either nothing was lost now, or the frame is no later than the latest, nor than it may
         # wait for its count.
-        least = max(most - min(math.ceil(self.clock.reach), FEW), 0)
+        least = max(most - min(math.ceil(self.clock.reach), _MOST_PENDING), 0)
         lost = np.unique(np.concatenate((before, np.arange(least, most + 1))))
         path, which = ((lost >= before[:, None]) & (lost <= most)).nonzero()
         more = lost[which] - before[path]

@@ -12,7 +12,7 @@ import numpy as np
 
 from kinpole_ros.pipeline.clock import SURE_NATS
 from kinpole_ros.planar._plane import Real
-from kinpole_ros.rigid.levels import FEW, SURE
+from kinpole_ros.rigid.levels import SURE
 
 # Neighbors on each side that predict a pose.
 SIDE = 3
@@ -22,6 +22,8 @@ _HIGHEST = 2 * _DEGREE
 # Frames on each side that tell how long a gap is, and mean squares up to which a polynomial follows
 # the motion.
 _OFF_CLOCK, _FOLLOWED = _DEGREE + 1, 4.0
+# So many gaps are corrected in one go.
+_MOST_CORRECTED = 20
 # What neighbors predict is correlated: there is half as much evidence as predictions.
 _INDEPENDENT = 0.5
 
@@ -97,7 +99,7 @@ def correct_counts(counts: np.ndarray, poses: Real, information: Real, noise: Re
     """
     held = min(len(poses), len(counts))
     signals, variance = signals_of(poses[len(poses) - held :], information[-held:], noise)
-    for _ in range(FEW):
+    for _ in range(_MOST_CORRECTED):
         here, more = gap_to_correct(counts[len(counts) - held :], signals, variance)
         if not more:
             break

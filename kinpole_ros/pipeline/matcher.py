@@ -19,7 +19,7 @@ from kinpole_ros.rigid import Shapes
 from kinpole_ros.rigid.ahead import ahead
 from kinpole_ros.rigid.grouping import group
 from kinpole_ros.rigid.identity import Expected, Match, fit_place, match, merge_names
-from kinpole_ros.rigid.levels import FEW, LATE, LITTLE, RECENT, SURE
+from kinpole_ros.rigid.levels import FEW, KEPT, LITTLE, RECENT, SURE
 
 # Counted in `Tracker.counts`.
 OTHERS, RENAMED, REGROUPED = 'markers_of_others', 'markers_renamed', 'markers_regrouped'
@@ -76,7 +76,7 @@ class Matcher:
         self._next_look, self._groupings = FEW, 0
         # The poses of late: stamps (T,), positions and angles (T, B); and the points they are of.
         self._track: deque[tuple[np.ndarray, Complex, Real]] = deque(maxlen=RECENT)
-        self._late: deque[Complex] = deque(maxlen=LATE)
+        self._late: deque[Complex] = deque(maxlen=KEPT)
         self._first = self._end = 0
         self._matched_here = False
 
@@ -214,11 +214,11 @@ class Matcher:
         Returns which bodies (B,) begin anew.
         """
         nothing = np.zeros(len(loose), bool)
-        self._next_look = self._frames + min(self._frames // 2, LATE)
+        self._next_look = self._frames + min(self._frames // 2, KEPT)
         loose = loose & ~self.has_shape & ~self.withheld
         if loose.sum() < 2 or self._groupings > 2 * len(loose) or self._by_shape or not self._late:
             return nothing
-        order, confused = group(np.concatenate(self._late)[-LATE:], loose)
+        order, confused = group(np.concatenate(self._late)[-KEPT:], loose)
         self.withheld[confused] = True
         self._withholds = bool(self.withheld.any())
         if order is None:

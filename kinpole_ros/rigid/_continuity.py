@@ -25,7 +25,7 @@ from kinpole_ros.rigid._predict import (
     innovations,
     lagrange,
 )
-from kinpole_ros.rigid.levels import FEW, LATE, LITTLE, RECENT, RUNNING
+from kinpole_ros.rigid.levels import FEW, KEPT, LITTLE, RECENT, RUNNING
 
 # An innovation is far that is so many times what all but the worst three tenths of late stay below.
 _FAR = 7.0
@@ -74,7 +74,7 @@ class Continuity:
         self._runs: dict[int, list[tuple[float, Complex]]] = {}
         # Squares of innovations of late, by degree, and the frames since the last beat, of which
         # the first so many are from before.
-        self._squares = np.full((LATE, POINTS, 2 * bodies), np.nan)
+        self._squares = np.full((KEPT, POINTS, 2 * bodies), np.nan)
         self._count = self._before = 0
         self._news: list[tuple[Real, Complex]] = []
         self._degree = np.zeros(2 * bodies, int)
@@ -199,15 +199,15 @@ class Continuity:
         if not self._news:
             return
         stamps, signals = (np.concatenate(part) for part in zip(*self._news, strict=True))
-        fresh = innovations(stamps, signals)[max(self._before, POINTS) :][-LATE:]
+        fresh = innovations(stamps, signals)[max(self._before, POINTS) :][-KEPT:]
         # The next frames are predicted from the last of these.
         self._news = [(stamps[-RECENT:], signals[-RECENT:])]
         self._before = len(self._news[0][0])
         if not len(fresh):
             return
-        self._squares[(self._count + np.arange(len(fresh))) % LATE] = fresh
+        self._squares[(self._count + np.arange(len(fresh))) % KEPT] = fresh
         self._count += len(fresh)
-        filled = self._squares[: min(self._count, LATE)]
+        filled = self._squares[: min(self._count, KEPT)]
         enough = np.isfinite(filled).sum(axis=0) >= FEW
         usual = tame_part(filled.reshape(len(filled), -1).T).reshape(enough.shape)
         usual = np.where(enough, usual, np.inf)

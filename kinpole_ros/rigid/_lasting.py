@@ -12,7 +12,7 @@ import numpy as np
 
 from kinpole_ros.planar._plane import Complex, Real
 from kinpole_ros.rigid._noise import Noise
-from kinpole_ros.rigid.levels import LATE, SURE
+from kinpole_ros.rigid.levels import KEPT, SURE
 
 # So many blocks make a window; half a block has no more frames than this.
 _BLOCKS, _LONGEST = 12, 8
@@ -35,7 +35,7 @@ class LastingNoise:
     def _start_anew(self, half: int) -> None:
         self._half = half
         # Of the same frames as the noise they are held against, which may have been louder before.
-        kept = LATE // max(2 * half, 1)
+        kept = KEPT // max(2 * half, 1)
         self._blocks, self._halves = Noise(self._bodies, kept), Noise(self._bodies, 2 * kept)
         # Frames that make no block yet, and whether the next block goes on from one before.
         self._rest: tuple[Complex, Real] | None = None

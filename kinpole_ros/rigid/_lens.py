@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from kinpole_ros.planar._plane import Complex, Real
-from kinpole_ros.rigid.levels import FEW, LATE
+from kinpole_ros.rigid.levels import FEW, KEPT
 
 # One in so many frames is looked at.
 _EACH = 4
@@ -77,7 +77,7 @@ class Fields:
             np.einsum('tbn,tbn->b', left.conj(), left).real,
         )
         if self._sums is not None:
-            kept = np.clip(LATE / np.maximum(self._sums.frames, 1), 0, 1)
+            kept = np.clip(KEPT / np.maximum(self._sums.frames, 1), 0, 1)
             by_marker = kept[:, None]
             old, factors = self._sums, (kept, by_marker, by_marker, kept, kept, kept)
             parts = zip(old, factors, new, strict=True)

@@ -17,7 +17,7 @@ from statistics import NormalDist
 import numpy as np
 
 from kinpole_ros.planar._plane import Complex, Real
-from kinpole_ros.rigid.levels import LATE
+from kinpole_ros.rigid.levels import KEPT
 
 # This share of what is left may be outliers.
 _OUTLIER = 0.1
@@ -29,7 +29,7 @@ _FAR, _TAME = 9.0, 0.7
 class Noise:
     """Running noise level (m, per axis) of B bodies, from the residuals of their rigid fits."""
 
-    def __init__(self, bodies: int, kept: int = LATE) -> None:
+    def __init__(self, bodies: int, kept: int = KEPT) -> None:
         self._kept = kept
         self._squares = np.full((bodies, kept), np.nan)
         # What the fit itself leaves in the frame, and at most in it and its two neighbors.

@@ -17,7 +17,7 @@ import numpy as np
 
 from kinpole_ros.planar._plane import Complex, Real
 from kinpole_ros.rigid._soft import chi_square, student
-from kinpole_ros.rigid.levels import FEW, LATE, RUNNING, SURE
+from kinpole_ros.rigid.levels import FEW, KEPT, RUNNING, SURE
 
 # Poses kept per body, and the angle between them, rad: 4 rad of one-way turning.
 _KEPT = 64
@@ -177,7 +177,7 @@ class Pins:
     def _leave(self, which: np.ndarray) -> None:
         """Take the bodies `which` (B,) off their pins; twice as much is wanted the next time."""
         left = which & np.isfinite(self.center)
-        self._wanted[left] = np.minimum(2 * self._wanted[left], LATE)
+        self._wanted[left] = np.minimum(2 * self._wanted[left], KEPT)
         self.forget(which)
 
     def forget(self, which: np.ndarray) -> None:

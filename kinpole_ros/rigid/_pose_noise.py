@@ -21,7 +21,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 
 from kinpole_ros.planar._plane import Complex, Real
 from kinpole_ros.rigid._noise import trimmed_mean
-from kinpole_ros.rigid.levels import FEW, LATE, ROUNDING, SURE
+from kinpole_ros.rigid.levels import FEW, KEPT, ROUNDING, SURE
 
 # Differences are of this order; of another one for comparison, which motion would make larger.
 _ORDER = 6
@@ -60,7 +60,7 @@ class PoseNoise:
 
     def add(self, stamps: np.ndarray, position: Complex, angle: Real) -> None:
         """Take the poses (T, B) of frames at `stamps` (T,), ns, NaN for none; measure anew."""
-        some = slice(-LATE, None)
+        some = slice(-KEPT, None)
         self._stamps = np.concatenate((self._stamps, stamps))[some]
         both = zip(self._poses, (angle, position), strict=True)
         angles, places = (np.concatenate(pair)[some] for pair in both)

@@ -7,7 +7,7 @@ As good as the best degree of late, and exact for whatever moves so.
 import numpy as np
 
 from kinpole_ros.planar._plane import Complex, Real
-from kinpole_ros.rigid.levels import LITTLE, RECENT
+from kinpole_ros.rigid.levels import RECENT
 
 # Weights of the samples before, oldest first, by degree, where they are even.
 WEIGHTS = np.array([(0, 0, 0, 1), (0, 0, -1, 2), (0, 1, -3, 3), (-1, 4, -6, 4)], float)
@@ -17,6 +17,8 @@ _OWN = np.arange(POINTS)
 AGO = POINTS - _OWN[:, None]
 # Which of them each degree takes.
 _TAKEN = _OWN[:, None] + _OWN >= POINTS - 1
+# Steps that differ by less than this share are even.
+_EVEN = 0.01
 # Variances of their innovations, by degree, where there is nothing but noise.
 GAINS = 1 + (WEIGHTS**2).sum(axis=1)
 REACHES = np.abs(WEIGHTS).sum(axis=1)
@@ -68,4 +70,4 @@ def lagrange(times: Real, numbers: np.ndarray) -> Real:
 
 
 def _even(steps: Real) -> bool:
-    return bool(np.maximum.reduce(steps) - np.minimum.reduce(steps) <= LITTLE * steps[0])
+    return bool(np.maximum.reduce(steps) - np.minimum.reduce(steps) <= _EVEN * steps[0])

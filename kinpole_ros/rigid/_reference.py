@@ -13,7 +13,7 @@ from itertools import pairwise
 import numpy as np
 
 from kinpole_ros.planar._plane import Complex, Real
-from kinpole_ros.rigid.levels import FEW, SURE
+from kinpole_ros.rigid.levels import SURE
 
 # A window is looked at in which the body is seen in this share of the frames.
 _PRESENT = 0.5
@@ -24,6 +24,8 @@ _WHETHER = 1
 # A point is taken when turning about it explains this share of what moves, and far more than the
 # noise would have it explain; the angle must turn by as many times its noise.
 _SHARE, _CLEAR = 0.9, SURE**2
+# Where stamps are late so many of the newest frames may turn out to have been at other times.
+_SETTLED = 20
 # So many windows must tell so, reckoned as many that turn alike; one counts for this share of the
 # next, which makes 2.99 of three.
 _WINDOWS, _FADING = 2.9, 0.95
@@ -69,8 +71,7 @@ class References:
         while True:
             # With the frame that ends the window.
             end = int(stamps.searchsorted(stamps[first] + self._span)) + 1
-            # Of stamps that are late the newest frames may turn out to have been at other times.
-            if end + FEW > len(stamps):
+            if end + _SETTLED > len(stamps):
                 break
             rows = slice(first, end)
             self._update(stamps[rows], position[rows], angle[rows], variance[rows], middle)

@@ -20,7 +20,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 
 from kinpole_ros.planar._plane import Complex, Real
 from kinpole_ros.rigid._samples import Samples
-from kinpole_ros.rigid.levels import LATE, SURE
+from kinpole_ros.rigid.levels import KEPT, SURE
 
 # Frames (T,) that are instants, and the oldest and newest in their windows.
 Windows: TypeAlias = tuple[np.ndarray, np.ndarray, np.ndarray]
@@ -125,7 +125,7 @@ class Deformation:
         new = there, np.where(there, squares, 0.0), seen.sum(axis=-1) / markers
         new = np.stack([part.sum(axis=0) for part in new])
         # Of as many frames as the noise.
-        kept = np.clip(LATE - new[0], 0, self._sums[0]) / np.maximum(self._sums[0], 1)
+        kept = np.clip(KEPT - new[0], 0, self._sums[0]) / np.maximum(self._sums[0], 1)
         self._sums = kept * self._sums + new
         frames, squares, markers_seen = self._sums
         with np.errstate(divide='ignore', invalid='ignore'):

@@ -9,6 +9,8 @@ import numpy as np
 from kinpole_ros.planar._plane import Real
 from kinpole_ros.rigid.levels import FEW, RECENT
 
+# So many frames are worked in at once.
+_TOGETHER = 20
 # rad. A body has jumped if it is turned this far from where it was to be; known while it turns by
 # less than the other per frame, and did so for a few.
 _HALF_TURN, _SLOW = 0.75 * np.pi, 0.25 * np.pi
@@ -55,7 +57,7 @@ class Turns:
         """Take the angles (T, B) of the next frames, NaN for a body not seen."""
         self._news.append(angle)
         self._last = angle[-1]
-        if len(self._news) == FEW or np.count_nonzero(np.isnan(self._last)):
+        if len(self._news) == _TOGETHER or np.count_nonzero(np.isnan(self._last)):
             self._work()
 
     def _work(self) -> None:

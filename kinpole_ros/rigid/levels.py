@@ -1,5 +1,5 @@
 """
-Levels that much goes by: what is sure, what is few, what is late, what is little.
+Levels that much goes by: what is sure, what is few, what is remembered, what is little.
 
 A number that says the same in several places is one, so that it is changed and tried as one.
 """
@@ -12,8 +12,8 @@ SURE = 4.0
 FEW = 20
 # Fewer degrees of freedom than these do not even tell an order of magnitude.
 FEWEST = 6
-# Frames of late by which that is told.
-LATE = 512
+# So many frames are remembered to tell it by.
+KEPT = 512
 # What was seen so many frames ago says where a body is to be expected now.
 RECENT = 8
 # So many frames running are no mistake of the tracker.
