@@ -312,7 +312,9 @@ class Tracker:
                 self._take(frames, steps, solid, numbers)
                 return
             part = slice(first, first + room)
-            self._take(part_of(frames, part), steps[part], solid[part], numbers[part])
+            some = part_of(frames, part)
+            # By their names as they are known after the part before.
+            self._take(some, steps[part], self._roster.sort(some), numbers[part])
             first += room
 
     def _take(

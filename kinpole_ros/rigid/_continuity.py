@@ -97,8 +97,9 @@ class Continuity:
     def were_at(self, times: np.ndarray) -> None:
         """The newest frames that were taken turned out to be at `times` (T,), ns."""
         place = len(times) - (self._number - self._numbers)
-        known = place >= 0
-        self._stamps = np.where(known, times[np.maximum(place, 0)], self._stamps)
+        # Those that no sample was taken of yet have the number of the next frame.
+        known = (place >= 0) & (place < len(times))
+        self._stamps = np.where(known, times[np.where(known, place, 0)], self._stamps)
         for run in self._runs.values():
             for k in range(min(len(run), len(times))):
                 run[-1 - k] = float(times[-1 - k]), run[-1 - k][1]
