@@ -47,3 +47,11 @@ def test_figures_hold_where_several_troubles_come_at_once(
         known = np.isfinite(found.error[name])
         assert known.mean() > 0.5
         assert (found.square[name][known] > 100).mean() < 0.01
+
+
+def test_frames_lost_in_runs_are_counted_where_the_motion_does_not_tell() -> None:
+    r = record('two_sines, stop_and_go', 400.0, 4.0)
+    found = run(r, stamped(in_time, 10**6, lost=0.2)(r, np.random.default_rng(3)))
+    for name in FIGURES:
+        square = found.square[name]
+        assert (square[np.isfinite(square)] < 36).all()

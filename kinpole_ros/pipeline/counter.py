@@ -48,7 +48,7 @@ class FrameCounter:
     def follow(self, clock: Clock) -> None:
         """Go by a clock that is known better, by these counts."""
         self.clock, self._shift = clock, 0
-        self._weight_of_loss = clock.interval / max(clock.lateness, 1.0)
+        self._weight_of_tick = clock.interval / max(clock.lateness, 1.0)
 
     @property
     def pending(self) -> int:
@@ -133,7 +133,7 @@ class FrameCounter:
         more = lost[which] - before[path]
         self._costs = self._costs[path] + LOSS * np.minimum(more, 2)
         # No frame tells more: a driver hangs for once about as often as frames are lost.
-        self._costs -= np.minimum(lost[which] * self._weight_of_loss, LOSS)
+        self._costs += np.minimum((most - lost[which]) * self._weight_of_tick, LOSS)
         self._paths = np.column_stack((self._paths[path], lost[which]))
 
     def _settle(self, known: int) -> np.ndarray:
