@@ -322,6 +322,23 @@ def test_times_that_are_not_the_rates_are_kept(tmp_path):
     np.testing.assert_allclose(stamps, [1.0, 1.007, 1.013, 1.05], atol=1e-9)
 
 
+def test_times_rounded_to_ms_are_the_rates_however_many_zeros_follow(tmp_path):
+    """Motive rounds times to ms and prints them with six digits."""
+    content = motive('Meters').replace('120.000000', '360.000000')
+    for k in range(4):
+        content = content.replace(f'\n{k},{k / 120:.6f},', f'\n{k},{k / 360:.3f}000,')
+    _, stamps, _ = bring(tmp_path, content)
+    np.testing.assert_allclose(stamps, even(360.0, 1.0), atol=1e-9)
+
+
+def test_a_frame_missing_from_times_of_whole_intervals_is_seen(tmp_path):
+    content = motive('Meters').replace('120.000000', '100.000000')
+    for k, time in enumerate((0.0, 0.01, 0.03, 0.04)):
+        content = content.replace(f'\n{k},{k / 120:.6f},', f'\n{k},{time:.6f},')
+    _, stamps, _ = bring(tmp_path, content)
+    np.testing.assert_allclose(stamps, [1.0, 1.01, 1.03, 1.04], atol=1e-9)
+
+
 def test_what_a_head_says_and_the_file_lacks_is_noted(tmp_path):
     done, *_ = bring(tmp_path, trc(frames=9))
     assert any('says that it has 9 frames, and has 4' in note for note in done.notes)

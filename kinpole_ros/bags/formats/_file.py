@@ -269,17 +269,20 @@ def frame_times(
     if times is None or not len(times):
         return even
     start = times[0] - even[0]
-    # Both of the ends of a difference are rounded.
-    if np.nanmax(np.abs(times - even - start), initial=0.0) > 1.01 * 10.0**-decimals:
+    # Both of the ends of a difference are rounded. A missing frame is off by a whole interval.
+    rounded = 10.0**-decimals
+    most = rounded * (1.01 if rounded * rate < 0.99 else 0.99)
+    if np.nanmax(np.abs(times - even - start), initial=0.0) > most:
         return times
     return even + start
 
 
 def decimals_of(cells: Sequence[str]) -> int:
-    """The most digits behind the point of these numbers."""
+    """The most digits behind the point of these numbers, but for zeros that all of them end in."""
     plain = (cell.strip().replace(',', '.') for cell in cells)
     return max(
-        (len(cell.partition('.')[2]) for cell in plain if 'e' not in cell.lower()), default=9
+        (len(cell.partition('.')[2].rstrip('0')) for cell in plain if 'e' not in cell.lower()),
+        default=9,
     )
 
 
