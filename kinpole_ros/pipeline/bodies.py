@@ -135,8 +135,6 @@ class RigidBodies:
         self._pins = Pins(self._count, width)
         self._references = References(self._count, window)
         self._since = np.zeros(self._count, np.int64)
-        self._last_angle = np.zeros(self._count)
-        self._last_turn = np.zeros(self._count)
         self._newest = 0
         # In how many frames each body as a whole was wrong, and when it was not seen.
         self.wrong = np.zeros(self._count, int)
@@ -301,11 +299,15 @@ class RigidBodies:
         self._shapes.restart(which)
         if self.matcher.has_shape.any():
             self._shapes.give(np.where(which[:, None], self.matcher.given, np.nan))
+        self._forget_learned(which, self._newest)
+        self._learned = True
+
+    def _forget_learned(self, which: np.ndarray, newest: int) -> None:
+        """Of the bodies `which` (B,) nothing holds that was learned up to the `newest`, ns."""
         learners = self._pins, self._references, self._noise, self._lasting, self.deformation
         for learned in learners:
             learned.forget(which)
-        self._since[which] = self._newest + 1
-        self._learned = True
+        self._since[which] = newest + 1
 
     def retime(self) -> None:
         """Look at reference points afresh: frames before were not when they seemed to be."""
@@ -455,10 +457,7 @@ class RigidBodies:
             self._lasting.add(news.stamps, residuals, news.freedom, news.gaps)
         anew = self._shapes.learn()
         if anew.any():
-            learners = self._pins, self._references, self._noise, self._lasting, self.deformation
-            for learned in learners:
-                learned.forget(anew)
-            self._since[anew] = news.stamps[-1] + 1
+            self._forget_learned(anew, int(news.stamps[-1]))
         # What a body left that begins anew was not the error of its markers.
         left = np.where(anew[:, None], complex(np.nan, np.nan), news.residual)
         noise = np.fmax(self.noise(), self._noise.level())

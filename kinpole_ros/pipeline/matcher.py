@@ -19,14 +19,11 @@ from kinpole_ros.rigid import Shapes
 from kinpole_ros.rigid.ahead import ahead
 from kinpole_ros.rigid.grouping import group
 from kinpole_ros.rigid.identity import Expected, Match, fit_place, match, merge_names
-from kinpole_ros.rigid.levels import FEW, KEPT, LITTLE, RECENT, SURE
+from kinpole_ros.rigid.levels import FEW, KEPT, LITTLE, RECENT, RUNNING, SURE
 
 # Counted in `Tracker.counts`.
 OTHERS, RENAMED, REGROUPED = 'markers_of_others', 'markers_renamed', 'markers_regrouped'
 BY_SHAPE, UNCERTAIN = 'frames_by_shape', 'bodies_ambiguous'
-# Of the first frames, which tell how many points a cloud without names has, and whether they keep
-# their order, in so many it may be another.
-_DISORDERED = 2
 # A number of points that is just those named counts so many times.
 _ALL_NAMED = 4
 # Corrections that are remembered by name.
@@ -333,7 +330,7 @@ class Matcher:
         """Note a frame among the first in which bodies (B,) do not keep their order."""
         if self._by_shape and self._arranged < FEW and not same.all():
             self._out_of_order += 1
-            if self._out_of_order > _DISORDERED:
+            if self._out_of_order >= RUNNING:
                 self.disordered = True
                 self.withheld |= ~self.has_shape
                 self._withholds = True

@@ -19,7 +19,7 @@ from kinpole_ros.rigid.plane import Plane
 MOST_MARKERS = 1024
 _MOST_LAYOUTS = 64
 # m, from the origin of a pose to the points in space that tell its axes.
-_ARM = 0.1
+_ARM = abs(POSE_POINTS[0])
 # What of a body's turning is in the plane, of 2: with less it has turned over.
 _LEAST_TURN = 0.1
 # m. No marker is that far, and the squares of what is nearer do not overflow.
