@@ -85,8 +85,8 @@ def stamped(
     return spoil
 
 
-def exponential(mean: float) -> Spoil:
-    return stamped(lambda rng, count: rng.exponential(mean, count), wait=_WAIT)
+def exponential(mean: float, lost: float = LOST) -> Spoil:
+    return stamped(lambda rng, count: rng.exponential(mean, count), lost=lost, wait=_WAIT)
 
 
 def in_time(rng: np.random.Generator, count: int) -> np.ndarray:

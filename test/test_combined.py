@@ -49,9 +49,18 @@ def test_figures_hold_where_several_troubles_come_at_once(
         assert (found.square[name][known] > 100).mean() < 0.01
 
 
-def test_frames_lost_in_runs_are_counted_where_the_motion_does_not_tell() -> None:
-    r = record('two_sines, stop_and_go', 400.0, 4.0)
-    found = run(r, stamped(in_time, 10**6, lost=0.2)(r, np.random.default_rng(3)))
+@pytest.mark.parametrize(
+    ('rate', 'spoil'),
+    [
+        pytest.param(400.0, stamped(in_time, 10**6, lost=0.2), id='rounded to 1 ms'),
+        pytest.param(200.0, exponential(3e-3, lost=0.2), id='late by exp(3 ms)'),
+    ],
+)
+def test_a_fifth_of_the_frames_lost_is_counted_where_the_motion_does_not_tell(
+    rate: float, spoil: Spoil
+) -> None:
+    r = record('two_sines, stop_and_go', rate, 4.0)
+    found = run(r, spoil(r, np.random.default_rng(3)))
     for name in FIGURES:
         square = found.square[name]
         assert (square[np.isfinite(square)] < 36).all()

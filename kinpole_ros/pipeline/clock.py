@@ -121,7 +121,8 @@ def follow_clock(stamps: np.ndarray, counts: np.ndarray) -> tuple[Clock, np.ndar
     clock, used = _fit(origin, since, counts, resolution, True)
     newest = since[-SEARCHED:]
     trials = np.stack((counts[-SEARCHED:], _search(newest, resolution)))
-    costs = _costs(newest, trials, np.array([_edge_of(newest, c) for c in trials]), resolution)
+    intervals = np.array([_edge_of(newest, c) for c in trials])
+    costs = _costs(newest, trials, intervals, resolution, _loss(counts))
     lost = np.ptp(trials[:, : len(newest) - UNSETTLED], axis=1)
     if lost[0] != lost[1] and costs[1] < costs[0] - SURE_NATS:
         used = len(newest)
@@ -151,13 +152,25 @@ def _likeliest(since: Real, trials: list[np.ndarray], resolution: float) -> np.n
     return trials[int(_costs(since, np.stack(trials), intervals, resolution).argmin())]
 
 
-def _costs(since: Real, counts: np.ndarray, intervals: Real, resolution: float) -> Real:
-    """Minus logs (I,) of how likely `counts` (I, N) and `intervals` (I,) are, up to a constant."""
+def _loss(counts: np.ndarray) -> float:
+    """Nats of a lost frame where as many are lost as of those with `counts` (N,)."""
+    most = int(counts[-1] - counts[0])
+    return math.log((most + math.exp(LOSS)) / (most + 2 - len(counts)))
+
+
+def _costs(
+    since: Real, counts: np.ndarray, intervals: Real, resolution: float, loss: float = LOSS
+) -> Real:
+    """
+    Minus logs (I,) of how likely `counts` (I, N) and `intervals` (I,) are, up to a constant.
+
+    A lost frame costs so many nats: `loss`.
+    """
     settled = max(FEWEST_SAMPLES, counts.shape[1] - UNSETTLED)
     late = (since - counts * intervals[:, None])[:, :settled]
     late = (late - late.min(axis=1, keepdims=True)).mean(axis=1)
     lost = counts[:, settled - 1] - counts[:, 0] - (settled - 1)
-    cost = settled * np.log(late + resolution / 4 + 1.0) + LOSS * lost
+    cost = settled * np.log(late + resolution / 4 + 1.0) + loss * lost
     # Bunches, as above.
     return np.asarray(np.where(lost > settled, np.inf, cost))
 
