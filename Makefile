@@ -78,10 +78,11 @@ bags: $(STAMP)  ## simulate the bags in bags/ again
 	    --output bags/$$scene.mcap || exit 1; \
 	done
 
-fuzz: $(STAMP)  ## read 10,000 corrupted bags and 100,000 corrupted messages; kill each command 20 times
+fuzz: $(STAMP)  ## read 10,000 corrupted bags and 100,000 corrupted messages; kill each command 20 times; spoil rigs
 	@$(RUN) test/fuzz_bags.py
 	@$(RUN) test/fuzz_messages.py
 	@OPENBLAS_NUM_THREADS=1 $(RUN) test/fuzz_kills.py
+	@PYTHONPATH=. OPENBLAS_NUM_THREADS=1 $(RUN) test/fuzz_rigs.py
 
 # For Python 3.10 to 3.14. The compiler of constraints is uv: pip install uv.
 constraints:  ## choose the newest versions for constraints.txt, with their hashes

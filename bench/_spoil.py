@@ -57,6 +57,30 @@ def _markers(r: Recording, names: tuple[str, ...]) -> dict[str, Any]:
     }
 
 
+def combined(stamps: Spoil, *others: Spoil) -> Spoil:
+    """
+    Several at once: what becomes of the stamps, and then the others, one after the other.
+
+    What becomes of the plane comes after what moves markers in it, and what of names comes last.
+    """
+
+    def spoil(r: Recording, rng: np.random.Generator) -> Sent:
+        first = sent = stamps(r, rng)
+        kept, settings, turn = first.frames, first.settings, first.turn
+        r = r._replace(
+            times=r.times[kept],
+            stamps=first.stamps,
+            position=r.position[:, kept],
+            angle=r.angle[:, kept],
+        )
+        for other in others:
+            sent = other(r._replace(points=sent.points), rng)
+            settings, turn = settings | sent.settings, turn @ sent.turn
+        return sent._replace(frames=kept, stamps=first.stamps, settings=settings, turn=turn)
+
+    return spoil
+
+
 def parameters(**settings: Any) -> Spoil:
     return lambda r, rng: ideal(r, settings=settings)
 

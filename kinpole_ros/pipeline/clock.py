@@ -154,8 +154,8 @@ def _likeliest(since: Real, trials: list[np.ndarray], resolution: float) -> np.n
 
 def _loss(counts: np.ndarray) -> float:
     """Nats of a lost frame where as many are lost as of those with `counts` (N,)."""
-    most = int(counts[-1] - counts[0])
-    return math.log((most + math.exp(LOSS)) / (most + 2 - len(counts)))
+    lost = max(int(counts[-1] - counts[0]) + 1 - len(counts), 0)
+    return math.log((len(counts) + lost + math.exp(LOSS)) / (lost + 1))
 
 
 def _costs(
