@@ -225,6 +225,19 @@ def test_bag_cut_off_is_drawn_as_far_as_it_goes(bags, tmp_path) -> None:
     assert b'cut off' not in drawn(bags['cardan'], tmp_path / 'out.svg')
 
 
+def test_recording_that_ends_between_a_drawing_and_its_poses_is_drawn(bags, tmp_path) -> None:
+    whole = bags['four_bar']
+    early = read_results(whole).bodies[0].stamp[60]
+    bag = tmp_path / 'cut.mcap'
+    with BagWriter(bag) as writer:
+        for message in read_messages(whole, [t for t in topics(whole) if t != '/tf']):
+            if message.topic.endswith('/visualization') or message.log_time <= early:
+                decoded = deserialize_message(message.data, message_class(message.type_name))
+                writer.write(message.topic, decoded, message.log_time)
+    assert [len(body.outline) for body in read_results(bag).bodies] == [0, 0, 0]
+    assert drawn(bag, tmp_path / 'out.png')
+
+
 def test_more_bodies_than_rows_are_named_in_the_title(tmp_path) -> None:
     bag, names = tmp_path / 'many.mcap', ['a', 'b', 'c', 'd', 'extra_one']
     with BagWriter(bag) as writer:

@@ -296,8 +296,10 @@ def _body(
         size = 2 * np.sqrt(np.median(spread) / np.median(turn_spread))
     angle = 2 * np.arctan2(values[:, 3:6] @ normal, values[:, 6])
     position = plane.project(values[:, :3])[0]
+    # A recording may end between a drawing and its poses.
     here = np.flatnonzero(stamp == drawn[0])[:1]
-    outline = (plane.project(drawn[1])[0] - position[here]) * np.exp(-1j * angle[here])
+    corners = plane.project(drawn[1])[0] if len(here) else np.empty(0, complex)
+    outline = (corners - position[here]) * np.exp(-1j * angle[here])
     return Body(
         name,
         stamp,
@@ -310,5 +312,5 @@ def _body(
         # The twist is in the frame of the body.
         plane.project(values[:, 37:40])[0] * np.exp(1j * angle),
         np.sqrt(np.maximum(spread, 0)),
-        outline if len(here) else np.empty(0, complex),
+        outline,
     )
