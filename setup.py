@@ -62,10 +62,12 @@ setup(
             'mpmath>=1.3',
             # Fixed, since later ones find fault with what these let pass.
             'mypy==2.4.*',
+            'packaging>=22',
             'playwright>=1.40',
             'pytest>=7.4',
             'pytest-xdist>=3.3',
             'ruff==0.17.*',
+            'uv>=0.4',
         ],
     },
     zip_safe=False,

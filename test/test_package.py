@@ -38,6 +38,7 @@ PYTHON_PACKAGES = {
     'mcap': None,
     'mpmath': 'python3-mpmath',
     'numpy': 'python3-numpy',
+    'packaging': 'python3-packaging',
     'pyarrow': None,
     'pytest': 'python3-pytest',
     'rosbags': None,

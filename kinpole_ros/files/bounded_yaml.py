@@ -81,7 +81,7 @@ def _check(text: str | bytes, loader: type[Loader]) -> None:
         if isinstance(event, yaml.CollectionStartEvent):
             depth += 1
             if depth > _DEEPEST:
-                raise _refused('nested beyond all use', event)
+                raise _refused(f'nesting is deeper than {_DEEPEST} levels', event)
         elif isinstance(event, yaml.CollectionEndEvent):
             depth -= 1
 
