@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 
 from kinpole_ros.tools.commands import COMMANDS
 from kinpole_ros.tools.commands._shared import one_line, package_missing
-from kinpole_ros.tools.usage import make_parser
+from kinpole_ros.tools.usage import parse_words
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -42,7 +42,7 @@ def main(args: Sequence[str] | None = None) -> int:
             from kinpole_ros.ros.node import main as run_node
 
             return run_node(['kinpole', *words[1:]])
-        options = make_parser().parse_args(words)
+        options = parse_words(words)
         with _ended_by_sigterm() if options.command in _ENDED else nullcontext():
             return COMMANDS[options.command].run(options)
     except KeyboardInterrupt:

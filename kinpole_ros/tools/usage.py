@@ -1,9 +1,10 @@
 """What the command `kinpole` understands, and what its --help tells."""
 
 import argparse
+from collections.abc import Sequence
 
 from kinpole_ros import __version__
-from kinpole_ros.tools.commands import COMMANDS
+from kinpole_ros.tools.commands import COMMANDS, fit
 
 _EPILOG = """examples:
   kinpole simulate four_bar --output four_bar.mcap --noise 0.0002
@@ -40,3 +41,10 @@ def make_parser() -> argparse.ArgumentParser:
     for command in COMMANDS.values():
         command.add(commands)
     return parser
+
+
+def parse_words(words: Sequence[str]) -> argparse.Namespace:
+    """Parse the words after `kinpole`; ends the process for --help and for bad usage."""
+    if words[:1] == ['fit']:
+        words = ['fit', *fit.arrange_words(words[1:])]
+    return make_parser().parse_args(words)
