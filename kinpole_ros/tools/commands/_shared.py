@@ -10,6 +10,7 @@ from contextlib import contextmanager, suppress
 from typing import TYPE_CHECKING
 
 from kinpole_ros.files import cut_line, printable
+from kinpole_ros.packages import broken_import, install_command, package_of
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -20,21 +21,24 @@ if TYPE_CHECKING:
 _FIXES = {
     'bench': 'the benchmarks are in a checkout of the source, not in an installed package: run '
     'kinpole bench from one, after pip install --editable .',
-    'matplotlib': "drawing needs matplotlib; install it with pip install 'kinpole_ros[plot]'",
+    'matplotlib': f'drawing needs matplotlib; install it with {install_command("plot")}',
     'mcap': "reading and writing bags needs mcap; install it with pip install 'mcap>=1.5'",
 }
 # Characters: a bag may have any number of topics, and markers, with any names.
 _LONGEST_LINE = 5000
 _NO_ROS = (
     'source a ROS 2 installation first, or the .venv that `make demo` sets up, or get the wheels '
-    "for Linux on x86-64 with pip install 'kinpole_ros[ros]'"
+    f'for Linux on x86-64 with {install_command("ros")}'
+)
+_BROKEN_ROS = (
+    'run kinpole with the Python and in the environment of that ROS 2 installation, or in the '
+    '.venv that `make demo` sets up'
 )
 
 
 def package_missing(error: object) -> str:
     """The package, not one of ours, that could not be imported; '' if that is not the error."""
-    name = (error.name or '') if isinstance(error, ImportError) else ''
-    package = name.partition('.')[0]
+    package = package_of(error) if isinstance(error, ImportError) else ''
     return '' if package == 'kinpole_ros' else package
 
 
@@ -42,6 +46,9 @@ def one_line(error: object) -> str:
     """What is wrong, with the fix, in one line that a terminal can show."""
     if package := package_missing(error):
         ros = package == 'rclpy' or package.endswith(('_msgs', '_interfaces'))
+        if isinstance(error, ImportError) and (reason := broken_import(error)):
+            fix = _BROKEN_ROS if ros else f'pip install --force-reinstall {package}'
+            return f'{cut_line(printable(reason), _LONGEST_LINE)}; fix: {fix}'
         fix = _NO_ROS if ros else f'install it with pip install {package}'
         return _FIXES.get(package, f'the Python package {package} cannot be imported; {fix}')
     text = cut_line(printable(' '.join(str(error).split())), _LONGEST_LINE)

@@ -4,6 +4,7 @@ import argparse
 import sys
 from typing import TYPE_CHECKING, Any
 
+from kinpole_ros.packages import install_command
 from kinpole_ros.tools.commands._shared import add_set, keep, one_line, progress_bar, settings_of
 
 if TYPE_CHECKING:
@@ -41,7 +42,7 @@ def add(commands: Any) -> None:
     replay.add_argument(
         '--parquet',
         metavar='OUT.parquet',
-        help="the same table for pandas and the like (pip install 'kinpole_ros[parquet]')",
+        help=f'the same table for pandas and the like ({install_command("parquet")})',
     )
     replay.add_argument('--topic', metavar='T', help="topic of the markers (config's, /markers)")
 

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from kinpole_ros.bags import BagError, in_place_of
+from kinpole_ros.packages import install_command
 from kinpole_ros.tools.plot import _plane, _time
 from kinpole_ros.tools.plot._read import Results, Series, read_results, read_truth
 from kinpole_ros.tools.plot._style import (
@@ -58,7 +59,7 @@ def plot(
         from matplotlib.figure import Figure
     except ImportError as error:
         raise BagError(
-            "drawing needs matplotlib; install it with pip install 'kinpole_ros[plot]'"
+            f'drawing needs matplotlib; install it with {install_command("plot")}'
         ) from error
     # A Figure of its own, without pyplot: whoever draws in the same process keeps his state.
     figure = Figure(figsize=(_WIDTH, 1), layout='constrained')

@@ -9,6 +9,7 @@ import numpy as np
 from kinpole_ros.bags import BagError, in_place_of
 from kinpole_ros.linkage import Linkage
 from kinpole_ros.linkage._draft import first_frame
+from kinpole_ros.packages import install_command
 
 _SIZE, _DPI = (10.0, 6.2), 100  # inches
 _COLORS = ('#0060a8', '#b34700', '#00785a', '#7a3d9a', '#8a6d00', '#a3234f', '#3a6f8f', '#555555')
@@ -27,7 +28,7 @@ def draw_linkage(linkage: Linkage, output: str | Path, title: str) -> None:
         from matplotlib.figure import Figure
     except ImportError as error:
         raise BagError(
-            "drawing needs matplotlib; install it with pip install 'kinpole_ros[plot]'"
+            f'drawing needs matplotlib; install it with {install_command("plot")}'
         ) from error
     figure = Figure(figsize=_SIZE, layout='constrained')
     formats = sorted(figure.canvas.get_supported_filetypes())
