@@ -398,6 +398,46 @@ def test_a_recording_on_a_full_disk_ends_before_anything_comes() -> None:
     assert '/dev/full cannot be written: No space left on device' in line
 
 
+@pytest.mark.parametrize(
+    'words, told',
+    [
+        ('replay ROD --output a.csv', '--output a.csv: the output is an MCAP bag; end its name in'),
+        ('replay ROD --csv a.parquet', '--csv a.parquet: the output is a CSV table; end its name'),
+        ('replay ROD --parquet a.csv', '--parquet a.csv: the output is a Parquet table; end its'),
+        ('simulate cardan --output a.yaml', 'the output is an MCAP bag; end its name in .mcap'),
+        ('import a.txt --output a.html', 'the output is an MCAP bag; end its name in .mcap'),
+        ('record --output a.csv', 'the output is an MCAP bag; end its name in .mcap'),
+        ('solve cardan --html a.png', '--html a.png: the output is an HTML page; end its name in'),
+        ('solve cardan --csv b.csv --plot a.html', 'a.html is no picture; end its name in one of'),
+        ('plot ROD --output a.html', 'a.html is no picture; end its name in one of'),
+        ('discover ROD --output b.yaml --plot a.html', 'a.html is no picture; end its name in'),
+        ('discover ROD --output a.mcap', 'the output is a YAML file; end its name in .yaml'),
+        ('fit cardan ROD --output a.mcap', 'the output is a YAML file; end its name in .yaml'),
+        (
+            'layout foxglove --output a.xml',
+            'the output is a Foxglove layout; end its name in .json',
+        ),
+    ],
+)
+def test_a_name_that_ends_as_another_kind_of_file_is_refused_before_anything_is_done(
+    kinpole: Any, rod: Path, monkeypatch: pytest.MonkeyPatch, words: str, told: str
+) -> None:
+    monkeypatch.chdir(rod.parent)
+    before = sorted(rod.parent.iterdir())
+    assert told in refusal(kinpole(*words.replace('ROD', rod.name).split()))
+    assert sorted(rod.parent.iterdir()) == before
+
+
+def test_a_replay_says_that_it_took_all_markers_as_one_body(
+    kinpole: Any, simulated: Bag, rod: Path
+) -> None:
+    said = kinpole('replay', rod).out
+    assert 'markers are taken as one rigid body, "body"' in said
+    assert f'kinpole discover {rod} --output rig.yaml' in said
+    config = scenes_folder().parent / 'cardan.yaml'
+    assert 'one rigid body' not in kinpole('replay', rod, '--config', config).out
+
+
 def test_no_command_writes_over_what_it_reads(kinpole: Any, rod: Path, tmp_path: Path) -> None:
     table, config, scene = (tmp_path / name for name in ('t.csv', 'c.yaml', 's.yaml'))
     table.write_text('t,a_x,a_y\n0,1,2\n')

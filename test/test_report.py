@@ -226,6 +226,27 @@ def test_report_refuses_in_one_line_what_it_cannot_show(tmp_path, capsys) -> Non
         report(BAG, output, Settings(window=1.0, lag=100.0))
 
 
+@pytest.mark.parametrize('name', ['a.pdf', 'a', 'a.mcap'])
+def test_a_report_under_a_name_that_browsers_do_not_open_is_refused(tmp_path, capsys, name) -> None:
+    assert main(['report', str(BAG), '--output', str(tmp_path / name)]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.endswith(f'{name}: the output is an HTML page; end its name in .html')
+    assert not (tmp_path / name).exists()
+
+
+def test_a_report_says_that_it_took_all_markers_as_one_body(tmp_path, capsys) -> None:
+    output = tmp_path / 'a.html'
+    assert main(['report', str(BAG), '--output', str(output)]) == 0
+    assumption = next(line for line in capsys.readouterr().out.splitlines() if 'one rigid' in line)
+    assert 'all 10 markers are taken as one rigid body, "body"' in assumption
+    assert f'kinpole discover {BAG} --output rig.yaml' in assumption
+    assert data_of(output)['notes'][0] == assumption
+    config = str(ROOT / 'config' / 'four_bar.yaml')
+    assert main(['report', str(BAG), '--config', config, '--output', str(output)]) == 0
+    assert 'one rigid body' not in capsys.readouterr().out + output.read_text()
+    assert not [note for note in data_of(output)['notes'] if 'one rigid body, ' in note]
+
+
 # ---- In a browser ----
 
 

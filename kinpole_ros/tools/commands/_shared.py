@@ -17,6 +17,23 @@ if TYPE_CHECKING:
 
     from kinpole_ros.pipeline.parameters import Settings
 
+# The endings of the files that commands write, by what a file is.
+_ENDINGS = {
+    'an HTML page': ('.html', '.htm'),
+    'an MCAP bag': ('.mcap',),
+    'a CSV table': ('.csv', '.tsv', '.txt'),
+    'a Parquet table': ('.parquet',),
+    'a YAML file': ('.yaml', '.yml'),
+    'a Foxglove layout': ('.json',),
+    'a PlotJuggler layout': ('.xml',),
+    'a picture': ('.png', '.pdf', '.svg', '.jpg', '.jpeg'),
+}
+
+
+class UsageError(Exception):
+    """Words of a command that cannot be used, in one line with the fix."""
+
+
 # Packages that may be missing, and how to come by them.
 _FIXES = {
     'bench': 'the benchmarks are in a checkout of the source, not in an installed package: run '
@@ -95,6 +112,33 @@ def keep(given: str | None, *outputs: str | None) -> None:
                 f'{output} is a recording, made by {recorder!r}; name another file to write, or '
                 'remove that one first'
             )
+
+
+def check_ending(option: str, output: str | None, kind: str) -> None:
+    """
+    Refuse to write a file under a name that says that it is of another kind.
+
+    Parameters
+    ----------
+    option : str
+        The option that names the file, as '--csv'.
+    output : str or None
+        The file; None if it is not asked for.
+    kind : str
+        What is written: a key of `_ENDINGS`. A page needs one of its endings, since browsers go
+        by them; the others may have any ending that is not another kind's.
+
+    Raises
+    ------
+    UsageError
+        With the ending to use.
+    """
+    ending = os.path.splitext(output or '')[1].lower()
+    own = _ENDINGS[kind]
+    others = {other for endings in _ENDINGS.values() for other in endings}
+    if output is None or ending in own or (kind != 'an HTML page' and ending not in others):
+        return
+    raise UsageError(f'{option} {output}: the output is {kind}; end its name in {own[0]}')
 
 
 def _recorder_of(path: str) -> str:

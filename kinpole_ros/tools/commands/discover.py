@@ -4,7 +4,12 @@ import argparse
 from typing import Any
 
 from kinpole_ros.files import printable
-from kinpole_ros.tools.commands._shared import keep, progress_bar, reported
+from kinpole_ros.tools.commands._shared import (
+    check_ending,
+    keep,
+    progress_bar,
+    reported,
+)
 
 
 def add(commands: Any) -> None:
@@ -51,6 +56,8 @@ def run(options: argparse.Namespace) -> int:
     from kinpole_ros.tools.discover import discover_rig
 
     keep(options.source, options.output, options.scene, options.plot)
+    check_ending('--output', options.output, 'a YAML file')
+    check_ending('--scene', options.scene, 'a YAML file')
     troubles: list[object] = []
     with progress_bar('discover') as progress:
         lines = discover_rig(

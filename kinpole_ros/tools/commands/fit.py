@@ -6,7 +6,12 @@ from collections.abc import Sequence
 from typing import Any
 
 from kinpole_ros.files import printable
-from kinpole_ros.tools.commands._shared import keep, progress_bar, reported
+from kinpole_ros.tools.commands._shared import (
+    check_ending,
+    keep,
+    progress_bar,
+    reported,
+)
 
 
 def add(commands: Any) -> None:
@@ -47,6 +52,7 @@ def run(options: argparse.Namespace) -> int:
     from kinpole_ros.tools.fit import fit_bag
 
     keep(options.config, options.output)
+    check_ending('--output', options.output, 'a YAML file')
     troubles: list[object] = []
     with progress_bar('fit') as progress:
         lines = fit_bag(

@@ -5,7 +5,12 @@ import sys
 from typing import Any
 
 from kinpole_ros.packages import install_command
-from kinpole_ros.tools.commands._shared import keep, one_line, progress_bar
+from kinpole_ros.tools.commands._shared import (
+    check_ending,
+    keep,
+    one_line,
+    progress_bar,
+)
 
 
 def add(commands: Any) -> None:
@@ -63,6 +68,7 @@ def run(options: argparse.Namespace) -> int:
     from kinpole_ros.bags import import_points
 
     keep(options.file, options.output)
+    check_ending('--output', options.output, 'an MCAP bag')
     with progress_bar('import') as progress:
         done = import_points(
             options.file,

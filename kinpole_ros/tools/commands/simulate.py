@@ -3,7 +3,11 @@
 import argparse
 from typing import Any
 
-from kinpole_ros.tools.commands._shared import keep, progress_bar
+from kinpole_ros.tools.commands._shared import (
+    check_ending,
+    keep,
+    progress_bar,
+)
 
 
 def add(commands: Any) -> None:
@@ -78,6 +82,7 @@ def run(options: argparse.Namespace) -> int:
     from kinpole_ros.mechanism import load_scene
 
     keep(options.scene, options.output)
+    check_ending('--output', options.output, 'an MCAP bag')
     scene = load_scene(options.scene)
     with progress_bar('simulate') as progress:
         count = simulate(

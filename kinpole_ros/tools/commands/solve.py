@@ -4,7 +4,10 @@ import argparse
 from typing import Any
 
 from kinpole_ros.files import printable
-from kinpole_ros.tools.commands._shared import keep
+from kinpole_ros.tools.commands._shared import (
+    check_ending,
+    keep,
+)
 
 
 def add(commands: Any) -> None:
@@ -53,6 +56,8 @@ def run(options: argparse.Namespace) -> int:
 
     pitch = options.pitch[2] if options.pitch else None
     keep(options.scene, options.csv, options.plot, pitch, options.html)
+    check_ending('--html', options.html, 'an HTML page')
+    check_ending('--csv', options.csv, 'a CSV table')
     lines = solve_scene(
         options.scene,
         options.at,
