@@ -44,7 +44,10 @@ def add(commands: Any) -> None:
         '--topic', metavar='T', help='topic of the markers in the bag (/markers, or the only one)'
     )
     discover.add_argument(
-        '--seconds', type=float, metavar='S', help='use so much of it (60; of a live topic 20)'
+        '--seconds',
+        type=float,
+        metavar='S',
+        help='use the first S seconds of a bag (60), or S seconds of a live topic (20)',
     )
     discover.add_argument('--output', metavar='RIG.yaml', help='parameter file to write')
     discover.add_argument('--scene', metavar='SCENE.yaml', help='draft scene to write')
