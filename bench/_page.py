@@ -28,13 +28,13 @@ def make_page(tables: Tables) -> str:
     """The page as Markdown, from rows by the name of their table."""
     parts = [
         '# Benchmarks',
-        *warnings(tables),
         '\n'.join(_sentences(tables)),
         _pareto_part(tables),
         _strip_part(tables),
         _model_part(tables),
         _efforts_part(tables),
         _rest_part(tables),
+        *warnings(tables),
     ]
     return wrapped('\n\n'.join(parts))
 

@@ -27,13 +27,22 @@ def every_parameter() -> str:
     rows['autostart'] = parameters.AUTOSTART
     sections = []
     for name, row in rows.items():
-        when = 'can be set at the start only' if row.fixed else 'can be set while the node runs'
+        when = _settable(name, row)
         default = '(none)' if row.default in ('', []) else f'`{_yaml(row.default)}`'
         sections.append(
             f'## `{name}`\n\n{_plain(row.description)}\n\n- default: {default}\n'
             f'- allowed: {_plain(row.allowed)}\n- {when}\n'
         )
     return '\n'.join(sections)
+
+
+def _settable(name: str, row: parameters.Parameter) -> str:
+    """Tell when a parameter can be set, as `ros.settable` has it."""
+    if row.fixed:
+        return 'can be set at the start only'
+    if parameters.is_of_bodies(name):
+        return 'can be set at the start and while the node is inactive'
+    return 'can be set while the node runs'
 
 
 def every_topic() -> str:

@@ -405,7 +405,7 @@ def test_what_cannot_be_used_is_one_line(
         assert line.count('\n') == 1
     monkeypatch.setitem(sys.modules, 'distributed', None)
     with pytest.raises(
-        BagError, match=r"^many bags need Dask; fix: pip install 'kinpole_ros\[batch\]'"
+        BagError, match=r'^many bags need Dask; fix: pip install dask distributed fsspec'
     ):
         batch([bag], tmp_path / 'out', SETTINGS)
 

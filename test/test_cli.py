@@ -1,7 +1,10 @@
 """The command line: what is wrong is one clear line, and what can be done is done."""
 
+import ast
+import importlib.machinery
 import io
 import os
+import re
 import shlex
 import shutil
 import subprocess
@@ -21,6 +24,7 @@ from kinpole_ros.bags import RECORDER, BagWriter, Truncated, read_messages
 from kinpole_ros.derivatives import _fast
 from kinpole_ros.mechanism import scene_names, scenes_folder
 from kinpole_ros.messages import to_message
+from kinpole_ros.packages import EXTRAS
 from kinpole_ros.pipeline.parameters import Settings
 from kinpole_ros.tools import cli
 
@@ -392,6 +396,46 @@ def test_a_full_disk_is_one_line(kinpole: Any, rod: Path, option: str) -> None:
 def test_a_recording_on_a_full_disk_ends_before_anything_comes() -> None:
     line = refusal(process('record', '--output', '/dev/full'))
     assert '/dev/full cannot be written: No space left on device' in line
+
+
+@pytest.mark.parametrize(
+    'words, told',
+    [
+        ('replay ROD --output a.csv', '--output a.csv: the output is an MCAP bag; end its name in'),
+        ('replay ROD --csv a.parquet', '--csv a.parquet: the output is a CSV table; end its name'),
+        ('replay ROD --parquet a.csv', '--parquet a.csv: the output is a Parquet table; end its'),
+        ('simulate cardan --output a.yaml', 'the output is an MCAP bag; end its name in .mcap'),
+        ('import a.txt --output a.html', 'the output is an MCAP bag; end its name in .mcap'),
+        ('record --output a.csv', 'the output is an MCAP bag; end its name in .mcap'),
+        ('solve cardan --html a.png', '--html a.png: the output is an HTML page; end its name in'),
+        ('solve cardan --csv b.csv --plot a.html', 'a.html is no picture; end its name in one of'),
+        ('plot ROD --output a.html', 'a.html is no picture; end its name in one of'),
+        ('discover ROD --output b.yaml --plot a.html', 'a.html is no picture; end its name in'),
+        ('discover ROD --output a.mcap', 'the output is a YAML file; end its name in .yaml'),
+        ('fit cardan ROD --output a.mcap', 'the output is a YAML file; end its name in .yaml'),
+        (
+            'layout foxglove --output a.xml',
+            'the output is a Foxglove layout; end its name in .json',
+        ),
+    ],
+)
+def test_a_name_that_ends_as_another_kind_of_file_is_refused_before_anything_is_done(
+    kinpole: Any, rod: Path, monkeypatch: pytest.MonkeyPatch, words: str, told: str
+) -> None:
+    monkeypatch.chdir(rod.parent)
+    before = sorted(rod.parent.iterdir())
+    assert told in refusal(kinpole(*words.replace('ROD', rod.name).split()))
+    assert sorted(rod.parent.iterdir()) == before
+
+
+def test_a_replay_says_that_it_took_all_markers_as_one_body(
+    kinpole: Any, simulated: Bag, rod: Path
+) -> None:
+    said = kinpole('replay', rod).out
+    assert 'markers are taken as one rigid body, "body"' in said
+    assert f'kinpole discover {rod} --output rig.yaml' in said
+    config = scenes_folder().parent / 'cardan.yaml'
+    assert 'one rigid body' not in kinpole('replay', rod, '--config', config).out
 
 
 def test_no_command_writes_over_what_it_reads(kinpole: Any, rod: Path, tmp_path: Path) -> None:
@@ -842,7 +886,7 @@ def test_missing_matplotlib_is_told_with_the_mend(
         monkeypatch.setitem(sys.modules, name, None)
     monkeypatch.setitem(sys.modules, 'matplotlib', None)
     line = refusal(kinpole(*words))
-    assert "needs matplotlib; install it with pip install 'kinpole_ros[plot]'" in line
+    assert 'needs matplotlib; install it with pip install matplotlib' in line
 
 
 @pytest.mark.parametrize(
@@ -867,6 +911,54 @@ def test_a_package_that_is_not_there_is_told_with_the_mend(
         [sys.executable, '-c', program], cwd=tmp_path, capture_output=True, text=True, timeout=60
     )
     assert told in refusal(Said(done.returncode, done.stdout, done.stderr))
+
+
+@pytest.mark.parametrize(
+    'content, told',
+    [
+        (b'', 'rclpy is installed but has no _rclpy_pybind11 for Python 3.'),
+        (b'no library', 'rclpy is installed but fails to load: '),
+    ],
+    ids=['of another Python', 'spoiled'],
+)
+def test_an_rclpy_that_cannot_load_is_told_by_its_own_error(
+    tmp_path: Path, content: bytes, told: str
+) -> None:
+    """As with a ROS installation for another Python, or without the libraries it links to."""
+    package = tmp_path / 'rclpy'
+    package.mkdir()
+    (package / '__init__.py').write_text('from rclpy import _parts\n')
+    code = "import importlib\nimportlib.import_module('._rclpy_pybind11', package='rclpy')\n"
+    (package / '_parts.py').write_text(code)
+    if content:
+        suffix = importlib.machinery.EXTENSION_SUFFIXES[0]
+        (package / f'_rclpy_pybind11{suffix}').write_bytes(content)
+    paths = os.pathsep.join([str(tmp_path), str(Path(__file__).parents[1])])
+    line = refusal(process('node', env={**os.environ, 'PYTHONPATH': paths}))
+    assert told in line
+    assert 'pip install _rclpy_pybind11' not in line
+    assert 'fix: run kinpole with the Python and in the environment of that ROS 2' in line
+
+
+def test_commands_that_install_name_packages_of_the_extra() -> None:
+    """The names of extras would do in a checkout only: no package index has kinpole_ros."""
+    root = Path(__file__).parents[1]
+    setup = ast.parse((root / 'setup.py').read_text())
+    constants = {
+        node.targets[0].id: ast.literal_eval(node.value)
+        for node in setup.body
+        if isinstance(node, ast.Assign) and node.targets[0].id == 'ROS'
+    }
+    words = {node.arg: node.value for node in ast.walk(setup) if isinstance(node, ast.keyword)}
+    extras = words['extras_require']
+    declared = {
+        key.value: constants[value.id] if isinstance(value, ast.Name) else ast.literal_eval(value)
+        for key, value in zip(extras.keys, extras.values, strict=True)
+    }
+    for extra, names in EXTRAS.items():
+        assert [re.split('[<>=]', name)[0] for name in declared[extra]] == [*names], extra
+    pages = [*root.glob('kinpole_ros/**/*.py'), *root.glob('docs/**/*.md')]
+    assert [page for page in pages if 'kinpole_ros' + '[' in page.read_text()] == []
 
 
 def test_a_reader_that_goes_away_is_no_error(rod: Path) -> None:

@@ -48,7 +48,7 @@ PAGES = [
 ]
 BLOCK = re.compile(r'^( *)```(\w*)\n(.*?)^\1```$', re.MULTILINE | re.DOTALL)
 NUMBER = re.compile(r'-?\d+(\.\d+)?(e-?\d+)?')
-ENDLESS = ('node', 'play', 'record')
+ENDLESS = ('node', 'play', 'record', 'view')
 # s, of a process that has to come up, or to end.
 PATIENCE = 40
 
@@ -109,6 +109,11 @@ class Reader:
         if words[0] not in ENDLESS:
             assert main(words) == 0, words
         elif self.live:
+            # A second node takes the place of the first, which may still be starting.
+            for process in [p for p in self.running if words[0] == 'node' and 'node' in p.args]:
+                process.kill()
+                process.wait()
+                self.running.remove(process)
             command = [sys.executable, '-m', 'kinpole_ros.tools.cli', *words]
             self.running.append(subprocess.Popen(command))
             if words[0] == 'record':

@@ -28,10 +28,11 @@ from rclpy.lifecycle import TransitionCallbackReturn
 from rclpy.parameter import Parameter
 from rclpy.publisher import Publisher
 from rclpy.qos import QoSProfile
+from rclpy.serialization import deserialize_message
 from std_srvs.srv import Trigger
 from visualization_msgs.msg import Marker, MarkerArray
 
-from kinpole_ros.bags import BagError, BagWriter, read_messages, replay
+from kinpole_ros.bags import BagError, BagWriter, message_class, read_messages, replay, topics
 from kinpole_ros.mechanism import scenes_folder
 from kinpole_ros.messages import (
     MARKER_TYPES,
@@ -48,6 +49,7 @@ from kinpole_ros.pipeline.frame import MarkerFrames
 from kinpole_ros.pipeline.parameters import PARAMETERS, Settings
 from kinpole_ros.pipeline.tracker import Tracker
 from kinpole_ros.ros.live import play
+from kinpole_ros.ros.loop import headers
 from kinpole_ros.ros.node import KinpoleNode
 from kinpole_ros.tools.demo import live_run
 
@@ -715,13 +717,40 @@ def test_play_loops_until_interrupted_with_the_time_of_the_bag_on_clock(
         for a, b in [(0, ends[0]), (ends[0], ends[1])]
     ]
     for round_ in times:
-        # Many between the two messages, from the first on, never back and never ahead of the next.
+        # Many between the two messages, never ahead of the next.
         assert len(round_) > 2
-        assert round_[0] == 5 * second
-        assert round_ == sorted(round_)
-        assert round_[-1] <= 5 * second + second // 5
+    clock = [stamp for round_ in times for stamp in round_]
+    assert clock[0] == 5 * second
+    assert clock == sorted(clock)
+    # The next loop begins one interval, 0.2 s, after the end of the first.
+    assert times[0][-1] <= 5 * second + second // 5
+    assert times[1][-1] <= 5 * second + 3 * second // 5
     with pytest.raises(BagError, match='--clock is 0'):
         play(bag, clock=0.0)
+
+
+@pytest.mark.parametrize('kind', ['marker_array', 'marker', 'pose_array', 'point_cloud2'])
+def test_the_stamps_of_a_loop_follow_the_last_one_by_an_interval(
+    simulated: Bag, monkeypatch: pytest.MonkeyPatch, kind: str
+) -> None:
+    bag = simulated('four_bar', rate=100, duration=0.1, message=kind)
+    cls = message_class(topics(bag)['/markers'])
+    stamps: list[set[int]] = []
+
+    def publish(publisher: Publisher, message: Any) -> None:
+        if publisher.topic_name != '/markers':
+            return
+        read = message if isinstance(message, cls) else deserialize_message(message, cls)
+        # The texture of a marker has no stamp.
+        stamps.append({stamp_to_ns(header.stamp) for header in headers(read)} - {0})
+        if len(stamps) == 35:
+            raise KeyboardInterrupt
+
+    monkeypatch.setattr(Publisher, 'publish', publish)
+    with pytest.raises(KeyboardInterrupt):
+        play(bag, speed=50.0, wait=0.0, loop=True)
+    first = 1_000_000_000
+    assert stamps == [{first + k * 10_000_000} for k in range(35)]
 
 
 def test_play_can_be_interrupted_while_it_waits_for_a_reader_that_has_stopped(

@@ -1,6 +1,7 @@
 """A scene held against positions: what agrees says nothing, what is wrong is named and fitted."""
 
 from functools import cache
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -236,6 +237,39 @@ def test_fit_writes_the_scene_in_its_own_words(
     ]
     assert cli.main(['fit', str(wrong), str(bag), '--free', 'shaft']) == 2
     assert '--free shaft is no dimension' in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    'words',
+    [
+        'SCENE BAG --free rod.B crank',
+        '--free rod.B crank SCENE BAG',
+        '--free rod.B,crank SCENE BAG',
+        '--free rod.B --free crank SCENE BAG',
+        '--free rod.B SCENE BAG --free crank',
+        'SCENE --free rod.B crank BAG',
+        '--free rod.B crank SCENE --output OUT BAG',
+        '--output=OUT --free rod.B crank --topic /t SCENE BAG',
+        '--free rod.B crank --output OUT SCENE BAG',
+    ],
+)
+def test_the_names_after_free_may_stand_before_or_after_the_files(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, words: str
+) -> None:
+    (tmp_path / 'BAG').touch()
+    monkeypatch.chdir(tmp_path)
+    taken: list[tuple[Any, ...]] = []
+    monkeypatch.setattr('kinpole_ros.tools.fit.fit_bag', lambda *args: taken.append(args) or [])
+    assert cli.main(['fit', *words.split()]) == 0
+    scene, bag, _, free, output, *_ = taken[0]
+    assert (scene, bag, list(chain(*free))) == ('SCENE', 'BAG', ['rod.B', 'crank'])
+    assert output == ('OUT' if 'OUT' in words else None)
+
+
+@pytest.mark.parametrize('words', ['SCENE', '--free rod.B', '--free rod.B BAG', 'A B C', ''])
+def test_fit_without_its_files_is_bad_usage(words: str) -> None:
+    with pytest.raises(SystemExit, match='2'):
+        cli.main(['fit', *words.split()])
 
 
 def test_a_scene_may_be_text_or_a_mapping() -> None:

@@ -15,8 +15,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from kinpole_ros.bags import BagError, BagWriter, replay
+from kinpole_ros.bags import BagError, BagWriter, replay, simulate
 from kinpole_ros.linkage.theory import load_theory
+from kinpole_ros.mechanism import load_scene
 from kinpole_ros.messages import RECEIVED, RESTARTS, DiagnosticArray
 from kinpole_ros.messages._types import DiagnosticStatus, KeyValue
 from kinpole_ros.pipeline.estimate import RATE_NAMES
@@ -226,6 +227,27 @@ def test_report_refuses_in_one_line_what_it_cannot_show(tmp_path, capsys) -> Non
         report(BAG, output, Settings(window=1.0, lag=100.0))
 
 
+@pytest.mark.parametrize('name', ['a.pdf', 'a', 'a.mcap'])
+def test_a_report_under_a_name_that_browsers_do_not_open_is_refused(tmp_path, capsys, name) -> None:
+    assert main(['report', str(BAG), '--output', str(tmp_path / name)]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.endswith(f'{name}: the output is an HTML page; end its name in .html')
+    assert not (tmp_path / name).exists()
+
+
+def test_a_report_says_that_it_took_all_markers_as_one_body(tmp_path, capsys) -> None:
+    output = tmp_path / 'a.html'
+    assert main(['report', str(BAG), '--output', str(output)]) == 0
+    assumption = next(line for line in capsys.readouterr().out.splitlines() if 'one rigid' in line)
+    assert 'all 10 markers are taken as one rigid body, "body"' in assumption
+    assert f'kinpole discover {BAG} --output rig.yaml' in assumption
+    assert data_of(output)['notes'][0] == assumption
+    config = str(ROOT / 'config' / 'four_bar.yaml')
+    assert main(['report', str(BAG), '--config', config, '--output', str(output)]) == 0
+    assert 'one rigid body' not in capsys.readouterr().out + output.read_text()
+    assert not [note for note in data_of(output)['notes'] if 'one rigid body, ' in note]
+
+
 # ---- In a browser ----
 
 
@@ -248,20 +270,36 @@ def browser() -> Iterator[Any]:
         browser.close()
 
 
+@pytest.fixture(scope='module')
+def long(tmp_path_factory) -> Path:
+    """The report of seven bodies that swing 15 times in 30 s."""
+    folder = tmp_path_factory.mktemp('long')
+    bag, output = folder / 'eight.mcap', folder / 'eight.html'
+    simulate(load_scene('eight_bar'), bag, rate=50.0, duration=30.0, noise=1e-4)
+    report(bag, output, settings_for(Settings(derivative_order=1), 'eight_bar'))
+    return output
+
+
 @pytest.fixture
 def opened(browser, made) -> Iterator[Any]:
     """`opened(width, height)` is a page with the report at 1.1 s; no error, no request."""
     troubles: list[str] = []
     contexts = []
 
-    def open_page(width: int = 1280, height: int = 800, at: str = '#t=1.1', **more: Any) -> Any:
+    def open_page(
+        width: int = 1280,
+        height: int = 800,
+        at: str = '#t=1.1',
+        file: Path = made,
+        **more: Any,
+    ) -> Any:
         context = browser.new_context(viewport={'width': width, 'height': height}, **more)
         contexts.append(context)
         page = context.new_page()
         page.on('console', lambda message: troubles.append(message.text))
         page.on('pageerror', lambda error: troubles.append(str(error)))
         page.on('request', lambda request: troubles.append(request.url))
-        page.goto(made.as_uri() + at)
+        page.goto(file.as_uri() + at)
         page.wait_for_selector('html[data-ready]')
         drawn(page)
         return page
@@ -269,7 +307,7 @@ def opened(browser, made) -> Iterator[Any]:
     yield open_page
     for context in contexts:
         context.close()
-    assert [text for text in troubles if not text.startswith(made.as_uri())] == []
+    assert [text for text in troubles if not text.startswith('file://')] == []
 
 
 def drawn(page: Any) -> None:
@@ -325,6 +363,45 @@ def test_page_shows_the_linkage_its_curves_and_the_figures_at_the_cursor(opened)
     # As the whole of two strips is: that of the crank, and nearly that of the rocker.
     width = strips.bounding_box()['width'] - 58 - 92
     assert 1.9 < colored(page, '[data-name=withheld] canvas', '#d9a441') / (13 * width) <= 2
+
+
+def test_charts_of_a_long_run_open_at_as_much_time_as_can_be_read(opened, long) -> None:
+    """Twelve swings, about the cursor; all of the time is a key away."""
+    page = opened(file=long)
+    assert re.fullmatch(r'0\.0 to 2[34]\.\d of 29\.\d s; .*', page.locator('#range').inner_text())
+    page.locator('#scrub').fill('1400')
+    drawn(page)
+    assert re.fullmatch(r'\d\.\d to 29\.\d of 29\.\d s; .*', page.locator('#range').inner_text())
+    page.locator('#whole').click()
+    assert page.locator('#range').inner_text() == ''
+    assert opened().locator('#range').inner_text() == ''
+
+
+@pytest.mark.parametrize('width', [1280, 390])
+def test_a_table_that_is_cut_says_so(opened, long, width) -> None:
+    hint = opened(width, file=long).locator('#now .cut')
+    assert hint.is_visible()
+    assert 'scroll' in hint.inner_text()
+    assert opened(1280).locator('#now .cut').is_hidden()
+
+
+def test_names_at_the_ends_of_lines_keep_off_the_numbers_of_the_time_axis(opened, long) -> None:
+    page = opened(file=long)
+    # Pixels right of the lines and beside the numbers that are not gray, as only names are.
+    code = """() => {
+      const canvas = document.querySelector('[data-name=angular_velocity] canvas');
+      const scale = canvas.width / canvas.clientWidth;
+      const [left, top] = [canvas.clientWidth - 90, canvas.clientHeight - 14].map((v) => v * scale);
+      const { data } = canvas.getContext('2d').getImageData(
+        left, top, canvas.width - left, canvas.height - top);
+      let colored = 0;
+      for (let k = 0; k < data.length; k += 4) {
+        const part = [data[k], data[k + 1], data[k + 2]];
+        if (data[k + 3] > 100 && Math.max(...part) - Math.min(...part) > 60) colored++;
+      }
+      return colored;
+    }"""
+    assert page.evaluate(code) == 0
 
 
 def test_keys_buttons_slider_and_chart_move_one_cursor(opened) -> None:

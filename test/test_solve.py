@@ -584,3 +584,23 @@ def test_a_position_at_the_very_limit_spoils_none_before_it() -> None:
         found = mechanism.sweep(np.array([limit - left])).values[0, :, 0]
         # Beside a limit all goes as the root of what is left to it.
         assert 0.5 < np.abs(found - there).max() / np.sqrt(left) < 4
+
+
+@pytest.mark.parametrize(
+    'words',
+    [
+        '--centrodes coupler rocker four_bar --plot a.png',
+        '--plot a.png --centrodes coupler rocker four_bar',
+        'four_bar --plot a.png --centrodes coupler rocker',
+        '--sweep --centrodes coupler rocker four_bar --plot a.png',
+        '--pitch crank rocker a.svg --centrodes coupler rocker --plot a.png four_bar',
+    ],
+)
+def test_the_bodies_after_centrodes_may_stand_before_or_after_the_scene(
+    monkeypatch: pytest.MonkeyPatch, words: str
+) -> None:
+    taken: list[tuple[Any, ...]] = []
+    monkeypatch.setattr('kinpole_ros.tools.solve.solve_scene', lambda *a: taken.append(a) or [])
+    assert cli.main(['solve', *words.split()]) == 0
+    scene, *_, bodies = taken[0]
+    assert (scene, list(bodies)) == ('four_bar', ['coupler', 'rocker'])

@@ -165,6 +165,11 @@ def test_figures_are_those_of_the_estimate_and_no_more(estimates) -> None:
                 np.testing.assert_allclose(ellipse, covariance, atol=least)
         assert (body['centrode_curvature'] is not None) == block.centrode_curvature.determined[k, b]
     assert withheld
+    for b, reasons in enumerate(frame.reasons):
+        said = block[k].reasons(b)
+        assert reasons == {'' if name == 'all' else name: why for name, why in said.items()}
+        lacking = {name for name in POLE_NAMES if frame.bodies[b][name] is None}
+        assert lacking <= reasons.keys()
     for center, value in zip(frame.pairs, block.relative_icr.value[k], strict=True):
         assert center is not None
         np.testing.assert_allclose(center[:2], [value.real, value.imag], rtol=1e-6)

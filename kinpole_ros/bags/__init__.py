@@ -16,7 +16,7 @@ from kinpole_ros.bags._replay import NODE_NAME, replay
 from kinpole_ros.bags._replayed import Replayed
 from kinpole_ros.bags._schema import definition, message_class
 from kinpole_ros.bags._simulate import simulate
-from kinpole_ros.bags._warnings import warnings_of
+from kinpole_ros.bags._warnings import assumed_body, warnings_of
 from kinpole_ros.bags._writer import BagWriter, in_place_of
 from kinpole_ros.messages import type_name
 
@@ -29,6 +29,7 @@ __all__ = [
     'Imported',
     'Replayed',
     'Truncated',
+    'assumed_body',
     'bag_files',
     'definition',
     'import_csv',

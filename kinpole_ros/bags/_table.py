@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from kinpole_ros.bags._files import BagError, unwritable
+from kinpole_ros.packages import install_command
 from kinpole_ros.pipeline.estimate import POLE_NAMES, RATE_NAMES, Estimate, Numbers, Vectors
 from kinpole_ros.pipeline.parameters import Settings
 
@@ -168,8 +169,8 @@ class ParquetTable(_Table):
             from pyarrow import parquet
         except ImportError:
             raise BagError(
-                f"{self._name} needs pyarrow; fix: pip install 'kinpole_ros[parquet]', "
-                'or write a CSV table'
+                f'{self._name} needs pyarrow; fix: {install_command("parquet")}, or write a CSV '
+                'table'
             ) from None
         self._arrow: Any = pyarrow
         double = pyarrow.float64()

@@ -1,6 +1,8 @@
 """What a replay warns of: each line says what is wrong and how to fix it."""
 
+import shlex
 from collections.abc import Iterator
+from pathlib import Path
 
 from kinpole_ros.bags._replayed import Replayed
 from kinpole_ros.derivatives import FEWEST_SAMPLES
@@ -86,6 +88,35 @@ def warnings_of(result: Replayed, settings: Settings) -> list[str]:
             )
     lines += _untold(result, settings)
     return lines
+
+
+def assumed_body(result: Replayed, settings: Settings, bag: str | Path) -> str:
+    """
+    Tell that all markers were taken as one body, where no parameters name bodies.
+
+    Parameters
+    ----------
+    result : Replayed
+        The replay of the bag.
+    settings : Settings
+        The settings that it was replayed with.
+    bag : str or Path
+        The bag, for the command that finds its bodies.
+
+    Returns
+    -------
+    str
+        The assumption and how to change it, in one line; '' where bodies are named, or a message
+        has a single marker or pose.
+    """
+    if settings.bodies != Settings().bodies or len(result.identities) < 2:
+        return ''
+    (name,) = settings.bodies
+    return (
+        f'all {len(result.identities)} markers are taken as one rigid body, "{name}", since no '
+        f'parameters name bodies; to track several: kinpole discover {shlex.quote(str(bag))} '
+        '--output rig.yaml, then the same command with --config rig.yaml'
+    )
 
 
 def _untold(result: Replayed, settings: Settings) -> Iterator[str]:

@@ -58,10 +58,12 @@ def view_of(estimate: Estimate, given: Plane) -> dict[str, Any]:
 
     `stamp` is in ns; `along` names the axes of the plane. Of each body only what is determined is
     there: its pose and velocity, numbers with their deviation, and poles as `_points` has them.
+    `reasons` says of each other figure why it is not, under 'all' for the whole body.
     """
     bodies: list[dict[str, Any]] = [{'name': name} for name in estimate.bodies]
     place, velocity = estimate.origin(0), estimate.origin(1)
     for b, body in enumerate(bodies):
+        body['reasons'] = estimate.reasons(b)
         if estimate.missing[b]:
             continue
         shape = estimate.shape[b]

@@ -40,6 +40,7 @@ from kinpole_ros.bags import (
 )
 from kinpole_ros.messages import ns_to_stamp
 from kinpole_ros.ros.executor import MessagesFirst, SubscriptionGroup
+from kinpole_ros.ros.loop import LoopShift
 from kinpole_ros.ros.private import RCLError, received_at, take, wait_for_messages
 from kinpole_ros.ros.process import check_domain, reason_of, start_ros
 
@@ -64,8 +65,9 @@ def play(
     """
     Publish a bag's messages at the pace they were recorded, times `speed`.
 
-    With `loop` over and over, until Ctrl-C. With `clock`, Hz, the time of the bag is on /clock so
-    many times a second, for nodes with use_sim_time.
+    With `loop` over and over, until Ctrl-C; the stamps of each loop follow those of the last one
+    by one interval, and so does the time on /clock. With `clock`, Hz, the time of the bag is on
+    /clock so many times a second, for nodes with use_sim_time.
 
     `only` names the topics, None for all but the exact answers that simulate adds to the
     markers. Waits up to `wait` s for so many `subscribers` of each, and at the end until reliable
@@ -113,17 +115,22 @@ def play(
             counts = {name: p.get_subscription_count() for name, p in publishers.items()}
             if unheard := [name for name, count in counts.items() if not count]:
                 node.get_logger().warning(f'nobody listens to {", ".join(unheard)}')
+        shift = LoopShift()
+        pace = _Pace(speed, clocks, clock)
         again = True
         while again and context.ok():
-            pace = _Pace(speed, clocks, clock)
             before = count
             for message in read_messages(bag, chosen, progress):
-                pace.wait(message.log_time)
+                pace.wait(message.log_time + shift.log_offset)
                 if not context.ok():
                     break
-                publishers[message.topic].publish(message.data)
+                publisher = publishers[message.topic]
+                publisher.publish(
+                    shift.shifted(message, publisher.msg_type) if loop else message.data
+                )
                 count += 1
             again = loop and count > before
+            shift.begin_next_loop()
         for publisher in publishers.values():
             # Step by step, so that Ctrl-C ends it: who reads may have stopped to.
             while not publisher.wait_for_all_acked(Duration(seconds=_LOOK_EVERY)):

@@ -14,8 +14,8 @@ from contextlib import contextmanager, nullcontext, suppress
 from typing import TYPE_CHECKING
 
 from kinpole_ros.tools.commands import COMMANDS
-from kinpole_ros.tools.commands._shared import one_line, package_missing
-from kinpole_ros.tools.usage import make_parser
+from kinpole_ros.tools.commands._shared import UsageError, one_line, package_missing
+from kinpole_ros.tools.usage import parse_words
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -42,7 +42,7 @@ def main(args: Sequence[str] | None = None) -> int:
             from kinpole_ros.ros.node import main as run_node
 
             return run_node(['kinpole', *words[1:]])
-        options = make_parser().parse_args(words)
+        options = parse_words(words)
         with _ended_by_sigterm() if options.command in _ENDED else nullcontext():
             return COMMANDS[options.command].run(options)
     except KeyboardInterrupt:
@@ -93,7 +93,7 @@ def _is_for_the_user(error: Exception) -> bool:
     from kinpole_ros.mechanism import LinkageError, SceneError
     from kinpole_ros.pipeline.parameters import ParameterError
 
-    ours: tuple[type[Exception], ...] = (LinkageError, ParameterError, SceneError)
+    ours: tuple[type[Exception], ...] = (LinkageError, ParameterError, SceneError, UsageError)
     with suppress(ImportError):  # without mcap, nothing can have raised it
         from kinpole_ros.bags import BagError
 

@@ -38,6 +38,11 @@ def discover_rig(
     if seconds is not None and not 0 < seconds < float('inf'):
         raise BagError(f'--seconds is {seconds}; it must be more than 0')
 
+    if picture is not None:
+        from kinpole_ros.tools.plot import picture_format
+
+        picture_format(picture)
+
     def part(first: float, share: float) -> Callable[[float], None] | None:
         return None if progress is None else (lambda done: progress(first + share * done))
 

@@ -1,11 +1,15 @@
 """What the command `kinpole` understands, and what its --help tells."""
 
 import argparse
+from collections.abc import Sequence
 
 from kinpole_ros import __version__
 from kinpole_ros.tools.commands import COMMANDS
+from kinpole_ros.tools.words import files_first
 
-_EPILOG = """examples:
+_EPILOG = """Of each option, what is in parentheses at the end of its help is the default.
+
+examples:
   kinpole simulate four_bar --output four_bar.mcap --noise 0.0002
   kinpole replay four_bar.mcap --config config/four_bar.yaml --output result.mcap
   kinpole batch runs/*.mcap --config rig.yaml --output results
@@ -40,3 +44,13 @@ def make_parser() -> argparse.ArgumentParser:
     for command in COMMANDS.values():
         command.add(commands)
     return parser
+
+
+def parse_words(words: Sequence[str]) -> argparse.Namespace:
+    """Parse the words after `kinpole`; ends the process for --help and for bad usage."""
+    if words[:1] == ['fit']:
+        words = ['fit', *files_first(words[1:], 2, '--free', {'--help': 0})]
+    if words[:1] == ['solve']:
+        sizes = {'--help': 0, '--sweep': 0, '--centers': 0, '--statics': 0, '--pitch': 3}
+        words = ['solve', *files_first(words[1:], 1, '--centrodes', sizes)]
+    return make_parser().parse_args(words)

@@ -8,6 +8,7 @@ from contextlib import contextmanager
 from typing import Any
 
 from kinpole_ros.bags import BagError
+from kinpole_ros.packages import install_command
 
 _PATIENCE = 30  # s, for a scheduler and its first worker
 
@@ -22,7 +23,7 @@ def cluster(scheduler: str | None, workers: int, here: bool = False) -> Iterator
     try:
         from distributed import Client, LocalCluster
     except ImportError:
-        raise BagError("many bags need Dask; fix: pip install 'kinpole_ros[batch]'") from None
+        raise BagError(f'many bags need Dask; fix: {install_command("batch")}') from None
     logging.getLogger('distributed').setLevel(logging.CRITICAL)
     if scheduler is None:
         try:

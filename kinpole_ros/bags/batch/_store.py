@@ -14,6 +14,7 @@ from typing import Any
 from urllib.parse import unquote, urlsplit
 
 from kinpole_ros.bags import BagError
+from kinpole_ros.packages import install_command
 
 # What stores call that which changes with the content of a file.
 _VERSIONS = ('ETag', 'etag', 'md5Hash', 'content_md5', 'mtime', 'LastModified', 'created')
@@ -116,7 +117,7 @@ def _open(url: str) -> tuple[Any, str]:
     try:
         from fsspec.core import url_to_fs
     except ImportError:
-        raise BagError(f"{url} needs fsspec; fix: pip install 'kinpole_ros[batch]'") from None
+        raise BagError(f'{url} needs fsspec; fix: {install_command("batch")}') from None
     store, path = url_to_fs(url)
     return store, path.rstrip('/')
 

@@ -13,6 +13,7 @@ import numpy as np
 
 from kinpole_ros.bags._files import BagError
 from kinpole_ros.bags.formats._file import File, Format, Points, Wanted, check_names, frame_times
+from kinpole_ros.packages import install_command
 
 # Parameters that name points which are none.
 _NO_POINTS = ('ANGLES', 'FORCES', 'MOMENTS', 'POWERS', 'SCALARS')
@@ -28,7 +29,7 @@ def _read(file: File, wanted: Wanted) -> Points:
         import c3d
     except ImportError:
         raise BagError(
-            f"{file.path} is C3D, which needs c3d; fix: pip install 'kinpole_ros[formats]'"
+            f'{file.path} is C3D, which needs c3d; fix: {install_command("formats")}'
         ) from None
     try:
         with warnings.catch_warnings():
@@ -79,7 +80,7 @@ def _labels(reader: Any, parameter: str) -> list[str]:
 
 FORMAT = Format(
     'c3d',
-    "C3D (pip install 'kinpole_ros[formats]')",
+    f'C3D ({install_command("formats")})',
     '(binary)',
     _recognizes,
     _read,

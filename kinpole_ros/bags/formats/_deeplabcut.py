@@ -26,6 +26,7 @@ from kinpole_ros.bags.formats._file import (
     shown,
     whole_numbers,
 )
+from kinpole_ros.packages import install_command
 
 # What DeepLabCut itself takes as seen ("pcutoff").
 _LIKELIHOOD = 0.6
@@ -107,8 +108,8 @@ def _of_hdf(file: File) -> tuple[list[tuple[str, str]], np.ndarray, np.ndarray]:
         import h5py
     except ImportError:
         raise BagError(
-            f"{file.path} is HDF5, which needs h5py; fix: pip install 'kinpole_ros[formats]', or "
-            'give the .csv'
+            f'{file.path} is HDF5, which needs h5py; fix: {install_command("formats")}, or give '
+            'the .csv'
         ) from None
     try:
         with h5py.File(io.BytesIO(file.data), 'r') as content:

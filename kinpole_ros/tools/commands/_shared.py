@@ -10,31 +10,52 @@ from contextlib import contextmanager, suppress
 from typing import TYPE_CHECKING
 
 from kinpole_ros.files import cut_line, printable
+from kinpole_ros.packages import broken_import, install_command, package_of
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from kinpole_ros.pipeline.parameters import Settings
 
+# The endings of the files that commands write, by what a file is.
+_ENDINGS = {
+    'an HTML page': ('.html', '.htm'),
+    'an MCAP bag': ('.mcap',),
+    'a CSV table': ('.csv', '.tsv', '.txt'),
+    'a Parquet table': ('.parquet',),
+    'a YAML file': ('.yaml', '.yml'),
+    'a Foxglove layout': ('.json',),
+    'a PlotJuggler layout': ('.xml',),
+    'a picture': ('.png', '.pdf', '.svg', '.jpg', '.jpeg'),
+}
+
+
+class UsageError(Exception):
+    """Words of a command that cannot be used, in one line with the fix."""
+
+
 # Packages that may be missing, and how to come by them.
 _FIXES = {
     'bench': 'the benchmarks are in a checkout of the source, not in an installed package: run '
     'kinpole bench from one, after pip install --editable .',
-    'matplotlib': "drawing needs matplotlib; install it with pip install 'kinpole_ros[plot]'",
+    'matplotlib': f'drawing needs matplotlib; install it with {install_command("plot")}',
     'mcap': "reading and writing bags needs mcap; install it with pip install 'mcap>=1.5'",
 }
 # Characters: a bag may have any number of topics, and markers, with any names.
 _LONGEST_LINE = 5000
 _NO_ROS = (
     'source a ROS 2 installation first, or the .venv that `make demo` sets up, or get the wheels '
-    "for Linux on x86-64 with pip install 'kinpole_ros[ros]'"
+    f'for Linux on x86-64 with {install_command("ros")}'
+)
+_BROKEN_ROS = (
+    'run kinpole with the Python and in the environment of that ROS 2 installation, or in the '
+    '.venv that `make demo` sets up'
 )
 
 
 def package_missing(error: object) -> str:
     """The package, not one of ours, that could not be imported; '' if that is not the error."""
-    name = (error.name or '') if isinstance(error, ImportError) else ''
-    package = name.partition('.')[0]
+    package = package_of(error) if isinstance(error, ImportError) else ''
     return '' if package == 'kinpole_ros' else package
 
 
@@ -42,6 +63,9 @@ def one_line(error: object) -> str:
     """What is wrong, with the fix, in one line that a terminal can show."""
     if package := package_missing(error):
         ros = package == 'rclpy' or package.endswith(('_msgs', '_interfaces'))
+        if isinstance(error, ImportError) and (reason := broken_import(error)):
+            fix = _BROKEN_ROS if ros else f'pip install --force-reinstall {package}'
+            return f'{cut_line(printable(reason), _LONGEST_LINE)}; fix: {fix}'
         fix = _NO_ROS if ros else f'install it with pip install {package}'
         return _FIXES.get(package, f'the Python package {package} cannot be imported; {fix}')
     text = cut_line(printable(' '.join(str(error).split())), _LONGEST_LINE)
@@ -88,6 +112,33 @@ def keep(given: str | None, *outputs: str | None) -> None:
                 f'{output} is a recording, made by {recorder!r}; name another file to write, or '
                 'remove that one first'
             )
+
+
+def check_ending(option: str, output: str | None, kind: str) -> None:
+    """
+    Refuse to write a file under a name that says that it is of another kind.
+
+    Parameters
+    ----------
+    option : str
+        The option that names the file, as '--csv'.
+    output : str or None
+        The file; None if it is not asked for.
+    kind : str
+        What is written: a key of `_ENDINGS`. A page needs one of its endings, since browsers go
+        by them; the others may have any ending that is not another kind's.
+
+    Raises
+    ------
+    UsageError
+        With the ending to use.
+    """
+    ending = os.path.splitext(output or '')[1].lower()
+    own = _ENDINGS[kind]
+    others = {other for endings in _ENDINGS.values() for other in endings}
+    if output is None or ending in own or (kind != 'an HTML page' and ending not in others):
+        return
+    raise UsageError(f'{option} {output}: the output is {kind}; end its name in {own[0]}')
 
 
 def _recorder_of(path: str) -> str:

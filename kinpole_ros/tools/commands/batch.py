@@ -4,6 +4,7 @@ import argparse
 import sys
 from typing import Any
 
+from kinpole_ros.packages import install_command
 from kinpole_ros.tools.commands._shared import (
     add_set,
     cleared,
@@ -26,7 +27,7 @@ def add(commands: Any) -> None:
         'and settings are the same. A folder is one bag: name recordings that lie in one folder\n'
         'by FOLDER/*.mcap. Bags and output may be URLs of stores that fsspec knows, as s3://...\n'
         'Of more than 10,000 bags results lie in 256 folders of the output.\n'
-        "Needs Dask: pip install 'kinpole_ros[batch]'.",
+        f'Needs Dask: {install_command("batch")}.',
         epilog='examples:\n'
         '  kinpole batch runs/*.mcap --config rig.yaml --output results\n'
         '  kinpole batch runs/*/ --config rig.yaml --output results --parquet --workers 4\n'

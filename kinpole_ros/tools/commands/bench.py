@@ -5,6 +5,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
+from kinpole_ros.packages import install_command
 from kinpole_ros.tools.commands._shared import progress_bar
 
 
@@ -16,7 +17,7 @@ def add(commands: Any) -> None:
         description='Writes benchmarks.md, benchmarks-tables.md and charts/ anew. Takes a quarter '
         'of an hour on two cores; wants '
         'matplotlib, and compares with PyNumDiff where it is installed: '
-        "pip install 'kinpole_ros[bench]'.",
+        f'{install_command("bench")}.',
     )
     bench.add_argument('--output', metavar='FOLDER', default='docs', help='where to write (docs)')
     bench.add_argument('--quick', action='store_true', help='little data: shows that it works')

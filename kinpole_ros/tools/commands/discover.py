@@ -4,7 +4,12 @@ import argparse
 from typing import Any
 
 from kinpole_ros.files import printable
-from kinpole_ros.tools.commands._shared import keep, progress_bar, reported
+from kinpole_ros.tools.commands._shared import (
+    check_ending,
+    keep,
+    progress_bar,
+    reported,
+)
 
 
 def add(commands: Any) -> None:
@@ -39,7 +44,10 @@ def add(commands: Any) -> None:
         '--topic', metavar='T', help='topic of the markers in the bag (/markers, or the only one)'
     )
     discover.add_argument(
-        '--seconds', type=float, metavar='S', help='use so much of it (60; of a live topic 20)'
+        '--seconds',
+        type=float,
+        metavar='S',
+        help='use the first S seconds of a bag (60), or S seconds of a live topic (20)',
     )
     discover.add_argument('--output', metavar='RIG.yaml', help='parameter file to write')
     discover.add_argument('--scene', metavar='SCENE.yaml', help='draft scene to write')
@@ -51,6 +59,8 @@ def run(options: argparse.Namespace) -> int:
     from kinpole_ros.tools.discover import discover_rig
 
     keep(options.source, options.output, options.scene, options.plot)
+    check_ending('--output', options.output, 'a YAML file')
+    check_ending('--scene', options.scene, 'a YAML file')
     troubles: list[object] = []
     with progress_bar('discover') as progress:
         lines = discover_rig(

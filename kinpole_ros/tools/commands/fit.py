@@ -4,7 +4,12 @@ import argparse
 from typing import Any
 
 from kinpole_ros.files import printable
-from kinpole_ros.tools.commands._shared import keep, progress_bar, reported
+from kinpole_ros.tools.commands._shared import (
+    check_ending,
+    keep,
+    progress_bar,
+    reported,
+)
 
 
 def add(commands: Any) -> None:
@@ -16,11 +21,16 @@ def add(commands: Any) -> None:
         'frames, whatever drives them: least squares over what the joints lack. What the data do\n'
         'not tell stays as it is, and is named. Markers sit where the scene has them.',
         epilog='examples:\n'
-        '  kinpole fit rig.yaml run.mcap\n'
-        '  kinpole fit rig.yaml run.mcap --free rocker.B --free coupler --output fitted.yaml\n',
+        '  kinpole fit machine.yaml run.mcap\n'
+        '  kinpole fit machine.yaml run.mcap --free rocker.B coupler --output fitted.yaml\n'
+        '  kinpole fit --free rocker.B,coupler machine.yaml run.mcap\n',
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    fit.add_argument('scene', metavar='SCENE', help='a file, or a name, see simulate')
+    fit.add_argument(
+        'scene',
+        metavar='SCENE',
+        help='the scene to fit: a file, or a name that `kinpole simulate --list` has',
+    )
     fit.add_argument('bag', metavar='BAG', help='an .mcap file or a rosbag2 folder')
     fit.add_argument(
         '--config',
@@ -32,8 +42,8 @@ def add(commands: Any) -> None:
         action='append',
         nargs='+',
         metavar='NAME',
-        help="what to fit: rocker.B, r2.length, or all of a body, vector or joint (the scene's "
-        'free, or all)',
+        help='what to fit: a point (rocker.B), a length (r2.length), or all of a body, vector or '
+        'joint; repeatable, and commas separate too (the list free of the scene, or all)',
     )
     fit.add_argument('--output', metavar='SCENE.yaml', help='the scene, as fitted, to write')
     fit.add_argument('--topic', metavar='T', help="topic of the markers (config's, /markers)")
@@ -44,13 +54,14 @@ def run(options: argparse.Namespace) -> int:
     from kinpole_ros.tools.fit import fit_bag
 
     keep(options.config, options.output)
+    check_ending('--output', options.output, 'a YAML file')
     troubles: list[object] = []
     with progress_bar('fit') as progress:
         lines = fit_bag(
             options.scene,
             options.bag,
             options.config,
-            options.free or [],
+            [name.split(',') for names in options.free or [] for name in names],
             options.output,
             options.topic,
             progress,

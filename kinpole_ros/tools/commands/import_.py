@@ -4,7 +4,13 @@ import argparse
 import sys
 from typing import Any
 
-from kinpole_ros.tools.commands._shared import keep, one_line, progress_bar
+from kinpole_ros.packages import install_command
+from kinpole_ros.tools.commands._shared import (
+    check_ending,
+    keep,
+    one_line,
+    progress_bar,
+)
 
 
 def add(commands: Any) -> None:
@@ -16,15 +22,16 @@ def add(commands: Any) -> None:
         'and times is used; what it does not say is asked for. Pixels count y down.\n'
         '\n'
         '  table       columns NAME_x, NAME_y, maybe NAME_z, and t in seconds, lengths in m\n'
-        '  deeplabcut  .csv or .h5 (the latter by kinpole_ros[formats]), one animal or several\n'
+        '  deeplabcut  .csv or .h5 (which needs h5py), one animal or several\n'
         '  sleap       analysis .csv\n'
         '  kinovea     trajectories as .csv\n'
         '  tracker     data files of Tracker (Open Source Physics), one track or several\n'
         '  motive      .csv of OptiTrack\n'
         '  vicon       .csv of Nexus\n'
         '  trc         .trc of OpenSim, Cortex and others\n'
-        '  c3d         .c3d, by kinpole_ros[formats]\n'
+        '  c3d         .c3d (which needs c3d)\n'
         '\n'
+        f'The two packages: {install_command("formats")}\n'
         'Cells are separated by commas, semicolons or tabs; with the latter two, decimals may be\n'
         'commas. Empty cells are markers that were not seen.',
         epilog='examples:\n'
@@ -61,6 +68,7 @@ def run(options: argparse.Namespace) -> int:
     from kinpole_ros.bags import import_points
 
     keep(options.file, options.output)
+    check_ending('--output', options.output, 'an MCAP bag')
     with progress_bar('import') as progress:
         done = import_points(
             options.file,

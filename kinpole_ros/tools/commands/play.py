@@ -15,8 +15,18 @@ def add(commands: Any) -> None:
     )
     play.add_argument('bag', metavar='BAG', help='an .mcap file or a rosbag2 folder')
     play.add_argument('--topic', action='append', metavar='T', help='only this one; repeatable')
-    play.add_argument('--speed', type=float, default=1.0, metavar='X', help='times the pace (1)')
-    play.add_argument('--loop', action='store_true', help='over and over, until Ctrl-C')
+    play.add_argument(
+        '--speed',
+        type=float,
+        default=1.0,
+        metavar='X',
+        help='play X times as fast as it was recorded (1)',
+    )
+    play.add_argument(
+        '--loop',
+        action='store_true',
+        help='over and over, until Ctrl-C; the stamps go on from loop to loop',
+    )
     play.add_argument(
         '--clock',
         type=float,

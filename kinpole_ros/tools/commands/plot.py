@@ -11,7 +11,8 @@ def add(commands: Any) -> None:
     plot = commands.add_parser(
         'plot',
         help='a picture of a result bag',
-        description='Draws centrodes, poles and rates with their bands.',
+        description='Draws centrodes, poles and rates with their bands. A bag of markers has none: '
+        'replay it first, or see kinpole report, which does.',
     )
     plot.add_argument('bag', metavar='BAG', help='bag of results, from replay or recorded live')
     plot.add_argument('--output', metavar='FILE.png', required=True, help='picture to write')

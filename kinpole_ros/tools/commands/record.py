@@ -3,6 +3,8 @@
 import argparse
 from typing import Any
 
+from kinpole_ros.tools.commands._shared import check_ending
+
 
 def add(commands: Any) -> None:
     """Add the words of the command."""
@@ -24,6 +26,7 @@ def run(options: argparse.Namespace) -> int:
     """Do it, and print the outcome; the exit status."""
     from kinpole_ros.ros.live import record
 
+    check_ending('--output', options.output, 'an MCAP bag')
     count = record(options.output, options.topic or ['/kinpole/', '/diagnostics'])
     print(f'{count} messages written to {options.output}')
     return 0

@@ -4,7 +4,16 @@ import argparse
 import sys
 from typing import TYPE_CHECKING, Any
 
-from kinpole_ros.tools.commands._shared import add_set, keep, one_line, progress_bar, settings_of
+from kinpole_ros.files import printable
+from kinpole_ros.packages import install_command
+from kinpole_ros.tools.commands._shared import (
+    add_set,
+    check_ending,
+    keep,
+    one_line,
+    progress_bar,
+    settings_of,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -41,19 +50,22 @@ def add(commands: Any) -> None:
     replay.add_argument(
         '--parquet',
         metavar='OUT.parquet',
-        help="the same table for pandas and the like (pip install 'kinpole_ros[parquet]')",
+        help=f'the same table for pandas and the like ({install_command("parquet")})',
     )
     replay.add_argument('--topic', metavar='T', help="topic of the markers (config's, /markers)")
 
 
 def run(options: argparse.Namespace) -> int:
     """Do it, and print the outcome; the exit status."""
-    from kinpole_ros.bags import replay, warnings_of
+    from kinpole_ros.bags import assumed_body, replay, warnings_of
     from kinpole_ros.messages import plane_words
     from kinpole_ros.rigid.plane import AXES
 
     outputs = (options.output, options.csv, options.parquet)
     keep(options.config, *outputs)
+    check_ending('--output', options.output, 'an MCAP bag')
+    check_ending('--csv', options.csv, 'a CSV table')
+    check_ending('--parquet', options.parquet, 'a Parquet table')
     settings = settings_of(options)
     with progress_bar('replay') as progress:
         result = replay(
@@ -66,6 +78,8 @@ def run(options: argparse.Namespace) -> int:
             options.parquet,
         )
     print(f'{result.frames} frames in, {result.estimates} instants out')
+    if assumption := assumed_body(result, settings, options.bag):
+        print(printable(assumption))
     for what, count in (
         ('stamps repeated', result.repeated),
         ('frames late', result.late),

@@ -3,7 +3,14 @@
 import argparse
 from typing import Any
 
-from kinpole_ros.tools.commands._shared import add_set, keep, progress_bar, settings_of
+from kinpole_ros.files import printable
+from kinpole_ros.tools.commands._shared import (
+    add_set,
+    check_ending,
+    keep,
+    progress_bar,
+    settings_of,
+)
 
 
 def add(commands: Any) -> None:
@@ -38,10 +45,16 @@ def run(options: argparse.Namespace) -> int:
 
     keep(options.config, options.output)
     keep(options.bag, options.output)
+    check_ending('--output', options.output, 'an HTML page')
     settings = settings_for(settings_of(options), options.scene)
+    assumptions: list[str] = []
     with progress_bar('report') as progress:
-        record = report(options.bag, options.output, settings, options.topic, progress)
+        record = report(
+            options.bag, options.output, settings, options.topic, progress, assumptions.append
+        )
     thinned = '' if len(record.stamp) == record.total else f' of {record.total}'
+    for line in assumptions:
+        print(printable(line))
     print(f'{len(record.stamp)}{thinned} instants of {", ".join(record.bodies)}')
     print(f'written to {options.output}')
     return 0

@@ -3,7 +3,11 @@
 import argparse
 from typing import Any
 
-from kinpole_ros.tools.commands._shared import keep, progress_bar
+from kinpole_ros.tools.commands._shared import (
+    check_ending,
+    keep,
+    progress_bar,
+)
 
 
 def add(commands: Any) -> None:
@@ -11,21 +15,25 @@ def add(commands: Any) -> None:
     simulate = commands.add_parser(
         'simulate',
         help='a bag of markers from a mechanism, with the exact answer in it',
-        description='Writes markers on /markers and the exact motion on /kinpole/truth/... The '
-        'last four options spoil the markers as real rigs do; the exact motion is in m, in the '
-        'frame of the markers, under the stamp of its frame.',
+        description='Writes markers on /markers and the exact motion on /kinpole/truth/... (m, in '
+        'the frame of the markers, under the stamp of its frame). Noise, dropout, jitter, arrival, '
+        'tilt, scale and unlabeled spoil the markers as real rigs do.',
     )
     simulate.add_argument(
         'scene', metavar='SCENE', help='a file, or the name of one in config/scenes: see --list'
     )
     simulate.add_argument('--list', action=_ListScenes, help='name the scenes that come along')
     simulate.add_argument('--output', metavar='BAG', required=True, help='.mcap file to write')
-    simulate.add_argument('--rate', type=float, default=200.0, metavar='HZ', help='frames (200)')
-    simulate.add_argument('--duration', type=float, default=5.0, metavar='S', help='length (5)')
+    simulate.add_argument(
+        '--rate', type=float, default=200.0, metavar='HZ', help='frames per second (200)'
+    )
+    simulate.add_argument('--duration', type=float, default=5.0, metavar='S', help='length, s (5)')
     simulate.add_argument(
         '--noise', type=float, default=0.0, metavar='M', help='noise of a marker per axis, m (0)'
     )
-    simulate.add_argument('--seed', type=int, default=0, metavar='N', help='of the noise (0)')
+    simulate.add_argument(
+        '--seed', type=int, default=0, metavar='N', help='seed of all that is random (0)'
+    )
     simulate.add_argument(
         '--dropout', type=float, default=0.0, metavar='P', help='share of markers not seen (0)'
     )
@@ -78,6 +86,7 @@ def run(options: argparse.Namespace) -> int:
     from kinpole_ros.mechanism import load_scene
 
     keep(options.scene, options.output)
+    check_ending('--output', options.output, 'an MCAP bag')
     scene = load_scene(options.scene)
     with progress_bar('simulate') as progress:
         count = simulate(

@@ -4,7 +4,10 @@ import argparse
 from typing import Any
 
 from kinpole_ros.files import printable
-from kinpole_ros.tools.commands._shared import keep
+from kinpole_ros.tools.commands._shared import (
+    check_ending,
+    keep,
+)
 
 
 def add(commands: Any) -> None:
@@ -22,11 +25,17 @@ def add(commands: Any) -> None:
         '  kinpole solve antiparallelogram --pitch crank follower gears.svg\n',
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    solve.add_argument('scene', metavar='SCENE', help='name or path of a scene, see simulate')
+    solve.add_argument(
+        'scene', metavar='SCENE', help='a file, or a name that `kinpole simulate --list` has'
+    )
     where = solve.add_mutually_exclusive_group()
     where.add_argument('--at', metavar='VALUE', help='value of the driver: 0.5, "-45 deg", "12 cm"')
-    where.add_argument('--sweep', action='store_true', help='all the way the linkage gives it')
-    where.add_argument('--time', metavar='S', help='as its drivers move it for S seconds')
+    where.add_argument(
+        '--sweep', action='store_true', help='all positions, over the whole range of its driver'
+    )
+    where.add_argument(
+        '--time', metavar='S', help='the motion that its drivers give it, for S seconds'
+    )
     solve.add_argument('--centers', action='store_true', help='instant centers, as deduced by hand')
     solve.add_argument('--statics', action='store_true', help='what drivers and joints bear')
     solve.add_argument('--csv', metavar='FILE', help='all figures as a table, SI units')
@@ -36,7 +45,7 @@ def add(commands: Any) -> None:
         nargs='+',
         default=(),
         metavar='BODY',
-        help='draw their centrodes (--plot)',
+        help='draw the centrodes of these bodies into the picture of --plot',
     )
     solve.add_argument('--html', metavar='FILE.html', help='the linkage in motion, as in a report')
     solve.add_argument(
@@ -53,6 +62,8 @@ def run(options: argparse.Namespace) -> int:
 
     pitch = options.pitch[2] if options.pitch else None
     keep(options.scene, options.csv, options.plot, pitch, options.html)
+    check_ending('--html', options.html, 'an HTML page')
+    check_ending('--csv', options.csv, 'a CSV table')
     lines = solve_scene(
         options.scene,
         options.at,

@@ -8,7 +8,7 @@ def add(commands: Any) -> None:
     """Add the words of the command."""
     view = commands.add_parser(
         'view',
-        help='the same live: a page in the browser of what a running node publishes',
+        help='a page like that of report, live: what a running node publishes, in a browser',
         description='Serves the page of a report, live, to browsers on this machine: 30 times a\n'
         'second bodies, poles with their ellipses, velocities and rates, of a node that publishes\n'
         'anywhere in the ROS graph. Prints the address to open, which has a token in it.\n'

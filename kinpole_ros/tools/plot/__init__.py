@@ -13,6 +13,7 @@ from kinpole_ros.tools.plot._read import (
     plane_of_motion,
     read_results,
 )
+from kinpole_ros.tools.plot._style import picture_format
 
 __all__ = [
     'Body',
@@ -23,6 +24,7 @@ __all__ = [
     'centrodes',
     'decode',
     'draw_linkage',
+    'picture_format',
     'plane_of_motion',
     'plot',
     'read_results',

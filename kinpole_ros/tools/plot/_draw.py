@@ -11,7 +11,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from kinpole_ros.bags import BagError, in_place_of
+from kinpole_ros.bags import in_place_of
 from kinpole_ros.tools.plot import _plane, _time
 from kinpole_ros.tools.plot._read import Results, Series, read_results, read_truth
 from kinpole_ros.tools.plot._style import (
@@ -27,6 +27,7 @@ from kinpole_ros.tools.plot._style import (
     POLES,
     RELATIVE,
     TRUTH,
+    picture_format,
 )
 
 _MOST_BODIES = 4
@@ -54,18 +55,11 @@ def plot(
     whole lacks, '' for one that is. Raises BagError when the bag holds no results, `output` cannot
     be written or matplotlib is missing.
     """
-    try:
-        from matplotlib.figure import Figure
-    except ImportError as error:
-        raise BagError(
-            "drawing needs matplotlib; install it with pip install 'kinpole_ros[plot]'"
-        ) from error
+    kind = picture_format(output)
+    from matplotlib.figure import Figure
+
     # A Figure of its own, without pyplot: whoever draws in the same process keeps his state.
     figure = Figure(figsize=(_WIDTH, 1), layout='constrained')
-    formats = sorted(figure.canvas.get_supported_filetypes())
-    kind = Path(output).suffix[1:].lower()
-    if kind not in formats:
-        raise BagError(f'{output} is no picture; end its name in one of {", ".join(formats)}')
     reading = None if progress is None else lambda share: progress(_READING * share)
     results = read_results(bag, reading)
     exact = {} if truth is None else read_truth(truth, results)

@@ -6,9 +6,10 @@ from typing import Any
 
 import numpy as np
 
-from kinpole_ros.bags import BagError, in_place_of
+from kinpole_ros.bags import in_place_of
 from kinpole_ros.linkage import Linkage
 from kinpole_ros.linkage._draft import first_frame
+from kinpole_ros.tools.plot._style import picture_format
 
 _SIZE, _DPI = (10.0, 6.2), 100  # inches
 _COLORS = ('#0060a8', '#b34700', '#00785a', '#7a3d9a', '#8a6d00', '#a3234f', '#3a6f8f', '#555555')
@@ -23,17 +24,10 @@ def draw_linkage(linkage: Linkage, output: str | Path, title: str) -> None:
 
     Raises BagError when `output` cannot be written or matplotlib is missing.
     """
-    try:
-        from matplotlib.figure import Figure
-    except ImportError as error:
-        raise BagError(
-            "drawing needs matplotlib; install it with pip install 'kinpole_ros[plot]'"
-        ) from error
+    kind = picture_format(output)
+    from matplotlib.figure import Figure
+
     figure = Figure(figsize=_SIZE, layout='constrained')
-    formats = sorted(figure.canvas.get_supported_filetypes())
-    kind = Path(output).suffix[1:].lower()
-    if kind not in formats:
-        raise BagError(f'{output} is no picture; end its name in one of {", ".join(formats)}')
     axis = figure.add_subplot()
     _draw(axis, linkage)
     axis.set_title(f'{title}: {_about(linkage)}', fontsize=10, parse_math=False)

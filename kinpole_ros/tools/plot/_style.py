@@ -1,9 +1,12 @@
 """What the parts of a picture of results share: colors, signs of poles, lines that stop at gaps."""
 
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from kinpole_ros.bags import BagError
+from kinpole_ros.packages import install_command
 from kinpole_ros.tools.plot._read import Body
 
 # Longer than this many periods without a sample is a gap, not a lost frame.
@@ -23,6 +26,21 @@ ESTIMATE: dict[str, Any] = {'color': '#4c9be0', 'linewidth': 2.6}
 LINK: dict[str, Any] = {'facecolor': '#f2d9a0', 'edgecolor': '#8a6d00', 'linewidth': 1.2}
 OTHER: dict[str, Any] = {'facecolor': '#eeeeee', 'edgecolor': '#b0b0b0', 'linewidth': 0.8}
 HALO: dict[str, Any] = {'facecolor': 'white', 'edgecolor': 'none', 'alpha': 0.75, 'pad': 1.0}
+
+
+def picture_format(output: str | Path) -> str:
+    """Return the format that a file's ending names; BagError for none, or without matplotlib."""
+    try:
+        from matplotlib.backend_bases import FigureCanvasBase
+    except ImportError as error:
+        raise BagError(
+            f'drawing needs matplotlib; install it with {install_command("plot")}'
+        ) from error
+    formats = sorted(FigureCanvasBase.get_supported_filetypes())
+    kind = Path(output).suffix[1:].lower()
+    if kind not in formats:
+        raise BagError(f'{output} is no picture; end its name in one of {", ".join(formats)}')
+    return kind
 
 
 def breaks_of(body: Body, stamp: np.ndarray) -> np.ndarray:

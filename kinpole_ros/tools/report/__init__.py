@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from kinpole_ros import __version__
-from kinpole_ros.bags import BagError, in_place_of, replay, warnings_of
+from kinpole_ros.bags import BagError, assumed_body, in_place_of, replay, warnings_of
 from kinpole_ros.linkage.theory import DeviationSummary, load_theory
 from kinpole_ros.mechanism import load_scene
 from kinpole_ros.pipeline.parameters import Settings
@@ -67,13 +67,14 @@ def report(
     settings: Settings,
     topic: str | None = None,
     progress: Callable[[float], None] | None = None,
+    tell: Callable[[str], None] | None = None,
 ) -> Record:
     """
     Write the report of a bag to `output`, an .html file; returns what is in it.
 
     A bag of results is shown as it is, unless a `topic` of markers is named; markers are replayed
-    with `settings` first. Raises BagError when there is nothing to show, or `output` cannot be
-    written.
+    with `settings` first, and `tell` is called with what the replay assumed. Raises BagError when
+    there is nothing to show, or `output` cannot be written.
     """
     theory: list[DeviationSummary] = []
     if topic is None and has_results(bag):
@@ -84,7 +85,7 @@ def report(
             )
         record, notes = read_record(bag, _most_instants, progress)
     else:
-        record, notes, theory = _replayed(bag, settings, topic, progress)
+        record, notes, theory = _replayed(bag, settings, topic, progress, tell)
     data = {
         **pack(record),
         'title': os.fsencode(Path(bag).resolve().name).decode(errors='replace'),
@@ -106,10 +107,15 @@ def _replayed(
     settings: Settings,
     topic: str | None,
     progress: Callable[[float], None] | None,
+    tell: Callable[[str], None] | None,
 ) -> tuple[Record, list[str], list[DeviationSummary]]:
     collector = Collector(_most_instants(len(settings.bodies)), load_theory(settings))
     result = replay(bag, settings, topic=topic, progress=progress, take=collector.add)
     notes = warnings_of(result, settings)
+    if assumption := assumed_body(result, settings, bag):
+        notes.insert(0, assumption)
+        if tell is not None:
+            tell(assumption)
     if result.truncated is not None:
         notes.append(str(result.truncated))
     if not collector.total:

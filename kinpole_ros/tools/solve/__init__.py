@@ -59,6 +59,7 @@ def solve_scene(
     `curves` are bodies whose centrodes the picture has. Raises SceneError and
     LinkageError for what the scene cannot do, SceneError for files too.
     """
+    kind = _kind_of(Path(picture)) if picture else ''
     loaded = load_scene(scene)
     for body in curves:
         if body not in loaded.mechanism.bodies:
@@ -104,7 +105,7 @@ def solve_scene(
     if picture:
         from kinpole_ros.tools.solve._picture import draw
 
-        kind, whole = _kind_of(Path(picture)), _whole(asked)
+        whole = _whole(asked)
         with _writing(picture) as part:
             draw(part, kind, whole, drawn(whole, here), centers, curves)
         lines.append(f'written to {picture}')

@@ -46,11 +46,13 @@ class Frame(NamedTuple):
     pairs: list[list[float] | None]
     sizes: dict[str, float]
     outlines: dict[str, list[list[float]]]
+    # Of each body why figures are not known, '' for all of them; None of a node that does not say.
+    reasons: list[dict[str, str] | None]
 
     def as_json(self, seconds: float, published: int) -> str:
         """The figures as a page takes them; `published` in ns."""
         frame = {'t': round(seconds, 6), 'published': published / 1e6}
-        figures = {'bodies': self.bodies, 'pairs': self.pairs}
+        figures = {'bodies': self.bodies, 'pairs': self.pairs, 'reasons': self.reasons}
         return json.dumps({**frame, **figures}, separators=(',', ':'), allow_nan=False)
 
 
@@ -75,9 +77,18 @@ def frame_of(data: bytes) -> Frame:
             [_figure(pair['icr'], _POINT) for pair in said['pairs']],
             {str(body['name']): _numbers([body['size']], 1)[0] for body in seen},
             {str(body['name']): [_numbers(z, 2) for z in body['outline']] for body in seen},
+            [_reasons(body.get('reasons')) for body in said['bodies']],
         )
     except (KeyError, TypeError, RecursionError, OverflowError) as error:
         raise ValueError(f'no figures for a page ({error!r})') from None
+
+
+def _reasons(said: Any) -> dict[str, str] | None:
+    if said is None:
+        return None
+    if not isinstance(said, dict):
+        raise ValueError(f'{said} in place of reasons')
+    return {'' if name == 'all' else str(name): str(why) for name, why in said.items()}
 
 
 def _body(said: Mapping[str, Any]) -> dict[str, Any]:

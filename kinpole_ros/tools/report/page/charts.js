@@ -138,22 +138,27 @@ function makeCharts(element, page, data) {
 
   // Names at the ends of the lines, one under the other where they would meet.
   function drawEnds(context, chart, series, last) {
+    const [top, bottom] = [TOP + 6, chart.height - BOTTOM - 5];
+    const gap = Math.min(12, (bottom - top) / Math.max(1, series.length - 1));
     const ends = series.map((one) => {
       let k = last;
       while (k > 0 && !isFinite(one.value[k])) k--;
       const at = chart.y(one.value[k]);
-      return { one, at: Math.min(chart.height - BOTTOM, Math.max(TOP + 6, isFinite(at) ? at : 0)) };
+      return { one, at: Math.max(top, isFinite(at) ? at : 0) };
     }).sort((a, b) => a.at - b.at);
+    // Down from the first, then up from the last, which stays above the numbers of the time axis.
     ends.forEach((end, k) => {
-      if (k) end.at = Math.max(end.at, ends[k - 1].at + 12);
+      if (k) end.at = Math.max(end.at, ends[k - 1].at + gap);
     });
-    const over = ends.length ? ends[ends.length - 1].at - (chart.height - 6) : 0;
+    for (let k = ends.length - 1, most = bottom; k >= 0; k--, most -= gap) {
+      ends[k].at = Math.min(ends[k].at, most);
+    }
     context.textAlign = 'left';
     context.font = '600 11px system-ui, sans-serif';
     for (const { one, at } of ends) {
       context.fillStyle = one.color;
       const name = one.name.length > 15 ? `${one.name.slice(0, 14)}…` : one.name;
-      context.fillText(name, chart.width - RIGHT + 5, at + 4 - Math.max(0, over), RIGHT - 7);
+      context.fillText(name, chart.width - RIGHT + 5, at + 4, RIGHT - 7);
     }
   }
 
@@ -196,10 +201,10 @@ function drawTimes(context, { step, at }, x, width, height) {
     context.fillStyle = '#edf0f2';
     context.fillRect(Math.round(x(t)), TOP, 1, height - TOP - BOTTOM);
     context.fillStyle = '#6a737c';
-    context.fillText(tickWords(t, step), x(t), height - 6);
+    // The unit is with the last one, where nothing else stands.
+    const unit = t === at[at.length - 1] ? ' s' : '';
+    context.fillText(tickWords(t, step) + unit, x(t), height - 6);
   }
-  context.textAlign = 'left';
-  context.fillText('s', width - RIGHT + 18, height - 6);
 }
 
 // A quantile, or that of the inner 80% where the outer ones are far beyond these, as of speeds

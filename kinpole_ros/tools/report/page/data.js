@@ -17,6 +17,8 @@ const WORDS = {
 // Okabe and Ito's colors, told apart by the color-blind; the darker ones first.
 const COLORS = ['#0072b2', '#d55e00', '#007a5a', '#a8558a', '#8a6d00', '#56a0d0', '#444444', '#c2273d'];
 const MOST_PAIRS = 6;
+// Swings of a figure that are told apart in the width of a chart.
+const READABLE_SWINGS = 12;
 
 async function inflate(text) {
   const bytes = Uint8Array.from(atob(text.trim()), (letter) => letter.charCodeAt(0));
@@ -119,6 +121,27 @@ function roundedTo(value, scale) {
 function worded(value, sigma) {
   if (!(sigma > 0)) return [roundedTo(value, Math.abs(value) * 1e-2 || 1), ''];
   return [roundedTo(value, 2 * sigma), `± ${roundedTo(2 * sigma, 2 * sigma)}`];
+}
+
+// The time of this many swings of the body that swings most often, or all of the time: more swings
+// side by side are a solid band of ink.
+function readableTime(data) {
+  const time = data.end - data.begin;
+  const most = Math.max(0, ...data.bodies.map(({ angular_velocity: rate }) => swingsIn(rate.value)));
+  return most > READABLE_SWINGS ? (time * READABLE_SWINGS) / most : time;
+}
+
+// How often values go from their upper quarter to their lower one; noise about a mean does not count.
+function swingsIn(values) {
+  const sorted = values.filter(isFinite).sort();
+  if (!sorted.length) return 0;
+  const [low, high] = [0.25, 0.75].map((part) => quantile(sorted, part));
+  let [swings, up] = [0, false];
+  for (const value of values) {
+    if (value >= high && high > low) up = true;
+    else if (up && value <= low) [swings, up] = [swings + 1, false];
+  }
+  return swings;
 }
 
 function quantile(sorted, part) {

@@ -64,10 +64,10 @@ function watch() {
     Object.assign(data, { about, joints, notes, along });
     tellAbout(data);
     for (const { name, size, outline, withheld } of rig.bodies) {
-      const spells = Object.entries(withheld).map(([figure, why]) => [figure, [[0, KEPT, why]]]);
-      const { '': missing = [], ...rest } = Object.fromEntries(spells);
       const outlines = outline ? [[0, outline]] : [];
-      Object.assign(data.byName[name], { size, outlines, missing, withheld: rest });
+      Object.assign(data.byName[name], { size, outlines });
+      // Frames say it of their own instant; the diagnostics, once a second, lag behind.
+      if (!data.byName[name].saysWhy) giveReasons(data.byName[name], withheld);
     }
     drawNotes(by('notes'), data);
     actions.stage.learn();
@@ -87,6 +87,10 @@ function watch() {
   function onFrame(frame) {
     if (!data) return;
     append(data, frame);
+    data.bodies.forEach((body, b) => {
+      body.saysWhy = Boolean(frame.reasons[b]);
+      if (body.saysWhy) giveReasons(body, frame.reasons[b]);
+    });
     const { page, stage, redraw } = actions;
     const width = Math.min(SPAN, page.range[1] - page.range[0]) || SPAN;
     page.range = [data.end - width, data.end];
@@ -96,6 +100,12 @@ function watch() {
     // For whoever measures how late it is.
     requestAnimationFrame(() => { dataset.published = frame.published; });
   }
+}
+
+function giveReasons(body, reasons) {
+  const spells = Object.entries(reasons).map(([figure, why]) => [figure, [[0, KEPT, why]]]);
+  const { '': missing = [], ...withheld } = Object.fromEntries(spells);
+  Object.assign(body, { missing, withheld });
 }
 
 const OF_POINT = ['x', 'y', 'a', 'b', 'd'];

@@ -7,7 +7,7 @@ const by = (id) => document.getElementById(id);
 function makePage(data, off = HIDDEN, moved = () => {}) {
   const page = {
     k: 0, playing: false, pace: 1, range: [data.begin, data.end], hidden: new Set(),
-    off: new Set(off), printing: false,
+    off: new Set(off), printing: false, turning: false,
   };
   const stage = makeStage(by('stage'), page, data);
   const [lines, strips] = [makeCharts, makeStrips].map((make) => make(by('charts'), page, data));
@@ -44,7 +44,10 @@ function makePage(data, off = HIDDEN, moved = () => {}) {
     moved();
     page.k = Math.min(data.n - 1, Math.max(0, k));
     time = data.t[page.k];
-    redraw();
+    const [from, to] = page.range;
+    // The charts show the time about the cursor.
+    if (time < from || time > to) zoom(time - (to - from) / 2, time + (to - from) / 2);
+    else redraw();
   }
 
   function play(on) {
@@ -57,7 +60,11 @@ function makePage(data, off = HIDDEN, moved = () => {}) {
       if (!page.playing) return;
       time += ((now - before) / 1000) * page.pace;
       before = now;
-      if (time > page.range[1] || time < page.range[0]) time = page.range[0];
+      const [from, to] = page.range;
+      if (time > to && page.turning) {
+        time = to < data.end - data.period / 2 ? to : data.begin;
+        zoom(time, time + to - from);
+      } else if (time > to || time < from) time = from;
       const k = instantAt(data, time);
       if (k !== page.k) {
         page.k = k;
@@ -73,17 +80,36 @@ function makePage(data, off = HIDDEN, moved = () => {}) {
     by('pace').value = pace;
   }
 
+  // Shows so much time that its swings can be told apart, and the next when the cursor is through.
+  function open() {
+    whole();
+    const time = readableTime(data);
+    page.turning = time < data.end - data.begin;
+    zoom(data.begin, data.begin + time);
+  }
+
   function zoom(from, to) {
     const width = Math.min(data.end - data.begin, Math.max(4 * data.period, to - from));
     const start = Math.min(data.end - width, Math.max(data.begin, from));
     page.range = [start, start + width];
+    tellRange();
     redraw('rest');
   }
 
   function whole() {
     page.range = [data.begin, data.end];
+    page.turning = false;
+    tellRange();
     stage.whole();
     redraw('rest');
+  }
+
+  // How much of the time the charts show, where it is not all.
+  function tellRange() {
+    const [[from, to], all] = [page.range, data.end - data.begin];
+    const part = !data.live && to - from < all - data.period / 2;
+    by('range').textContent = part
+      ? `${from.toFixed(1)} to ${to.toFixed(1)} of ${all.toFixed(1)} s; fit (f) shows all` : '';
   }
 
   function toggle(set, name, button) {
@@ -92,7 +118,7 @@ function makePage(data, off = HIDDEN, moved = () => {}) {
     redraw('rest');
   }
 
-  const actions = { goTo, play, setPace, zoom, whole, toggle, redraw, page, stage, charts, data };
+  const actions = { goTo, play, setPace, zoom, open, whole, toggle, redraw, page, stage, charts, data };
   fillButtons(actions);
   listen(actions);
   return actions;
@@ -159,6 +185,7 @@ function listen(actions) {
   by('closer').onclick = () => closer(stage, redraw, 1.4);
   by('farther').onclick = () => closer(stage, redraw, 1 / 1.4);
   const less = (factor) => () => {
+    page.turning = false;
     const [[from, to], t] = [page.range, data.t[page.k]];
     const at = from <= t && t <= to ? t : (from + to) / 2;
     actions.zoom(at - (at - from) * factor, at + (to - at) * factor);
@@ -227,7 +254,7 @@ function show(data) {
   drawTheory(by('theory'), data);
   drawNotes(by('notes'), data);
   const actions = makePage(data);
-  actions.whole();
+  actions.open();
   const still = matchMedia('(prefers-reduced-motion: reduce)').matches;
   if (!toAddress(actions) && !still) actions.play(true);
   document.documentElement.dataset.ready = 'yes';

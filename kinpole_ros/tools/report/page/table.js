@@ -27,7 +27,15 @@ function makeTable(element, page, data) {
     row.append(heading);
     for (const body of data.bodies) cells.push(cellOf(row, body, name));
   }
-  element.replaceChildren(table);
+  const hint = tag('p', 'There is more to the right: scroll the table sideways.', { class: 'cut' });
+  element.replaceChildren(hint, table);
+  const tellCut = () => {
+    const { scrollWidth, clientWidth, scrollLeft } = element;
+    element.classList.toggle('more', scrollLeft + clientWidth < scrollWidth - 1);
+    hint.hidden = scrollWidth <= clientWidth + 1;
+  };
+  new ResizeObserver(tellCut).observe(element);
+  element.addEventListener('scroll', tellCut);
   if (data.pairs.length) element.append(pairTable());
   // Text that is written over costs a browser less than elements made anew.
   for (const one of cells) {
@@ -81,6 +89,7 @@ function makeTable(element, page, data) {
         one.figure.data = value && `${value} `;
         one.rest.data = rest;
       }
+      tellCut();
     },
   };
 }
