@@ -6,6 +6,7 @@ from typing import Any
 
 from kinpole_ros.tools.commands._shared import (
     add_set,
+    check_outputs,
     cleared,
     on_terminal,
     one_line,
@@ -98,6 +99,7 @@ def run(options: argparse.Namespace) -> int:
         raise BagError('no bags are named; give some, or a file that names them by --list')
     settings = settings_of(options)
     kinds = [kind for kind in KINDS if getattr(options, kind)] or ['mcap']
+    check_outputs([options.list, options.config, settings.scene], [f'{options.output}/summary.csv'])
 
     if options.scheduler is not None and is_open_to_all(options.scheduler):
         print(

@@ -4,7 +4,7 @@ import argparse
 from typing import Any
 
 from kinpole_ros.files import printable
-from kinpole_ros.tools.commands._shared import keep, progress_bar, reported
+from kinpole_ros.tools.commands._shared import check_outputs, progress_bar, reported
 
 
 def add(commands: Any) -> None:
@@ -50,7 +50,7 @@ def run(options: argparse.Namespace) -> int:
     """Do it, and print the outcome; the exit status."""
     from kinpole_ros.tools.discover import discover_rig
 
-    keep(options.source, options.output, options.scene, options.plot)
+    check_outputs([options.source], [options.output, options.scene, options.plot])
     troubles: list[object] = []
     with progress_bar('discover') as progress:
         lines = discover_rig(

@@ -4,7 +4,7 @@ import argparse
 from typing import Any
 
 from kinpole_ros.files import printable
-from kinpole_ros.tools.commands._shared import keep, progress_bar, reported
+from kinpole_ros.tools.commands._shared import check_outputs, progress_bar, reported
 
 
 def add(commands: Any) -> None:
@@ -43,7 +43,7 @@ def run(options: argparse.Namespace) -> int:
     """Do it, and print the outcome; the exit status."""
     from kinpole_ros.tools.fit import fit_bag
 
-    keep(options.config, options.output)
+    check_outputs([options.scene, options.bag, options.config], [options.output])
     troubles: list[object] = []
     with progress_bar('fit') as progress:
         lines = fit_bag(

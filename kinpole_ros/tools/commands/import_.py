@@ -4,7 +4,7 @@ import argparse
 import sys
 from typing import Any
 
-from kinpole_ros.tools.commands._shared import keep, one_line, progress_bar
+from kinpole_ros.tools.commands._shared import check_outputs, one_line, progress_bar
 
 
 def add(commands: Any) -> None:
@@ -60,7 +60,7 @@ def run(options: argparse.Namespace) -> int:
     """Do it, and print the outcome; the exit status."""
     from kinpole_ros.bags import import_points
 
-    keep(options.file, options.output)
+    check_outputs([options.file], [options.output])
     with progress_bar('import') as progress:
         done = import_points(
             options.file,

@@ -3,7 +3,7 @@
 import argparse
 from typing import Any
 
-from kinpole_ros.tools.commands._shared import keep
+from kinpole_ros.tools.commands._shared import check_outputs
 
 
 def add(commands: Any) -> None:
@@ -31,7 +31,7 @@ def run(options: argparse.Namespace) -> int:
     """Do it, and print the outcome; the exit status."""
     from kinpole_ros.tools.layout import write_layout
 
-    keep(options.config, options.output)
+    check_outputs([options.config], [options.output])
     shown = write_layout(options.viewer, options.config, options.output)
     print(f'{options.output}: {", ".join(shown.bodies)} of {shown.node}')
     return 0

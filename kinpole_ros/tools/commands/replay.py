@@ -4,7 +4,13 @@ import argparse
 import sys
 from typing import TYPE_CHECKING, Any
 
-from kinpole_ros.tools.commands._shared import add_set, keep, one_line, progress_bar, settings_of
+from kinpole_ros.tools.commands._shared import (
+    add_set,
+    check_outputs,
+    one_line,
+    progress_bar,
+    settings_of,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -53,8 +59,8 @@ def run(options: argparse.Namespace) -> int:
     from kinpole_ros.rigid.plane import AXES
 
     outputs = (options.output, options.csv, options.parquet)
-    keep(options.config, *outputs)
     settings = settings_of(options)
+    check_outputs([options.config, settings.scene, options.bag], outputs)
     with progress_bar('replay') as progress:
         result = replay(
             options.bag,

@@ -3,7 +3,7 @@
 import argparse
 from typing import Any
 
-from kinpole_ros.tools.commands._shared import add_set, keep, progress_bar, settings_of
+from kinpole_ros.tools.commands._shared import add_set, check_outputs, progress_bar, settings_of
 
 
 def add(commands: Any) -> None:
@@ -36,9 +36,8 @@ def run(options: argparse.Namespace) -> int:
     """Do it, and print the outcome; the exit status."""
     from kinpole_ros.tools.report import report, settings_for
 
-    keep(options.config, options.output)
-    keep(options.bag, options.output)
     settings = settings_for(settings_of(options), options.scene)
+    check_outputs([options.config, settings.scene, options.bag], [options.output])
     with progress_bar('report') as progress:
         record = report(options.bag, options.output, settings, options.topic, progress)
     thinned = '' if len(record.stamp) == record.total else f' of {record.total}'

@@ -3,7 +3,7 @@
 import argparse
 from typing import Any
 
-from kinpole_ros.tools.commands._shared import keep, progress_bar
+from kinpole_ros.tools.commands._shared import check_outputs, progress_bar
 
 
 def add(commands: Any) -> None:
@@ -77,7 +77,7 @@ def run(options: argparse.Namespace) -> int:
     from kinpole_ros.bags import simulate
     from kinpole_ros.mechanism import load_scene
 
-    keep(options.scene, options.output)
+    check_outputs([options.scene], [options.output])
     scene = load_scene(options.scene)
     with progress_bar('simulate') as progress:
         count = simulate(

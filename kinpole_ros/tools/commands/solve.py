@@ -4,7 +4,7 @@ import argparse
 from typing import Any
 
 from kinpole_ros.files import printable
-from kinpole_ros.tools.commands._shared import keep
+from kinpole_ros.tools.commands._shared import check_outputs
 
 
 def add(commands: Any) -> None:
@@ -52,7 +52,7 @@ def run(options: argparse.Namespace) -> int:
     from kinpole_ros.tools.solve import solve_scene
 
     pitch = options.pitch[2] if options.pitch else None
-    keep(options.scene, options.csv, options.plot, pitch, options.html)
+    check_outputs([options.scene], [options.csv, options.plot, pitch, options.html])
     lines = solve_scene(
         options.scene,
         options.at,
