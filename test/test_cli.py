@@ -25,6 +25,7 @@ from kinpole_ros.pipeline.parameters import Settings
 from kinpole_ros.tools import cli
 
 Bag = Callable[..., Path]
+ROOT = Path(__file__).parents[1]
 COMMANDS = ['node', 'replay', 'simulate', 'plot', 'import', 'play', 'record', 'demo']
 
 
@@ -538,6 +539,35 @@ def test_an_output_does_not_take_the_place_of_an_input(
 def test_what_goes_to_a_device_is_no_file_written_twice(kinpole: Any) -> None:
     words = ('solve', 'four_bar', '--csv', '/dev/null', '--html', '/dev/null')
     assert 'is to be written too' not in kinpole(*words).err
+
+
+@pytest.mark.parametrize(
+    'words',
+    [
+        'solve {scene} --html {out} --csv {other}',
+        'solve {scene} --plot {other}.png --pitch crank rocker {out}.svg',
+        'discover {bag} --output {out} --scene {other}',
+        'discover {bag} --output {out} --plot {other}.png',
+        'report {bag} --output {out}',
+        'report {bag} --scene {scene} --output {out}',
+        'replay {bag} --output {out} --csv {other}',
+        'simulate {scene} --duration 0.2 --output {out}',
+        'fit {scene} {bag} --output {out}',
+    ],
+)
+def test_names_of_files_that_are_no_text_are_written_down_all_the_same(
+    kinpole: Any, tmp_path: Path, words: str
+) -> None:
+    odd = os.fsdecode(b'\xff')
+    scene, bag = tmp_path / f'scene{odd}.yaml', tmp_path / f'bag{odd}\n.mcap'
+    scene.write_bytes((scenes_folder() / 'four_bar.yaml').read_bytes())
+    bag.write_bytes((ROOT / 'bags' / 'four_bar.mcap').read_bytes())
+    named = {'scene': scene, 'bag': bag, 'out': tmp_path / 'out', 'other': tmp_path / 'other'}
+    said = kinpole(*[word.format(**named) for word in words.split()])
+    assert 'Traceback' not in said.err
+    written = [file.stat().st_size for file in tmp_path.iterdir() if file not in (scene, bag)]
+    assert written, said.err
+    assert min(written) > 100
 
 
 @pytest.mark.parametrize('program', ['libmcap 1.4', RECORDER])
