@@ -23,6 +23,7 @@ from kinpole_ros.mechanism import scene_names, scenes_folder
 from kinpole_ros.messages import to_message
 from kinpole_ros.pipeline.parameters import Settings
 from kinpole_ros.tools import cli
+from kinpole_ros.tools.commands import COMMANDS as COMMAND_MODULES
 
 Bag = Callable[..., Path]
 ROOT = Path(__file__).parents[1]
@@ -935,7 +936,7 @@ def test_interrupted_in_an_extension_it_ends_as_at_any_place(
     def interrupted(*_: object) -> None:
         raise SystemError('<class> returned a result with an exception set') from cause
 
-    monkeypatch.setattr(cli.COMMANDS['plot'], 'run', interrupted)
+    monkeypatch.setattr(COMMAND_MODULES['plot'], 'run', interrupted)
     assert kinpole('plot', 'results.mcap', '--output', 'picture.png') == (status, '', '')
 
 
