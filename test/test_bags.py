@@ -145,6 +145,27 @@ def test_memory_stays_bounded_by_chunks_not_by_the_file(tmp_path):
         assert peak < 2e6 < size / 3
 
 
+@pytest.mark.parametrize('compression', list(CompressionType))
+def test_a_chunk_too_large_for_the_memory_is_refused_by_name(tmp_path, compression, monkeypatch):
+    largest = 1 << 21
+    monkeypatch.setattr('kinpole_ros.bags._layout.LARGEST_CHUNK', largest)
+    path = tmp_path / 'run.mcap'
+    for count in (1, 200):  # of 20 kB
+        write_bag(str(path), range(count), compression, chunk_size=1 << 30, size=20_000)
+        tracemalloc.start()
+        if count == 1:
+            assert len(list(read_messages(path))) == 1
+        else:
+            with pytest.raises(BagError, match='larger than 2 MiB unpacked; fix: `mcap') as error:
+                list(read_messages(path))
+            assert str(path) in str(error.value)
+            assert '\n' not in str(error.value)
+        peak = tracemalloc.get_traced_memory()[1]
+        tracemalloc.stop()
+    packed = path.stat().st_size if compression != CompressionType.NONE else 0
+    assert peak < 2.5 * largest + 3 * packed
+
+
 def test_progress_rises_to_one_in_few_calls(tmp_path):
     for name in ('run_0.mcap', 'run_1.mcap'):
         write_bag(str(tmp_path / name), range(2000), use_chunking=False)

@@ -4,13 +4,14 @@ import csv
 import errno
 import json
 import os
+import shutil
 import signal
-import socket
 import subprocess
 import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
+from concurrent.futures import Future
 from contextlib import contextmanager, suppress
 from dataclasses import replace
 from pathlib import Path
@@ -24,13 +25,11 @@ import kinpole_ros.bags.batch as module
 from kinpole_ros.bags import BagError, _join, read_messages, topics
 from kinpole_ros.bags import replay as replay_one
 from kinpole_ros.bags._replay import replay
-from kinpole_ros.bags.batch import _cluster, _divided, _places, _results, batch
+from kinpole_ros.bags.batch import _cluster, _divided, _places, _results, _workers, batch
 from kinpole_ros.bags.batch._results import finished, replay_bag
 from kinpole_ros.files import _lock
 from kinpole_ros.pipeline.parameters import Settings
 from kinpole_ros.tools.cli import main
-
-pytest.importorskip('distributed')
 
 Simulated = Callable[..., Path]
 SETTINGS = Settings(window=0.2, lag=0.05, derivative_order=2)
@@ -80,27 +79,20 @@ def files(folder: Path) -> dict[str, int]:
     return {p.name: p.stat().st_mtime_ns for p in folder.iterdir() if p.name != 'summary.csv'}
 
 
+class InTurn:
+    """Workers that do each job at once, in this thread."""
+
+    count = 1
+
+    def submit(self, job: Callable[..., Any], arguments: Any, progress: Any) -> 'Future[Any]':
+        done: Future[Any] = Future()
+        done.set_result(job(*arguments, lambda share: None))
+        return done
+
+
 @contextmanager
-def in_turn(*_: Any) -> Iterator[mock.Mock]:
-    """A cluster that does everything at once, in this thread."""
-
-    def submit(do: Callable[..., Any], *words: Any, pure: bool) -> mock.Mock:
-        row = do(*words)
-        return mock.Mock(exception=lambda: None, result=lambda: row)
-
-    yield mock.Mock(submit=submit, nthreads=lambda: {'here': 1})
-
-
-class Completed:
-    """Its as_completed: futures in the order in which they were made."""
-
-    def __init__(self, futures: list[Any]) -> None:
-        self.add = futures.append
-        self._futures = futures
-
-    def __iter__(self) -> Iterator[Any]:
-        while self._futures:
-            yield self._futures.pop(0)
+def in_turn(*_: Any) -> Iterator[InTurn]:
+    yield InTurn()
 
 
 def link(bag: Path, *places: Path) -> list[Path]:
@@ -188,8 +180,7 @@ def test_a_run_that_was_stopped_keeps_what_is_finished_and_goes_on(
     assert 1 <= len(finished) < 20
     assert all((out / name).read_bytes() for name in finished)
 
-    monkeypatch.setattr(module, 'cluster', in_turn)
-    monkeypatch.setattr('distributed.as_completed', Completed)
+    monkeypatch.setattr(module, 'local_workers', in_turn)
     assert main(['batch', *map(str, words)]) == 0
     said, complaints = capsys.readouterr()
     assert complaints == ''
@@ -209,6 +200,7 @@ def test_a_dask_cluster_is_used_by_its_address(
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
+    pytest.importorskip('distributed')
     bag = simulated('four_bar', rate=100, duration=0.6)
     bags = link(bag, *(tmp_path / f'run_{k}.mcap' for k in range(3)))
     (tmp_path / 'broken.mcap').write_text('no bag')
@@ -222,7 +214,7 @@ def test_a_dask_cluster_is_used_by_its_address(
         until(lambda: where.read_text().endswith('}'))
         address = json.loads(where.read_text())['address']
         with monkeypatch.context() as patience:
-            patience.setattr(_cluster, '_PATIENCE', 0.5)
+            patience.setattr(_cluster, '_CONNECT_TIMEOUT', 0.5)
             assert main([*words, address]) == 2
         assert f'the Dask scheduler at {address} has no workers; fix' in capsys.readouterr().err
         worker = ['-m', 'dask', 'worker', '--scheduler-file', str(where), '--nthreads', '1']
@@ -239,11 +231,130 @@ def test_a_dask_cluster_is_used_by_its_address(
         assert scheduler.poll() is None
     said = capsys.readouterr()
     assert said.out.startswith('4 bags, 1 failed, 0 cut off; 180 frames in')
-    assert len(said.err.splitlines()) == 1
+    warning, failure = said.err.splitlines()
+    assert f'anyone who reaches {address} can run code on its workers; fix: ' in warning
+    assert 'broken.mcap is not an MCAP file' in failure
     assert len(list((tmp_path / 'out').glob('run_*.parquet'))) == 3
-    monkeypatch.setattr(_cluster, '_PATIENCE', 0.5)
+    monkeypatch.setattr(_cluster, '_CONNECT_TIMEOUT', 0.5)
     assert main([*words, 'tcp://127.0.0.1:9']) == 2
     assert 'no Dask scheduler answers at tcp://127.0.0.1:9' in capsys.readouterr().err
+
+
+def certificates(folder: Path) -> dict[str, Path]:
+    """Files of TLS: an authority, and a certificate and key that it signed."""
+    openssl = shutil.which('openssl')
+    if openssl is None:
+        pytest.skip('openssl makes the certificates')
+    ca, ca_key, cert, key = (folder / name for name in ('ca.pem', 'ca.key', 'me.pem', 'me.key'))
+    request = [openssl, 'req', '-x509', '-newkey', 'rsa:2048', '-nodes', '-days', '2']
+    for words in (
+        ['-subj', '/CN=lab', '-keyout', ca_key, '-out', ca],
+        ['-subj', '/CN=me', '-keyout', key, '-out', cert, '-CA', ca, '-CAkey', ca_key],
+    ):
+        subprocess.run([*request, *words], check=True, capture_output=True)
+    return {'ca': ca, 'cert': cert, 'key': key}
+
+
+def test_a_dask_cluster_with_tls_takes_only_jobs_of_those_with_a_certificate(
+    simulated: Simulated, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    pytest.importorskip('distributed')
+    bag = simulated('cardan', rate=100, duration=0.3)
+    made = certificates(tmp_path)
+    where = tmp_path / 'scheduler.json'
+    tls = ['--tls-ca-file', made['ca'], '--tls-cert', made['cert'], '--tls-key', made['key']]
+    tls = [str(word) for word in (*tls, '--no-dashboard')]
+    started = ['-m', 'dask', 'scheduler', '--protocol', 'tls', '--host', '127.0.0.1', '--port', '0']
+    with process(*started, *tls, '--scheduler-file', str(where)):
+        until(where.exists)
+        until(lambda: where.read_text().endswith('}'))
+        address = json.loads(where.read_text())['address']
+        worker = ['-m', 'dask', 'worker', address, '--nthreads', '1', '--no-nanny']
+        with process(*worker, *tls):
+            words = ['batch', str(bag), '--output', str(tmp_path / 'out'), '--scheduler', address]
+            assert main(words) == 2
+            line = capsys.readouterr().err
+            assert f'no Dask scheduler answers at {address}' in line
+            assert '--tls-cert' in line
+            assert line.count('\n') == 1
+            assert main([*words, '--tls-ca', str(tmp_path / 'none.pem')]) == 2
+            assert capsys.readouterr().err.count('\n') == 1
+            for name, path in made.items():
+                words += [f'--tls-{name}', str(path)]
+            assert main(words) == 0
+            said = capsys.readouterr()
+            assert said.err == ''
+            assert said.out.startswith('1 bags, 0 failed, 0 cut off; 30 frames in')
+
+
+def listening(parent: int) -> tuple[set[int], set[str]]:
+    """The processes below one and itself, and the sockets on which any of them listens."""
+    processes, sockets = [parent], set()
+    for pid in processes:
+        with suppress(OSError):
+            for task in Path(f'/proc/{pid}/task').iterdir():
+                processes += map(int, (task / 'children').read_text().split())
+            for file in Path(f'/proc/{pid}/fd').iterdir():
+                sockets.add(os.readlink(file))
+    found = set()
+    for table, state, inode, listens in (
+        ('tcp', 3, 9, '0A'),
+        ('tcp6', 3, 9, '0A'),
+        ('unix', 3, 6, '00010000'),
+    ):
+        for line in Path(f'/proc/net/{table}').read_text().splitlines()[1:]:
+            words = line.split()
+            if words[state] == listens and f'socket:[{words[inode]}]' in sockets:
+                found.add(f'{table}: {line}')
+    return set(processes), found
+
+
+def test_no_process_of_a_batch_listens_on_a_socket(simulated: Simulated, tmp_path: Path) -> None:
+    """Whoever connected to one could run code as the user."""
+    bag = simulated('cardan', rate=200, duration=1)
+    bags = link(bag, *(tmp_path / f'run_{k}.mcap' for k in range(6)))
+    words = [*map(str, bags), '--output', str(tmp_path / 'out'), '--workers', '2']
+    seen: set[int] = set()
+    sockets: set[str] = set()
+
+    def ended() -> bool:
+        processes, found = listening(started.pid)
+        seen.update(processes)
+        sockets.update(found)
+        return started.poll() is not None
+
+    with process('-m', 'kinpole_ros.tools.cli', 'batch', *words) as started:
+        until(ended)
+        assert started.returncode == 0
+    assert len(seen) >= 3  # two workers
+    assert not sockets
+
+
+def die_of_a_signal(progress: Callable[[float], None]) -> None:
+    os.kill(os.getpid(), signal.SIGKILL)
+
+
+def raise_what_cannot_be_pickled(progress: Callable[[float], None]) -> None:
+    raise ValueError(lambda: None)
+
+
+def add(first: int, second: int, progress: Callable[[float], None]) -> int:
+    progress(0.5)
+    return first + second
+
+
+def test_a_worker_process_that_dies_costs_the_job_it_was_at() -> None:
+    shares: list[float] = []
+    with _workers.local_workers(1) as crew:
+        died = crew.submit(die_of_a_signal, (), None)
+        odd = crew.submit(raise_what_cannot_be_pickled, (), None)
+        added = crew.submit(add, (2, 3), shares.append)
+        with pytest.raises(BagError, match=r'its worker process ended \(SIGKILL\); fix: run'):
+            died.result(60)
+        with pytest.raises(RuntimeError, match='ValueError'):
+            odd.result(60)
+        assert added.result(60) == 5
+    assert shares == [0.5]
 
 
 def test_results_are_made_anew_when_bag_settings_or_scene_change(
@@ -348,17 +459,6 @@ def test_runs_into_one_folder_take_turns_at_a_bag(
     assert not list(out.glob('*.part'))
 
 
-def test_another_cluster_on_this_machine_is_not_complained_of(
-    simulated: Simulated, tmp_path: Path, recwarn: pytest.WarningsRecorder
-) -> None:
-    with socket.socket() as taken:
-        with suppress(OSError):  # somebody has it already
-            taken.bind(('127.0.0.1', 8787))
-            taken.listen()
-        batch([simulated('cardan', rate=100, duration=0.6)], tmp_path, SETTINGS, workers=1)
-    assert not [str(warning.message) for warning in recwarn if 'Port' in str(warning.message)]
-
-
 def test_a_bag_of_a_long_name_has_results(simulated: Simulated, tmp_path: Path) -> None:
     bag = link(simulated('cardan', rate=100, duration=0.6), tmp_path / f'{"x" * 250}.mcap')[0]
     (tmp_path / 'out').mkdir()
@@ -379,7 +479,7 @@ def test_what_cannot_be_used_is_one_line(
         (['--workers', '0'], '--workers is 0; it must be 1 or more'),
         (['--workers', '1', '--scheduler', 'tcp://x:1'], 'leave it out with --scheduler'),
         (['--config', 'none.yaml'], 'none.yaml'),
-        (['--scheduler', 'nonsense://'], 'no Dask scheduler answers at nonsense://'),
+        (['--tls-ca', 'ca.pem'], 'are for a cluster; give --scheduler too'),
     ):
         assert main(['batch', bag, *words]) == 2
         line = capsys.readouterr().err
@@ -397,17 +497,26 @@ def test_what_cannot_be_used_is_one_line(
         _results.write_summary(tmp_path / 'summary.csv', [])
     assert not list(tmp_path.glob('*.part'))
     with monkeypatch.context() as crowded:
-        failed = RuntimeError('Nanny failed to start.')
-        crowded.setattr('distributed.LocalCluster', mock.Mock(side_effect=failed))
+        failed = OSError(errno.EAGAIN, 'Resource temporarily unavailable')
+        crowded.setattr(_workers._CONTEXT, 'Process', mock.Mock(side_effect=failed))
         assert main(['batch', bag]) == 2
         line = capsys.readouterr().err
-        assert 'no worker processes can be started (Nanny failed to start.); fix: ' in line
+        assert 'no worker processes can be started ([Errno 11] Resource temporarily' in line
         assert line.count('\n') == 1
+
+
+def test_only_a_cluster_needs_dask(
+    simulated: Simulated, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    bag = simulated('cardan', rate=100, duration=0.3)
     monkeypatch.setitem(sys.modules, 'distributed', None)
+    monkeypatch.setitem(sys.modules, 'dask', None)
+    (row,) = batch([bag], tmp_path / 'here', SETTINGS, workers=1)
+    assert row['error'] == ''
     with pytest.raises(
-        BagError, match=r'^many bags need Dask; fix: pip install dask distributed fsspec'
+        BagError, match=r'^--scheduler needs Dask; fix: pip install dask distributed fsspec'
     ):
-        batch([bag], tmp_path / 'out', SETTINGS)
+        batch([bag], tmp_path / 'there', SETTINGS, scheduler='tls://x:1')
 
 
 def test_what_makes_results_worse_is_reported_and_kept_in_the_summary(
@@ -479,8 +588,7 @@ def test_a_long_bag_done_by_two_workers_has_the_results_of_one(
 
     spoiled = {'jitter': 1e-4, 'dropout': 0.05, 'noise': 1e-4}
     bag = simulated('cardan', rate=100, duration=50, message='point_cloud2', **spoiled)
-    monkeypatch.setattr(module, 'cluster', in_turn)
-    monkeypatch.setattr('distributed.as_completed', Completed)
+    monkeypatch.setattr(module, 'local_workers', in_turn)
     kinds = ['mcap', 'csv', 'parquet']
     (row,) = batch([bag], tmp_path / 'one', SETTINGS, kinds=kinds, workers=1)
     concatenated: list[list[int]] = []
@@ -529,11 +637,10 @@ def test_progress_goes_by_bytes_within_bags_and_over_what_is_left(
     told.clear()
     progress = module._Progress(told.append)
     progress.begin([300, 100])
-    progress.take(progress.run, 0, 0.5)
-    progress.take('of another run', 1, 1.0)
-    progress.take(progress.run, 0, 1.0)
-    progress.take(progress.run, 0, 0.9)  # told before the end, arrived after it
-    progress.take(progress.run, 1, 1.0)
+    progress.take(0, 0.5)
+    progress.take(0, 1.0)
+    progress.take(0, 0.9)  # told before the end, arrived after it
+    progress.take(1, 1.0)
     assert told == [0.0, 0.375, 0.75, 1.0]
 
 
@@ -577,8 +684,7 @@ def test_on_windows_a_lock_is_asked_for_until_it_is_there(
 def test_bags_are_named_by_a_file_too(
     simulated: Simulated, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(module, 'cluster', in_turn)
-    monkeypatch.setattr('distributed.as_completed', Completed)
+    monkeypatch.setattr(module, 'local_workers', in_turn)
     bag = simulated('cardan', rate=100, duration=0.3)
     named = link(bag, tmp_path / 'a.mcap', tmp_path / 'b c.mcap')
     names = tmp_path / 'names.txt'
@@ -610,8 +716,7 @@ def test_results_of_very_many_bags_lie_in_folders_and_are_found_where_they_were(
     bag = simulated('cardan', rate=100, duration=0.3)
     bags = link(bag, *(tmp_path / f'{name}.mcap' for name in 'abc'))
     out = tmp_path / 'out'
-    monkeypatch.setattr(module, 'cluster', in_turn)
-    monkeypatch.setattr('distributed.as_completed', Completed)
+    monkeypatch.setattr(module, 'local_workers', in_turn)
     (flat,) = batch(bags[:1], out, SETTINGS)
     monkeypatch.setattr(_places, '_MOST_IN_FOLDER', 2)
     rows = batch(bags, out, SETTINGS)
@@ -652,8 +757,7 @@ def test_bags_and_results_may_be_in_a_store(
     assert store.cat('/lab/out/summary.csv').decode().count('\n') == 5
 
     # Again: what is there is not made anew, but of a bag that changed.
-    monkeypatch.setattr(module, 'cluster', in_turn)
-    monkeypatch.setattr('distributed.as_completed', Completed)
+    monkeypatch.setattr(module, 'local_workers', in_turn)
     before = {name: about['created'] for name, about in store.find('/lab/out', detail=True).items()}
     store.pipe('/lab/runs/one.mcap', bag.read_bytes())
     again = batch(names, 'memory://lab/out', SETTINGS)

@@ -27,8 +27,10 @@ from kinpole_ros.messages import to_message
 from kinpole_ros.packages import EXTRAS
 from kinpole_ros.pipeline.parameters import Settings
 from kinpole_ros.tools import cli
+from kinpole_ros.tools.commands import COMMANDS as COMMAND_MODULES
 
 Bag = Callable[..., Path]
+ROOT = Path(__file__).parents[1]
 COMMANDS = ['node', 'replay', 'simulate', 'plot', 'import', 'play', 'record', 'demo']
 
 
@@ -467,7 +469,7 @@ def test_no_command_writes_over_what_it_reads(kinpole: Any, rod: Path, tmp_path:
         assert [path.read_bytes() for path in (rod, table, config, scene)] == before
     both = tmp_path / 'both'
     line = refusal(kinpole('replay', rod, '--output', both, '--csv', both))
-    assert f'{both} is the bag of results' in line
+    assert f'{both} is to be written too; name another file to write' in line
 
 
 def test_what_does_not_fit_the_memory_is_one_line(
@@ -506,6 +508,111 @@ def test_results_do_not_become_a_part_of_the_bag_they_are_of(kinpole: Any, rod: 
     assert f'{output} would be a part of the bag to be replayed' in line
     assert not output.exists()
     assert kinpole('replay', rod.parent, '--csv', rod.parent / 'results.csv').status == 0
+
+
+TWO_OUTPUTS = (
+    'replay {bag} --output {0} --csv {1}',
+    'replay {bag} --csv {0} --parquet {1}',
+    'solve four_bar --csv {0} --plot {1}',
+    'solve four_bar --csv {0} --html {1}',
+    'solve four_bar --html {0} --pitch crank follower {1}',
+    'discover {bag} --output {0} --scene {1}',
+    'discover {bag} --output {0} --plot {1}',
+)
+INPUT_AS_OUTPUT = (
+    'replay {bag} --csv {bag}',
+    'replay {bag} --config {config} --csv {config}',
+    'replay {bag} --set scene:={scene} --csv {scene}',
+    'replay {folder} --csv {folder}/part.mcap',
+    'batch {bag} --output {summary} --list {summary}/summary.csv',
+    'simulate {scene} --output {scene}',
+    'solve {scene} --csv {scene}',
+    'discover {bag} --output {bag}',
+    'discover {folder} --scene {folder}/part.mcap',
+    'fit {scene} {bag} --output {scene}',
+    'fit {scene} {bag} --output {bag}',
+    'fit {scene} {bag} --config {config} --output {config}',
+    'plot {bag} --output {bag}',
+    'report {bag} --output {bag}',
+    'report {bag} --config {config} --output {config}',
+    'report {bag} --scene {scene} --output {scene}',
+    'layout foxglove --config {config} --output {config}',
+    'import {table} --output {table}',
+)
+
+
+@pytest.mark.parametrize('there', [False, True])
+@pytest.mark.parametrize('words', TWO_OUTPUTS)
+def test_two_outputs_of_one_name_are_refused(
+    kinpole: Any, rod: Path, tmp_path: Path, words: str, there: bool
+) -> None:
+    output = tmp_path / 'out'
+    if there:  # by another name then
+        output.write_text('before')
+        os.link(output, tmp_path / 'other')
+    others = str(output), str(tmp_path / 'other') if there else f'{tmp_path}/./out'
+    line = refusal(kinpole(*words.format(*others, bag=rod).split()))
+    assert others[0] in line
+    assert others[1] in line
+    assert ' is to be written too; name another file to write' in line
+    assert output.exists() == there
+    assert not there or output.read_text() == 'before'
+
+
+@pytest.mark.parametrize('words', INPUT_AS_OUTPUT)
+def test_an_output_does_not_take_the_place_of_an_input(
+    kinpole: Any, rod: Path, tmp_path: Path, words: str
+) -> None:
+    folder, summary = tmp_path / 'folder', tmp_path / 'results'
+    for made in (folder, summary):
+        made.mkdir()
+    files = {'bag': rod, 'table': tmp_path / 'table.csv', 'part': folder / 'part.mcap'}
+    os.link(rod, files['part'])
+    files['table'].write_text('t,a_x,a_y\n0,1,2\n')
+    files['listed'] = summary / 'summary.csv'
+    files['listed'].write_text(f'{rod}\n')
+    files['scene'] = tmp_path / 'mine.yaml'
+    files['scene'].write_bytes((scenes_folder() / 'cardan.yaml').read_bytes())
+    files['config'] = write_config(tmp_path / 'rig.yaml', Settings())
+    before = {path: path.read_bytes() for path in files.values()}
+    named = {**files, 'folder': folder, 'summary': summary}
+    line = refusal(kinpole(*words.format(**named).split()))
+    assert ' is to be read; name another file to write' in line
+    assert {path: path.read_bytes() for path in files.values()} == before
+
+
+def test_what_goes_to_a_device_is_no_file_written_twice(kinpole: Any) -> None:
+    words = ('solve', 'four_bar', '--csv', '/dev/null', '--html', '/dev/null')
+    assert 'is to be written too' not in kinpole(*words).err
+
+
+@pytest.mark.parametrize(
+    'words',
+    [
+        'solve {scene} --html {out} --csv {other}',
+        'solve {scene} --plot {other}.png --pitch crank rocker {out}.svg',
+        'discover {bag} --output {out} --scene {other}',
+        'discover {bag} --output {out} --plot {other}.png',
+        'report {bag} --output {out}',
+        'report {bag} --scene {scene} --output {out}',
+        'replay {bag} --output {out} --csv {other}',
+        'simulate {scene} --duration 0.2 --output {out}',
+        'fit {scene} {bag} --output {out}',
+    ],
+)
+def test_names_of_files_that_are_no_text_are_written_down_all_the_same(
+    kinpole: Any, tmp_path: Path, words: str
+) -> None:
+    odd = os.fsdecode(b'\xff')
+    scene, bag = tmp_path / f'scene{odd}.yaml', tmp_path / f'bag{odd}\n.mcap'
+    scene.write_bytes((scenes_folder() / 'four_bar.yaml').read_bytes())
+    bag.write_bytes((ROOT / 'bags' / 'four_bar.mcap').read_bytes())
+    named = {'scene': scene, 'bag': bag, 'out': tmp_path / 'out', 'other': tmp_path / 'other'}
+    said = kinpole(*[word.format(**named) for word in words.split()])
+    assert 'Traceback' not in said.err
+    written = [file.stat().st_size for file in tmp_path.iterdir() if file not in (scene, bag)]
+    assert written, said.err
+    assert min(written) > 100
 
 
 @pytest.mark.parametrize('program', ['libmcap 1.4', RECORDER])
@@ -873,7 +980,7 @@ def test_interrupted_in_an_extension_it_ends_as_at_any_place(
     def interrupted(*_: object) -> None:
         raise SystemError('<class> returned a result with an exception set') from cause
 
-    monkeypatch.setattr(cli.COMMANDS['plot'], 'run', interrupted)
+    monkeypatch.setattr(COMMAND_MODULES['plot'], 'run', interrupted)
     assert kinpole('plot', 'results.mcap', '--output', 'picture.png') == (status, '', '')
 
 

@@ -64,6 +64,7 @@ def resolved(lock_file: Path, name: str, python: str) -> str:
         pytest.skip('uv, of the extra test, is not installed')
     command = [uv, 'pip', 'compile', 'setup.py', str(lock_file), '--quiet', '--no-strip-extras']
     command += ['--no-header', '--no-annotate', '--python-version', python]
+    command += ['--no-python-downloads', '--python', sys.executable]
     command += ['--python-platform', 'x86_64-manylinux_2_28']
     command += [word for extra in EXTRAS[name] for word in ('--extra', extra)]
     run = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=300)

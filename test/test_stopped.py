@@ -125,6 +125,66 @@ def test_replay_killed_on_the_way_leaves_the_results_of_before(bag: Path, tmp_pa
         assert sorted(tmp_path.iterdir()) == [result]
 
 
+# Python runs this before the command: it counts imports from the command's own on, interrupts the
+# process at the one of this number, and in the end tells how many there were.
+INTERRUPT_AT = """
+import os, signal, sys
+
+moment, count = int(os.environ['INTERRUPT_AT']), 0
+
+def hear(event, words):
+    global count
+    if event == 'import' and (count or words[0] == 'kinpole_ros.tools.commands'):
+        count += 1
+        if count == moment:
+            os.kill(os.getpid(), signal.SIGINT)
+
+sys.addaudithook(hear)
+if not moment:
+    import atexit
+    atexit.register(lambda: print(count))
+"""
+
+
+@pytest.mark.parametrize(
+    ('words', 'domain'),
+    [
+        (['node', 'unknown_word'], '0'),  # it ends by itself once ROS has started
+        (['view'], 'none'),  # and these where ROS cannot start
+        (['record', '--output', 'out.mcap'], 'none'),
+        (['replay', 'no_bag.mcap', '--csv', 'out.csv'], '0'),
+        (['plot', 'no_bag.mcap', '--output', 'out.png'], '0'),
+    ],
+    ids=lambda given: given[0] if isinstance(given, list) else '',
+)
+def test_a_command_interrupted_while_it_starts_ends_without_a_word(
+    tmp_path: Path, words: list[str], domain: str
+) -> None:
+    (tmp_path / 'sitecustomize.py').write_text(INTERRUPT_AT)
+
+    def started(moment: int) -> 'subprocess.CompletedProcess[str]':
+        paths = os.pathsep.join((str(tmp_path), str(ROOT)))
+        given = {'PYTHONPATH': paths, 'INTERRUPT_AT': str(moment), 'ROS_DOMAIN_ID': domain}
+        command = [sys.executable, '-m', 'kinpole_ros.tools.cli', *words]
+        return subprocess.run(
+            command,
+            cwd=tmp_path,
+            env={**os.environ, **given},
+            capture_output=True,
+            text=True,
+            timeout=60,
+        )
+
+    whole = started(0)
+    assert whole.returncode == 2
+    count = int(whole.stdout.split()[-1])
+    assert count > 50
+    # More often early, where more is imported by less.
+    for moment in {1, 2, 5, *(round(count * share**2) for share in np.linspace(0.15, 0.95, 6))}:
+        done = started(moment)
+        assert (done.returncode, done.stdout, done.stderr) == (130, '', ''), moment
+
+
 def test_a_topic_to_be_recorded_may_lack_its_slash(tmp_path: Path) -> None:
     words = ('record', '--output', tmp_path / 'live.mcap', '--topic', TOPIC[1:])
     with publisher() as source, kinpole(*words) as process:

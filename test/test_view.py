@@ -62,6 +62,15 @@ def answer(address: str, path: str, host: str = '') -> tuple[int, str]:
     return found.status, found.read().decode()
 
 
+@pytest.mark.parametrize('path', ['http://[/x', '//[x', '/secret]/', 'http://[::1'])
+def test_a_request_for_no_address_is_answered_without_a_word_on_the_terminal(
+    path: str, capfd: pytest.CaptureFixture[str]
+) -> None:
+    with served() as address:
+        assert answer(address, path)[0] in (400, 403)
+    assert capfd.readouterr() == ('', '')
+
+
 def test_only_who_has_the_token_under_a_name_of_this_machine_gets_anything() -> None:
     with served() as address:
         assert address.startswith('http://127.0.0.1:') and address.endswith('/secret/')
@@ -205,6 +214,21 @@ def test_what_is_no_message_to_pages_is_refused(estimates) -> None:
     ]
     for said in wrong:
         with pytest.raises(ValueError):
+            frame_of(message(said))
+
+
+def test_more_bodies_than_a_page_can_show_are_refused_and_told_of(estimates) -> None:
+    good = view_of(estimates[0][0], XY)
+    bodies = [{**good['bodies'][0], 'name': f'body_{k}'} for k in range(5000)]
+    pair = {'bodies': ['body_0', 'body_1'], 'icr': None}
+    frame_of(message({**good, 'bodies': bodies[:200], 'pairs': [pair] * 200}))
+    for said, complaint in (
+        ({**good, 'bodies': bodies[:201], 'pairs': []}, '201 bodies and 0 pairs of them; a page'),
+        ({**good, 'bodies': bodies[:2], 'pairs': [pair] * 201}, '2 bodies and 201 pairs of them'),
+        ({**good, 'bodies': bodies}, r'\d{7} bytes; a page takes 1048576 at most'),
+        (' ' * 2_000_000, r'2000009 bytes'),
+    ):
+        with pytest.raises(ValueError, match=complaint):
             frame_of(message(said))
 
 

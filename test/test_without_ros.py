@@ -4,13 +4,11 @@ import os
 import subprocess
 import sys
 from pathlib import Path
-from typing import Any
 
 import pytest
-from conftest import read_back
 from rclpy.serialization import deserialize_message, serialize_message
 
-from kinpole_ros.bags import BagError, definition, message_class, read_messages
+from kinpole_ros.bags import BagError, definition, message_class
 from kinpole_ros.messages import _rosbags, _types
 from kinpole_ros.tools import cli
 
@@ -112,21 +110,10 @@ def test_every_command_but_the_live_ones_gives_the_same_without_ros(tmp_path: Pa
     without_ros(tmp_path, [*runs['without'], *more], result)
     for words in runs['with']:
         assert cli.main(words) == 0, words
-    for file in ('result.csv', 'result.mcap'):
+    for file in ('result.csv', 'result.mcap', 'run.mcap', 'cloud.mcap', 'imported.mcap'):
         ours, other = (tmp_path / name / file for name in ('without', 'with'))
         assert ours.read_bytes() == other.read_bytes(), file
-    for file in ('run.mcap', 'cloud.mcap', 'imported.mcap'):
-        ours, other = (tmp_path / name / file for name in ('without', 'with'))
-        assert all_in(ours) == all_in(other), file
     assert (folder / 'rig.yaml').is_file()
-
-
-def all_in(bag: Path) -> list[tuple[str, str, int, Any]]:
-    """What a bag holds; its bytes will not do, since rclpy leaves padding to chance."""
-    return [
-        (one.topic, one.type_name, one.log_time, str(read_back(one.data, one.type_name)))
-        for one in read_messages(bag)
-    ]
 
 
 def test_definitions_without_ros_are_those_of_ros(monkeypatch: pytest.MonkeyPatch) -> None:

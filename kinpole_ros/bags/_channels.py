@@ -18,6 +18,7 @@ MESSAGE = struct.Struct('<H4xQ8x')  # channel, (sequence,) log time (, publish t
 _MESSAGE_RECORD = int(Opcode.MESSAGE)
 # What may be claimed to be unpacked, in bytes: real recordings stay far below, bombs do not.
 LARGEST = 1 << 30
+LARGEST_CHUNK = 1 << 27  # bytes unpacked, all held at once: recorders make chunks of 1 to 4 MiB
 _ALWAYS = 1 << 24
 _RATIO = 1000
 _LONGEST_NAME = 1000

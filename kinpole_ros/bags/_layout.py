@@ -19,7 +19,15 @@ from mcap.opcode import Opcode
 from mcap.records import Channel, Chunk, ChunkIndex, Footer, Schema
 from mcap.writer import MCAP0_MAGIC
 
-from kinpole_ros.bags._channels import HEAD, LARGEST, MESSAGE, Channels, description, largest
+from kinpole_ros.bags._channels import (
+    HEAD,
+    LARGEST,
+    LARGEST_CHUNK,
+    MESSAGE,
+    Channels,
+    description,
+    largest,
+)
 from kinpole_ros.bags._claims import CLAIMING, Claims
 from kinpole_ros.bags._files import BagError, Unpacked
 
@@ -28,6 +36,7 @@ _FARTHEST = 2**62
 _TIME = struct.Struct('<Q')
 _FOOTER_SIZE = HEAD.size + 20
 _RUN = 1 << 20
+_PIECE = 1 << 20  # bytes that lz4 unpacks at a time
 
 
 class Span(NamedTuple):
@@ -219,6 +228,8 @@ def records(file: BinaryIO, span: Span, layout: Layout) -> tuple[bytes, bytes]:
     """The records in a span, as far as the file goes, and the indexes behind a whole chunk."""
     if span.length > LARGEST:
         raise ValueError(f'a record that claims {span.length} bytes')
+    if span.chunk and LARGEST_CHUNK < span.length <= layout.size - span.offset:
+        raise _too_large(file, span)
     file.seek(span.offset)
     record = file.read(min(span.length + span.indexes, layout.size - span.offset))
     if not span.chunk:
@@ -231,10 +242,12 @@ def records(file: BinaryIO, span: Span, layout: Layout) -> tuple[bytes, bytes]:
     claimed = chunk.uncompressed_size
     if claimed > largest(len(chunk.data)):
         raise ValueError(f'a chunk that claims to be {claimed} bytes unpacked')
+    # One byte more tells a claim that is too small, or a chunk that is too large.
+    most = min(claimed, LARGEST_CHUNK) + 1
     if chunk.compression == 'zstd':
-        content = zstandard.ZstdDecompressor().stream_reader(chunk.data).read(claimed + 1)
+        content = zstandard.ZstdDecompressor().stream_reader(chunk.data).read(most)
     elif chunk.compression == 'lz4':
-        content = lz4.frame.LZ4FrameDecompressor().decompress(chunk.data, claimed + 1)
+        content = _unpack_lz4(chunk.data, most)
     elif chunk.compression == '':
         content = chunk.data
     else:
@@ -242,9 +255,29 @@ def records(file: BinaryIO, span: Span, layout: Layout) -> tuple[bytes, bytes]:
             f'{file.name}: chunks are compressed with {chunk.compression!r}; '
             f'fix: `mcap compress {file.name} -o NEW.mcap`'
         )
+    if len(content) > LARGEST_CHUNK:
+        raise _too_large(file, span)
     if len(record) == span.length:
         if len(content) != claimed:
             raise ValueError('a chunk of the wrong size')
         if chunk.uncompressed_crc not in (0, zlib.crc32(content)):
             raise ValueError('the checksum of a chunk is wrong')
     return content, index
+
+
+def _unpack_lz4(data: bytes, most: int) -> bytes:
+    """Unpack so many bytes at most; in pieces, since lz4 takes twice the memory of each."""
+    decompressor = lz4.frame.LZ4FrameDecompressor()
+    pieces = [decompressor.decompress(data, min(most, _PIECE))]
+    left = most - len(pieces[0])
+    while left and pieces[-1] and not (decompressor.eof or decompressor.needs_input):
+        pieces.append(decompressor.decompress(b'', min(left, _PIECE)))
+        left -= len(pieces[-1])
+    return b''.join(pieces)
+
+
+def _too_large(file: BinaryIO, span: Span) -> BagError:
+    return BagError(
+        f'{file.name}: the chunk at byte {span.offset} is larger than {LARGEST_CHUNK >> 20} MiB '
+        f'unpacked; fix: `mcap compress {file.name} -o NEW.mcap`, which makes chunks of 4 MiB'
+    )

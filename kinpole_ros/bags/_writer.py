@@ -60,9 +60,8 @@ class BagWriter:
 
     The file is written under its own name from the start, replacing one that was there, and folders
     above it are made. A program that dies leaves all finished chunks (256 KiB of messages) to be
-    read; `flush` finishes the present one. Equal data make equal files, for nothing of the clock
-    or the machine goes in; but rclpy leaves the padding in its data to chance, so compare what
-    `write` wrote by decoded messages.
+    read; `flush` finishes the present one. Equal messages make equal files, for nothing of the
+    clock, the machine or its memory goes in: padding is zero, but for that of `write_raw`.
 
     `library` is what the file says made it, and `name` what messages call the file, where that is
     not its path.

@@ -6,48 +6,13 @@ are rows of one array. The bytes are plain CDR, little endian, padding zero: equ
 equal bytes.
 """
 
-import struct
 from collections.abc import Sequence
 from functools import lru_cache
 
 import numpy as np
 
+from kinpole_ros.messages._cdr_writer import HEAD, SECOND, TIME, Writer
 from kinpole_ros.messages._types import DiagnosticArray
-from kinpole_ros.messages._walk import HEAD, LITTLE
-
-_SECOND = 1_000_000_000
-_TIME = struct.Struct('<iI')
-_VECTOR = struct.Struct('<3d')
-
-
-class Writer:
-    """Fields one after the other, each aligned to its size, in `data`."""
-
-    def __init__(self) -> None:
-        self.data = bytearray(LITTLE.ljust(HEAD, b'\0'))
-
-    def align(self, size: int) -> None:
-        self.data += bytes((HEAD - len(self.data)) % size)
-
-    def pack(self, form: str, *values: float) -> None:
-        """Fields of 4 bytes or less, as `struct` names them."""
-        self.align(4)
-        self.data += struct.pack(f'<{form}', *values)
-
-    def string(self, text: str) -> None:
-        raw = text.encode() + b'\0'
-        self.pack('I', len(raw))
-        self.data += raw
-
-    def header(self, stamp: int, frame_id: str) -> None:
-        self.align(4)
-        self.data += _TIME.pack(*divmod(stamp, _SECOND))
-        self.string(frame_id)
-
-    def doubles(self, values: np.ndarray) -> None:
-        if values.size:
-            self.align(8)
-            self.data += values.astype('<f8').tobytes()
 
 
 def stamped_doubles(
@@ -68,7 +33,7 @@ def stamped_doubles(
     doubles = figures.astype('<f8', copy=False)
     rows = np.empty((len(doubles), len(head) + doubles.strides[0]), np.uint8)
     rows[:, : len(head)] = np.frombuffer(head, np.uint8)
-    rows[:, first : first + _TIME.size] = _times(stamps)
+    rows[:, first : first + TIME.size] = _times(stamps)
     rows[:, len(head) :] = doubles.view(np.uint8)
     return rows_of_bytes(rows)
 
@@ -90,7 +55,7 @@ def joint_data(
     writer.pack('I', 0)
     writer.align(8)
     rows = np.tile(np.frombuffer(bytes(writer.data), np.uint8), (len(stamps), 1))
-    rows[:, HEAD : HEAD + _TIME.size] = _times(stamps)
+    rows[:, HEAD : HEAD + TIME.size] = _times(stamps)
     for place, figures in zip(places, (positions, velocities), strict=True):
         rows[:, place] = np.ascontiguousarray(figures, '<f8').view(np.uint8)
     return rows_of_bytes(rows)
@@ -116,7 +81,7 @@ def path(stamp: int, frame_id: str, stamps: np.ndarray, positions: np.ndarray) -
     head = _head(frame_id, None)[HEAD:]
     rows = np.empty((len(stamps) - 1, len(head) + 56), np.uint8)
     rows[:, : len(head)] = np.frombuffer(head, np.uint8)
-    rows[:, : _TIME.size] = _times(stamps[1:])
+    rows[:, : TIME.size] = _times(stamps[1:])
     rows[:, len(head) :] = poses[1:].astype('<f8').view(np.uint8)
     return bytes(writer.data + rows.tobytes())
 
@@ -125,7 +90,7 @@ def diagnostics_data(array: DiagnosticArray) -> bytes:
     """What rclpy makes of diagnostics, which leaves the padding to chance."""
     writer = Writer()
     stamp = array.header.stamp
-    writer.header(stamp.sec * _SECOND + stamp.nanosec, array.header.frame_id)
+    writer.header(stamp.sec * SECOND + stamp.nanosec, array.header.frame_id)
     writer.pack('I', len(array.status))
     for status in array.status:
         level = status.level
@@ -142,7 +107,7 @@ def diagnostics_data(array: DiagnosticArray) -> bytes:
 def _times(stamps: np.ndarray) -> np.ndarray:
     """The bytes (T, 8) of stamps in ns."""
     times = np.empty((len(stamps), 2), '<u4')
-    times[:, 0], times[:, 1] = np.divmod(stamps, _SECOND)
+    times[:, 0], times[:, 1] = np.divmod(stamps, SECOND)
     return times.view(np.uint8)
 
 
@@ -151,7 +116,7 @@ def _times(stamps: np.ndarray) -> np.ndarray:
 def stamped_head(stamp: int, frame_id: str, child: str | None, listed: bool) -> bytes:
     """All before the doubles of a message, as in `stamped_doubles`; `stamp` in ns."""
     head, first = _head(frame_id, child, listed), HEAD + 4 * listed
-    return head[:first] + _TIME.pack(*divmod(stamp, _SECOND)) + head[first + _TIME.size :]
+    return head[:first] + TIME.pack(*divmod(stamp, SECOND)) + head[first + TIME.size :]
 
 
 # As many as there are frames of bodies, and of what moves them.

@@ -7,12 +7,12 @@ All outside of ros/ takes them from here, so nothing but the live node needs ROS
 from typing import TYPE_CHECKING
 
 try:
-    from rclpy.serialization import deserialize_message, serialize_message
+    from rclpy.serialization import deserialize_message
 
     WITH_ROS = True
 # A ROS of another Python is none either.
 except ImportError:
-    from kinpole_ros.messages._rosbags import deserialize_message, serialize_message
+    from kinpole_ros.messages._rosbags import deserialize_message
 
     WITH_ROS = False
 
@@ -44,6 +44,7 @@ if WITH_ROS or TYPE_CHECKING:
         octets,
         type_name,
     )
+    from kinpole_ros.messages._serialize import serialize_message
 else:
     from kinpole_ros.messages._rosbags import (
         WITH_TF,
@@ -75,6 +76,7 @@ else:
         fields,
         message_class,
         octets,
+        serialize_message,
         type_name,
     )
 

@@ -10,6 +10,7 @@ counted from the start of the message; padding holds whatever was in memory.
 import struct
 from typing import NamedTuple
 
+from kinpole_ros.messages._cdr_writer import HEAD, LITTLE
 from kinpole_ros.messages._cloud import MessageError
 from kinpole_ros.messages._markers import INPUT_TYPE_NAMES
 
@@ -17,9 +18,6 @@ from kinpole_ros.messages._markers import INPUT_TYPE_NAMES
 # as so many points.
 _MOST_OBJECTS = 1 << 18
 _MARKER = 16
-# The four bytes before the fields; of these the last two say nothing.
-HEAD = 4
-LITTLE = b'\x00\x01'
 _ORDERS = {b'\x00\x00': '>', LITTLE: '<'}
 
 

@@ -8,6 +8,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from kinpole_ros.bags import BagError, Truncated, in_place_of, read_frames
+from kinpole_ros.files import printable
 from kinpole_ros.linkage import UndiscoveredError, discover, draft, parameter_file, table
 from kinpole_ros.pipeline.frame import MarkerFrames
 
@@ -51,7 +52,7 @@ def discover_rig(
         found = discover(parts, part(_READING, 0.9 - _READING))
     except UndiscoveredError as error:
         raise BagError(f'{source}: {error}') from None
-    about = f'Found by kinpole discover {source}'
+    about = f'Found by kinpole discover {printable(source)}'
     drawn = draft(found, f'{about}: a draft, to be checked and named.')
     if progress is not None:
         progress(1.0)
@@ -70,7 +71,7 @@ def discover_rig(
     if picture is not None:
         from kinpole_ros.tools.plot import draw_linkage
 
-        draw_linkage(found, picture, Path(source).name if not live else name)
+        draw_linkage(found, picture, printable(Path(source).name if not live else name))
         lines.append(f'drawn to {picture}')
     return lines
 

@@ -1,24 +1,25 @@
 """
 Many bags replayed, on the cores of this machine or on a Dask cluster, and a table over all.
 
-Dask does the work of spreading; here is what makes a run of days bearable: each result appears
-under its name only when it is whole, with a small file next to it that says what it was made of,
-so that a run that was stopped goes on where it was, and a bag that fails costs only itself.
+Each result appears under its name only when it is whole, with a small file next to it that says
+what it was made of. So a run that was stopped goes on where it was, and a bag that fails costs
+only itself.
 """
 
 import os
 import threading
-import uuid
 from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import FIRST_COMPLETED, Future, wait
 from contextlib import ExitStack, nullcontext, suppress
 from dataclasses import replace
+from functools import partial
 from itertools import islice
 from pathlib import Path
 from typing import Any
 
 from kinpole_ros.bags import BagError, bag_files
 from kinpole_ros.bags.batch import _store
-from kinpole_ros.bags.batch._cluster import cluster
+from kinpole_ros.bags.batch._cluster import TlsFiles, cluster_workers, is_open_to_all
 from kinpole_ros.bags.batch._divided import assemble, replay_stretch, ways
 from kinpole_ros.bags.batch._places import Places, absolute
 from kinpole_ros.bags.batch._results import (
@@ -29,13 +30,13 @@ from kinpole_ros.bags.batch._results import (
     is_result,
     replay_bag,
 )
+from kinpole_ros.bags.batch._workers import local_workers
 from kinpole_ros.files import read_limited
 from kinpole_ros.pipeline.parameters import Settings
 
-__all__ = ['KINDS', 'batch', 'listed_bags']
+__all__ = ['KINDS', 'TlsFiles', 'batch', 'is_open_to_all', 'listed_bags']
 
-_TOPIC = 'kinpole'  # of Dask's events
-# Bags that each worker of a cluster has waiting for it: its scheduler slows down under more.
+# Bags that wait for each worker: the scheduler of a cluster slows down under more.
 _AHEAD = 8
 _MOST_LISTED = 64 << 20  # bytes: a hundred thousand paths of 600
 
@@ -68,6 +69,7 @@ def batch(
     workers: int | None = None,
     progress: Callable[[float], None] | None = None,
     report: Callable[[Row], None] | None = None,
+    tls: TlsFiles | None = None,
 ) -> list[Row]:
     """
     Replay every bag into the folder `output` and write summary.csv there; returns its rows.
@@ -75,8 +77,10 @@ def batch(
     `kinds` are what is written of each bag: 'mcap', 'csv', 'parquet', as replay does. Results are
     called after the bag and a number made of its whole path, so bags of one name do not meet.
     `scheduler` is the address of a Dask scheduler whose workers have this package and see the
-    same files; without it, `workers` processes here (as many as cores). Bags that are finished
-    with the same settings are not done again.
+    same files; `tls` are the files by which both know each other, where Dask's configuration does
+    not name them. Without a scheduler, `workers` processes here (as many as cores) do the work,
+    and listen to nobody but this one. Bags that are finished with the same settings are not done
+    again.
 
     Bags and `output` may be URLs of any store that fsspec knows; a bag is then fetched to the disk
     of its worker, and results are sent from there. Of more than 10,000 bags results lie in folders
@@ -87,7 +91,7 @@ def batch(
     bodies never estimated ('unknown'), and why it failed ('error'). A failed bag does not stop
     the rest; `report` is called with each row as it comes, `progress` with the share done of what
     was left to do, by bytes. Rows are in the order of `bags`, without results of earlier runs
-    among them. Raises BagError when there is no Dask, no scheduler, or no place to write. An
+    among them. Raises BagError when no worker or no place to write is there. An
     interruption leaves what is finished, and a summary of it.
     """
     places = Places(output)
@@ -111,7 +115,7 @@ def batch(
     rows: dict[str, Row] = {}
     bar = None if progress is None else _Progress(progress)
     try:
-        for row in _rows(paths, places, settings, topic, kinds, scheduler, workers, bar):
+        for row in _rows(paths, places, settings, topic, kinds, scheduler, workers, bar, tls):
             rows[row['bag']] = row
             if report is not None:
                 with nullcontext() if bar is None else bar.lock:
@@ -135,6 +139,7 @@ def _rows(
     scheduler: str | None,
     workers: int | None,
     bar: '_Progress | None',
+    tls: TlsFiles | None,
 ) -> Iterator[Row]:
     """The row of each bag as it comes: first those that are there, then those made now."""
     left = []
@@ -146,25 +151,26 @@ def _rows(
             yield row
     if not left:
         return
-    here = any(map(_store.lives_in_this_process, (*left, places.folder)))
     most = workers or os.cpu_count() or 1
     divided = ways(left, places.folder, settings, most) if scheduler is None else [1] * len(left)
-    jobs: dict[Any, int] = {}
-    futures: dict[int, list[Any]] = {}
+    jobs: dict[Future[Any], int] = {}
+    futures: dict[int, list[Future[Any]]] = {}
 
     def job(number: int) -> tuple[str, Any, Settings, str | None, list[str]]:
         return left[number], places.home(left[number]), settings, topic, kinds
 
+    if scheduler is None:
+        here = any(map(_store.lives_in_this_process, (*left, places.folder)))
+        started = local_workers(min(most, sum(divided)), here)
+    else:
+        started = cluster_workers(scheduler, tls)
     try:
-        with ExitStack() as held, cluster(scheduler, min(most, sum(divided)), here) as client:
-            from distributed import as_completed
-
+        with ExitStack() as held, started as crew:
             if bar is not None:
                 bar.begin([_size(bag) for bag in left])
-                client.subscribe_topic(_TOPIC, lambda event: bar.take(*event[1]))
 
-            def begin(number: int) -> list[Any]:
-                known_as = None if bar is None else (bar.run, number)
+            def begin(number: int) -> None:
+                progress = None if bar is None else partial(bar.take, number)
                 stretches = divided[number]
                 if stretches > 1:
                     try:
@@ -172,36 +178,33 @@ def _rows(
                     except BlockingIOError:
                         stretches = 1  # its worker waits for the other run
                 if stretches == 1:
-                    begun = [client.submit(_work, replay_bag, job(number), known_as, pure=False)]
+                    begun = [crew.submit(replay_bag, job(number), progress)]
                 else:
+                    last = stretches - 1  # it has the longest way
                     begun = [
-                        # The last one has the longest way.
-                        client.submit(
-                            _work,
+                        crew.submit(
                             replay_stretch,
                             (*job(number), k, stretches),
-                            known_as if k == stretches - 1 else None,
-                            pure=False,
+                            progress if k == last else None,
                         )
                         for k in range(stretches)
                     ]
                 futures[number] = begun
                 jobs.update(dict.fromkeys(begun, number))
-                return begun
 
             waiting = iter(range(len(left)))
-            ahead = _AHEAD * max(1, len(client.nthreads()))
-            running = as_completed([f for number in islice(waiting, ahead) for f in begin(number)])
-            for done in running:
-                number = jobs.pop(done)
-                if number in jobs.values():
-                    continue
-                for following in islice(waiting, 1):
-                    for future in begin(following):
-                        running.add(future)
-                if bar is not None:
-                    bar.take(bar.run, number, 1.0)
-                yield places.as_seen(_row(job(number), futures.pop(number)))
+            for number in islice(waiting, _AHEAD * crew.count):
+                begin(number)
+            while jobs:
+                for done in wait(jobs, return_when=FIRST_COMPLETED).done:
+                    number = jobs.pop(done)
+                    if number in jobs.values():
+                        continue
+                    for following in islice(waiting, 1):
+                        begin(following)
+                    if bar is not None:
+                        bar.take(number, 1.0)
+                    yield places.as_seen(_row(job(number), futures.pop(number)))
     finally:
         # Workers of our own are gone; others go on with what they began, and finish it.
         if scheduler is None:
@@ -212,7 +215,7 @@ def _rows(
                         pass
 
 
-def _row(job: tuple[str, Any, Settings, str | None, list[str]], futures: list[Any]) -> Row:
+def _row(job: tuple[str, Any, Settings, str | None, list[str]], futures: list[Future[Any]]) -> Row:
     """The row of a bag of which all is done."""
     errors = [error for error in (future.exception() for future in futures) if error is not None]
     try:
@@ -228,27 +231,15 @@ def _row(job: tuple[str, Any, Settings, str | None, list[str]], futures: list[An
     return {'bag': job[0], 'error': ' '.join(text.split())}
 
 
-def _work(do: Callable[..., Any], job: tuple[Any, ...], known_as: tuple[str, int] | None) -> Any:
-    """Do it in a worker, telling how far it is to whoever has the bag `known_as` this."""
-    if known_as is None:
-        return do(*job)
-    from distributed import get_worker
-
-    worker = get_worker()
-    return do(*job, lambda share: worker.log_event(_TOPIC, (*known_as, share)))
-
-
 class _Progress:
     """
-    The share done of all bags by bytes, from what workers tell of each by its number.
+    The share done of all bags by bytes, from the share done of each.
 
-    They are heard in another thread, which holds the `lock` while it tells.
+    Shares come in other threads, which hold the `lock` while they report.
     """
 
     def __init__(self, progress: Callable[[float], None]) -> None:
         self.lock = threading.Lock()
-        # Others may use the same cluster.
-        self.run = uuid.uuid4().hex
         self._progress = progress
 
     def begin(self, sizes: list[int]) -> None:
@@ -256,9 +247,9 @@ class _Progress:
         self._done, self._sum = [0] * len(sizes), 0
         self._progress(0.0)
 
-    def take(self, run: str, number: int, share: float) -> None:
+    def take(self, number: int, share: float) -> None:
         with self.lock:
-            done = int(share * self._sizes[number]) if run == self.run else 0
+            done = int(share * self._sizes[number])
             # What was reported of a bag before its end may arrive after it.
             if done > self._done[number]:
                 self._sum += done - self._done[number]

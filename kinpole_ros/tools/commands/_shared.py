@@ -5,7 +5,7 @@ import os
 import shutil
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from contextlib import contextmanager, suppress
 from typing import TYPE_CHECKING
 
@@ -100,13 +100,29 @@ def settings_of(options: argparse.Namespace) -> 'Settings':
     return settings_from(changes)
 
 
-def keep(given: str | None, *outputs: str | None) -> None:
-    """Refuse to write over a file that is read, or a recording, which cannot be made again."""
+def check_outputs(inputs: Iterable[str | None], outputs: Iterable[str | None]) -> None:
+    """
+    Refuse outputs that would lose something, before anything is read or written.
+
+    An output must not be one of the files that are read, by whatever name, nor that of another
+    output, nor a recording, which cannot be made again. Inputs and outputs that are None or '' are
+    not there; an input that is a folder is a bag, and names that are no files are passed over.
+
+    Raises FileExistsError for the first output that must not be written.
+    """
+    taken: dict[object, tuple[str, str]] = {}
+    for path in filter(None, inputs):
+        for file in _files_of(path):
+            taken[_identity(file)] = file, 'is to be read'
     for output in filter(None, outputs):
-        # By another name too. What cannot be looked at is reported when it is opened.
-        there = given is not None and os.path.exists(given) and os.path.exists(output)
-        if there and os.path.samefile(str(given), output):
-            raise FileExistsError(f'{given} is to be read; name another file to write')
+        if os.path.exists(output) and not os.path.isfile(output):
+            continue  # a folder is refused where it is opened; what a device is given is no file
+        identity = _identity(output)
+        if identity in taken:
+            other, use = taken[identity]
+            also = '' if other == output else f'is the same file as {other}, which '
+            raise FileExistsError(f'{output} {also}{use}; name another file to write')
+        taken[identity] = output, 'is to be written too'
         if os.path.isfile(output) and (recorder := _recorder_of(output)):
             raise FileExistsError(
                 f'{output} is a recording, made by {recorder!r}; name another file to write, or '
@@ -139,6 +155,25 @@ def check_ending(option: str, output: str | None, kind: str) -> None:
     if output is None or ending in own or (kind != 'an HTML page' and ending not in others):
         return
     raise UsageError(f'{option} {output}: the output is {kind}; end its name in {own[0]}')
+
+
+def _files_of(path: str) -> list[str]:
+    """The files that are read where this path, of a file or of the folder of a bag, is named."""
+    if not os.path.isdir(path):
+        return [path] if os.path.isfile(path) else []
+    from kinpole_ros.bags import BagError, bag_files
+
+    with suppress(BagError):  # it is refused where it is read
+        return [os.path.join(path, 'metadata.yaml'), *map(str, bag_files(path))]
+    return []
+
+
+def _identity(path: str) -> object:
+    """What two names of one file have in common, whether it is there or not."""
+    with suppress(OSError):
+        found = os.stat(path)
+        return found.st_dev, found.st_ino
+    return os.path.realpath(path)
 
 
 def _recorder_of(path: str) -> str:

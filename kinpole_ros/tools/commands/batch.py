@@ -7,6 +7,7 @@ from typing import Any
 from kinpole_ros.packages import install_command
 from kinpole_ros.tools.commands._shared import (
     add_set,
+    check_outputs,
     cleared,
     on_terminal,
     one_line,
@@ -27,15 +28,21 @@ def add(commands: Any) -> None:
         'and settings are the same. A folder is one bag: name recordings that lie in one folder\n'
         'by FOLDER/*.mcap. Bags and output may be URLs of stores that fsspec knows, as s3://...\n'
         'Of more than 10,000 bags results lie in 256 folders of the output.\n'
-        f'Needs Dask: {install_command("batch")}.',
+        'A list of bags is trusted like the command line: it can name any file that you can read,\n'
+        'and any address. Stores need fsspec, and a cluster Dask:\n'
+        f'{install_command("batch")}.',
         epilog='examples:\n'
         '  kinpole batch runs/*.mcap --config rig.yaml --output results\n'
         '  kinpole batch runs/*/ --config rig.yaml --output results --parquet --workers 4\n'
-        '  kinpole batch runs/*/ --config rig.yaml --output results --scheduler tcp://hub:8786\n'
+        '  kinpole batch runs/*/ --config rig.yaml --output results --scheduler tls://hub:8786 \\\n'
+        '    --tls-ca ca.pem --tls-cert me.pem --tls-key me.key\n'
         '\n'
-        'A cluster is `dask scheduler` on one machine and `dask worker tcp://hub:8786 --nthreads 1`'
-        '\non each of the others. All of them have kinpole_ros installed, and see bags and output\n'
-        'under the same paths. Dask takes code from whoever reaches it: keep it inside your lab.\n'
+        'A cluster is `dask scheduler --protocol tls` on one machine and `dask worker tls://hub:8786\n'
+        '--nthreads 1` on each of the others, all with --tls-ca-file, --tls-cert and --tls-key.\n'
+        'They have kinpole_ros installed, and see bags and output under the same paths. Dask runs\n'
+        'code from whoever reaches it: without TLS, anyone in the network can do so. What the\n'
+        'configuration of Dask names need not be given here. Without --scheduler, the workers are\n'
+        'processes of this machine, and listen to nobody.\n'
         'Exit status: 0 all bags done; 2 some failed, are cut off, or never estimated a body:\n'
         'see the columns error, truncated, unknown and warnings.',
         formatter_class=argparse.RawDescriptionHelpFormatter,
@@ -46,7 +53,11 @@ def add(commands: Any) -> None:
         nargs='*',
         help='.mcap files and rosbag2 folders, or URLs such as s3://lab/run.mcap',
     )
-    batch.add_argument('--list', metavar='FILE', help='a file that names more bags, one a line')
+    batch.add_argument(
+        '--list',
+        metavar='FILE',
+        help='a file, from somebody you trust, that names more bags, one a line',
+    )
     batch.add_argument(
         '--config', metavar='FILE', help='ROS 2 parameter file for all of them, as for replay'
     )
@@ -66,23 +77,37 @@ def add(commands: Any) -> None:
     batch.add_argument(
         '--scheduler', metavar='ADDRESS', help='of a Dask cluster; without it, this machine'
     )
+    batch.add_argument('--tls-ca', metavar='PEM', help='certificate that signed those of a cluster')
+    batch.add_argument('--tls-cert', metavar='PEM', help='certificate that it is shown')
+    batch.add_argument('--tls-key', metavar='PEM', help='key of --tls-cert, if not in its file')
     batch.add_argument('--workers', type=int, metavar='N', help='processes here (one a core)')
 
 
 def run(options: argparse.Namespace) -> int:
     """Do it, and print the outcome; the exit status."""
     from kinpole_ros.bags import BagError
-    from kinpole_ros.bags.batch import KINDS, batch, listed_bags
+    from kinpole_ros.bags.batch import KINDS, TlsFiles, batch, is_open_to_all, listed_bags
 
     if options.workers is not None and options.workers < 1:
         raise BagError(f'--workers is {options.workers}; it must be 1 or more')
     if options.workers is not None and options.scheduler is not None:
         raise BagError('--workers is for this machine alone; leave it out with --scheduler')
+    tls = TlsFiles(options.tls_ca, options.tls_cert, options.tls_key)
+    if options.scheduler is None and tls != TlsFiles():
+        raise BagError('--tls-ca, --tls-cert and --tls-key are for a cluster; give --scheduler too')
     bags = [*options.bags, *(listed_bags(options.list) if options.list else [])]
     if not bags:
         raise BagError('no bags are named; give some, or a file that names them by --list')
     settings = settings_of(options)
     kinds = [kind for kind in KINDS if getattr(options, kind)] or ['mcap']
+    check_outputs([options.list, options.config, settings.scene], [f'{options.output}/summary.csv'])
+
+    if options.scheduler is not None and is_open_to_all(options.scheduler):
+        print(
+            f'kinpole batch: anyone who reaches {one_line(options.scheduler)} can run code on its '
+            'workers; fix: start it with TLS and give its tls:// address (see docs/security.md)',
+            file=sys.stderr,
+        )
 
     def report(row: dict[str, Any]) -> None:
         for trouble in (row['error'], row.get('truncated'), row.get('warnings')):
@@ -102,6 +127,7 @@ def run(options: argparse.Namespace) -> int:
             options.workers,
             progress,
             report,
+            tls,
         )
     failed = sum(bool(row['error']) for row in rows)
     cut = sum(bool(row.get('truncated')) for row in rows)

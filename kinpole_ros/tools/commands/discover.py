@@ -6,7 +6,7 @@ from typing import Any
 from kinpole_ros.files import printable
 from kinpole_ros.tools.commands._shared import (
     check_ending,
-    keep,
+    check_outputs,
     progress_bar,
     reported,
 )
@@ -58,7 +58,7 @@ def run(options: argparse.Namespace) -> int:
     """Do it, and print the outcome; the exit status."""
     from kinpole_ros.tools.discover import discover_rig
 
-    keep(options.source, options.output, options.scene, options.plot)
+    check_outputs([options.source], [options.output, options.scene, options.plot])
     check_ending('--output', options.output, 'a YAML file')
     check_ending('--scene', options.scene, 'a YAML file')
     troubles: list[object] = []

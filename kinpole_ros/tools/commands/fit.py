@@ -6,7 +6,7 @@ from typing import Any
 from kinpole_ros.files import printable
 from kinpole_ros.tools.commands._shared import (
     check_ending,
-    keep,
+    check_outputs,
     progress_bar,
     reported,
 )
@@ -53,7 +53,7 @@ def run(options: argparse.Namespace) -> int:
     """Do it, and print the outcome; the exit status."""
     from kinpole_ros.tools.fit import fit_bag
 
-    keep(options.config, options.output)
+    check_outputs([options.scene, options.bag, options.config], [options.output])
     check_ending('--output', options.output, 'a YAML file')
     troubles: list[object] = []
     with progress_bar('fit') as progress:

@@ -7,7 +7,7 @@ from typing import Any
 from kinpole_ros.packages import install_command
 from kinpole_ros.tools.commands._shared import (
     check_ending,
-    keep,
+    check_outputs,
     one_line,
     progress_bar,
 )
@@ -67,7 +67,7 @@ def run(options: argparse.Namespace) -> int:
     """Do it, and print the outcome; the exit status."""
     from kinpole_ros.bags import import_points
 
-    keep(options.file, options.output)
+    check_outputs([options.file], [options.output])
     check_ending('--output', options.output, 'an MCAP bag')
     with progress_bar('import') as progress:
         done = import_points(

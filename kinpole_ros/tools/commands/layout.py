@@ -3,7 +3,7 @@
 import argparse
 from typing import Any
 
-from kinpole_ros.tools.commands._shared import check_ending, keep
+from kinpole_ros.tools.commands._shared import check_ending, check_outputs
 
 
 def add(commands: Any) -> None:
@@ -31,8 +31,8 @@ def run(options: argparse.Namespace) -> int:
     """Do it, and print the outcome; the exit status."""
     from kinpole_ros.tools.layout import write_layout
 
+    check_outputs([options.config], [options.output])
     kinds = {'foxglove': 'a Foxglove layout', 'plotjuggler': 'a PlotJuggler layout'}
-    keep(options.config, options.output)
     check_ending('--output', options.output, kinds[options.viewer])
     shown = write_layout(options.viewer, options.config, options.output)
     print(f'{options.output}: {", ".join(shown.bodies)} of {shown.node}')

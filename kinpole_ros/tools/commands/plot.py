@@ -3,7 +3,7 @@
 import argparse
 from typing import Any
 
-from kinpole_ros.tools.commands._shared import progress_bar, reported
+from kinpole_ros.tools.commands._shared import check_outputs, progress_bar, reported
 
 
 def add(commands: Any) -> None:
@@ -22,6 +22,7 @@ def run(options: argparse.Namespace) -> int:
     """Do it, and print the outcome; the exit status."""
     from kinpole_ros.tools.plot import plot
 
+    check_outputs([options.bag], [options.output])
     with progress_bar('plot') as progress:
         cut = plot(options.bag, options.output, progress)
     print(f'drawn to {options.output}')

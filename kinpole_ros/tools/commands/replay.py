@@ -9,7 +9,7 @@ from kinpole_ros.packages import install_command
 from kinpole_ros.tools.commands._shared import (
     add_set,
     check_ending,
-    keep,
+    check_outputs,
     one_line,
     progress_bar,
     settings_of,
@@ -62,11 +62,11 @@ def run(options: argparse.Namespace) -> int:
     from kinpole_ros.rigid.plane import AXES
 
     outputs = (options.output, options.csv, options.parquet)
-    keep(options.config, *outputs)
     check_ending('--output', options.output, 'an MCAP bag')
     check_ending('--csv', options.csv, 'a CSV table')
     check_ending('--parquet', options.parquet, 'a Parquet table')
     settings = settings_of(options)
+    check_outputs([options.config, settings.scene, options.bag], outputs)
     with progress_bar('replay') as progress:
         result = replay(
             options.bag,

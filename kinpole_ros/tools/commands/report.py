@@ -7,7 +7,7 @@ from kinpole_ros.files import printable
 from kinpole_ros.tools.commands._shared import (
     add_set,
     check_ending,
-    keep,
+    check_outputs,
     progress_bar,
     settings_of,
 )
@@ -43,10 +43,9 @@ def run(options: argparse.Namespace) -> int:
     """Do it, and print the outcome; the exit status."""
     from kinpole_ros.tools.report import report, settings_for
 
-    keep(options.config, options.output)
-    keep(options.bag, options.output)
-    check_ending('--output', options.output, 'an HTML page')
     settings = settings_for(settings_of(options), options.scene)
+    check_outputs([options.config, settings.scene, options.bag], [options.output])
+    check_ending('--output', options.output, 'an HTML page')
     assumptions: list[str] = []
     with progress_bar('report') as progress:
         record = report(

@@ -5,7 +5,7 @@ from typing import Any
 
 from kinpole_ros.tools.commands._shared import (
     check_ending,
-    keep,
+    check_outputs,
     progress_bar,
 )
 
@@ -85,7 +85,7 @@ def run(options: argparse.Namespace) -> int:
     from kinpole_ros.bags import simulate
     from kinpole_ros.mechanism import load_scene
 
-    keep(options.scene, options.output)
+    check_outputs([options.scene], [options.output])
     check_ending('--output', options.output, 'an MCAP bag')
     scene = load_scene(options.scene)
     with progress_bar('simulate') as progress:

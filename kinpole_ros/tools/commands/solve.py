@@ -6,7 +6,7 @@ from typing import Any
 from kinpole_ros.files import printable
 from kinpole_ros.tools.commands._shared import (
     check_ending,
-    keep,
+    check_outputs,
 )
 
 
@@ -61,7 +61,7 @@ def run(options: argparse.Namespace) -> int:
     from kinpole_ros.tools.solve import solve_scene
 
     pitch = options.pitch[2] if options.pitch else None
-    keep(options.scene, options.csv, options.plot, pitch, options.html)
+    check_outputs([options.scene], [options.csv, options.plot, pitch, options.html])
     check_ending('--html', options.html, 'an HTML page')
     check_ending('--csv', options.csv, 'a CSV table')
     lines = solve_scene(

@@ -5,7 +5,6 @@ The page is in page/, as it is read; the figures are put into it here.
 """
 
 import html
-import os
 import re
 from collections.abc import Callable
 from dataclasses import replace
@@ -14,6 +13,7 @@ from typing import Any
 
 from kinpole_ros import __version__
 from kinpole_ros.bags import BagError, assumed_body, in_place_of, replay, warnings_of
+from kinpole_ros.files import printable
 from kinpole_ros.linkage.theory import DeviationSummary, load_theory
 from kinpole_ros.mechanism import load_scene
 from kinpole_ros.pipeline.parameters import Settings
@@ -88,7 +88,7 @@ def report(
         record, notes, theory = _replayed(bag, settings, topic, progress, tell)
     data = {
         **pack(record),
-        'title': os.fsencode(Path(bag).resolve().name).decode(errors='replace'),
+        'title': printable(Path(bag).resolve().name),
         'about': _about(record),
         'notes': notes,
         'scene': Path(settings.scene).stem,
@@ -137,7 +137,7 @@ def page(data: dict[str, Any]) -> str:
     scripts = [name for name in _SCRIPTS if live or name != 'live']
     parts = {
         'POLICY': f"{_POLICY}; connect-src 'self'" if live else _POLICY,
-        'TITLE': html.escape(data['title']),
+        'TITLE': html.escape(printable(data['title'])),
         'STYLE': (_PAGE / 'style.css').read_text(encoding='utf-8'),
         'SCRIPT': '\n'.join((_PAGE / f'{name}.js').read_text(encoding='utf-8') for name in scripts),
         'DATA': embedded(data),

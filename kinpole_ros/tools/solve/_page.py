@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from kinpole_ros import __version__
+from kinpole_ros.files import printable
 from kinpole_ros.mechanism import Rolling, Scene, poles
 from kinpole_ros.pipeline.estimate import POLE_NAMES, RATE_NAMES
 from kinpole_ros.tools.report import Record, pack, page
@@ -31,11 +32,11 @@ def write_page(path: Path, solved: Solved) -> None:
         body['rims'] = [[hub.real, hub.imag, radius] for hub, radius in rims]
     data = {
         **packed,
-        'title': scene.name,
+        'title': printable(scene.name),
         'about': f'solved, not measured: {len(record.stamp)} positions in {seconds:.4g} s, '
         f'driven: {driven}',
         'notes': [],
-        'scene': scene.name,
+        'scene': printable(scene.name),
         'deviations': [],
         'exact': True,
         'made': f'kinpole {__version__}',

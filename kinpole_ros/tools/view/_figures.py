@@ -16,6 +16,9 @@ from kinpole_ros.pipeline.estimate import POLE_NAMES, RATE_NAMES
 _POSE = ('x', 'y', 'angle', 'vx', 'vy')
 _POINT = 5
 _LATEST = 1 << 63
+# Bodies, and pairs of them, in a message: with so many a page is told of joints in 0.03 s.
+_MOST_BODIES = 200
+_MOST_BYTES = 1 << 20  # of a message: five times what so many bodies take
 _SIZES = {
     **dict.fromkeys((*RATE_NAMES, 'centrode_curvature'), 2),
     **dict.fromkeys(POLE_NAMES, _POINT),
@@ -58,10 +61,17 @@ class Frame(NamedTuple):
 
 def frame_of(data: bytes) -> Frame:
     """What is in a message to pages. Raises ValueError for anything else."""
+    if len(data) > _MOST_BYTES:
+        raise ValueError(f'it has {len(data)} bytes; a page takes {_MOST_BYTES} at most')
     try:
         said = json.loads(deserialize_message(data, String).data)
         names = tuple(str(body['name']) for body in said['bodies'])
         pairs = tuple((str(j), str(i)) for j, i in (pair['bodies'] for pair in said['pairs']))
+        if max(len(names), len(pairs)) > _MOST_BODIES:
+            raise ValueError(
+                f'it has {len(names)} bodies and {len(pairs)} pairs of them; a page shows '
+                f'{_MOST_BODIES} of each at most'
+            )
         if not {name for pair in pairs for name in pair} <= {*names}:
             raise ValueError('a pair of unknown bodies')
         first, second = said['along']

@@ -69,7 +69,11 @@ def _handler(feed: Feed, page: bytes, token: str) -> type[BaseHTTPRequestHandler
         server_version, sys_version = 'kinpole', ''
 
         def do_GET(self) -> None:
-            where = urlsplit(self.path)
+            try:
+                where = urlsplit(self.path)
+            except ValueError:
+                self._answer(400, 'text/plain', b'This is no address.\n')
+                return
             given, _, name = where.path.lstrip('/').partition('/')
             host = re.sub(r':\d*$', '', self.headers.get('Host', ''))
             if host not in _OURS or not secrets.compare_digest(given.encode(), token.encode()):
