@@ -24,7 +24,12 @@ def add(commands: Any) -> None:
     )
     solve.add_argument('scene', metavar='SCENE', help='name or path of a scene, see simulate')
     where = solve.add_mutually_exclusive_group()
-    where.add_argument('--at', metavar='VALUE', help='value of the driver: 0.5, "-45 deg", "12 cm"')
+    where.add_argument(
+        '--at',
+        metavar='VALUE',
+        help='value of the driver: "-45 deg", "0.5 rad", "12 cm"; a number without a unit is in '
+        'rad or m, and the output says so',
+    )
     where.add_argument('--sweep', action='store_true', help='all the way the linkage gives it')
     where.add_argument('--time', metavar='S', help='as its drivers move it for S seconds')
     solve.add_argument('--centers', action='store_true', help='instant centers, as deduced by hand')
