@@ -15,9 +15,12 @@ from kinpole_ros.linkage import (
     parameter_file,
     table,
 )
+from kinpole_ros.linkage._places import match_places
+from kinpole_ros.linkage.theory import load_theory
 from kinpole_ros.mechanism import load_scene, marker_positions
 from kinpole_ros.messages import to_message
 from kinpole_ros.pipeline.frame import MarkerFrames
+from kinpole_ros.pipeline.parameters import ParameterError, settings_from
 from kinpole_ros.tools.cli import main
 from kinpole_ros.tools.discover import discover_rig
 
@@ -312,3 +315,52 @@ def test_command_refuses_in_one_line(tmp_path, capsys):
     assert 'none of 2 markers moves; fix: ' in lines[1]
     with pytest.raises(BagError, match='it holds /points'):
         discover_rig(str(bag), topic='/other')
+
+
+@pytest.mark.parametrize('name', ['four_bar', 'slider_crank', 'cardan'])
+def test_rig_and_draft_of_markers_without_names_are_fitted_and_replayed_unedited(
+    name, tmp_path, capsys
+):
+    bag, rig, scene = tmp_path / 'r.mcap', tmp_path / 'rig.yaml', tmp_path / 'draft.yaml'
+    made = ['--tilt', '20', '--arrival', '0.001', '--scale', '1000', '--message', 'point_cloud2']
+    made += ['--unlabeled', '--noise', '0.0002', '--output', str(bag)]
+    assert main(['simulate', name, *made]) == 0
+    assert main(['discover', str(bag), '--output', str(rig), '--scene', str(scene)]) == 0
+    assert 'marker_identity: shape' in rig.read_text()
+    capsys.readouterr()
+    assert main(['fit', str(scene), str(bag), '--config', str(rig)]) == 0
+    *rows, last = capsys.readouterr().out.splitlines()
+    assert sum(', deviation ' in row for row in rows) >= 2
+    # The draft already fits the markers that it was drawn from.
+    ratio = float(last.partition('chi^2/n ')[2].split()[0])
+    assert 0.3 < ratio < 3
+    with rig.open('a') as file:
+        file.write(f'    scene: {scene}\n')
+    assert main(['replay', str(bag), '--config', str(rig)]) == 0
+
+
+def test_a_draft_whose_markers_are_not_those_of_the_shape_is_refused(tmp_path):
+    shape = [0.0, 0.0, 0.1, 0.0, 0.0, 0.05]
+    rig = {'bodies': ['crank'], 'marker_identity': 'shape', 'crank.shape': shape}
+    scene = tmp_path / 'scene.yaml'
+    text = (ROOT / 'config/scenes/four_bar.yaml').read_text()
+    # The mirror image of the crank's markers: no pose of it puts them there.
+    points = '{crank_1: [0, 0], crank_2: [0.1, 0], crank_3: [0, -0.05]}'
+    head, _, tail = text.partition('  crank:\n    crank_1')
+    scene.write_text(f'{head}  crank: {points}\n  coupler:{tail.partition("  coupler:")[2]}')
+    with pytest.raises(ParameterError, match=r'not where parameter crank\.shape has them; '):
+        load_theory(settings_from({**rig, 'scene': str(scene)}))
+
+
+def test_markers_of_two_drawings_are_paired_by_their_places():
+    places = np.array([0, 0.1, 0.03 + 0.05j, 0.08 - 0.02j])
+    order = np.array([2, 0, 3, 1])
+    other = (places * np.exp(0.7j) + 3)[order]
+    one, two = match_places(places, other)
+    assert np.array_equal(order[two], one)
+    # A marker that only one of them has.
+    one, two = match_places(places[1:], other)
+    assert np.array_equal(order[two], one + 1)
+    one, two = match_places(places, other[1:])
+    assert np.array_equal(order[1:][two], one)
+    assert match_places(places[:1], other) is None
