@@ -16,6 +16,7 @@ from kinpole_ros.linkage import (
     table,
 )
 from kinpole_ros.linkage._places import match_places
+from kinpole_ros.linkage._record import gather
 from kinpole_ros.linkage.theory import load_theory
 from kinpole_ros.mechanism import load_scene, marker_positions
 from kinpole_ros.messages import to_message
@@ -204,6 +205,32 @@ def test_names_exchanged_for_good_are_named_and_do_no_harm(seed):
     one, other = (frames.identities[k] for k in two)
     (note,) = found.notes
     assert note.startswith(f'{one!r} and {other!r} exchange names at {at / 200:.2f} s')
+
+
+@pytest.mark.parametrize('seed', range(5))
+def test_markers_that_pass_each_other_while_one_is_hidden_do_not_exchange_names(seed):
+    """Two legs of a walk: a marker that was hidden for long may lead to any other one's place."""
+    rng = np.random.default_rng(seed)
+    t = np.arange(600) / 75
+    flat = []
+    for phase in (0.0, np.pi):
+        step = 2 * np.pi * t + phase
+        hip = 0.2 + 0.9j + 1.0 * t
+        knee = hip + 0.45 * np.exp(1j * (-np.pi / 2 + 0.1 + 0.45 * np.sin(step)))
+        shank = np.exp(1j * (-np.pi / 2 - 0.4 + 0.5 * np.sin(step - 1.2)))
+        ankle = knee + 0.42 * shank
+        foot = np.exp(1j * (-0.2 + 0.6 * np.sin(step - 1.7)))
+        flat += [knee - 0.05 * shank, knee + (0.1 + 0.05j) * shank, ankle + 0.01 * shank]
+        flat += [ankle - 0.06 * foot, ankle + 0.1 * foot, ankle + (0.13 - 0.03j) * foot]
+    points = np.stack((np.real(flat).T, np.imag(flat).T, np.zeros((len(t), len(flat)))), axis=-1)
+    points[..., :2] += NOISE * rng.normal(size=points[..., :2].shape)
+    hidden = rng.random(points.shape[:2]) < 0.015
+    for late in range(15):
+        points[late:][hidden[: len(t) - late]] = np.nan
+    names = tuple(f'm{k}' for k in range(len(flat)))
+    record, _ = gather([MarkerFrames(START + np.rint(t * 1e9).astype(int), 'w', names, points)])
+    assert record.names == names
+    assert not record.exchanged
 
 
 @pytest.mark.parametrize('scale, words', [(1, 'm'), (1000, 'scale 0.001)'), (39.37, 'inches')])
