@@ -2,9 +2,9 @@
 Names that two markers exchange from a frame on: each goes on where the other one was going.
 
 What is off by one step is seen against where the markers lead; markers that just pass each other go
-on where they lead themselves. A marker that was hidden may lead past another one by chance, so names
-are exchanged only where distances to the other markers of the bodies are kept better by it than
-chance explains.
+on where they lead themselves. A marker that was hidden may lead past another one by chance, so
+names are exchanged only where distances to the other markers of the bodies are kept better by it
+than chance explains.
 """
 
 from collections.abc import Sequence
