@@ -16,7 +16,10 @@ from kinpole_ros.linkage import (
     table,
 )
 from kinpole_ros.linkage._places import match_places
+from kinpole_ros.linkage._poses import fit_body
 from kinpole_ros.linkage._record import gather
+from kinpole_ros.linkage._rigid import Groups
+from kinpole_ros.linkage._settle import settle
 from kinpole_ros.linkage.theory import load_theory
 from kinpole_ros.mechanism import load_scene, marker_positions
 from kinpole_ros.messages import to_message
@@ -308,6 +311,53 @@ def test_too_little_is_refused_with_the_fix(change, words):
     frames = MarkerFrames(frames.stamps[: len(points)], 'world', names, points)
     with pytest.raises(UndiscoveredError, match=f'{words}.*; fix: '):
         discover([frames])
+
+
+@pytest.mark.filterwarnings('error')
+@pytest.mark.parametrize('order', ['named', 'unnamed'])
+@pytest.mark.parametrize(
+    'change',
+    [
+        lambda p: p[:21],
+        lambda p: p[:, :2],
+        lambda p: 0 * p,
+        lambda p: p[:1] + 0 * p,
+        lambda p: p + 1e9,
+        lambda p: p * np.array([1, 0, 0]),
+        lambda p: p[:, :1] + 0 * p,
+        lambda p: np.where(np.arange(len(p))[:, None, None] % 20 == 0, p, np.nan),
+        lambda p: np.where(np.arange(p.shape[1])[:, None] % 3 == 0, np.nan, p),
+        lambda p: np.where(
+            np.random.default_rng(0).random(p.shape[:2])[..., None] < 0.1, p, np.nan
+        ),
+        lambda p: np.where(
+            (np.arange(len(p)) < 50)[:, None, None] == (np.arange(p.shape[1]) < 5)[:, None],
+            p,
+            np.nan,
+        ),
+    ],
+)
+def test_odd_markers_are_discovered_or_refused_without_a_warning(change, order):
+    frames, _ = markers_of('four_bar', 0.5, hidden=0.0)
+    points = change(frames.points)
+    names = tuple(f'm{k}' for k in range(points.shape[1]))
+    frames = MarkerFrames(frames.stamps[: len(points)], 'world', names, points)
+    parts = [frames] if order == 'named' else shuffled(frames)
+    try:
+        found = discover(parts)
+    except UndiscoveredError as error:
+        assert '; fix: ' in str(error)
+        return
+    assert table(found, (draft(found) or (None, None))[1])
+
+
+def test_bodies_whose_markers_are_never_seen_together_are_none():
+    frames, _ = markers_of('four_bar', 1, hidden=0.0)
+    tracks = frames.points[:, :2, 0] + 1j * frames.points[:, :2, 1]
+    tracks[::2, 0], tracks[1::2, 1] = np.nan, np.nan
+    assert not fit_body(tracks).seen.any()
+    groups = Groups([[0, 1]], [], [], np.zeros((2, 2)), 1.0)
+    assert settle(tracks, groups) == (groups._replace(bodies=[], single=[0, 1]), [])
 
 
 def test_command_writes_what_replay_and_solve_take(tmp_path, capsys):
