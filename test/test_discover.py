@@ -441,3 +441,15 @@ def test_markers_of_two_drawings_are_paired_by_their_places():
     one, two = match_places(places, other[1:])
     assert np.array_equal(order[1:][two], one)
     assert match_places(places[:1], other) is None
+
+
+@pytest.mark.parametrize('noise', [0.0, NOISE])
+@pytest.mark.parametrize('name', ['loader_cylinder', 'planetary_gear'])
+def test_a_draft_closes_where_a_joint_or_a_pin_only_seems_to_be_another(name, noise):
+    """A cylinder that nearly moves as a trammel would; three bodies on one pin at the origin."""
+    frames, _ = markers_of(name, 5, noise=noise, hidden=0.0, tilt=20)
+    found = discover([frames])
+    assert found.freedom >= 1
+    drawn = draft(found)
+    assert drawn is not None
+    assert not drawn[1].problem

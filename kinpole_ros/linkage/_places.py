@@ -121,13 +121,15 @@ def _pin_groups(pins: Sequence[Joint]) -> list[tuple[dict[int, complex], float]]
         ends = [(pin.one, pin.on_one, pin.other, pin.on_other)]
         ends.append((pin.other, pin.on_other, pin.one, pin.on_one))
         for body, place, far, there in ends:
+            # The ground's origin is anywhere: only the distance on a moving body says how large.
+            reach = abs(there if body == GROUND_NUMBER else place)
             home = next(
                 (
                     group
                     for group in groups
                     if body in group[0]
                     and abs(group[0][body] - place)
-                    < max(_SAME * np.hypot(group[1], pin.deviation[0]), _NEAR * abs(place))
+                    < max(_SAME * np.hypot(group[1], pin.deviation[0]), _NEAR * reach)
                 ),
                 None,
             )
