@@ -55,18 +55,17 @@ def _first_exchange(
     """How many frames after `begin` names are exchanged first, and the two columns."""
     ahead = _ahead(points, steps)[begin:]
     whole, points = points, points[begin:]
-    # (F, n, n): how far each point is from where each marker leads.
-    off = np.linalg.norm(points[:, :, None] - ahead[:, None], axis=-1)
-    own = np.diagonal(off, axis1=1, axis2=2)
-    with np.errstate(invalid='ignore'):
-        nearer = _NEARER * off < own[:, :, None]
-    # One of two that is not seen then may have gone anywhere.
-    unseen = np.isnan(points[..., 0])
-    both = nearer & (nearer.swapaxes(1, 2) | unseen[:, None])
-    for frame, one, other in np.argwhere(both).tolist():
-        two = [min(one, other), max(one, other)]
-        if _keeps_distances_better(whole[: begin + frame], points[frame], two):
-            return frame, two[0], two[1]
+    # Frame by frame: all distances of a thousand markers at once are gigabytes.
+    for frame, (now, leads) in enumerate(zip(points, ahead, strict=True)):
+        # (n, n): how far each point is from where each marker leads.
+        off = np.linalg.norm(now[:, None] - leads, axis=-1)
+        nearer = _NEARER * off < np.diagonal(off)[:, None]
+        # One of two that is not seen then may have gone anywhere.
+        both = nearer & (nearer.T | np.isnan(now[:, 0]))
+        for one, other in np.argwhere(both).tolist():
+            two = [min(one, other), max(one, other)]
+            if _keeps_distances_better(whole[: begin + frame], now, two):
+                return frame, two[0], two[1]
     return None
 
 
