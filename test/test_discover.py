@@ -15,9 +15,16 @@ from kinpole_ros.linkage import (
     parameter_file,
     table,
 )
+from kinpole_ros.linkage._places import match_places
+from kinpole_ros.linkage._poses import fit_body
+from kinpole_ros.linkage._record import gather
+from kinpole_ros.linkage._rigid import Groups
+from kinpole_ros.linkage._settle import settle
+from kinpole_ros.linkage.theory import load_theory
 from kinpole_ros.mechanism import load_scene, marker_positions
 from kinpole_ros.messages import to_message
 from kinpole_ros.pipeline.frame import MarkerFrames
+from kinpole_ros.pipeline.parameters import ParameterError, settings_from
 from kinpole_ros.tools.cli import main
 from kinpole_ros.tools.discover import discover_rig
 
@@ -203,6 +210,32 @@ def test_names_exchanged_for_good_are_named_and_do_no_harm(seed):
     assert note.startswith(f'{one!r} and {other!r} exchange names at {at / 200:.2f} s')
 
 
+@pytest.mark.parametrize('seed', range(5))
+def test_markers_that_pass_each_other_while_one_is_hidden_do_not_exchange_names(seed):
+    """Two legs of a walk: a marker that was hidden for long may lead to any other one's place."""
+    rng = np.random.default_rng(seed)
+    t = np.arange(600) / 75
+    flat = []
+    for phase in (0.0, np.pi):
+        step = 2 * np.pi * t + phase
+        hip = 0.2 + 0.9j + 1.0 * t
+        knee = hip + 0.45 * np.exp(1j * (-np.pi / 2 + 0.1 + 0.45 * np.sin(step)))
+        shank = np.exp(1j * (-np.pi / 2 - 0.4 + 0.5 * np.sin(step - 1.2)))
+        ankle = knee + 0.42 * shank
+        foot = np.exp(1j * (-0.2 + 0.6 * np.sin(step - 1.7)))
+        flat += [knee - 0.05 * shank, knee + (0.1 + 0.05j) * shank, ankle + 0.01 * shank]
+        flat += [ankle - 0.06 * foot, ankle + 0.1 * foot, ankle + (0.13 - 0.03j) * foot]
+    points = np.stack((np.real(flat).T, np.imag(flat).T, np.zeros((len(t), len(flat)))), axis=-1)
+    points[..., :2] += NOISE * rng.normal(size=points[..., :2].shape)
+    hidden = rng.random(points.shape[:2]) < 0.015
+    for late in range(15):
+        points[late:][hidden[: len(t) - late]] = np.nan
+    names = tuple(f'm{k}' for k in range(len(flat)))
+    record, _ = gather([MarkerFrames(START + np.rint(t * 1e9).astype(int), 'w', names, points)])
+    assert record.names == names
+    assert not record.exchanged
+
+
 @pytest.mark.parametrize('scale, words', [(1, 'm'), (1000, 'scale 0.001)'), (39.37, 'inches')])
 def test_another_unit_that_is_as_likely_is_named(scale, words):
     frames, _ = markers_of('four_bar', 3, scale=scale)
@@ -280,6 +313,53 @@ def test_too_little_is_refused_with_the_fix(change, words):
         discover([frames])
 
 
+@pytest.mark.filterwarnings('error')
+@pytest.mark.parametrize('order', ['named', 'unnamed'])
+@pytest.mark.parametrize(
+    'change',
+    [
+        lambda p: p[:21],
+        lambda p: p[:, :2],
+        lambda p: 0 * p,
+        lambda p: p[:1] + 0 * p,
+        lambda p: p + 1e9,
+        lambda p: p * np.array([1, 0, 0]),
+        lambda p: p[:, :1] + 0 * p,
+        lambda p: np.where(np.arange(len(p))[:, None, None] % 20 == 0, p, np.nan),
+        lambda p: np.where(np.arange(p.shape[1])[:, None] % 3 == 0, np.nan, p),
+        lambda p: np.where(
+            np.random.default_rng(0).random(p.shape[:2])[..., None] < 0.1, p, np.nan
+        ),
+        lambda p: np.where(
+            (np.arange(len(p)) < 50)[:, None, None] == (np.arange(p.shape[1]) < 5)[:, None],
+            p,
+            np.nan,
+        ),
+    ],
+)
+def test_odd_markers_are_discovered_or_refused_without_a_warning(change, order):
+    frames, _ = markers_of('four_bar', 0.5, hidden=0.0)
+    points = change(frames.points)
+    names = tuple(f'm{k}' for k in range(points.shape[1]))
+    frames = MarkerFrames(frames.stamps[: len(points)], 'world', names, points)
+    parts = [frames] if order == 'named' else shuffled(frames)
+    try:
+        found = discover(parts)
+    except UndiscoveredError as error:
+        assert '; fix: ' in str(error)
+        return
+    assert table(found, (draft(found) or (None, None))[1])
+
+
+def test_bodies_whose_markers_are_never_seen_together_are_none():
+    frames, _ = markers_of('four_bar', 1, hidden=0.0)
+    tracks = frames.points[:, :2, 0] + 1j * frames.points[:, :2, 1]
+    tracks[::2, 0], tracks[1::2, 1] = np.nan, np.nan
+    assert not fit_body(tracks).seen.any()
+    groups = Groups([[0, 1]], [], [], np.zeros((2, 2)), 1.0)
+    assert settle(tracks, groups) == (groups._replace(bodies=[], single=[0, 1]), [])
+
+
 def test_command_writes_what_replay_and_solve_take(tmp_path, capsys):
     bag, rig, scene = ROOT / 'bags/four_bar.mcap', tmp_path / 'rig.yaml', tmp_path / 'draft.yaml'
     picture = tmp_path / 'rig.png'
@@ -312,3 +392,64 @@ def test_command_refuses_in_one_line(tmp_path, capsys):
     assert 'none of 2 markers moves; fix: ' in lines[1]
     with pytest.raises(BagError, match='it holds /points'):
         discover_rig(str(bag), topic='/other')
+
+
+@pytest.mark.parametrize('name', ['four_bar', 'slider_crank', 'cardan'])
+def test_rig_and_draft_of_markers_without_names_are_fitted_and_replayed_unedited(
+    name, tmp_path, capsys
+):
+    bag, rig, scene = tmp_path / 'r.mcap', tmp_path / 'rig.yaml', tmp_path / 'draft.yaml'
+    made = ['--tilt', '20', '--arrival', '0.001', '--scale', '1000', '--message', 'point_cloud2']
+    made += ['--unlabeled', '--noise', '0.0002', '--output', str(bag)]
+    assert main(['simulate', name, *made]) == 0
+    assert main(['discover', str(bag), '--output', str(rig), '--scene', str(scene)]) == 0
+    assert 'marker_identity: shape' in rig.read_text()
+    capsys.readouterr()
+    assert main(['fit', str(scene), str(bag), '--config', str(rig)]) == 0
+    *rows, last = capsys.readouterr().out.splitlines()
+    assert sum(', deviation ' in row for row in rows) >= 2
+    # The draft already fits the markers that it was drawn from.
+    ratio = float(last.partition('chi^2/n ')[2].split()[0])
+    assert 0.3 < ratio < 3
+    with rig.open('a') as file:
+        file.write(f'    scene: {scene}\n')
+    assert main(['replay', str(bag), '--config', str(rig)]) == 0
+
+
+def test_a_draft_whose_markers_are_not_those_of_the_shape_is_refused(tmp_path):
+    shape = [0.0, 0.0, 0.1, 0.0, 0.0, 0.05]
+    rig = {'bodies': ['crank'], 'marker_identity': 'shape', 'crank.shape': shape}
+    scene = tmp_path / 'scene.yaml'
+    text = (ROOT / 'config/scenes/four_bar.yaml').read_text()
+    # The mirror image of the crank's markers: no pose of it puts them there.
+    points = '{crank_1: [0, 0], crank_2: [0.1, 0], crank_3: [0, -0.05]}'
+    head, _, tail = text.partition('  crank:\n    crank_1')
+    scene.write_text(f'{head}  crank: {points}\n  coupler:{tail.partition("  coupler:")[2]}')
+    with pytest.raises(ParameterError, match=r'not where parameter crank\.shape has them; '):
+        load_theory(settings_from({**rig, 'scene': str(scene)}))
+
+
+def test_markers_of_two_drawings_are_paired_by_their_places():
+    places = np.array([0, 0.1, 0.03 + 0.05j, 0.08 - 0.02j])
+    order = np.array([2, 0, 3, 1])
+    other = (places * np.exp(0.7j) + 3)[order]
+    one, two = match_places(places, other)
+    assert np.array_equal(order[two], one)
+    # A marker that only one of them has.
+    one, two = match_places(places[1:], other)
+    assert np.array_equal(order[two], one + 1)
+    one, two = match_places(places, other[1:])
+    assert np.array_equal(order[1:][two], one)
+    assert match_places(places[:1], other) is None
+
+
+@pytest.mark.parametrize('noise', [0.0, NOISE])
+@pytest.mark.parametrize('name', ['loader_cylinder', 'planetary_gear'])
+def test_a_draft_closes_where_a_joint_or_a_pin_only_seems_to_be_another(name, noise):
+    """A cylinder that nearly moves as a trammel would; three bodies on one pin at the origin."""
+    frames, _ = markers_of(name, 5, noise=noise, hidden=0.0, tilt=20)
+    found = discover([frames])
+    assert found.freedom >= 1
+    drawn = draft(found)
+    assert drawn is not None
+    assert not drawn[1].problem

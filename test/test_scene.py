@@ -765,10 +765,36 @@ BAD = [
     (
         'loader',
         put({'drive': 'arm', 'from': '45 deg', 'to': '71.333396 deg', 'duration': 1}, 'drivers', 0),
-        'ask for arm = 45 to 71.333396 deg, but the linkage goes from 45 to 71.3333959',
+        'ask for arm = 45 to 71.333396 deg, but the linkage goes from -71.4887966556 to 71.3333959',
     ),
     ('loader_loop', put('r3p.angle', 'drivers', 0, 'drive'), 'which cannot be driven: give one of'),
 ]
+
+
+@pytest.mark.parametrize('mean', [40, 70, 100])
+def test_a_refused_range_tells_the_limits_of_the_linkage_by_closed_form(
+    tmp_path: Path, mean: float
+) -> None:
+    """A crossed four-bar: the limits are those of the triangles with its two bars in line."""
+    ground, arm, coupler = 0.2, 0.25, 0.1
+    data = {
+        'bodies': {
+            'ground': {'A': [0, 0], 'B': [ground, 0]},
+            'crank': {'A': [0, 0], 'C': [arm, 0]},
+            'coupler': {'C': [0, 0], 'D': [coupler, 0]},
+            'rocker': {'B': [0, 0], 'D': [arm, 0]},
+        },
+        'drivers': [
+            {'drive': 'crank', 'mean': f'{mean} deg', 'amplitude': '40 deg', 'frequency': 1}
+        ],
+        'start': {'coupler': '200 deg', 'rocker': '130 deg'},
+    }
+    low, high = (
+        np.degrees(np.arccos((arm**2 + ground**2 - side**2) / (2 * arm * ground)))
+        for side in (arm - coupler, arm + coupler)
+    )
+    words = f'the linkage goes from {low:.6g} to {high:.6g} deg, a dead point'
+    assert words in refusal(save(tmp_path, data))
 
 
 def refusal(path: Path) -> str:

@@ -127,6 +127,21 @@ def test_a_sweep_is_the_linkages_range_and_the_time_that_of_the_drivers(
     np.testing.assert_allclose(cells['lower_y_acceleration'], exact.position[2].imag, rtol=1e-12)
 
 
+def test_a_value_without_a_unit_is_taken_in_si_units_and_the_output_says_so(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    lines = told(capsys, 'four_bar', '--at', '45')
+    said = "taken as 45 rad = 2578.3 deg; for degrees write --at '45 deg'"
+    assert any(line.endswith(said) for line in lines)
+    assert lines[2].startswith('at crank = 2578.31008 deg')
+    assert 'taken as' not in ''.join(told(capsys, 'four_bar', '--at', '45 deg'))
+    lines = told(capsys, 'loader_cylinder', '--at', '1.5')
+    assert any("taken as 1.5 m; for centimeters write --at '1.5 cm'" in line for line in lines)
+    # Where degrees were meant, rad are mostly out of reach: the refusal tells why.
+    assert cli.main(['solve', 'loader', '--at', '45']) != 0
+    assert "for degrees write --at '45 deg'" in capsys.readouterr().err
+
+
 def test_centers_come_with_their_deduction(capsys: pytest.CaptureFixture[str]) -> None:
     lines = told(capsys, 'four_bar', '--at', '45 deg', '--centers')
     assert 'I13: line I12-I23 meets line I14-I34' in lines

@@ -56,10 +56,12 @@ def _linkage_from(record: Record, stamps: Stamps, found: Bodies) -> Linkage:
     pinned = {frozenset((joint.one, joint.other)) for joint in pins}
     slides = _slides(bodies, pinned)
     for joint in slides:
-        if freedom <= 1:
-            break
+        held = 2 if joint.kind in ('trammel', 'slide') else 1
+        # With one that holds more, nothing could move.
+        if freedom - held < 1:
+            continue
         joints.append(joint)
-        freedom -= 2 if joint.kind in ('trammel', 'slide') else 1
+        freedom -= held
         if joint.kind == 'slot' and freedom > 1:
             wheel = fit_wheel(bodies[joint.one], bodies[joint.other], joint)
             if wheel is not None:
@@ -171,6 +173,9 @@ def _slides(bodies: dict[int, Pose], pinned: set[frozenset[int]]) -> list[Joint]
             for one, other in (pair, pair[::-1])
             if (joint := fit_slide(bodies[one], bodies[other], (one, other))) is not None
         ]
+        # One that fits much worse is only near to it, by chance.
+        least = max(1.0, min((joint.ratio for joint in tried), default=1.0))
+        tried = [joint for joint in tried if joint.ratio <= _DOUBTFUL * least]
         # A trammel holds the most, and looks like a slot from the other side.
         tried.sort(key=lambda joint: (joint.kind != 'trammel', joint.kind != 'slide', joint.ratio))
         found += tried[:1]

@@ -2,15 +2,28 @@
 Names that two markers exchange from a frame on: each goes on where the other one was going.
 
 What is off by one step is seen against where the markers lead; markers that just pass each other go
-on where they lead themselves.
+on where they lead themselves. A marker that was hidden may lead past another one by chance, so
+names are exchanged only where distances to the other markers of the bodies are kept better by it
+than chance explains.
 """
+
+from collections.abc import Sequence
 
 import numpy as np
 
+from kinpole_ros.rigid.levels import SURE
+
 # Two names are exchanged where their points are so many times nearer to where the other one leads.
 _NEARER = 10.0
-# Frames that are examined at once, and before them, for where markers lead that are not seen.
-_BLOCK, _BEFORE = 250, 25
+# Frames that are examined at once, and before them, which tell where markers lead that are not seen
+# and how well they keep their distances.
+_BLOCK, _BEFORE = 250, 250
+# Fewer frames do not tell how well two markers keep their distance.
+_FEWEST = 10
+# Distances that spread by up to so many times the least of a marker are to markers of its body.
+_LOOSER = 2.5
+# Share of a distance that is rounding.
+_ROUNDING = 1e-9
 
 
 def correct_exchanges(
@@ -41,20 +54,54 @@ def _first_exchange(
 ) -> tuple[int, int, int] | None:
     """How many frames after `begin` names are exchanged first, and the two columns."""
     ahead = _ahead(points, steps)[begin:]
-    points = points[begin:]
-    # (F, n, n): how far each point is from where each marker leads.
-    off = np.linalg.norm(points[:, :, None] - ahead[:, None], axis=-1)
-    own = np.diagonal(off, axis1=1, axis2=2)
-    with np.errstate(invalid='ignore'):
-        nearer = _NEARER * off < own[:, :, None]
-    # One of two that is not seen then may have gone anywhere.
-    unseen = np.isnan(points[..., 0])
-    both = nearer & (nearer.swapaxes(1, 2) | unseen[:, None])
-    found = np.argwhere(both)
-    if not len(found):
-        return None
-    frame, one, other = found[0].tolist()
-    return frame, min(one, other), max(one, other)
+    whole, points = points, points[begin:]
+    # Frame by frame: all distances of a thousand markers at once are gigabytes.
+    for frame, (now, leads) in enumerate(zip(points, ahead, strict=True)):
+        # (n, n): how far each point is from where each marker leads.
+        off = np.linalg.norm(now[:, None] - leads, axis=-1)
+        nearer = _NEARER * off < np.diagonal(off)[:, None]
+        # One of two that is not seen then may have gone anywhere.
+        both = nearer & (nearer.T | np.isnan(now[:, 0]))
+        for one, other in np.argwhere(both).tolist():
+            two = [min(one, other), max(one, other)]
+            if _keeps_distances_better(whole[: begin + frame], now, two):
+                return frame, two[0], two[1]
+    return None
+
+
+def _keeps_distances_better(before: np.ndarray, now: np.ndarray, two: Sequence[int]) -> bool:
+    """
+    Whether the points `now` (n, 3) keep distances better with the names `two` exchanged.
+
+    Distances are those `before` (F, n, 3) to the markers that a marker has kept its distance to
+    best, in standard deviations. A body of just these two markers has none: there only the motion
+    tells.
+    """
+    exchanged = now.copy()
+    exchanged[two] = now[two[::-1]]
+    excess = 0.0
+    for own, other in (two, two[::-1]):
+        distances = np.linalg.norm(before - before[:, own, None], axis=-1)
+        seen = np.isfinite(distances)
+        # Medians, so that names that were wrong in a few frames do not count.
+        few = seen.sum(axis=0) < _FEWEST
+        distances[:, few] = 0.0
+        mean = np.nanmedian(distances, axis=0)
+        spread = 1.4826 * np.nanmedian(np.abs(distances - mean), axis=0)
+        spread[few | (np.arange(len(now)) == own)] = np.inf
+        to_other, spread[other] = spread[other], np.inf
+        least = float(spread.min())
+        if _LOOSER * to_other < least and np.isfinite(now[two, 0]).all():
+            # Only the two themselves keep their distance.
+            return True
+        mates = spread < _LOOSER * least
+        for points, sign in ((now, 1.0), (exchanged, -1.0)):
+            off = np.linalg.norm(points[mates] - points[own], axis=-1) - mean[mates]
+            seen_now = np.isfinite(off)
+            floor = _ROUNDING * np.maximum(mean[mates], 1e-300)
+            deviations = np.abs(off) / np.maximum(spread[mates], floor)
+            excess += sign * float(np.sum(deviations[seen_now] ** 2))
+    return excess > SURE**2
 
 
 def _ahead(points: np.ndarray, steps: np.ndarray) -> np.ndarray:

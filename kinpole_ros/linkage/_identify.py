@@ -45,9 +45,15 @@ def identify(record: Record, progress: Callable[[float], None] | None = None) ->
         labels = [''] * tracks.shape[1]
     noise = noise_of(tracks)
     often = np.isfinite(tracks.real).sum(axis=0) >= 30
+    if not often.any():
+        raise UndiscoveredError(
+            f'none of {tracks.shape[1]} markers is seen in 30 frames; fix: record longer, or see '
+            'that the markers are in view'
+        )
     groups = group(np.where(often, tracks, np.nan), noise)
     _check(groups, tracks, often)
     groups, poses = settle(tracks, groups)
+    _check(groups, tracks, often)
     return Bodies(tracks, groups, poses, plane, noise, labels, bool(record.names))
 
 

@@ -1,6 +1,7 @@
 """The points of a linkage: pins at one place of a body are one, and each has a name."""
 
 from collections.abc import Iterator, Mapping, Sequence
+from itertools import permutations
 
 import numpy as np
 
@@ -8,6 +9,8 @@ from kinpole_ros.linkage._joints import Joint
 from kinpole_ros.linkage._model import GROUND_NUMBER, LINE, Place
 from kinpole_ros.linkage._poses import Pose
 from kinpole_ros.linkage._rolling import Rolling
+from kinpole_ros.planar import fit_pose
+from kinpole_ros.rigid.levels import LITTLE
 
 # Two places of a body are one if they are no farther than so many deviations, or this share of the
 # distance from the mean of the markers.
@@ -58,6 +61,46 @@ def make_places(
     return places
 
 
+def match_places(one: np.ndarray, other: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
+    """
+    Pair the markers of two drawings of one rigid body by their places alone.
+
+    Parameters
+    ----------
+    one, other
+        Places (m,) and (n,) of markers, complex, m, each in a frame of its own. The drawing with
+        fewer markers is a part of the other one.
+
+    Returns
+    -------
+    tuple of arrays or None
+        Numbers (k,) of the paired markers in `one` and in `other`, k the smaller of m and n. None
+        where no pose puts each marker on one of its own, to 1% of the size.
+
+    """
+    swap = len(one) > len(other)
+    few, many = (other, one) if swap else (one, other)
+    if len(few) < 2:
+        return None
+    # Each two markers of the larger drawing may be the two that are farthest apart in the smaller.
+    first, last = np.unravel_index(np.abs(few[:, None] - few).argmax(), (len(few), len(few)))
+    best, found = np.inf, None
+    for begin, end in permutations(range(len(many)), 2):
+        turn = np.exp(1j * np.angle((many[end] - many[begin]) / (few[last] - few[first])))
+        middle = (many[begin] + many[end] - turn * (few[first] + few[last])) / 2
+        nearest = np.abs(turn * few[:, None] + middle - many).argmin(axis=1)
+        if len(set(nearest.tolist())) < len(few):
+            continue
+        residual = fit_pose(many[nearest], few, np.ones(len(few))).residual
+        worst = float(np.abs(residual).max())
+        if worst < best:
+            best, found = worst, nearest
+    if found is None or best > LITTLE * abs(few[last] - few[first]):
+        return None
+    order = np.arange(len(few))
+    return (found, order) if swap else (order, found)
+
+
 def trammel_ends(joint: Joint) -> tuple[complex, complex]:
     """
     The ends of a diameter of a trammel's circle that move along the axes of the other body.
@@ -78,13 +121,15 @@ def _pin_groups(pins: Sequence[Joint]) -> list[tuple[dict[int, complex], float]]
         ends = [(pin.one, pin.on_one, pin.other, pin.on_other)]
         ends.append((pin.other, pin.on_other, pin.one, pin.on_one))
         for body, place, far, there in ends:
+            # The ground's origin is anywhere: only the distance on a moving body says how large.
+            reach = abs(there if body == GROUND_NUMBER else place)
             home = next(
                 (
                     group
                     for group in groups
                     if body in group[0]
                     and abs(group[0][body] - place)
-                    < max(_SAME * np.hypot(group[1], pin.deviation[0]), _NEAR * abs(place))
+                    < max(_SAME * np.hypot(group[1], pin.deviation[0]), _NEAR * reach)
                 ),
                 None,
             )

@@ -73,12 +73,17 @@ def fit_body(tracks: Complex) -> Pose:
         with np.errstate(invalid='ignore'):
             off = np.abs(local - shape)
             off[~np.isfinite(fit.angle)] = np.nan
-            usual = np.nanmedian(off[:, known]) / 1.1774
+            fitted = off[:, known]
+            fitted = fitted[np.isfinite(fitted)]
+            usual = np.median(fitted) / 1.1774 if len(fitted) else 0.0
             used = seen & ~(off > _OUTLIER * usual + 1e-12)
         local = np.where(used & np.isfinite(fit.angle)[:, None], local, np.nan)
         counts = np.isfinite(local.real).sum(axis=0)
         mean = np.nansum(local, axis=0) / np.maximum(counts, 1)
         shape = np.where(counts > 0, mean, np.nan)
+        if not counts.any():
+            # Its markers were never seen together where they keep their distances.
+            return _never_seen(tracks)
         shape = shape - np.mean(shape[np.isfinite(shape)])
     used &= np.isfinite(shape)
     # A body of two markers that are not as far from each other as they should be.
@@ -87,6 +92,8 @@ def fit_body(tracks: Complex) -> Pose:
     square = np.nansum(np.where(used, np.abs(fit.residual) ** 2, 0), axis=1)
     noise = float(np.sqrt(square[freedom > 0].sum() / max(freedom.sum(), 1)))
     good = np.isfinite(fit.angle) & ~_flipped(fit.angle)
+    if not good.any():
+        return _never_seen(tracks)
     angle = np.full(len(tracks), np.nan)
     angle[good] = np.unwrap(fit.angle[good])
     # Shape and positions are about the mean of all; with some unseen they are known a little less.
@@ -100,6 +107,14 @@ def fit_body(tracks: Complex) -> Pose:
         variance * float(np.mean(1 / fit.spread[good])),
         used.mean(axis=0),
     )
+
+
+def _never_seen(tracks: Complex) -> Pose:
+    """The pose of a body of which no frame of the tracks (T, n) has two markers that fit."""
+    frames, count = tracks.shape
+    unknown = np.full(frames, np.nan)
+    shape = np.full(count, complex(np.nan, np.nan))
+    return Pose(unknown + 0j, unknown, shape, 0.0, np.inf, np.inf, np.zeros(count))
 
 
 def _flipped(angle: Real) -> np.ndarray:

@@ -144,8 +144,11 @@ def _names_hold(record: Record) -> bool:
     ahead = 2 * points[starts + 1] - points[starts]  # (S, n, 3)
     own = points[starts + 2]
     seen = np.isfinite(ahead[..., 0]) & np.isfinite(own[..., 0])
-    off = np.linalg.norm(ahead[:, :, None] - own[:, None], axis=-1)
-    nearest = np.where(np.isfinite(off), off, np.inf).argmin(axis=-1)
+    nearest = np.zeros(seen.shape, np.int64)
+    # Frame by frame: all distances of a thousand markers at once are gigabytes.
+    for k, (leads, found) in enumerate(zip(ahead, own, strict=True)):
+        off = np.linalg.norm(leads[:, None] - found, axis=-1)
+        nearest[k] = np.where(np.isfinite(off), off, np.inf).argmin(axis=-1)
     held = (nearest == np.arange(points.shape[1]))[seen]
     return bool(len(held) == 0 or held.mean() >= _HELD)
 

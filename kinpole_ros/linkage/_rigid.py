@@ -41,8 +41,10 @@ def group(tracks: Complex, noise: Real) -> Groups:
     """Bodies of tracks (T, n), complex, NaN for none, whose `noise` (n,) is per axis."""
     count = tracks.shape[1]
     some = tracks[:: max(1, len(tracks) // _FRAMES)]
-    known = np.where(np.isfinite(noise), noise, np.nanmedian(noise) if count else 0.0)
-    extent = np.nanmax(np.abs(some - np.nanmean(some)), initial=0.0)
+    told = noise[np.isfinite(noise)]
+    known = np.where(np.isfinite(noise), noise, np.median(told) if len(told) else 0.0)
+    places = some[np.isfinite(some)]
+    extent = np.abs(places - places.mean()).max() if len(places) else 0.0
     floor = 1e-9 * float(extent)
     known = np.maximum(np.nan_to_num(known), floor)
     ratio = np.full((count, count), np.inf)

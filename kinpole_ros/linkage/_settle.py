@@ -45,6 +45,8 @@ def settle(tracks: Complex, groups: Groups) -> tuple[Groups, list[Pose]]:
     ]
     if kept != groups.bodies:
         poses = [fit_body(tracks[:, body]) for body in kept]
+    both = [(body, pose) for body, pose in zip(kept, poses, strict=True) if pose.seen.any()]
+    kept, poses = [body for body, _ in both], [pose for _, pose in both]
     held = {k for body in kept for k in body}
     single = [k for k in range(count) if k not in held and k not in groups.fixed]
     return groups._replace(bodies=kept, single=single), poses

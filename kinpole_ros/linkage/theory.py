@@ -11,6 +11,7 @@ from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
+from kinpole_ros.linkage._places import match_places
 from kinpole_ros.linkage._residuals import place
 from kinpole_ros.linkage._scene_poses import Lie
 from kinpole_ros.linkage.positions import Positions, PositionsFound
@@ -119,6 +120,18 @@ def load_theory(settings: Settings) -> Theory | None:
         if body not in scene.marker_names:
             continue
         names = scene.marker_names[body]
+        number = scene.mechanism.bodies.index(body)
+        if not markers:
+            # The rig gives only the shape: the scene's markers are found in it by their places.
+            known = to_complex(scene.markers[body])
+            pairs = match_places(known, np.array(settings.shapes[body]))
+            if pairs is None:
+                raise refuse(
+                    f'the {len(known)} markers of its {body} are not where parameter {body}.shape '
+                    'has them; give both the same distances between the markers'
+                )
+            places[body] = (b, number, pairs[1], known[pairs[0]])
+            continue
         here = [k for k, marker in enumerate(markers) if marker in names]
         if len(here) < 2:
             raise refuse(
@@ -126,7 +139,6 @@ def load_theory(settings: Settings) -> Theory | None:
                 'name two of them at least'
             )
         known = to_complex(scene.markers[body])[[names.index(markers[k]) for k in here]]
-        number = scene.mechanism.bodies.index(body)
         places[body] = (b, number, np.array(here), known)
     if not places:
         raise refuse(

@@ -1,12 +1,14 @@
 """Whether a scene's mechanism moves as it is driven, and from where it is said to start."""
 
 from collections.abc import Mapping
+from contextlib import suppress
 from math import pi
 
 import numpy as np
 
 from kinpole_ros.mechanism._assembly import Assembly, Rolling
 from kinpole_ros.mechanism._drivers import Driven
+from kinpole_ros.mechanism._loops import LinkageError
 from kinpole_ros.mechanism._mechanism import Mechanism
 from kinpole_ros.mechanism._reactions import loose_teeth
 from kinpole_ros.mechanism._start import close_near, mobility
@@ -53,22 +55,50 @@ def check_range(mechanism: Mechanism, driven: list[Driven]) -> None:
     size, unit = 1.0, 's'
     if len(driven) == 1:
         size, unit = (180 / pi, 'deg') if mechanism.kind(0) == 'angle' else (1.0, 'm')
-    # The last node lies just inside of a limit.
-    limits = [dead.at for dead in path.dead_points if dead.turns_back]
-    near = 1e-3 * (reach[1] - reach[0])
-    ends = tuple(next((at for at in limits if abs(at - end) < near), end) for end in reach)
-    # With more digits where these are what the two differ by.
+    least, most = _limits(mechanism, low, high)
+    # With more digits where these are what the asked and the given differ by.
     for digits in (6, 9, 12):
         asked, given = (
-            f'{first * size:.{digits}g} to {last * size:.{digits}g} {unit}'
-            for first, last in ((low, high), ends)
+            [None if end is None else f'{end * size:.{digits}g}' for end in ends]
+            for ends in ((low, high), (least, most))
         )
-        if asked != given:
+        if not set(asked) & set(given):
             break
+    if None not in given:
+        goes = f'goes from {given[0]} to {given[1]} {unit}'
+    elif given[0] is not None:
+        goes = f'goes no lower than {given[0]} {unit}'
+    else:
+        goes = f'goes no higher than {given[1]} {unit}'
     raise SceneError(
-        f"'drivers' ask for {what} {asked}, but the linkage goes from {given}{why}: drive it less "
-        'far, or change lengths'
+        f"'drivers' ask for {what} {asked[0]} to {asked[1]} {unit}, but the linkage {goes}{why}: "
+        'drive it less far, or change lengths'
     )
+
+
+def _limits(mechanism: Mechanism, low: float, high: float) -> tuple[float | None, float | None]:
+    """
+    Where the linkage turns back below and above its start, None where it was not found to.
+
+    One driver is followed beyond the range asked for, `low` to `high`: an angle by a whole turn, a
+    length by twice all lengths. Several drivers are followed over the time asked for.
+    """
+    path = mechanism.path(low, high)
+    start = float(path.inputs[path.start])
+    if len(mechanism.drivers) == 1:
+        lengths = 2 * float(np.abs(mechanism.assembly.loops.length0).sum())
+        reach = 2 * pi if mechanism.kind(0) == 'angle' else lengths
+        # Where it cannot be followed so far, the limits within the range asked for are told.
+        with suppress(LinkageError):
+            path = mechanism.path(start - reach, start + reach)
+    limits = [dead.at for dead in path.dead_points if dead.turns_back]
+    least = max((at for at in limits if at <= start), default=None)
+    most = min((at for at in limits if at > start), default=None)
+    if least is None and most is None:
+        # It ends where no dead point was located.
+        ends = float(path.inputs[0]), float(path.inputs[-1])
+        return (ends[0] if ends[0] > low else None, ends[1] if ends[1] < high else None)
+    return least, most
 
 
 def check_teeth(mechanism: Mechanism) -> None:

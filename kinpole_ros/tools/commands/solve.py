@@ -29,7 +29,12 @@ def add(commands: Any) -> None:
         'scene', metavar='SCENE', help='a file, or a name that `kinpole simulate --list` has'
     )
     where = solve.add_mutually_exclusive_group()
-    where.add_argument('--at', metavar='VALUE', help='value of the driver: 0.5, "-45 deg", "12 cm"')
+    where.add_argument(
+        '--at',
+        metavar='VALUE',
+        help='value of the driver: "-45 deg", "0.5 rad", "12 cm"; a number without a unit is in '
+        'rad or m, and the output says so',
+    )
     where.add_argument(
         '--sweep', action='store_true', help='all positions, over the whole range of its driver'
     )

@@ -27,6 +27,7 @@ from kinpole_ros.tools.solve._solved import (
     drawn,
     over_range,
     over_time,
+    unit_note,
 )
 from kinpole_ros.tools.solve._spreadsheet import write_table
 
@@ -72,6 +73,8 @@ def solve_scene(
     elif sweep:
         asked = over_range(loaded, _SAMPLES)
     lines = head_lines(loaded)
+    if at is not None and (note := unit_note(loaded, at)):
+        lines.append(note)
     if time is not None:
         lines += course_lines(asked)
     elif sweep:

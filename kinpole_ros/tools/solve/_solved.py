@@ -7,6 +7,7 @@ import numpy as np
 from kinpole_ros.mechanism import (
     Centers,
     Force,
+    LinkageError,
     Load,
     Motion,
     Port,
@@ -91,10 +92,39 @@ def drawn(whole: Solved, here: Solved) -> Solved:
     return _at_rate(whole.scene, here.inputs[0], float(whole.rates[0, 0]))
 
 
+def unit_note(scene: Scene, at: str) -> str:
+    """
+    Say which unit a value of the one driver without a unit was taken in, and how to give another.
+
+    Empty where the value has a unit.
+    """
+    try:
+        value = float(at)
+    except ValueError:
+        return ''
+    if scene.mechanism.kind(0) == 'angle':
+        degrees = np.degrees(value)
+        return (
+            f'--at {at} has no unit: taken as {value:g} rad = {degrees:.5g} deg; '
+            f"for degrees write --at '{at} deg'"
+        )
+    return f"--at {at} has no unit: taken as {value:g} m; for centimeters write --at '{at} cm'"
+
+
 def at_value(scene: Scene, at: str) -> Solved:
     """The scene with its one driver at a value, which has a unit or is in SI."""
     _one_driver(scene, '--at')
     value = quantity('--at', at, scene.mechanism.kind(0))
+    try:
+        return _at_input(scene, value)
+    except (SceneError, LinkageError) as error:
+        if not (note := unit_note(scene, at)):
+            raise
+        raise SceneError(f'{error}; {note}') from None
+
+
+def _at_input(scene: Scene, value: float) -> Solved:
+    """The scene with its one driver at a value, rad or m."""
     limit = _limit(scene, value)
     if limit is None:
         return _at_rate(scene, np.array([value]), _rate(scene))
