@@ -214,50 +214,50 @@ PIXELS = {'rate': 100.0, 'scale': 0.5}
 TIP_HEEL = ('tip', 'heel')
 IN_PIXELS = FLAT * [0.5, -0.5, 1]
 CASES: dict[str, tuple[str, Callable[[], str | bytes], dict[str, Any], Any, Any, np.ndarray]] = {
-    'dlc': ('deeplabcut', deeplabcut, PIXELS, TIP_HEEL, even(100, 1), IN_PIXELS),
+    'dlc': ('deeplabcut', deeplabcut, PIXELS, TIP_HEEL, even(100, 0), IN_PIXELS),
     'dlc, animals, decimal commas': (
         'deeplabcut', lambda: deeplabcut(('a', 'b'), ';', comma=True), PIXELS,
-        ('a.tip', 'b.tip'), even(100, 1), IN_PIXELS,
+        ('a.tip', 'b.tip'), even(100, 0), IN_PIXELS,
     ),
-    'dlc .h5': ('deeplabcut', deeplabcut_h5, PIXELS, TIP_HEEL, even(100, 1), IN_PIXELS),
-    'sleap': ('sleap', sleap, PIXELS, ('rod_0.tip', 'rod_1.tip'), even(100, 1), IN_PIXELS),
+    'dlc .h5': ('deeplabcut', deeplabcut_h5, PIXELS, TIP_HEEL, even(100, 0), IN_PIXELS),
+    'sleap': ('sleap', sleap, PIXELS, ('rod_0.tip', 'rod_1.tip'), even(100, 0), IN_PIXELS),
     'kinovea': (
         'kinovea', lambda: kinovea(False), {'scale': 1.0},
-        ('Tip', 'Angle 1.a', 'Angle 1.b'), even(25, 1), FLAT[:, [0, 1, 1]],
+        ('Tip', 'Angle 1.a', 'Angle 1.b'), even(25, 0), FLAT[:, [0, 1, 1]],
     ),
     'kinovea, decimal commas, BOM': (
         'kinovea', lambda: b'\xef\xbb\xbf' + kinovea(True).encode(), {'scale': 1.0},
-        ('Tip', 'Angle 1.a', 'Angle 1.b'), even(25, 1), FLAT[:, [0, 1, 1]],
+        ('Tip', 'Angle 1.a', 'Angle 1.b'), even(25, 0), FLAT[:, [0, 1, 1]],
     ),
-    'tracker': ('tracker', tracker_one, {'scale': 1.0}, ('mass_A',), even(25, 1), FLAT[:, 1:]),
+    'tracker': ('tracker', tracker_one, {'scale': 1.0}, ('mass_A',), even(25, 0), FLAT[:, 1:]),
     'tracker, unit, decimal commas': (
         'tracker', lambda: tracker_one(' (cm)', comma=True), {},
-        ('mass_A',), even(25, 1), FLAT[:, 1:] * 0.01,
+        ('mass_A',), even(25, 0), FLAT[:, 1:] * 0.01,
     ),
     'tracker, many': (
-        'tracker', tracker_many, {'scale': 0.01}, ('mass A', 'mass B'), even(25, 1), FLAT * 0.01
+        'tracker', tracker_many, {'scale': 0.01}, ('mass A', 'mass B'), even(25, 0), FLAT * 0.01
     ),
     'motive': (
         'motive', lambda: motive('Meters'), {},
-        ('rod:Marker1', 'Unlabeled 1189'), even(120, 1), SEEN,
+        ('rod:Marker1', 'Unlabeled 1189'), even(120, 0), SEEN,
     ),
     'motive, mm': (
         'motive', lambda: motive('Millimeters'), {},
-        ('rod:Marker1', 'Unlabeled 1189'), even(120, 1), SEEN * 1e-3,
+        ('rod:Marker1', 'Unlabeled 1189'), even(120, 0), SEEN * 1e-3,
     ),
     'vicon': ('vicon', vicon, {}, ('Rig:tip', 'Rig:heel'), even(200, 0.505), SEEN * 1e-3),
-    'trc': ('trc', trc, {}, ('R.tip', 'R.heel'), even(150, 1), SEEN * 1e-3),
-    'trc, inches': ('trc', lambda: trc('in'), {}, ('R.tip', 'R.heel'), even(150, 1), SEEN * 0.0254),
+    'trc': ('trc', trc, {}, ('R.tip', 'R.heel'), even(150, 0), SEEN * 1e-3),
+    'trc, inches': ('trc', lambda: trc('in'), {}, ('R.tip', 'R.heel'), even(150, 0), SEEN * 0.0254),
     'trc, told otherwise': (
         'trc', trc, {'scale': 1.0, 'rate': 50.0, 'y_down': True},
-        ('R.tip', 'R.heel'), even(50, 1), SEEN * [1, -1, 1],
+        ('R.tip', 'R.heel'), even(50, 0), SEEN * [1, -1, 1],
     ),
     'c3d': ('c3d', c3d_file, {}, TIP_HEEL, even(200, 0.025), SEEN * 1e-3),
     'c3d, m': ('c3d', lambda: c3d_file('m'), {}, TIP_HEEL, even(200, 0.025), SEEN),
     'table, decimal commas': (
         'table', lambda: 't;a_x;a_y\n' + '\n'.join(
             f'{k};{cells(row, ";", comma=True)}' for k, row in enumerate(SEEN[:, 1, :2])
-        ), {}, ('a',), even(1, 1), FLAT[:, 1:],
+        ), {}, ('a',), even(1, 0), FLAT[:, 1:],
     ),
 }  # fmt: skip
 
@@ -303,23 +303,23 @@ def test_labeled_images_are_frames_by_their_number_and_have_no_likelihood(tmp_pa
     head = 'scorer,,,me,me,me\nbodyparts,,,tip,tip,tip\ncoords,,,x,y,likelihood\n'
     rows = 'labeled-data,run 1,img07.png,1,2,\nlabeled-data,run 1,img09.png,,,\n'
     _, stamps, points = bring(tmp_path, head + rows, **PIXELS)
-    np.testing.assert_allclose(stamps, [1.0, 1.02], atol=1e-9)
+    np.testing.assert_allclose(stamps, [0.0, 0.02], atol=1e-9)
     assert np.array_equal(points[:, 0], [[0.5, -1, 0], [NAN] * 3], equal_nan=True)
 
 
 def test_frames_without_a_line_leave_a_gap(tmp_path):
     lines = deeplabcut().splitlines()
     _, stamps, _ = bring(tmp_path, '\n'.join(lines[:4] + lines[5:]), **PIXELS)
-    np.testing.assert_allclose(stamps, [1.0, 1.02, 1.03], atol=1e-9)
+    np.testing.assert_allclose(stamps, [0.0, 0.02, 0.03], atol=1e-9)
     lines = kinovea(False).splitlines()
     _, stamps, _ = bring(tmp_path, '\n'.join(lines[:3] + lines[4:]), rate=50.0, scale=1.0)
-    np.testing.assert_allclose(stamps, [1.0, 1.02, 1.06], atol=1e-9)
+    np.testing.assert_allclose(stamps, [0.0, 0.02, 0.06], atol=1e-9)
 
 
 def test_times_that_are_not_the_rates_are_kept(tmp_path):
     late = trc().decode('cp1252').replace('\t0.020\t', '\t0.050\t')
     _, stamps, _ = bring(tmp_path, late)
-    np.testing.assert_allclose(stamps, [1.0, 1.007, 1.013, 1.05], atol=1e-9)
+    np.testing.assert_allclose(stamps, [0.0, 0.007, 0.013, 0.05], atol=1e-9)
 
 
 def test_times_rounded_to_ms_are_the_rates_however_many_zeros_follow(tmp_path):
@@ -328,7 +328,7 @@ def test_times_rounded_to_ms_are_the_rates_however_many_zeros_follow(tmp_path):
     for k in range(4):
         content = content.replace(f'\n{k},{k / 120:.6f},', f'\n{k},{k / 360:.3f}000,')
     _, stamps, _ = bring(tmp_path, content)
-    np.testing.assert_allclose(stamps, even(360.0, 1.0), atol=1e-9)
+    np.testing.assert_allclose(stamps, even(360.0, 0.0), atol=1e-9)
 
 
 def test_a_frame_missing_from_times_of_whole_intervals_is_seen(tmp_path):
@@ -336,7 +336,7 @@ def test_a_frame_missing_from_times_of_whole_intervals_is_seen(tmp_path):
     for k, time in enumerate((0.0, 0.01, 0.03, 0.04)):
         content = content.replace(f'\n{k},{k / 120:.6f},', f'\n{k},{time:.6f},')
     _, stamps, _ = bring(tmp_path, content)
-    np.testing.assert_allclose(stamps, [1.0, 1.01, 1.03, 1.04], atol=1e-9)
+    np.testing.assert_allclose(stamps, [0.0, 0.01, 0.03, 0.04], atol=1e-9)
 
 
 def test_what_a_head_says_and_the_file_lacks_is_noted(tmp_path):
@@ -357,6 +357,7 @@ SCORED = 'frame_idx,track,tip.x,tip.y\n0,,1,2\n0,,3,4\n'
     [
         (deeplabcut, {'rate': 100.0}, r'\(deeplabcut\) is in px; fix: give --scale'),
         (deeplabcut, {'scale': 1.0}, 'has no times; fix: give --rate'),
+        (deeplabcut, {}, 'is in px and has no times; fix: give --scale, .*; and give --rate'),
         (sleap, {'rate': 100.0}, r'\(sleap\) is in px; fix: give --scale'),
         (tracker_one, {}, r'\(tracker\) is in a unit that the file does not say; fix: give --sc'),
         (lambda: tracker_one(' (furlong)'), {}, 'is in furlong; fix: give --scale'),
