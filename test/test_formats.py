@@ -2,6 +2,8 @@
 
 import pickle
 import struct
+import subprocess
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -427,3 +429,111 @@ def test_measured_gait_has_its_rate_and_unit():
     np.testing.assert_allclose(read.times, np.arange(364) / 150, atol=1e-9)
     knee = read.points[0, list(read.names).index('R.Knee')]
     assert knee.tolist() == [-255.79147, 532.41669, -490.22989]
+
+
+def redirect(content: bytes, folder: Path, how: str) -> bytes:
+    """An .h5 of DeepLabCut whose table is somewhere else, or is no numbers."""
+    h5py = pytest.importorskip('h5py')
+    path, secret = folder / 'redirected.h5', folder / 'secret'
+    path.write_bytes(content)
+    with h5py.File(path, 'r+') as file:
+        name = next(iter(file))
+        group = file[name]
+        table = group['table']
+        kind, attributes, rows = table.dtype, dict(table.attrs), table[:]
+        secret.write_bytes(rows.tobytes())
+        del group['table']
+        if how == 'external storage':
+            group.create_dataset('table', rows.shape, kind, external=[(str(secret), 0, 10**6)])
+        elif how == 'virtual':
+            layout = h5py.VirtualLayout(rows.shape, kind)
+            layout[:] = h5py.VirtualSource(str(secret), 'x', rows.shape)
+            group.create_virtual_dataset('table', layout)
+        elif how == 'external link':
+            group['table'] = h5py.ExternalLink(str(secret), '/x')
+        elif how == 'soft link':
+            file['other'] = rows
+            group['table'] = h5py.SoftLink('/other')
+        else:
+            fields = [(n, kind[n]) for n in kind.names] + [('v', h5py.vlen_dtype(np.float64))]
+            group.create_dataset('table', rows.shape, np.dtype(fields), chunks=(4,))
+        if how.endswith(('storage', 'virtual', 'vlen')):
+            group['table'].attrs.update(attributes)
+    return path.read_bytes()
+
+
+@pytest.mark.parametrize(
+    'how', ['external storage', 'virtual', 'external link', 'soft link', 'vlen']
+)
+def test_an_h5_that_leads_elsewhere_or_has_no_numbers_is_refused(tmp_path, how):
+    content = redirect(deeplabcut_h5(), tmp_path, how)
+    with pytest.raises(BagError, match=r'is a link|are elsewhere|is not of numbers'):
+        bring(tmp_path, content, **PIXELS)
+
+
+@pytest.mark.parametrize('text', ['1_000', '\u0661\u0662', '0x10', '1e', '.'])
+def test_a_number_is_in_ascii_digits(tmp_path, text):
+    with pytest.raises(BagError, match=r'line 2, column a_x: .* is not a number'):
+        bring(tmp_path, f't,a_x,a_y\n0,{text},0\n')
+
+
+@pytest.mark.parametrize('case', [c for c in CASES if 'h5' not in c and 'c3d' not in c])
+def test_a_file_that_is_cut_amid_its_last_row_gives_all_rows_before(tmp_path, case):
+    _, content, options, *_ = CASES[case]
+    sound = content()
+    sound = (sound if isinstance(sound, bytes) else sound.encode()).partition(b'\nDevices')[0]
+    sound = sound.rstrip(b'\r\n')
+    _, stamps, points = bring(tmp_path, sound, **options)
+    last = max(sound.rfind(mark) for mark in (b',', b'\t', b';'))
+    end = max(sound.rfind(mark, 0, last) for mark in (b',', b'\t', b';')) + 1
+    done, got_stamps, got = bring(tmp_path, sound[: end - 1], **options)
+    assert any('the row is left out' in note for note in done.notes)
+    known = len(got) if case.startswith('sleap') else 3
+    assert len(got) == known
+    if not case.startswith('sleap'):
+        np.testing.assert_array_equal(got_stamps, stamps[:3])
+        np.testing.assert_array_equal(got, points[:3])
+
+
+def test_a_last_line_of_separators_alone_is_no_frame(tmp_path):
+    done, *_ = bring(tmp_path, trc() + b'\r\n\t\t')
+    assert done.frames == 4
+    assert not done.notes
+
+
+PEAK = """
+import sys
+from pathlib import Path
+from kinpole_ros.bags import BagError
+from kinpole_ros.bags.formats import read_points
+try:
+    read_points(sys.argv[1])
+except BagError as error:
+    print(error, file=sys.stderr)
+# Not ru_maxrss, which a child has from its parent.
+print(int(Path('/proc/self/status').read_text().partition('VmHWM:')[2].split()[0]) >> 10)
+"""
+
+
+def test_millions_of_empty_cells_take_little_memory(tmp_path):
+    file = tmp_path / 'empty.csv'
+    file.write_bytes(b',\n' * 3_000_000)
+    done = subprocess.run(
+        [sys.executable, '-c', PEAK, str(file)], capture_output=True, text=True, check=True
+    )
+    assert 'of no format known here' in done.stderr
+    assert int(done.stdout) < 350  # MB; 545 when each row had a list of its own
+
+
+def test_more_cells_than_are_held_are_refused_while_reading(tmp_path, monkeypatch):
+    monkeypatch.setattr('kinpole_ros.bags.formats._file.MOST_CELLS', 1000)
+    with pytest.raises(BagError, match='more than 1000 cells; fix: cut it into parts'):
+        bring(tmp_path, 't,a_x,a_y\n' + '1,2,3\n' * 300)
+
+
+def test_a_c3d_with_fewer_frames_than_it_claims_is_refused(tmp_path):
+    content = bytearray(c3d_file())
+    claimed = struct.unpack_from('<H', content, 8)[0] + 500
+    struct.pack_into('<H', content, 8, claimed)
+    with pytest.raises(BagError, match=r'says that it has .* frames, and has .* cut off'):
+        bring(tmp_path, bytes(content))
