@@ -1,14 +1,17 @@
 """Tables of tracked points become bags; a cell that is wrong is named by line and column."""
 
 import os
+import re
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from kinpole_ros.bags import BagError, import_csv, import_points, read_messages, topics
+from kinpole_ros.bags import BagError, import_csv, import_points, read_messages, replay, topics
 from kinpole_ros.messages import deserialize_message
 from kinpole_ros.messages._types import MarkerArray
+from kinpole_ros.pipeline.parameters import settings_from
+from kinpole_ros.tools.cli import main
 
 DATA = Path(__file__).parents[2] / 'shared' / 'data' / 'double_pendulum' / 'run16.csv'
 
@@ -71,24 +74,104 @@ def test_spreadsheet_habits_are_read(tmp_path, row):
 @pytest.mark.parametrize(
     ('times', 'stamps'),
     [
-        ('0 0.004 0.008', [1_000_000_000, 1_004_000_000, 1_008_000_000]),
-        ('-0.5 0 0.25', [1_000_000_000, 1_500_000_000, 1_750_000_000]),
+        ('0 0.004 0.008', [0, 4_000_000, 8_000_000]),
+        ('-0.5 0 0.25', [0, 500_000_000, 750_000_000]),
         ('0.004 0.008 1', [4_000_000, 8_000_000, 1_000_000_000]),
         ('1700000000 1700000000.5', [1_700_000_000_000_000_000, 1_700_000_000_500_000_000]),
     ],
 )
-def test_stamps_are_t_unless_t_starts_at_or_before_zero(tmp_path, times, stamps):
+def test_stamps_are_t_unless_t_starts_before_zero(tmp_path, times, stamps):
     text = 't,a_x,a_y\n' + ''.join(f'{time},0,0\n' for time in times.split())
     assert [stamp for stamp, _ in import_text(tmp_path, text)] == stamps
+
+
+def turning(first: float, seen: int) -> str:
+    """A body that turns, at 100 Hz from `first` on, hidden to 0.5 s after `seen` frames."""
+    lines = ['t,a_x,a_y,b_x,b_y']
+    for k in [*range(seen), *range(50, 300)]:
+        a, b = 0.1 * np.exp(0.02j * k), 0.2 * np.exp(0.02j * k + 1j)
+        lines.append(f'{first + k / 100:.2f},{a.real},{a.imag},{b.real},{b.imag}')
+    return '\n'.join(lines)
+
+
+@pytest.mark.parametrize('seen', [1, 50])
+def test_a_table_from_time_zero_replays_as_the_same_one_from_another_time(tmp_path, seen):
+    """A stamp of 0 is a time like any other, in the figures and in what is said of outages."""
+    tables, said = [], []
+    for first in (0.0, 5.0):
+        import_text(tmp_path, turning(first, seen))
+        settings = settings_from({'window': 0.2, 'bodies': ['rod'], 'rod.markers': ['a', 'b']})
+        done = replay(tmp_path / 'out.mcap', settings, csv=tmp_path / 'out.csv')
+        rows = np.genfromtxt(tmp_path / 'out.csv', delimiter=',', skip_header=1)
+        rows[:, 0] -= first
+        tables.append(rows)
+        said.append([(body, outage.times) for body, outage in done.outages.items()])
+    assert tables[0][0, 0] == (0 if seen == 50 else 0.5)
+    assert np.isfinite(tables[0]).any(axis=0)[:10].all()
+    np.testing.assert_allclose(tables[0], tables[1], rtol=1e-9, atol=1e-9)
+    assert said[0] == said[1]
+    assert bool(said[0]) == (seen == 1)
+
+
+def test_times_before_zero_are_told(tmp_path):
+    (tmp_path / 't.csv').write_text('t,a_x,a_y\n-0.5,0,0\n0,0,0\n')
+    (note,) = import_points(tmp_path / 't.csv', tmp_path / 'o.mcap').notes
+    assert 'begins at -0.5 s' in note
+
+
+@pytest.mark.parametrize(
+    ('title', 'unit'),
+    [
+        ('time', 1.0),
+        ('Time', 1.0),
+        ('time (s)', 1.0),
+        ('t [s]', 1.0),
+        ('timestamp', 1.0),
+        ('Time (Seconds)', 1.0),
+        ('time_ms', 1e3),
+        ('Timestamp [us]', 1e6),
+        ('time_s', 1.0),
+    ],
+)
+def test_a_column_named_as_one_of_times_is_one(tmp_path, title, unit):
+    text = f'{title},a_x,a_y\n{0.25 * unit},0,0\n{0.5 * unit},0,0\n'
+    assert [stamp for stamp, _ in import_text(tmp_path, text)] == [250_000_000, 500_000_000]
+
+
+def test_a_column_that_may_not_be_the_times_is_asked_for(tmp_path):
+    with pytest.raises(BagError, match="in any of 'time', 'timestamp'; fix: name the one to use t"):
+        import_text(tmp_path, 'time,timestamp,a_x,a_y\n1,2,0,0\n')
+    with pytest.raises(BagError, match=r"'time \[frames\]' is in a unit that is not known; fix: "):
+        import_text(tmp_path, 'time [frames],a_x,a_y\n1,0,0\n')
+    text = 'time,t,a_x,a_y\n9,1,0,0\n'
+    assert [stamp for stamp, _ in import_text(tmp_path, text)] == [1_000_000_000]
+
+
+@pytest.mark.parametrize('command', ['discover', 'replay', 'report', 'plot', 'batch'])
+def test_a_table_in_place_of_a_bag_is_sent_to_import(tmp_path, capsys, monkeypatch, command):
+    monkeypatch.chdir(tmp_path)
+    Path('film.csv').write_text('t,a_x,a_y\n1,0,0\n')
+    Path('config.yaml').write_text('/**:\n  ros__parameters:\n    window: 0.3\n')
+    words = {
+        'replay': ['--csv', 'o.csv'],
+        'report': ['--output', 'o.html'],
+        'plot': ['--output', 'o.png'],
+        'batch': ['--config', 'config.yaml', '--output', 'o'],
+    }
+    assert main([command, 'film.csv', *words.get(command, [])]) == 2
+    out, err = capsys.readouterr()
+    assert re.search(
+        'film.csv is a file of points.*`kinpole import .*film.csv --output .*film.mcap`', out + err
+    )
 
 
 def test_rate_wins_over_t_and_does_not_drift(tmp_path):
     text = 't,a_x,a_y\n' + 'x,0,0\n' * 301
     stamps = [stamp for stamp, _ in import_text(tmp_path, text, rate=300.0)]
-    assert stamps[0] == 1_000_000_000
-    assert stamps[1] == 1_003_333_333
-    assert stamps[2] == 1_006_666_667
-    assert stamps[300] == 2_000_000_000
+    assert stamps[0] == 0
+    assert stamps[1] == 3_333_333
+    assert stamps[2] == 6_666_667
+    assert stamps[300] == 1_000_000_000
 
 
 @pytest.mark.parametrize(

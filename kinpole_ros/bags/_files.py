@@ -34,6 +34,8 @@ _FOREIGN = {
     b'SQLite f': 'is a bag in sqlite3',
     b'#ROSBAG ': 'is a ROS 1 bag',
 }
+# Endings of files that `kinpole import` reads.
+_POINTS = ('.csv', '.tsv', '.txt', '.trc', '.c3d', '.h5', '.xml')
 _CONVERT = 'fix: `rosbags-convert --src {} --dst NEW --dst-storage mcap` (pip install rosbags)'
 
 
@@ -171,6 +173,11 @@ def check_magic(path: Path) -> None:
             f'fix: see what `zstd -d {path}` gives'
         )
     if not MCAP0_MAGIC.startswith(magic):
+        if path.suffix.lower() in _POINTS:
+            raise BagError(
+                f'{path} is a file of points, not a bag; fix: make a bag of it by '
+                f'`kinpole import {path} --output {path.with_suffix(".mcap")}`'
+            )
         raise BagError(
             f'{path} is not an MCAP file: it starts otherwise; '
             'fix: give an .mcap file or a rosbag2 folder'

@@ -13,7 +13,6 @@ from kinpole_ros.bags._writer import BagWriter, in_place_of
 from kinpole_ros.bags.formats import Points, Wanted, read_points, shown
 from kinpole_ros.messages import to_message
 
-_SECOND = 1_000_000_000  # ns
 _LONGEST = 2.0**31  # s; the seconds of a ROS stamp are an int32
 
 
@@ -49,10 +48,10 @@ def import_points(
     file's unit in m, `y_down` whether y points down; without them, as the file says. `likelihood`
     is the least at which a point of DeepLabCut (0.6) or SLEAP (all) counts as seen.
 
-    With `rate`, in Hz, frames are stamped by their numbers, from 1 s on, whatever times the file
-    has. Else the stamps are its times; where these start at 0 or before, all are moved so that the
-    first is 1 s, for a stamp of 0 means none in ROS. Log times are the stamps. `progress` is
-    called with the fraction of frames written, at most some 200 times.
+    With `rate`, in Hz, frames are stamped by their numbers, the first one 0, whatever times the
+    file has. Else the stamps are its times. Where these start before 0, which no stamp can hold,
+    they are counted from the first frame, and a note says so. Log times are the stamps.
+    `progress` is called with the fraction of frames written, at most some 200 times.
 
     Raises BagError, naming file, line and column, when the file is not of its format, or does not
     say what must be given; `output`, which is replaced, is not touched before all is read.
@@ -68,20 +67,17 @@ def import_points(
 
     found, read = read_points(path, format, Wanted(rate, likelihood))
     used = read.scale if scale is None else scale
-    if used is None:
-        unit = f'in {shown(read.unit)}' if read.unit else 'in a unit that the file does not say'
-        raise BagError(
-            f'{path} ({found}) is {unit}; fix: give --scale, the m of one such unit: a known '
-            'length in m over the same in the file (1 to keep the unit)'
-        )
+    if lacking := _lacking(path, found, read, used, rate):
+        raise lacking
+    assert used is not None
     turned = read.y_down if y_down is None else y_down
     with np.errstate(over='ignore'):
         points = read.points * [used, -used if turned else used, used]
     if np.isinf(points).any():
         raise BagError(f'scale is {scale}; fix: give the length of the unit of {path} in m')
-    stamps = _stamps(path, read, rate)
+    stamps, moved = _stamps(path, read, rate)
     _write(output, topic, frame_id, read.names, stamps, points, progress)
-    notes = (*read.notes, *_unseen(read))
+    notes = (*read.notes, *moved, *_unseen(read))
     return Imported(found, tuple(read.names), len(stamps), shown(read.unit), used, notes)
 
 
@@ -98,6 +94,28 @@ def import_csv(
     """`import_points` of a plain table, as it was called before; returns the number of frames."""
     words = rate, scale, y_down, topic, frame_id, progress, 'table'
     return import_points(csv_path, output, *words).frames
+
+
+def _lacking(
+    path: Path, found: str, read: Points, scale: float | None, rate: float | None
+) -> BagError | None:
+    """What neither the file nor the user says of the unit and the times, in one message."""
+    wrong, fixes = [], []
+    if scale is None:
+        unit = f'in {shown(read.unit)}' if read.unit else 'in a unit that the file does not say'
+        wrong.append(f'is {unit}')
+        fixes.append(
+            'give --scale, the m of one such unit: a known length in m over the same in the file '
+            '(1 to keep the unit)'
+        )
+    if rate is None and read.times is None:
+        wrong.append('has no times')
+        fixes.append('give --rate, the frames per second')
+        if found == 'table':
+            fixes[-1] = 'give --rate HZ, or name the column of times t'
+    if not wrong:
+        return None
+    return BagError(f'{path} ({found}) {" and ".join(wrong)}; fix: {"; and ".join(fixes)}')
 
 
 def _unseen(read: Points) -> list[str]:
@@ -127,24 +145,27 @@ def _write(
                 progress(count / len(stamps))
 
 
-def _stamps(path: Path, read: Points, rate: float | None) -> np.ndarray:
-    """A stamp for each frame, int64, in ns; from 1 s on where times start at 0 or before."""
+def _stamps(path: Path, read: Points, rate: float | None) -> tuple[np.ndarray, list[str]]:
+    """A stamp for each frame, int64, in ns, and a note where they are not the times of the file."""
     if rate is not None:
         frames = read.frames - read.frames[0]
         if not 1.001 * (int(frames[-1]) + 1) / _LONGEST < rate <= 1e9:
             raise BagError(f'rate is {rate:g} for {len(frames)} frames; fix: give it in Hz')
-        return _SECOND + np.rint(frames * 1e9 / rate).astype(np.int64)
-    if read.times is None:
-        raise BagError(f'{path} has no times; fix: give --rate HZ, or a plain table a column t')
-    seconds = read.times
-    if seconds[0] <= 0:
-        seconds = seconds - seconds[0] + 1
+        return np.rint(frames * 1e9 / rate).astype(np.int64), []
+    assert read.times is not None
+    seconds, notes = read.times, []
+    if seconds[0] < 0:
+        notes = [
+            f'{path} begins at {seconds[0]:.12g} s, and no stamp in ROS is negative: '
+            'times are counted from the first frame'
+        ]
+        seconds = seconds - seconds[0]
     if (bad := ~(np.abs(seconds) < _LONGEST)).any():
         raise _not_a_time(path, read, int(bad.argmax()), 'is not a time in seconds')
     stamps = np.rint(seconds * 1e9).astype(np.int64)
     if (bad := np.diff(stamps) <= 0).any():
         raise _not_a_time(path, read, int(bad.argmax()) + 1, 'is not later than the frame before')
-    return stamps
+    return stamps, notes
 
 
 def _not_a_time(path: Path, read: Points, row: int, why: str) -> BagError:

@@ -140,8 +140,8 @@ class RigidBodies:
         self.wrong = np.zeros(self._count, int)
         self.outages: dict[int, Outage] = {}
         self._window = window
-        # ns, 0 before a body is seen.
-        self._seen_last = np.zeros(self._count, np.int64)
+        # ns, -1 before a body is seen.
+        self._seen_last = np.full(self._count, -1, np.int64)
         # Frames since the last beat.
         self._news: list[News] = []
         self._new = 0
@@ -394,7 +394,7 @@ class RigidBodies:
             self._seen_last[row] = stamp
 
     def _note_outage(self, stamp: np.int64, seen: np.ndarray) -> None:
-        lasted = np.where(self._seen_last > 0, stamp - self._seen_last, 0)
+        lasted = np.where(self._seen_last >= 0, stamp - self._seen_last, 0)
         for b in np.flatnonzero(seen & (lasted >= self._window)).tolist():
             last = int(self._seen_last[b])
             self.outages[b] = one_more(self.outages.get(b), last, int(lasted[b]))

@@ -5,6 +5,7 @@ A module a format: it says how the format is recognized and read, in a `FORMAT` 
 one is a module like the others and its line below.
 """
 
+from dataclasses import replace
 from pathlib import Path
 
 from kinpole_ros.bags._files import BagError
@@ -58,7 +59,8 @@ def read_points(
             points = found.read(file, wanted or Wanted())
             if not len(points.frames):
                 raise BagError(f'{path} has no frames; fix: give a line for each frame')
-            return found.name, points
+            notes = file.sheet.notes if file.is_text else ()
+            return found.name, replace(points, notes=(*notes, *points.notes))
     raise _unknown(file, name)
 
 

@@ -43,6 +43,7 @@ def _read(file: File, wanted: Wanted) -> Points:
             left_out = {
                 name for what in _NO_POINTS for name in _labels(reader, f'POINT:{what}') if name
             }
+            claimed = int(reader.last_frame) - int(reader.first_frame) + 1
             numbers, rows = [], []
             for number, points, _ in reader.read_frames():
                 numbers.append(number)
@@ -55,6 +56,12 @@ def _read(file: File, wanted: Wanted) -> Points:
         ) from error
     if not rows:
         raise BagError(f'{file.path} has no frames; fix: export it again')
+    if len(rows) < claimed:
+        # The end of the last block is padding, which cannot be told from frames.
+        raise BagError(
+            f'{file.path} says that it has {claimed} frames, and has {len(rows)} at most: it is '
+            'cut off; fix: export it again'
+        )
     seen = np.array(rows, dtype=np.float64)
     seen[seen[..., 3] < 0] = np.nan
     names = [label or f'point {index + 1}' for index, label in enumerate(labels)]

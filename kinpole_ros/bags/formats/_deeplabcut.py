@@ -17,11 +17,11 @@ import numpy as np
 
 from kinpole_ros.bags._files import BagError
 from kinpole_ros.bags.formats._file import (
-    MOST,
     File,
     Format,
     Points,
     Wanted,
+    check_cells,
     check_names,
     shown,
     whole_numbers,
@@ -31,6 +31,8 @@ from kinpole_ros.packages import install_command
 # What DeepLabCut itself takes as seen ("pcutoff").
 _LIKELIHOOD = 0.6
 _HDF = b'\x89HDF\r\n\x1a\n'
+_CHUNK = 32 << 20  # bytes that one chunk may unpack to; those of PyTables have some 100 kB
+_SLICE = 8 << 20  # bytes of rows read at a time
 _FIX = 'give the .csv or .h5 that analyze_videos wrote'
 
 
@@ -92,7 +94,7 @@ def _numbers_of(file: File, cells: list[str], lines: Sequence[int]) -> np.ndarra
     """Numbers of frames, or of images such as img0012.png."""
     numbers = np.full(len(cells), np.nan)
     for row, cell in enumerate(cells):
-        if match := re.search(r'(\d{1,15})(\.0*|\.[A-Za-z]+)?$', cell):
+        if match := re.search(r'([0-9]{1,15})(\.0*|\.[A-Za-z]+)?$', cell):
             numbers[row] = int(match[1])
     return whole_numbers(file.path, numbers, lines, '1')
 
@@ -113,24 +115,25 @@ def _of_hdf(file: File) -> tuple[list[tuple[str, str]], np.ndarray, np.ndarray]:
         ) from None
     try:
         with h5py.File(io.BytesIO(file.data), 'r') as content:
-            table = next(
-                group['table']
-                for group in content.values()
-                if isinstance(group, h5py.Group) and 'table' in group
-            )
-            if table.size * table.dtype.itemsize > MOST:
-                raise BagError(f'{file.path} unpacks to more than {MOST >> 20} MiB; fix: cut it')
-            rows = table[:]
+            table = _hdf_table(file, content)
             labels: list[tuple[str, str]] = []
-            blocks = []
-            for name in rows.dtype.names:
-                if name.startswith('values_block_'):
-                    for levels in _names_in(bytes(table.attrs[f'{name}_kind'])):
-                        # The scorer is the first level.
-                        labels.append(_label(levels[1:]))
-                    blocks.append(rows[name].reshape(len(rows), -1).astype(np.float64))
-            values = np.concatenate(blocks, axis=1)
-            frames = np.asarray(rows['index']).astype(np.int64)
+            fields = [name for name in table.dtype.names if name.startswith('values_block_')]
+            for name in fields:
+                # The scorer is the first level.
+                labels += [
+                    _label(levels[1:]) for levels in _names_in(bytes(table.attrs[f'{name}_kind']))
+                ]
+            widths = [int(np.prod(table.dtype[name].shape)) for name in fields]
+            check_cells(file.path, len(table) * sum(widths))
+            values = np.empty((len(table), sum(widths)))
+            frames = np.empty(len(table), np.int64)
+            step = max(1, _SLICE // table.dtype.itemsize)
+            for first in range(0, len(table), step):
+                rows = table[first : first + step]
+                frames[first : first + step] = rows['index']
+                values[first : first + step] = np.concatenate(
+                    [rows[name].reshape(len(rows), -1) for name in fields], axis=1
+                )
     except BagError:
         raise
     except Exception as error:
@@ -141,6 +144,43 @@ def _of_hdf(file: File) -> tuple[list[tuple[str, str]], np.ndarray, np.ndarray]:
             f'{file.path} has {values.shape[1]} columns, {len(labels)} names; fix: {_FIX}'
         )
     return labels, values, whole_numbers(file.path, frames, range(1, len(frames) + 1), 'index')
+
+
+def _hdf_table(file: File, content: Any) -> Any:
+    """
+    The table of positions in an open .h5 file, all of whose bytes are in that file.
+
+    Raises BagError for links and storage that lead to other files, for fields that are not
+    numbers, and where a chunk alone unpacks to more than `MOST`.
+    """
+    import h5py
+
+    for name in content:
+        if not isinstance(content.get(name, getlink=True), h5py.HardLink):
+            raise BagError(f"{file.path}: '{shown(name)}' is a link; fix: {_FIX}")
+        group = content[name]
+        if not isinstance(group, h5py.Group) or 'table' not in group:
+            continue
+        if not isinstance(group.get('table', getlink=True), h5py.HardLink):
+            raise BagError(f"{file.path}: the table in '{shown(name)}' is a link; fix: {_FIX}")
+        table = group['table']
+        if not isinstance(table, h5py.Dataset) or table.ndim != 1 or table.dtype.names is None:
+            raise BagError(f"{file.path}: '{shown(name)}' is not a table; fix: {_FIX}")
+        if table.external or table.is_virtual:
+            raise BagError(f"{file.path}: the rows of '{shown(name)}' are elsewhere; fix: {_FIX}")
+        for field in table.dtype.names:
+            if table.dtype[field].base.kind not in 'iuf':
+                raise BagError(
+                    f"{file.path}: column '{shown(field)}' is not of numbers; fix: {_FIX}"
+                )
+        # HDF5 unpacks one chunk as a whole.
+        if table.chunks and table.chunks[0] * table.dtype.itemsize > _CHUNK:
+            raise BagError(
+                f'{file.path}: a chunk of {table.chunks[0]} rows is more than {_CHUNK >> 20} MiB; '
+                f'fix: {_FIX}'
+            )
+        return table
+    raise BagError(f'{file.path} has no table of DeepLabCut; fix: {_FIX}')
 
 
 class _Names(pickle.Unpickler):

@@ -3,6 +3,8 @@
 import csv
 import errno
 import math
+import re
+from array import array
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
@@ -29,6 +31,9 @@ UNITS = {
     **dict.fromkeys(('ft', 'foot', 'feet'), 0.3048),
 }
 _MOST_COLUMNS = 10_000
+# Cells of a file: 1e6 frames of 10 markers in space, and times; a text cell takes some 60 bytes.
+MOST_CELLS = 45_000_000
+_NUMBER = re.compile(r'[+-]?(?:(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:e[+-]?[0-9]+)?|nan)', re.I | re.A)
 _SNIFFED = 50  # lines that show what separates cells
 _SHOWN = 40  # characters of a cell
 
@@ -112,17 +117,25 @@ class Sheet:
             (mark for mark in '\t;' if sum(mark in line for line in first) * 2 > len(first)), ','
         )
         # Before they are split: a cell of nothing takes as much as 100 letters then.
-        for number, line in enumerate(text.split('\n'), 1):
+        for number, line in enumerate(StringIO(text, newline='\n'), 1):
             if (columns := line.count(self.delimiter) + 1) > _MOST_COLUMNS:
                 raise BagError(
                     f'{path}, line {number}: {columns} columns; fix: give {_MOST_COLUMNS} at most'
                 )
         reader = csv.reader(StringIO(text, newline=''), delimiter=self.delimiter, strict=True)
         self.rows: list[list[str]] = []
-        self.lines: list[int] = []
+        self.lines = array('q')
+        empty: dict[int, list[str]] = {}  # by length, shared by all rows without content
+        cell_count = 0
         try:
             for row in reader:
+                # A row takes as much memory as some cells.
+                cell_count += len(row) + 2
+                if cell_count > MOST_CELLS:
+                    check_cells(path, cell_count)
                 if row:
+                    if not any(row):
+                        row = empty.setdefault(len(row), row)
                     self.rows.append(row)
                     self.lines.append(reader.line_num)
         except csv.Error as error:
@@ -130,6 +143,22 @@ class Sheet:
                 f'{path}, line {reader.line_num}: {shown(str(error))}; '
                 'fix: save it as plain CSV, with commas'
             ) from error
+        self.notes = self._leave_out_cut_row(text)
+
+    def _leave_out_cut_row(self, text: str) -> list[str]:
+        """Remove a last row that ends amid its cells, where the file was cut off; a note of it."""
+        if text.endswith(('\n', '\r')) or len(self.rows) < 3:
+            return []
+        if len(self.rows[-1]) >= len(self.rows[-2]):
+            return []
+        row, line = self.rows.pop(), self.lines.pop()
+        if not any(cell.strip() for cell in row):
+            return []
+        count, before = len(row), len(self.rows[-1])
+        return [
+            f'{self.path}, line {line}: the file is cut off after {count} of {before} '
+            'cells; the row is left out'
+        ]
 
     def cell(self, row: int, column: int) -> str:
         """A cell without the spaces around it; '' where there is none."""
@@ -147,10 +176,7 @@ class Sheet:
         cells = [row[index].strip() or 'nan' if index < len(row) else 'nan' for row in rows]
         if self.delimiter != ',':
             cells = [cell.replace(',', '.') for cell in cells]
-        try:
-            numbers = np.array(cells, dtype=np.float64)
-        except ValueError:
-            numbers = np.array([_number_or_inf(cell) for cell in cells])
+        numbers = np.array([_number_or_inf(cell) for cell in cells])
         if (bad := np.isinf(numbers)).any():
             row = first + int(bad.argmax())
             raise BagError(
@@ -176,7 +202,7 @@ class Sheet:
         first: int,
         title: str = 'Frame',
         end: int | None = None,
-    ) -> tuple[list[str], np.ndarray, np.ndarray, list[int]]:
+    ) -> tuple[list[str], np.ndarray, np.ndarray, Sequence[int]]:
         """
         Names of markers, points (T, n, 3), numbers of the frames, and the lines of these.
 
@@ -200,10 +226,8 @@ class Sheet:
 
 def number_in(cell: str) -> float:
     """A number of a file's head, maybe with a decimal comma; 0 where there is none."""
-    try:
-        return float(cell.replace(',', '.'))
-    except ValueError:
-        return 0.0
+    number = _number_or_inf(cell.strip().replace(',', '.'))
+    return number if math.isfinite(number) else 0.0
 
 
 def _read(path: Path) -> bytes:
@@ -230,6 +254,15 @@ def shown(text: str) -> str:
 
 def no_points(path: Path, why: str, fix: str) -> BagError:
     return BagError(f'{path} {why}; fix: {fix}')
+
+
+def check_cells(path: Path, count: int) -> None:
+    """Raise BagError when a file has more cells than are held in memory."""
+    if count > MOST_CELLS:
+        raise BagError(
+            f'{path} has more than {MOST_CELLS} cells; fix: cut it into parts, or leave out '
+            'columns that are not positions'
+        )
 
 
 def check_names(path: Path, names: Sequence[str]) -> None:
@@ -287,7 +320,5 @@ def decimals_of(cells: Sequence[str]) -> int:
 
 
 def _number_or_inf(cell: str) -> float:
-    try:
-        return float(cell)
-    except ValueError:
-        return math.inf
+    """A number in ASCII digits, or NaN; infinity for all else, such as 1_000 or Arabic digits."""
+    return float(cell) if _NUMBER.fullmatch(cell) else math.inf

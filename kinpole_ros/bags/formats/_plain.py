@@ -1,12 +1,34 @@
 """The plain table, which anyone can write: a line of names, then a line a frame."""
 
+import re
 from collections import Counter
 
 import numpy as np
 
 from kinpole_ros.bags._files import BagError
-from kinpole_ros.bags.formats._file import File, Format, Points, Wanted, not_utf8, shown
+from kinpole_ros.bags.formats._file import (
+    File,
+    Format,
+    Points,
+    Sheet,
+    Wanted,
+    not_utf8,
+    shown,
+)
 
+# "time", "Time (s)", "t [s]", "timestamp_ns", "time_ms".
+_TIME = re.compile(
+    r'(?:t|time|timestamp|time[ _]?stamp)\s*'
+    r'(?:[(\[](?P<bracketed>[^)\]]*)[)\]]|[_ ](?P<unit>[a-zµ]+))?',
+    re.IGNORECASE,
+)
+_SECONDS = {
+    **dict.fromkeys(('s', 'sec', 'secs', 'second', 'seconds'), 1.0),
+    **dict.fromkeys(('ms', 'msec', 'millisecond', 'milliseconds'), 1e-3),
+    **dict.fromkeys(('us', 'µs', 'usec', 'microsecond', 'microseconds'), 1e-6),
+    **dict.fromkeys(('ns', 'nsec', 'nanosecond', 'nanoseconds'), 1e-9),
+    **dict.fromkeys(('min', 'minute', 'minutes'), 60.0),
+}
 _AXES = ('_x', '_y', '_z')
 
 
@@ -16,7 +38,8 @@ def _recognizes(file: File) -> bool:
 
 def _read(file: File, wanted: Wanted) -> Points:
     """
-    NAME_x and NAME_y for each marker, NAME_z where there is one (else z is 0), and t, in s.
+    NAME_x and NAME_y for each marker, NAME_z where there is one (else z is 0), and t, in s,
+    or another column named as one of times.
 
     Other columns are ignored. A cell that is empty or 'nan' means that its marker was not seen in
     that frame. The unit is m. Raises BagError naming line and column when it is not so.
@@ -58,9 +81,45 @@ def _read(file: File, wanted: Wanted) -> Points:
                     f"{path}, line {head_line}: marker '{shown(name)}' has no column "
                     f'{shown(column)}; fix: add it'
                 )
-    times = sheet.column(places['t'], 1, 't') if wanted.rate is None and 't' in places else None
     frames = np.arange(len(points))
-    return Points(names, points, frames, times, 'm', lines=sheet.lines[1:], time_column='t')
+    times, title = None, 't'
+    if wanted.rate is None and (column_of := _time_column(sheet)) is not None:
+        column_index, seconds = column_of
+        title = header[column_index]
+        times = sheet.column(column_index, 1, title) * seconds
+    return Points(
+        names, points, frames, times, 'm', lines=sheet.lines[1:], time_column=shown(title)
+    )
+
+
+def _time_column(sheet: Sheet) -> tuple[int, float] | None:
+    """
+    Index of the column of times and the seconds of its unit; None where there is none.
+
+    A column t is that of times, whatever others there are. Raises BagError where several others
+    could be, or one is in a unit that is not known.
+    """
+    header = sheet.head(0)
+    if 't' in header:
+        return header.index('t'), 1.0
+    found = {}
+    for column, name in enumerate(header):
+        if match := _TIME.fullmatch(name):
+            found[column] = (match['bracketed'] or match['unit'] or 's').strip().lower()
+    if len(found) > 1:
+        named = ', '.join(f"'{shown(header[column])}'" for column in found)
+        raise BagError(
+            f'{sheet.path}, line {sheet.lines[0]}: the times could be in any of {named}; '
+            'fix: name the one to use t, in seconds, or give --rate HZ'
+        )
+    for column, unit in found.items():
+        if unit not in _SECONDS:
+            raise BagError(
+                f"{sheet.path}, line {sheet.lines[0]}: column '{shown(header[column])}' is in a "
+                f'unit that is not known; fix: name it t, in seconds, or give --rate HZ'
+            )
+        return column, _SECONDS[unit]
+    return None
 
 
 FORMAT = Format(

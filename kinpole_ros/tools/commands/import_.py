@@ -21,7 +21,7 @@ def add(commands: Any) -> None:
         description='Reads tracked points as other programs write them. What a file says of units\n'
         'and times is used; what it does not say is asked for. Pixels count y down.\n'
         '\n'
-        '  table       columns NAME_x, NAME_y, maybe NAME_z, and t in seconds, lengths in m\n'
+        '  table       columns NAME_x, NAME_y, maybe NAME_z, and t in s (or time_ms ...), in m\n'
         '  deeplabcut  .csv or .h5 (which needs h5py), one animal or several\n'
         '  sleap       analysis .csv\n'
         '  kinovea     trajectories as .csv\n'
