@@ -7,14 +7,20 @@ The same pipeline as that of node and replay, so the figures are the same too.
 import warnings
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields
-from itertools import combinations
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from kinpole_ros.pipeline.estimate import POLE_NAMES, RATE_NAMES, Estimate, Numbers, Vectors
+from kinpole_ros.pipeline.estimate import (
+    POLE_NAMES,
+    RATE_NAMES,
+    Estimate,
+    Numbers,
+    Vectors,
+    measured_pairs,
+)
 from kinpole_ros.pipeline.frame import MarkerFrames
 from kinpole_ros.pipeline.parameters import Settings, load_settings, settings_from
 from kinpole_ros.pipeline.tracker import Tracker
@@ -244,8 +250,10 @@ def _tracked(found: list[Estimate], settings: Settings) -> Tracked:
         for b, name in enumerate(names)
     }
     pairs = {
-        (j, i): PairMotion(**_concatenated(PairMotion, [_pair(one, k) for one in found]))
-        for k, (i, j) in enumerate(combinations(names, 2))
+        (names[j], names[i]): PairMotion(
+            **_concatenated(PairMotion, [_pair(one, k) for one in found])
+        )
+        for k, (i, j) in enumerate(measured_pairs(len(names)))
     }
     return Tracked(stamp * 1e-9, stamp, bodies, pairs)
 

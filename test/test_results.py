@@ -13,6 +13,7 @@ from nav_msgs.msg import Odometry, Path
 from rclpy.serialization import deserialize_message, serialize_message
 from visualization_msgs.msg import Marker, MarkerArray
 
+import kinpole_ros
 from kinpole_ros.messages import (
     TF,
     WITH_TF,
@@ -137,6 +138,30 @@ def test_the_topics_are_those_of_the_interface() -> None:
     expected = [f'{body}/{topic}' for body in BODIES for topic in one] + pair
     expected += ['visualization', '/tf']
     assert sorted(row.topic for row in result_outputs(BODIES, 'xy')) == sorted(expected)
+
+
+def test_topics_grow_with_the_number_of_bodies_beyond_those_whose_pairs_are_measured() -> None:
+    """300 bodies made 180,000 topics of their 44,850 pairs."""
+    topics = {
+        count: [output.topic for output in result_outputs([f'b{k}' for k in range(count)], 'xy')]
+        for count in (20, 100, 200, 300)
+    }
+    assert len(topics[300]) - len(topics[200]) == len(topics[200]) - len(topics[100])
+    assert not any('/wrt/' in topic for topic in topics[300])
+    assert sum(topic.endswith('/icr') and '/wrt/' in topic for topic in topics[20]) == 190
+
+
+@pytest.mark.parametrize(('count', 'pairs'), [(20, 190), (21, 0)])
+def test_track_measures_all_pairs_of_up_to_20_bodies(count: int, pairs: int) -> None:
+    time = np.arange(40) / 100
+    shape = np.array([[0.1, 0.0], [-0.1, 0.05], [0.0, -0.1]])
+    points = np.tile(shape, (40, count, 1))
+    points[..., 0] += np.sin(3 * time)[:, None]
+    points += 1e-4 * np.random.default_rng(1).normal(size=points.shape)
+    bodies = {f'b{k}': range(3 * k, 3 * k + 3) for k in range(count)}
+    stamps = 10**9 + (np.arange(40) * STEP)
+    found = kinpole_ros.track(points, stamps, bodies, window=0.1, lag=0.05, derivative_order=1)
+    assert len(found.pairs) == pairs
 
 
 def test_pairs_name_the_later_body_first() -> None:

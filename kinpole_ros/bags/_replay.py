@@ -27,7 +27,7 @@ from kinpole_ros.messages import (
     outputs_of,
     reader_of,
 )
-from kinpole_ros.pipeline.estimate import POLE_NAMES, Estimate
+from kinpole_ros.pipeline.estimate import MOST_PAIRED_BODIES, POLE_NAMES, Estimate
 from kinpole_ros.pipeline.frame import MarkerFrames
 from kinpole_ros.pipeline.parameters import Settings
 from kinpole_ros.pipeline.roster import find_marker
@@ -215,10 +215,21 @@ def replay(
         space,
         counts['lost'],
         tracker.stamp_state(),
-        [*identity_lines(tracker, tracker.counts), *filter(None, (lacking,))],
+        [*identity_lines(tracker, tracker.counts), *filter(None, (lacking, pairs_line(settings)))],
         tracker.erring(),
         dict(zip(tracker.bodies, tracker.wrong().tolist(), strict=True)),
         tracker.outages(),
+    )
+
+
+def pairs_line(settings: Settings) -> str:
+    """Say that relative motions of pairs are not measured, if there are too many bodies."""
+    count = len(settings.bodies)
+    if count <= MOST_PAIRED_BODIES:
+        return ''
+    return (
+        f'relative rates and centers of pairs are left out: there are {count} bodies, and pairs '
+        f'are measured of up to {MOST_PAIRED_BODIES}; fix: for these, name fewer bodies'
     )
 
 

@@ -3,7 +3,6 @@
 import csv
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Sequence
-from itertools import combinations
 from pathlib import Path
 from types import TracebackType
 from typing import Any
@@ -12,7 +11,14 @@ import numpy as np
 
 from kinpole_ros.bags._files import BagError, unwritable
 from kinpole_ros.packages import install_command
-from kinpole_ros.pipeline.estimate import POLE_NAMES, RATE_NAMES, Estimate, Numbers, Vectors
+from kinpole_ros.pipeline.estimate import (
+    POLE_NAMES,
+    RATE_NAMES,
+    Estimate,
+    Numbers,
+    Vectors,
+    measured_pairs,
+)
 from kinpole_ros.pipeline.parameters import Settings
 
 # Rows in a group of a Parquet file, which are held in memory.
@@ -34,8 +40,8 @@ def column_names(bodies: tuple[str, ...], order: int) -> list[str]:
     for body in bodies:
         names += [f'{body}_{name}' for name in ('x', 'y', 'angle')]
         names += _names(body, numbers, vectors)
-    for i, j in combinations(bodies, 2):
-        names += _names(f'{j}_wrt_{i}', ['angular_velocity'], ['icr'])
+    for i, j in measured_pairs(len(bodies)):
+        names += _names(f'{bodies[j]}_wrt_{bodies[i]}', ['angular_velocity'], ['icr'])
     return names
 
 
@@ -54,7 +60,7 @@ def figures(estimate: Estimate, order: int) -> np.ndarray:
     of_bodies = [np.where(known[..., None], pose, np.nan)]
     of_bodies += [_number(one, shape) for one in numbers]
     of_bodies += [_vector(one, shape) for one in vectors]
-    pairs = (shape[0], shape[1] * (shape[1] - 1) // 2)
+    pairs = (shape[0], len(measured_pairs(shape[1])))
     of_pairs = [_number(estimate.relative_rate, pairs), _vector(estimate.relative_icr, pairs)]
     return np.concatenate(
         [np.concatenate(part, axis=-1).reshape(shape[0], -1) for part in (of_bodies, of_pairs)],

@@ -239,9 +239,9 @@ def joint_offsets(theory: Theory, estimate: Estimate) -> list[Difference]:
         if not isinstance(joint, Revolute) or not {joint.one, joint.other} <= set(frames):
             continue
         one, other = theory.places[joint.one][0], theory.places[joint.other][0]
-        k = pairs[max(one, other), min(one, other)]
+        k = pairs.get((max(one, other), min(one, other)))
         center = estimate.relative_icr
-        if not center.determined[k]:
+        if k is None or not center.determined[k]:
             continue
         place, turn = frames[joint.one]
         point = place + joint.a * np.exp(1j * turn)

@@ -7,7 +7,6 @@ a marker with a NaN in it, and keep what nobody deletes.
 
 import struct
 from collections.abc import Sequence
-from itertools import combinations
 from typing import NamedTuple
 
 import numpy as np
@@ -15,7 +14,7 @@ import numpy as np
 from kinpole_ros.messages._cdr import Writer
 from kinpole_ros.messages._loci import Build, Built, DrawingSchedule, Trail
 from kinpole_ros.messages._types import Marker
-from kinpole_ros.pipeline.estimate import POLE_NAMES, Estimate, Vectors
+from kinpole_ros.pipeline.estimate import POLE_NAMES, Estimate, Vectors, measured_pairs
 from kinpole_ros.rigid.plane import Plane
 
 COLORS = ((0.12, 0.47, 0.71), (1.0, 0.5, 0.05), (0.17, 0.63, 0.17), (0.84, 0.15, 0.16))
@@ -50,7 +49,7 @@ def scene(bodies: tuple[str, ...], given: Plane, trails: list[Trail], highest: i
     Poles up to that of the `highest` derivative.
     """
     schedule = DrawingSchedule()
-    pairs = [f'{bodies[j]}/wrt/{bodies[i]}/icr' for i, j in combinations(range(len(bodies)), 2)]
+    pairs = [f'{bodies[j]}/wrt/{bodies[i]}/icr' for i, j in measured_pairs(len(bodies))]
     names = [f'{body}/{name}' for body in bodies for name in _OF_BODY] + pairs
 
     def build(estimate: Estimate) -> Built:

@@ -7,7 +7,6 @@ nobody reads, of any body, is not built.
 
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
-from itertools import combinations
 from typing import NamedTuple
 
 import numpy as np
@@ -29,7 +28,14 @@ from kinpole_ros.messages._types import (
     Vector3Stamped,
     WrenchStamped,
 )
-from kinpole_ros.pipeline.estimate import POLE_NAMES, RATE_NAMES, Estimate, Numbers, Vectors
+from kinpole_ros.pipeline.estimate import (
+    POLE_NAMES,
+    RATE_NAMES,
+    Estimate,
+    Numbers,
+    Vectors,
+    measured_pairs,
+)
 from kinpole_ros.pipeline.parameters import Settings
 from kinpole_ros.rigid.plane import XY, Plane, PlaneSetting, plane_of
 
@@ -115,7 +121,7 @@ def result_outputs(
         for name, frame in (('fixed', None), ('moving', frame_names[b])):
             locus = centrode(b, given, trails[b], frame)
             outputs.append(Output(f'{body}/centrode/{name}', Path, 1, locus))
-    pairs = list(combinations(range(count), 2))
+    pairs = measured_pairs(count)
     firsts = np.array([i for i, _ in pairs], int)
     center = both(len(pairs), partial(_points, lambda e: e.relative_icr, given, firsts))
     rate = both(len(pairs), partial(_numbers, lambda e: e.relative_rate, given))

@@ -24,6 +24,8 @@ STILL = 1e-6
 # A curvature is known to this part of itself, or to one over the body's size, while the body turns
 # by more than so many standard deviations.
 CURVED, TURNING = 0.3, 1.5
+# Bodies whose pairs are all measured: 20 have 190 pairs, 300 would have 44,850.
+MOST_PAIRED_BODIES = 20
 POLE_NAMES = ('icr', 'iap', 'ijp', 'isp')
 RATE_NAMES = ('angular_velocity', 'angular_acceleration', 'angular_jerk', 'angular_snap')
 
@@ -284,7 +286,7 @@ class Estimate:
 
     @cached_property
     def pairs(self) -> tuple[np.ndarray, np.ndarray]:
-        """Indices (j, i) of every pair of bodies, i before j."""
+        """Indices (j, i) of the measured pairs of bodies, i before j: see `measured_pairs`."""
         return _pairs(len(self.bodies))
 
     @cached_property
@@ -371,8 +373,18 @@ class Estimate:
 
 @lru_cache(maxsize=8)
 def _pairs(bodies: int) -> tuple[np.ndarray, np.ndarray]:
-    i, j = np.triu_indices(bodies, 1)
+    i, j = np.triu_indices(bodies if bodies <= MOST_PAIRED_BODIES else 0, 1)
     return j, i
+
+
+def measured_pairs(bodies: int) -> list[tuple[int, int]]:
+    """
+    List the pairs (i, j), i before j, of which relative motions are measured.
+
+    All pairs of up to 20 bodies, and none of more: their number grows with the square.
+    """
+    j, i = _pairs(bodies)
+    return list(zip(i.tolist(), j.tolist(), strict=True))
 
 
 def _at(instant: int, parts: _Parts) -> _Parts:

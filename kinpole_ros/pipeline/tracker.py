@@ -66,7 +66,7 @@ class Tracker:
 
     `samples` is how many frames the window holds. `counts` says what became of the frames, for
     diagnostics: frames, repeated, late, lost, resets, frame_changes, markers_not_seen,
-    markers_unknown, and the markers_... that were corrected, see `correct_swaps`.
+    markers_unknown, and the markers_... that were corrected, see `correct_markers`.
 
     Trackers in threads of their own do not meet. One tracker is for one thread at a time: `add`,
     `add_parts`, `settle` and `reset` raise RuntimeError while another thread is in one of them, and

@@ -21,7 +21,7 @@ from kinpole_ros.rigid._continuity import Continuity, Verdict
 from kinpole_ros.rigid._marker_noise import MarkerNoise
 from kinpole_ros.rigid._noise import mean_square, tame_part
 from kinpole_ros.rigid._turn import Turns
-from kinpole_ros.rigid._untangle import EXCHANGED, agreed, correct_swaps, half_turn
+from kinpole_ros.rigid._untangle import EXCHANGED, agreed, correct_markers, half_turn
 from kinpole_ros.rigid.levels import FEW, SURE, TINY
 
 # A marker's place is held from so many frames on, when it is known to a twentieth of the noise. It
@@ -73,7 +73,7 @@ class Shapes:
     them have been seen so far, and `spread` (B,) the sum of their squares about their mean, m^2;
     `beat` is in how many frames from the last time on `learn` is to be called; `farthest` (B,) is
     how far, m, from the origin of the ground the markers seen last before that were. `corrected`
-    counts, see `correct_swaps`; `stand_in` (B, n) says which marker goes on where each one was at
+    counts, see `correct_markers`; `stand_in` (B, n) says which marker goes on where each one was at
     first, for some are exchanged for good.
     """
 
@@ -167,7 +167,7 @@ class Shapes:
         Bodies of which fewer than two known markers are seen, or of which all coincide, get NaN,
         and so do those of which all there are have no less than the spread `least` (B,), m^2, but
         those seen do. Markers that do not fit their body, or that turn it by half a turn in one
-        frame, are left out or put back, see `correct_swaps` and `half_turn`, and counted in
+        frame, are left out or put back, see `correct_markers` and `half_turn`, and counted in
         `corrected`. Returns the fits, the markers they are of, and how the poses go on, by `stamps`
         (T,), ns.
         """
@@ -402,23 +402,33 @@ class Shapes:
         good = ~(far[:, None] | np.isnan(fit.residual))
         ahead = self._turns.ahead()
         for b in np.flatnonzero(far):
-            given = weights[b] > 0
-            limit = float(self._limit[b])
-            markers = points[b], self.points[b], weights[b], limit
             erring = np.sqrt(self._marker_noise.relative[b])
-            points[b], what, which = correct_swaps(*markers, float(ahead[b]), erring)
-            self.corrected[what] += len(which)
-            if what == EXCHANGED:
-                order[b, which] = order[b, which[::-1]]
-            out = given & np.isnan(points[b])
-            weights[b, out] = 0.0
+            found = correct_markers(
+                points[b],
+                self.points[b],
+                self._weights[b],
+                float(self._limit[b]),
+                float(ahead[b]),
+                erring,
+            )
+            out = np.isnan(found.points[found.order.argsort()]) & (weights[b] > 0)
             self._astray[b] = np.where(out, self._astray[b] + 1, 0)
+            points[b], order[b] = found.points, order[b, found.order]
+            weights[b] = np.where(np.isnan(points[b]), 0.0, self._weights[b])
+            self.corrected.update(found.counts)
         changed = (order != np.arange(order.shape[1])).any(axis=-1)
-        again = (order == self._order).all(axis=-1)
+        # The places of hidden markers are not known.
+        again = ((order == self._order) | np.isnan(points)).all(axis=-1)
+        order = np.where(again[:, None], self._order, order)
         running = np.where(again, self._exchanged + 1, 1)
         self._in_place(good)
         self._exchanged[changed], self._order[changed] = running[changed], order[changed]
         fit = Fit(*(field[None] for field in fit_pose(points, self.points, weights)))
+        # An exchange accounts for the residuals of the markers.
+        residual[0, changed], freedom[0, changed] = (
+            fit.residual[0, changed],
+            fit.freedom[0, changed],
+        )
         self._disturbed = True
         return fit, points[None], residual, freedom
 

@@ -9,12 +9,14 @@ half a turn, so what is tried here need not be fast.
 
 from collections import Counter
 from itertools import combinations
+from typing import NamedTuple
 
 import numpy as np
 
 from kinpole_ros.planar import Fit, fit_pose
 from kinpole_ros.planar._plane import Complex, Real
 from kinpole_ros.rigid._noise import mean_square, tame_part
+from kinpole_ros.rigid.identity import find_ways, fit_place
 
 EXCHANGED = 'markers_exchanged'
 LEFT_OUT = 'markers_left_out'
@@ -27,53 +29,133 @@ _NEAR = 0.25 * np.pi
 # What is off by so many times what a marker may be off spoils a shape that is learned from it for
 # longer than to begin anew takes.
 _SPOILS = 3.0
+_NOWHERE = complex(np.nan, np.nan)
 
 
-def correct_swaps(
+class Correction(NamedTuple):
+    """
+    The markers (n,) of one body as corrected, complex, m, NaN where left out.
+
+    `order` (n,) says which of the given markers is at each place now, and `counts` how many were
+    corrected in which way.
+    """
+
+    points: Complex
+    order: np.ndarray
+    counts: Counter[str]
+
+
+def correct_markers(
     points: Complex,
     shape: Complex,
     weights: Real,
     limit: float,
     angle: float = np.nan,
     erring: Real | float = 1.0,
-) -> tuple[Complex, str, np.ndarray]:
+) -> Correction:
     """
-    Correct one body's markers (n,) that do not fit its `shape` (n,) with `weights` (n,).
+    Correct the markers of one body that do not fit its shape.
 
-    It is to be at `angle`, rad, NaN if nobody knows; `erring` (n,) is how many times as far as the
-    others a marker may be off. Tries, in this order, every exchange of two
-    markers, leaving out one marker, and leaving out two; the first kind that leaves no marker
-    farther than `limit` (m) from its place is taken, at its best. Returns the markers, NaN where
-    left out, what was done, and to which of them. A body that none of it mends, or that fits
-    mirrored, is left out as a whole.
+    Tries, in this order, to permute the markers, to leave one out, to permute all but one, and to
+    leave two out. The first kind that brings the remaining markers within the limit is taken, at
+    its best. A body that none of these corrects, or that fits mirrored, is left out as a whole.
+
+    Parameters
+    ----------
+    points, shape : (n,) complex
+        Markers, NaN where hidden, and their places in the frame of the body, m.
+    weights : (n,) float
+        Weights of the places, 0 where the place of a marker is not known.
+    limit : float
+        Largest residual of a marker, m.
+    angle : float
+        Predicted angle of the body, rad; NaN if unknown.
+    erring : (n,) float
+        Factor of the limit by place, for a marker with more noise than the others.
+
+    Returns
+    -------
+    Correction
+        The corrected markers.
+
     """
-    seen = np.flatnonzero(weights > 0)
-    pairs = list(combinations(seen, 2))
-    exchanges = np.tile(points, (len(pairs), 1))
-    for row, (i, j) in enumerate(pairs):
-        exchanges[row, [i, j]] = points[[j, i]]
-    nothing = np.full_like(points, complex(np.nan, np.nan))
+    own = np.arange(len(points))
+    seen = np.flatnonzero((weights > 0) & ~np.isnan(points))
+    whole = np.where(np.isin(own, seen), own, -1)
+    known = np.where(weights > 0, shape, _NOWHERE)
+
+    def leave_out(count: int) -> list[np.ndarray]:
+        return [np.where(np.isin(own, out), -1, whole) for out in combinations(seen, count)]
+
+    def corrected(orders: np.ndarray | list[np.ndarray]) -> Correction | None:
+        """The markers at the best of some orders (m, n), -1 for nothing; None if none fits."""
+        if not len(orders):
+            return None
+        rows = np.where(np.array(orders) < 0, _NOWHERE, points[orders])
+        there = np.where(np.isnan(rows), 0.0, weights)
+        best, worst = _best(rows, shape, there, limit, angle, erring)
+        return _moved(points, seen, orders[best]) if worst <= limit else None
+
     if len(seen) > 2:
-        best, worst = _best(
-            exchanges, shape, np.tile(weights, (len(pairs), 1)), limit, angle, erring
-        )
-        if worst <= limit:
-            return exchanges[best], EXCHANGED, np.array(pairs[best])
-        mirrored = points[None].conj()
-        if _best(mirrored, shape, weights[None], erring=erring)[1] <= limit:
-            return nothing, MIRRORED, seen
-    for leave in (1, 2):
+        ways = find_ways(points, seen, known, limit).place
+        found = corrected(_completed(ways, points, seen, known, limit * erring))
+        if found is not None:
+            return found
+        mirrored = np.where(whole < 0, _NOWHERE, points.conj())[None]
+        if _best(mirrored, shape, np.where(whole < 0, 0.0, weights), erring=erring)[1] <= limit:
+            return _nothing_of(points, seen, MIRRORED)
+        found = corrected(leave_out(1))
+        if found is None and len(seen) > 3:
+            found = corrected(ways[(ways >= 0).sum(axis=1) == len(seen) - 1])
         # At least two markers have to remain that agree on the distance between them.
-        if len(seen) - leave < 2:
-            break
-        sets = list(combinations(seen, leave))
-        lighter = np.tile(weights, (len(sets), 1))
-        for row, left in enumerate(sets):
-            lighter[row, list(left)] = 0.0
-        best, worst = _best(np.tile(points, (len(sets), 1)), shape, lighter, erring=erring)
-        if worst <= limit:
-            return np.where(lighter[best] > 0, points, nothing), LEFT_OUT, np.array(sets[best])
-    return nothing, DROPPED, seen
+        if found is None and len(seen) > 3:
+            found = corrected(leave_out(2))
+        if found is not None:
+            return found
+    return _nothing_of(points, seen, DROPPED)
+
+
+def _nothing_of(points: Complex, seen: np.ndarray, kind: str) -> Correction:
+    """A body that is left out as a whole, with all markers `seen`."""
+    nothing = np.full_like(points, _NOWHERE)
+    return Correction(nothing, np.arange(len(points)), Counter({kind: len(seen)}))
+
+
+def _moved(points: Complex, seen: np.ndarray, order: np.ndarray) -> Correction:
+    """The markers in this order (n,), -1 where nothing is."""
+    own = np.arange(len(order))
+    placed = np.where(order < 0, _NOWHERE, points[order])
+    moved = np.count_nonzero((order >= 0) & (order != own))
+    # Markers that are hidden or left out stay where they are, or take the empty places.
+    left = np.setdiff1d(own, order)
+    stays = (order < 0) & np.isin(own, left)
+    order = np.where(stays, own, order)
+    order[order < 0] = np.setdiff1d(left, own[stays])
+    counts = Counter({EXCHANGED: moved, LEFT_OUT: len(seen) - np.count_nonzero(~np.isnan(placed))})
+    return Correction(placed, order, +counts)
+
+
+def _completed(
+    ways: np.ndarray, points: Complex, seen: np.ndarray, known: Complex, most: Real
+) -> np.ndarray:
+    """
+    The `ways` (m, n) to place markers that hold all that are `seen`.
+
+    A marker that may err by more than the others, as `most` (n,) says, m, goes to the nearest place
+    left.
+    """
+    ways = ways.copy()
+    for way in ways:
+        left = np.setdiff1d(seen, way)
+        if not len(left):
+            continue
+        position, turn, _ = fit_place(points, np.nan_to_num(known), way)
+        for marker in left:
+            off = np.abs(position + turn * known - points[marker])
+            off = np.where((way < 0) & (off <= most), off, np.inf)
+            if np.isfinite(off).any():
+                way[off.argmin()] = marker
+    return ways[(ways >= 0).sum(axis=1) == len(seen)]
 
 
 def half_turn(shape: Complex, weights: Real, limit: float) -> np.ndarray | None:
@@ -122,8 +204,9 @@ def agreed(
         return None
     points, corrected = points.copy(), Counter[str]()
     for frame in np.flatnonzero(worst > limit):
-        points[frame], what, which = correct_swaps(points[frame], shape, shared[best, frame], limit)
-        corrected[what] += len(which)
+        found = correct_markers(points[frame], shape, (~np.isnan(shape)).astype(float), limit)
+        points[frame] = found.points
+        corrected.update(found.counts)
     weights = (~np.isnan(points) & ~np.isnan(shape)).astype(float)
     fits = fit_pose(points, np.broadcast_to(shape, points.shape), weights)
     fitted = ~np.isnan(fits.residual)

@@ -54,7 +54,7 @@ class Expected(NamedTuple):
     held: np.ndarray
 
 
-class _Poses(NamedTuple):
+class Ways(NamedTuple):
     """H ways to find one body among points: place (H, n), the pose, and how many markers fit."""
 
     place: np.ndarray
@@ -62,8 +62,8 @@ class _Poses(NamedTuple):
     turn: Complex
     count: np.ndarray
 
-    def at(self, which: np.ndarray) -> '_Poses':
-        return _Poses(*(part[which] for part in self))
+    def at(self, which: np.ndarray) -> 'Ways':
+        return Ways(*(part[which] for part in self))
 
 
 def match(points: Complex, shapes: Complex, limit: Real, expected: Expected) -> Match:
@@ -93,7 +93,7 @@ def match(points: Complex, shapes: Complex, limit: Real, expected: Expected) -> 
     if len(lost) and len(points):
         free = np.flatnonzero(~np.isnan(points))
         free = free[~np.isin(free, place)]
-        ways = {b: _search(points, free, shapes[b], float(limit[b])) for b in lost.tolist()}
+        ways = {b: find_ways(points, free, shapes[b], float(limit[b])) for b in lost.tolist()}
         ways = {b: _likely(b, some, shape[b], known[b], expected) for b, some in ways.items()}
         _settle(ways, place, position, turn, uncertain)
         if not uncertain.all():
@@ -198,7 +198,7 @@ def _gathered(
     return place
 
 
-def _search(points: Complex, free: np.ndarray, shape: Complex, limit: float) -> _Poses:
+def find_ways(points: Complex, free: np.ndarray, shape: Complex, limit: float) -> Ways:
     """All ways to find a shape (n,) of two markers or more among some points, best first."""
     n = len(shape)
     marker = np.flatnonzero(~np.isnan(shape))
@@ -207,7 +207,7 @@ def _search(points: Complex, free: np.ndarray, shape: Complex, limit: float) -> 
     long = np.abs(own[j] - own[i])
     order = np.argsort(-long, kind='stable')[:_MOST]
     i, j, long = (part[order][long[order] > 2 * limit] for part in (i, j, long))
-    nothing = _Poses(
+    nothing = Ways(
         np.zeros((0, n), int), np.zeros(0, complex), np.zeros(0, complex), np.zeros(0, int)
     )
     if not len(long) or not 2 <= len(there) <= _MOST:
@@ -243,7 +243,7 @@ def _search(points: Complex, free: np.ndarray, shape: Complex, limit: float) -> 
     good = (off <= limit) & (count >= 2) & np.isfinite(turn)
     order = np.flatnonzero(good)[np.argsort(-count[good], kind='stable')]
     place = np.where(inner >= 0, free[np.where(inner >= 0, inner, 0)], -1)
-    return _Poses(place, position, turn, count).at(order)
+    return Ways(place, position, turn, count).at(order)
 
 
 def _nearest(
@@ -267,7 +267,7 @@ def _nearest(
     return np.where(least <= most, place, -1)
 
 
-def _likely(b: int, ways: _Poses, shape: Complex, known: np.ndarray, expected: Expected) -> _Poses:
+def _likely(b: int, ways: Ways, shape: Complex, known: np.ndarray, expected: Expected) -> Ways:
     """Those of the ways to find body `b` that nothing speaks against, each pose once."""
     few = min(3, int(known.sum()))
     named = (ways.place == expected.named[b]) & (ways.place >= 0)
@@ -298,7 +298,7 @@ def _likely(b: int, ways: _Poses, shape: Complex, known: np.ndarray, expected: E
 
 
 def _settle(
-    ways: dict[int, _Poses],
+    ways: dict[int, Ways],
     place: np.ndarray,
     position: Complex,
     turn: Complex,

@@ -7,7 +7,6 @@ Made of the parameters or of a bag of results, so every curve has its topic.
 import json
 import xml.etree.ElementTree as ET
 from collections.abc import Callable, Mapping, Sequence
-from itertools import combinations
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -16,7 +15,7 @@ import numpy as np
 from kinpole_ros.bags import NODE_NAME, BagError, in_place_of, read_messages, topics
 from kinpole_ros.linkage.theory import load_theory
 from kinpole_ros.messages import COLORS, DRAWING, outputs_of, type_name
-from kinpole_ros.pipeline.estimate import POLE_NAMES, RATE_NAMES
+from kinpole_ros.pipeline.estimate import POLE_NAMES, RATE_NAMES, measured_pairs
 from kinpole_ros.pipeline.parameters import Settings, load_settings
 from kinpole_ros.rigid.plane import XY, plane_of
 from kinpole_ros.tools.plot import bodies_of, decode, plane_of_motion, row_of
@@ -47,7 +46,10 @@ class Shown(NamedTuple):
         """By title, (label, topic, color) of vectors whose part along the normal is drawn."""
         found: dict[str, list[tuple[str, str, str]]] = {}
         own = [(body, body) for body in self.bodies]
-        pairs = [(f'{j} wrt {i}', f'{j}/wrt/{i}') for i, j in combinations(self.bodies, 2)]
+        pairs = [
+            (f'{self.bodies[j]} wrt {self.bodies[i]}', f'{self.bodies[j]}/wrt/{self.bodies[i]}')
+            for i, j in measured_pairs(len(self.bodies))
+        ]
         colors = {label: self.color(n) for n, (label, _) in enumerate(own + pairs)}
         parts = [(name, unit, own) for name, unit in zip(RATE_NAMES, _UNITS, strict=True)]
         parts.insert(2, ('angular_velocity', f'{_UNITS[0]}, relative', pairs))

@@ -6,13 +6,12 @@ neither of the two.
 """
 
 from collections.abc import Iterator
-from itertools import combinations
 from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
 from kinpole_ros.linkage.theory import Theory
-from kinpole_ros.pipeline.estimate import POLE_NAMES, RATE_NAMES, Estimate
+from kinpole_ros.pipeline.estimate import POLE_NAMES, RATE_NAMES, Estimate, measured_pairs
 from kinpole_ros.tools.report._theory import theory_rates
 
 # By subject, a body or (j, i), and by figure: arrays (T, ...), NaN where undetermined.
@@ -134,11 +133,12 @@ def _columns(estimate: Estimate) -> Columns:
                 own = np.where(estimate.missing[:, b] == '', why[:, b], '')
                 found[body, f'{name}_withheld'] = own.astype(object)
         center = estimate.relative_icr
-        for k, (i, j) in enumerate(combinations(estimate.bodies, 2)):
+        for k, (i, j) in enumerate(measured_pairs(len(estimate.bodies))):
             known = center.determined[:, k]
-            found[(j, i), 'icr'] = np.where(known, center.value[:, k], np.nan)
+            pair = estimate.bodies[j], estimate.bodies[i]
+            found[pair, 'icr'] = np.where(known, center.value[:, k], np.nan)
             covariance = np.where(known[:, None, None], center.covariance[:, k], np.nan)
-            found[(j, i), 'icr_covariance'] = covariance
+            found[pair, 'icr_covariance'] = covariance
     return found
 
 
@@ -163,7 +163,8 @@ def joints_of(record: Record) -> list[Joint]:
         if 2 * np.count_nonzero(rests) > np.count_nonzero(np.isfinite(icr)):
             pin = complex(np.median(icr[rests].real), np.median(icr[rests].imag))
             found.append(Joint((body,), (pin,)))
-    for i, j in combinations(record.bodies, 2):
+    for m, k in measured_pairs(len(record.bodies)):
+        i, j = record.bodies[m], record.bodies[k]
         center = record.columns.get(((j, i), 'icr'))
         covariance = record.columns.get(((j, i), 'icr_covariance'))
         if center is None or covariance is None or not np.isfinite(center).any():
