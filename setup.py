@@ -1,5 +1,6 @@
 """The package as pip and colcon build it; its version is also in package.xml and __init__.py."""
 
+import os
 from glob import glob
 from pathlib import Path
 
@@ -7,6 +8,9 @@ from setuptools import Extension, find_packages, setup
 
 NAME = 'kinpole_ros'
 SHARE = f'share/{NAME}'
+# Without a compiler there are no kernels, and numpy does their work in more time. Wheels must have
+# them.
+OPTIONAL = os.environ.get('KINPOLE_KERNELS') != 'required'
 # rclpy and its messages as wheels, for Linux on x86-64.
 ROS = ['ros-jazzy-rclpy', 'ros-jazzy-common-interfaces', 'ros-jazzy-rmw-fastrtps-cpp']
 
@@ -15,16 +19,15 @@ setup(
     version='0.1.0',
     packages=find_packages(include=[NAME, f'{NAME}.*']),
     package_data={NAME: ['py.typed'], f'{NAME}.tools.report': ['page/*']},
-    # Without a compiler there is none, and all is the same but for the time it takes.
     ext_modules=[
         Extension(
             f'{NAME}.derivatives._kernel',
             [f'{NAME}/derivatives/_kernel.c'],
             depends=[f'{NAME}/derivatives/_kernel_sums.h'],
             extra_compile_args=['-O3'],
-            optional=True,
+            optional=OPTIONAL,
         ),
-        Extension(f'{NAME}.planar._kernel', [f'{NAME}/planar/_kernel.c'], optional=True),
+        Extension(f'{NAME}.planar._kernel', [f'{NAME}/planar/_kernel.c'], optional=OPTIONAL),
     ],
     data_files=[
         ('share/ament_index/resource_index/packages', [f'resource/{NAME}']),
@@ -49,7 +52,8 @@ setup(
     extras_require={
         'ros': ROS,
         'wheels': ROS,
-        'batch': ['dask>=2023.5', 'distributed>=2023.5', 'fsspec>=2023.5'],
+        'batch': ['fsspec>=2023.5'],
+        'cluster': ['dask>=2023.5', 'distributed>=2023.5'],
         'bench': ['matplotlib>=3.7', 'pynumdiff>=0.3', 'scipy>=1.11'],
         'docs': ['furo>=2024.1.29', 'myst-parser>=3', 'numpydoc>=1.8', 'sphinx>=7.4'],
         'formats': ['c3d>=0.6', 'h5py>=3.8'],

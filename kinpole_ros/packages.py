@@ -9,8 +9,9 @@ from types import MappingProxyType
 # is on no package index: pip finds its extras in a checkout only.
 EXTRAS = MappingProxyType(
     {
-        'batch': ('dask', 'distributed', 'fsspec'),
+        'batch': ('fsspec',),
         'bench': ('matplotlib', 'pynumdiff', 'scipy'),
+        'cluster': ('dask', 'distributed'),
         'formats': ('c3d', 'h5py'),
         'parquet': ('pyarrow',),
         'plot': ('matplotlib',),

@@ -514,7 +514,7 @@ def test_only_a_cluster_needs_dask(
     (row,) = batch([bag], tmp_path / 'here', SETTINGS, workers=1)
     assert row['error'] == ''
     with pytest.raises(
-        BagError, match=r'^--scheduler needs Dask; fix: pip install dask distributed fsspec'
+        BagError, match=r'^--scheduler needs Dask; fix: pip install dask distributed'
     ):
         batch([bag], tmp_path / 'there', SETTINGS, scheduler='tls://x:1')
 

@@ -2,6 +2,7 @@
 
 import ast
 import os
+import re
 import runpy
 import shutil
 import subprocess
@@ -86,6 +87,7 @@ def test_package_xml_is_a_manifest_of_format_3_for_ament_python():
 @pytest.mark.filterwarnings('ignore::DeprecationWarning')
 def test_version_is_one_in_package_xml_setup_code_and_changelog():
     versions = {PACKAGE_XML.findtext('version'), setup_words()['version'], kinpole_ros.__version__}
+    versions.add(yaml.safe_load((ROOT / 'CITATION.cff').read_text())['version'])
     assert len(versions) == 1
     changelogs = pytest.importorskip('catkin_pkg.changelog')
     changelog = changelogs.get_changelog_from_path(str(ROOT / 'CHANGELOG.rst'), 'kinpole_ros')
@@ -131,7 +133,7 @@ BELOW = {
     'derivatives': {'planar'},
     'mechanism': {'files', 'planar'},
     'pipeline': {'files', 'planar', 'rigid', 'derivatives'},
-    'linkage': {'planar', 'mechanism', 'pipeline'},
+    'linkage': {'planar', 'rigid', 'mechanism', 'pipeline'},
     'messages': {'rigid', 'derivatives', 'pipeline', 'linkage'},
     'bags': {
         'files',
@@ -200,6 +202,24 @@ def tracked() -> list[Path]:
     paths = [Path(os.fsdecode(name)) for name in listing.split(b'\0') if name]
     assert len(paths) > 30
     return [path for path in paths if (ROOT / path).is_file()]
+
+
+def test_kernels_that_are_required_are_compiled_or_the_build_fails(tmp_path):
+    for path in ('setup.py', 'README.md', *(ROOT / 'kinpole_ros').rglob('*.[ch]')):
+        target = tmp_path / (ROOT / path).relative_to(ROOT)
+        target.parent.mkdir(parents=True, exist_ok=True)
+        shutil.copy(ROOT / path, target)
+    build = [sys.executable, 'setup.py', '-q', 'build_ext', '--build-lib', str(tmp_path / 'lib')]
+    no_compiler = {**os.environ, 'CC': 'false', 'KINPOLE_KERNELS': ''}
+    assert subprocess.run(build, cwd=tmp_path, env=no_compiler, capture_output=True).returncode == 0
+    required = {**no_compiler, 'KINPOLE_KERNELS': 'required'}
+    assert subprocess.run(build, cwd=tmp_path, env=required, capture_output=True).returncode != 0
+
+
+def test_the_images_are_made_of_files_that_are_there():
+    copied = re.findall(r'(?m)^COPY (?!--from)(\S+) ', (ROOT / 'Dockerfile').read_text())
+    assert 'requirements/demo.txt' in copied
+    assert [name for name in copied if not (ROOT / name).exists()] == []
 
 
 def test_no_tracked_file_is_over_a_megabyte():

@@ -75,7 +75,7 @@ def cluster_workers(scheduler: str, tls: TlsFiles | None = None) -> Iterator[Wor
     try:
         from distributed import Client
     except ImportError:
-        fix = install_command('batch')
+        fix = install_command('cluster')
         raise BagError(f'--scheduler needs Dask; fix: {fix}') from None
     logging.getLogger('distributed').setLevel(logging.CRITICAL)
     try:

@@ -29,8 +29,9 @@ def add(commands: Any) -> None:
         'by FOLDER/*.mcap. Bags and output may be URLs of stores that fsspec knows, as s3://...\n'
         'Of more than 10,000 bags results lie in 256 folders of the output.\n'
         'A list of bags is trusted like the command line: it can name any file that you can read,\n'
-        'and any address. Stores need fsspec, and a cluster Dask:\n'
-        f'{install_command("batch")}.',
+        'and any address.\n'
+        f'Stores need fsspec ({install_command("batch")}),\n'
+        f'a cluster Dask ({install_command("cluster")}).',
         epilog='examples:\n'
         '  kinpole batch runs/*.mcap --config rig.yaml --output results\n'
         '  kinpole batch runs/*/ --config rig.yaml --output results --parquet --workers 4\n'
