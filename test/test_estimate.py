@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from kinpole_ros import planar
-from kinpole_ros.pipeline.estimate import Estimate
+from kinpole_ros.pipeline.estimate import PINNED, SLOW_ICR, Estimate
 
 COUNT, ORDER = 7, 3
 
@@ -117,7 +117,8 @@ def test_a_body_does_what_stands_out_of_its_noise(given: dict[str, Any], motion:
         ({'velocity': 1, 'rate': 1, 'sigmas': {2: 1.0}}, 'iap', 'lost in its noise'),
         ({'velocity': 1, 'rate': 1}, 'centrode_curvature', None),
         ({'velocity': 1, 'rate': 1, 'sigmas': {3: 2.0}}, 'centrode_curvature', 'lost in its noise'),
-        ({'rate': 1}, 'centrode_curvature', 'pinned: the ICR stands still'),
+        ({'rate': 1}, 'centrode_curvature', SLOW_ICR),
+        ({'rate': 1, 'pin': np.zeros((1, 1), complex)}, 'centrode_curvature', PINNED),
         ({'velocity': 1}, 'centrode_curvature', None),
     ],
 )

@@ -12,6 +12,7 @@ from stretches import instants, joined, one_frame
 
 from bench._motions import motions, still_turning
 from kinpole_ros.mechanism import BodyMotion, marker_positions
+from kinpole_ros.pipeline.estimate import PINNED as PINNED_REASON
 from kinpole_ros.pipeline.estimate import Estimate
 from kinpole_ros.pipeline.frame import MarkerFrames
 from kinpole_ros.pipeline.parameters import settings_from
@@ -108,6 +109,31 @@ def test_cranks_and_rockers_are_pinned_and_couplers_are_not(noise: float) -> Non
             assert np.abs(values - pivot).max() < (1e-9 + 2 * noise) * last.size[b]
         assert last.icr_velocity.value[b] == 0
         assert 'pinned' in last.reasons(b)['centrode_curvature']
+
+
+def fixed_centers(motion: dict[str, BodyMotion]) -> set[str]:
+    """Names of the bodies whose exact ICR stays within 1 nm."""
+    fixed = set()
+    for body, (position, angle) in motion.items():
+        turning = np.abs(angle[1]) > 0.1 * np.abs(angle[1]).max()
+        icr = (position[0] + 1j * position[1] / angle[1])[turning]
+        if np.abs(icr - icr[0]).max() < 1e-9:
+            fixed.add(body)
+    return fixed
+
+
+@pytest.mark.parametrize('noise', [1e-4, 5e-4])
+@pytest.mark.parametrize('name', ['eight_bar', 'six_bar', 'loader_cylinder', 'trebuchet'])
+def test_no_link_without_a_fixed_center_is_called_pinned(name: str, noise: float) -> None:
+    """An ICR velocity that is lost in its noise at one instant is no evidence of a pin."""
+    scene = record(name, count=600, noise=noise)
+    estimates = follow(scene.frames, scene.values, order=3, every=20)[1]
+    fixed = fixed_centers(scene.truth(range(START, START + 600 * STEP, STEP)))
+    links = estimates[0].bodies
+    assert not fixed.issuperset(links)
+    for b, body in enumerate(links):
+        reasons = [one.reasons(b).get('centrode_curvature', '') for one in estimates]
+        assert body in fixed or PINNED_REASON not in reasons
 
 
 def test_landmarks_by_themselves_know_no_pins() -> None:

@@ -20,7 +20,7 @@ from kinpole_ros.linkage.theory import load_theory
 from kinpole_ros.mechanism import load_scene
 from kinpole_ros.messages import RECEIVED, RESTARTS, DiagnosticArray
 from kinpole_ros.messages._types import DiagnosticStatus, KeyValue
-from kinpole_ros.pipeline.estimate import RATE_NAMES
+from kinpole_ros.pipeline.estimate import RATE_NAMES, SLOW_ICR
 from kinpole_ros.pipeline.parameters import Settings, load_settings
 from kinpole_ros.tools.cli import main
 from kinpole_ros.tools.report import _pack, report, settings_for
@@ -360,9 +360,15 @@ def test_page_shows_the_linkage_its_curves_and_the_figures_at_the_cursor(opened)
     strips = page.locator('[data-name=withheld]')
     strips.scroll_into_view_if_needed()
     assert 'pinned: the ICR stands still' in strips.inner_text()
-    # As the whole of two strips is: that of the crank, and nearly that of the rocker.
+    assert SLOW_ICR in strips.inner_text()
+    # Two whole strips, of the crank and nearly of the rocker: first not known, then on a pin.
     width = strips.bounding_box()['width'] - 58 - 92
-    assert 1.9 < colored(page, '[data-name=withheld] canvas', '#d9a441') / (13 * width) <= 2
+    unknown, pinned = (
+        colored(page, '[data-name=withheld] canvas', color) / (13 * width)
+        for color in ('#d9a441', '#7d6aa8')
+    )
+    assert pinned > 1
+    assert 1.9 < unknown + pinned <= 2
 
 
 def test_charts_of_a_long_run_open_at_as_much_time_as_can_be_read(opened, long) -> None:

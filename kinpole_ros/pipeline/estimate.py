@@ -26,6 +26,9 @@ STILL = 1e-6
 CURVED, TURNING = 0.3, 1.5
 # Bodies whose pairs are all measured: 20 have 190 pairs, 300 would have 44,850.
 MOST_PAIRED_BODIES = 20
+# Why a body whose ICR is known has no curvature of the centrode.
+PINNED = 'pinned: the ICR stands still'
+SLOW_ICR = 'the velocity of the ICR does not stand out of its noise'
 POLE_NAMES = ('icr', 'iap', 'ijp', 'isp')
 RATE_NAMES = ('angular_velocity', 'angular_acceleration', 'angular_jerk', 'angular_snap')
 
@@ -362,8 +365,10 @@ class Estimate:
             reason = np.where(far, 'pole at infinity', reason)
             found[POLE_NAMES[order - 1]] = np.where(pole.determined, '', reason)
         if self.order >= 3:
-            pinned = np.where(self.pole(1).determined, 'pinned: the ICR stands still', '')
-            reason = np.where(self.icr_moves, 'lost in its noise', pinned)
+            # An ICR velocity that is lost in its noise is no evidence of a pin: all poses are.
+            reason = np.where(self.pole(1).determined, SLOW_ICR, '')
+            reason = np.where(self.pinned & self.pole(1).determined, PINNED, reason)
+            reason = np.where(self.icr_moves, 'lost in its noise', reason)
             known = self.centrode_curvature.determined
             found['centrode_curvature'] = np.where(known, '', reason)
         return {
