@@ -19,6 +19,7 @@ from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.serialization import serialize_message
 
 from kinpole_ros.messages import MARKER_TYPES, to_message
+from kinpole_ros.ros.source import SUBSCRIPTION_DEPTH
 
 RELAY = 'relay'
 NODE = 'kinpole'
@@ -27,8 +28,6 @@ LAG = 0.1
 _MARKERS = 20
 _BEST_EFFORT = ReliabilityPolicy.BEST_EFFORT
 _WAIT = 20.0
-# As many messages may wait for the relay as for the node.
-_DEPTH = 200
 
 
 def wheels(bodies: int) -> dict[str, list[str]]:
@@ -123,7 +122,7 @@ def relay(kind: str) -> None:
         header = message.markers[0].header if kind == 'marker_array' else message.header
         publisher.publish(Vector3Stamped(header=header))
 
-    qos = QoSProfile(depth=_DEPTH, reliability=_BEST_EFFORT)
+    qos = QoSProfile(depth=SUBSCRIPTION_DEPTH, reliability=_BEST_EFFORT)
     node.create_subscription(MARKER_TYPES[kind], f'/{RELAY}/markers', answer, qos)
     with suppress(KeyboardInterrupt, ExternalShutdownException):
         rclpy.spin(node)

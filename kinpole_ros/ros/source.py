@@ -1,6 +1,7 @@
 """Where the markers come from: a topic that is found, subscribed to, taken from and watched."""
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from itertools import chain
 from typing import Any
 
 from rclpy.event_handler import SubscriptionEventCallbacks
@@ -22,9 +23,11 @@ from kinpole_ros.pipeline.parameters import ParameterError, Settings
 from kinpole_ros.ros.executor import SubscriptionGroup
 from kinpole_ros.ros.private import has_known_node, sequence_number, take, wait_for_messages
 
-# Messages that wait while others are worked on; beyond, the newest push out the oldest. A stretch
-# of 50 takes up to 10 ms, in which 50 more may come.
-_DEPTH = 200
+# Messages that wait while others are read: a stall of 50 ms at 1 kHz. The middleware keeps the
+# memory of the largest ones, so the depth bounds it.
+SUBSCRIPTION_DEPTH = 50
+# Larger messages are not read: 4,000 markers of a MarkerArray, or 65,000 points of a PointCloud2.
+MAX_MESSAGE_BYTES = 1 << 20
 
 
 class MarkerSource:
@@ -133,7 +136,7 @@ class MarkerSource:
         # First, as it may not go with the parameters.
         self._reader = reader_of(kind, self._settings)
         # Drivers mostly send as sensors do; what is late is not worth waiting for.
-        qos = QoSProfile(depth=_DEPTH, reliability=ReliabilityPolicy.BEST_EFFORT)
+        qos = QoSProfile(depth=SUBSCRIPTION_DEPTH, reliability=ReliabilityPolicy.BEST_EFFORT)
         overrides = f'qos_overrides.{self.topic}.subscription'
         try:
             self._subscription = self._node.create_subscription(
@@ -196,13 +199,24 @@ class MarkerSource:
         self, message: bytes, info: Mapping[str, Any]
     ) -> tuple[list[MarkerFrames | MessageError], int, int]:
         """
-        Read this message and all that wait.
+        Read this message and those that wait, as many as the default depth.
 
         Returns what was read, of how many messages, and how many more were dropped on the way.
+        Messages that are too large are released one by one, before the next is taken.
         """
-        waiting = [(message, info), *take(self._subscription, _DEPTH - 1)]
-        dropped = self._dropped(sequence_number(info) for _, info in waiting)
-        return self._reader.read(data for data, _ in waiting), len(waiting), dropped
+        small: list[bytes] = []
+        refused: list[MarkerFrames | MessageError] = []
+        numbers: list[int | None] = []
+        for data, details in chain(
+            [(message, info)], take(self._subscription, SUBSCRIPTION_DEPTH - 1)
+        ):
+            numbers.append(sequence_number(details))
+            if len(data) > MAX_MESSAGE_BYTES:
+                refused.append(MessageError(describe_excess(self.topic, len(data))))
+            else:
+                small.append(data)
+        # Errors come first, so that the last entry is the newest frame.
+        return [*refused, *self._reader.read(small)], len(numbers), self._dropped(numbers)
 
     def _dropped(self, numbers: Iterable[int | None]) -> int:
         """Count what is missing between messages, where they have numbers and one publisher."""
@@ -235,6 +249,14 @@ class MarkerSource:
             )
         self._note('sources', text)
         self._turns = 0
+
+
+def describe_excess(topic: str, size: int) -> str:
+    """Say that a message of `size` bytes is too large to be read, and how to fix it."""
+    return (
+        f'a message on {topic} has {size} bytes, and messages of more than {MAX_MESSAGE_BYTES} are '
+        'not read: publish only markers there, or set marker_topic to a topic of markers'
+    )
 
 
 def publishers_of(node: Node, topic: str) -> list[str]:
