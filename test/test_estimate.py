@@ -62,6 +62,14 @@ def test_an_instant_of_an_estimate_has_what_was_computed_of_all() -> None:
             assert row == pytest.approx(alike, rel=1e-12, nan_ok=True)
 
 
+@pytest.mark.parametrize('order', range(ORDER + 1))
+def test_origins_and_rates_of_all_bodies_are_computed_once(order: int) -> None:
+    """Each topic asks for those of its own body: computed anew, their cost grew with the square."""
+    one = estimate()
+    assert one.origin(order) is one.origin(order)
+    assert one.rate(order) is one.rate(order)
+
+
 def one_body(
     velocity: complex = 0,
     rate: float = 0,

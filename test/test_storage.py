@@ -101,9 +101,16 @@ def test_where_blocks_end_goes_by_the_messages_however_they_are_stored(tmp_path)
     assert all(one == ends[0] for one in ends)
 
 
-def test_blocks_of_large_messages_are_short(tmp_path):
-    write(tmp_path / 'run.mcap', range(40), size=100_000)
-    assert {len(block) for block in read_blocks(tmp_path / 'run.mcap')} == {10}
+@pytest.mark.parametrize('size', [100_000, 200_000, 400_000])
+def test_the_number_of_blocks_does_not_grow_with_the_size_of_the_messages(tmp_path, size):
+    """Results have a cost for each block and topic: with more bodies both numbers grew."""
+    write(tmp_path / 'run.mcap', range(40), size=size)
+    assert [len(block) for block in read_blocks(tmp_path / 'run.mcap')] == [32, 8]
+
+
+def test_blocks_of_very_large_messages_are_short(tmp_path):
+    write(tmp_path / 'run.mcap', range(12), size=3_000_000)
+    assert [len(block) for block in read_blocks(tmp_path / 'run.mcap')] == [5, 5, 2]
 
 
 def test_all_messages_before_the_damage_come_before_the_error(tmp_path):

@@ -17,13 +17,13 @@ from recordings import (
     record,
     two_bodies,
 )
-from stretches import instants
+from stretches import instants, one_frame
 
 from kinpole_ros.derivatives import _fast
 from kinpole_ros.pipeline.estimate import Estimate
 from kinpole_ros.pipeline.frame import MarkerFrames, part_of
 from kinpole_ros.pipeline.parameters import settings_from
-from kinpole_ros.pipeline.roster import find_marker
+from kinpole_ros.pipeline.roster import MarkerPlaces
 from kinpole_ros.pipeline.tracker import Tracker
 
 pytestmark = pytest.mark.filterwarnings('error')
@@ -755,15 +755,38 @@ def test_a_name_stands_for_identity_then_namespace_then_id() -> None:
         'plain': 6,
     }
     for marker, place in places.items():
-        assert find_marker(marker, identities) == place
+        assert MarkerPlaces(identities).find(marker) == place
     # Two of that namespace, two of that id, none at all, none in an empty message.
     for marker in ('tip', '2', 'nobody', 'base/2', '', '/'):
-        assert find_marker(marker, identities) == len(identities)
-    assert find_marker('tip', ()) == 0
+        assert MarkerPlaces(identities).find(marker) == len(identities)
+    assert MarkerPlaces(()).find('tip') == 0
     # The full identity goes before the namespace, and that before the id.
-    assert find_marker('3', ('3/9', '1/3', '3')) == 2
-    assert find_marker('3', ('1/3', '3/9')) == 1
-    assert find_marker('a/b', ('a/b/1',)) == 0
+    assert MarkerPlaces(('3/9', '1/3', '3')).find('3') == 2
+    assert MarkerPlaces(('1/3', '3/9')).find('3') == 1
+    assert MarkerPlaces(('a/b/1',)).find('a/b') == 0
+
+
+def test_comparisons_of_names_grow_with_the_number_of_markers() -> None:
+    """Each marker was held against all names of the message."""
+    compared = 0
+
+    class Name(str):
+        def __eq__(self, other: object) -> bool:
+            nonlocal compared
+            compared += 1
+            return str.__eq__(self, other)
+
+        __hash__ = str.__hash__
+
+    found = {}
+    for count in (100, 200):
+        names = [f'm{k}' for k in range(count)]
+        values = {'bodies': ['body'], 'body.markers': names, 'plane': 'xy'}
+        frame = one_frame(START, 'world', tuple(map(Name, names)), np.zeros((count, 3)))
+        compared = 0
+        Tracker(settings_from(values)).add(frame, None)
+        found[count] = compared
+    assert found[200] <= 2 * found[100]
 
 
 def test_markers_of_no_body_are_counted() -> None:

@@ -29,6 +29,10 @@ HEADS = np.dtype(
 # Of these bytes so many are in the length of the record.
 COUNTED = HEADS.itemsize - 9
 _INDEX_HEAD = struct.Struct('<BQHI')  # opcode, length, channel, bytes of index to come
+# An entry of the map in a ChunkIndex: where in the file the index of a channel is.
+_OFFSETS = np.dtype([('channel', '<u2'), ('place', '<u8')])
+# Opcode and length of a ChunkIndex, what is before its map, and the bytes of the map.
+_ENTRY_HEAD, _BEFORE_MAP, _MAP_SIZE = struct.Struct('<BQ'), 32, struct.Struct('<I')
 
 
 class FinishedChunk(NamedTuple):
@@ -94,25 +98,56 @@ class PendingChunk:
                 uncompressed_size=len(content),
             )
         )
-        offsets = {}
-        indexes = bytearray()
-        for number in dict.fromkeys(channels[channels > 0].tolist()):
-            offsets[number] = place + len(chunk) + len(indexes)
-            pairs = places[channels == number].tobytes()
-            indexes += _INDEX_HEAD.pack(Opcode.MESSAGE_INDEX, 6 + len(pairs), number, len(pairs))
-            indexes += pairs
+        is_message = channels > 0
+        indexes, offsets = _message_indexes(channels[is_message], places[is_message])
+        offsets['place'] += np.uint64(place + len(chunk))
         entry = ChunkIndex(
             chunk_start_offset=place,
             chunk_length=len(chunk),
             message_start_time=earliest,
             message_end_time=latest,
-            message_index_offsets=offsets,
+            message_index_offsets={},
             message_index_length=len(indexes),
             compression='zstd',
             compressed_size=len(compressed),
             uncompressed_size=len(content),
         )
-        return FinishedChunk(chunk + indexes, packed(entry), earliest, latest)
+        return FinishedChunk(chunk + indexes, _with_offsets(entry, offsets), earliest, latest)
+
+
+def _message_indexes(channels: np.ndarray, places: np.ndarray) -> tuple[bytes, np.ndarray]:
+    """
+    Pack the index records of messages, and list where each begins, as `_OFFSETS`, from the first.
+
+    `channels` (n,) are those of the messages, `places` (n, 2) their times and where they begin.
+    Channels come in the order of their first messages.
+    """
+    _, firsts, numbers, counts = np.unique(
+        channels, return_index=True, return_inverse=True, return_counts=True
+    )
+    by_first = firsts.argsort()
+    rank = np.empty_like(by_first)
+    rank[by_first] = np.arange(len(by_first))
+    pairs = places[rank[numbers].argsort(kind='stable')].tobytes()
+    sizes = counts[by_first] * places.strides[0]
+    offsets = np.empty(len(by_first), _OFFSETS)
+    offsets['channel'] = channels[firsts[by_first]]
+    offsets['place'] = np.cumsum(sizes + _INDEX_HEAD.size) - sizes - _INDEX_HEAD.size
+    pieces, end = [], 0
+    for channel, size in zip(offsets['channel'].tolist(), sizes.tolist(), strict=True):
+        pieces.append(_INDEX_HEAD.pack(Opcode.MESSAGE_INDEX, 6 + size, channel, size))
+        pieces.append(pairs[end : end + size])
+        end += size
+    return b''.join(pieces), offsets
+
+
+def _with_offsets(entry: ChunkIndex, offsets: np.ndarray) -> bytes:
+    """Pack an entry without offsets, with these: mcap packs thousands of them one by one."""
+    record, listed = packed(entry), offsets.tobytes()
+    opcode, length = _ENTRY_HEAD.unpack_from(record)
+    before = _ENTRY_HEAD.size + _BEFORE_MAP
+    head = _ENTRY_HEAD.pack(opcode, length + len(listed)) + record[_ENTRY_HEAD.size : before]
+    return head + _MAP_SIZE.pack(len(listed)) + listed + record[before + _MAP_SIZE.size :]
 
 
 def packed(*records: McapRecord) -> bytes:

@@ -30,9 +30,13 @@ from kinpole_ros.bags._layout import NEVER, lay_out, records
 
 _LATEST = 2**63 - 1  # ns; ROS has no later time
 _LOG_TIME, _TOPIC = attrgetter('log_time'), attrgetter('topic')
-# What a block holds at most, but for single messages larger than that.
+# What a block holds at most.
 _BLOCK_MESSAGES = 1000
 _BLOCK_BYTES = 1 << 20
+# The same of large messages, as of many bodies: results have a cost for each block and body, which
+# would grow with the square of the number of bodies if blocks had fewer frames for them.
+_LARGE_BLOCK_MESSAGES = 32
+_LARGE_BLOCK_BYTES = 1 << 24
 
 
 def topics(path: str | Path) -> dict[str, str]:
@@ -77,6 +81,7 @@ def read_blocks(
 ) -> Iterator[list[BagMessage]]:
     """The same messages in the same order, a list of up to a thousand (about 1 MiB) at a time.
 
+    Of messages of more than 32 KiB a list holds up to 32, but no more than 16 MiB.
     What is wrong is raised as by read_messages, after a list of all that came before it.
     """
     wanted = None if topics is None else frozenset(topics)
@@ -97,7 +102,9 @@ def _blocks(parts: Iterator[list[BagMessage]]) -> Iterator[list[BagMessage]]:
         for part in parts:
             for message in part:
                 size += len(message.data)
-                if block and (size > _BLOCK_BYTES or len(block) == _BLOCK_MESSAGES):
+                few = len(block) < _LARGE_BLOCK_MESSAGES
+                most = _LARGE_BLOCK_BYTES if few else _BLOCK_BYTES
+                if block and (size > most or len(block) == _BLOCK_MESSAGES):
                     yield block
                     block, size = [], len(message.data)
                 block.append(message)

@@ -30,7 +30,7 @@ from kinpole_ros.messages import (
 from kinpole_ros.pipeline.estimate import MOST_PAIRED_BODIES, POLE_NAMES, Estimate
 from kinpole_ros.pipeline.frame import MarkerFrames
 from kinpole_ros.pipeline.parameters import Settings
-from kinpole_ros.pipeline.roster import find_marker
+from kinpole_ros.pipeline.roster import MarkerPlaces
 from kinpole_ros.pipeline.tracker import Tracker
 from kinpole_ros.rigid.space import updated
 
@@ -246,9 +246,9 @@ def _still_absent(
     absent: dict[str, list[str]], identities: tuple[str, ...]
 ) -> dict[str, list[str]]:
     """Those of the markers of each body that are not in a message either."""
-    none = len(identities)
+    none, places = len(identities), MarkerPlaces(identities)
     left = {
-        body: [name for name in names if find_marker(name, identities) == none]
+        body: [name for name in names if places.find(name) == none]
         for body, names in absent.items()
     }
     return {body: names for body, names in left.items() if names}
@@ -318,7 +318,8 @@ def _count(found: dict[str, dict[str, int]], estimate: Estimate) -> None:
 
 def _still_unknown(unknown: dict[str, str], estimate: Estimate) -> dict[str, str]:
     """Those of the bodies that are known at none of these instants either, and why not."""
-    reasons = {body: estimate.missing[:, estimate.bodies.index(body)] for body in unknown}
+    rows = zip(estimate.bodies, estimate.missing.T, strict=True)
+    reasons = {body: missing for body, missing in rows if body in unknown}
     return {body: str(said[-1]) for body, said in reasons.items() if (said != '').all()}
 
 

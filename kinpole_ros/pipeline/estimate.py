@@ -142,6 +142,8 @@ class Estimate:
         self.plane = plane
         self._make_frame_poses = frame_poses
         self._poles: dict[int, Vectors] = {}
+        self._origins: dict[int, np.ndarray] = {}
+        self._rates: dict[int, Numbers] = {}
 
     def __len__(self) -> int:
         return len(self.stamp)
@@ -195,15 +197,19 @@ class Estimate:
 
     def origin(self, order: int) -> np.ndarray:
         """The origins of the bodies' frames (T, B), or their derivatives, complex, m/s^order."""
-        place = self.position[0] - self.reference * np.exp(1j * self.angle[0])
-        if order == 0:
-            return np.asarray(place)
-        return planar.body_point_derivative(order, place, self.position, self.angle)
+        if order not in self._origins:
+            place = self.position[0] - self.reference * np.exp(1j * self.angle[0])
+            if order > 0:
+                place = planar.body_point_derivative(order, place, self.position, self.angle)
+            self._origins[order] = np.asarray(place)
+        return self._origins[order]
 
     def rate(self, order: int) -> Numbers:
         """Derivative of the angle of that order (rad/s^order), order 1 to 4."""
-        value, variance = self.angle[order], self.angle_covariance[order, order]
-        return Numbers(value, variance, np.isfinite(value))
+        if order not in self._rates:
+            value, variance = self.angle[order], self.angle_covariance[order, order]
+            self._rates[order] = Numbers(value, variance, np.isfinite(value))
+        return self._rates[order]
 
     @property
     def _motion(self) -> tuple[np.ndarray, ...]:

@@ -235,16 +235,16 @@ class Roster:
         if found is None:
             if self.all_markers:
                 self._take_new(identities)
-            nowhere = len(identities)
+            nowhere, places = len(identities), MarkerPlaces(identities)
             place = np.full((len(self.markers), self.width), nowhere)
             for body, markers in enumerate(self.markers):
-                where = [find_marker(name, identities) for name in markers]
+                where = [places.find(name) for name in markers]
                 place[body] = where[0] if self.posed and where else place[body]
                 if not self.posed:
                     place[body, : len(markers)] = where
             absent = [
-                [name for name, where in zip(markers, places, strict=False) if where == nowhere]
-                for markers, places in zip(self.markers, place.tolist(), strict=True)
+                [name for name, where in zip(markers, row, strict=False) if where == nowhere]
+                for markers, row in zip(self.markers, place.tolist(), strict=True)
             ]
             if self._order is not None:
                 place = place.ravel()[self._order]
@@ -301,21 +301,32 @@ def _layout(
     return Layout(place, named, complete, absent, others, renamed, extras, indexed)
 
 
-def find_marker(marker: str, identities: Sequence[str]) -> int:
+class MarkerPlaces:
     """
-    Place of a marker in a message, len(identities) if it is not there.
+    The places of the markers in a message, for many look-ups.
 
     A name stands for the full identity, else for the one marker of that namespace, else for the
     one of that id: 'tip/3', 'tip' or '3'.
     """
-    if marker in identities:
-        return list(identities).index(marker)
-    for part in (0, 2):
-        found = [
-            k
-            for k, name in enumerate(identities)
-            if '/' in name and name.rpartition('/')[part] == marker
-        ]
-        if len(found) == 1:
-            return found[0]
-    return len(identities)
+
+    def __init__(self, identities: Sequence[str]) -> None:
+        self._nowhere = len(identities)
+        self._by_identity: dict[str, int] = {}
+        by_namespace: dict[str, int] = {}
+        by_id: dict[str, int] = {}
+        for place, identity in enumerate(identities):
+            self._by_identity.setdefault(identity, place)
+            namespace, slash, number = identity.rpartition('/')
+            if slash:
+                for places, name in ((by_namespace, namespace), (by_id, number)):
+                    # A name that two markers share stands for neither.
+                    places[name] = self._nowhere if name in places else place
+        self._by_part = by_namespace, by_id
+
+    def find(self, marker: str) -> int:
+        """Return the place of a marker, the number of identities if it is not there."""
+        place = self._by_identity.get(marker, self._nowhere)
+        for places in self._by_part:
+            if place == self._nowhere:
+                place = places.get(marker, self._nowhere)
+        return place
