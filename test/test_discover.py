@@ -394,13 +394,20 @@ def test_command_refuses_in_one_line(tmp_path, capsys):
         discover_rig(str(bag), topic='/other')
 
 
-@pytest.mark.parametrize('name', ['four_bar', 'slider_crank', 'cardan'])
+@pytest.mark.parametrize(
+    'name',
+    [
+        *('four_bar', 'slider_crank', 'cardan'),
+        # The markers of two links, or of two turns of one, look about the same.
+        *('trebuchet', 'exercise_machine', 'exercise_seat'),
+    ],
+)
 def test_rig_and_draft_of_markers_without_names_are_fitted_and_replayed_unedited(
     name, tmp_path, capsys
 ):
     bag, rig, scene = tmp_path / 'r.mcap', tmp_path / 'rig.yaml', tmp_path / 'draft.yaml'
     made = ['--tilt', '20', '--arrival', '0.001', '--scale', '1000', '--message', 'point_cloud2']
-    made += ['--unlabeled', '--noise', '0.0002', '--output', str(bag)]
+    made += ['--unlabeled', '--noise', '0.0002', '--duration', '2', '--output', str(bag)]
     assert main(['simulate', name, *made]) == 0
     assert main(['discover', str(bag), '--output', str(rig), '--scene', str(scene)]) == 0
     assert 'marker_identity: shape' in rig.read_text()
@@ -414,6 +421,17 @@ def test_rig_and_draft_of_markers_without_names_are_fitted_and_replayed_unedited
     with rig.open('a') as file:
         file.write(f'    scene: {scene}\n')
     assert main(['replay', str(bag), '--config', str(rig)]) == 0
+
+
+def test_markers_without_noise_are_of_one_rigid_body(tmp_path, capsys):
+    bag, rig = tmp_path / 'r.mcap', tmp_path / 'rig.yaml'
+    made = ['--tilt', '20', '--arrival', '0.001', '--scale', '1000', '--message', 'point_cloud2']
+    made += ['--unlabeled', '--duration', '3', '--output', str(bag)]
+    assert main(['simulate', 'planetary_gear', *made]) == 0
+    assert main(['discover', str(bag), '--output', str(rig)]) == 0
+    capsys.readouterr()
+    assert main(['replay', str(bag), '--config', str(rig)]) == 0
+    assert 'off one rigid body' not in capsys.readouterr().err
 
 
 def test_a_draft_whose_markers_are_not_those_of_the_shape_is_refused(tmp_path):

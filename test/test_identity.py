@@ -353,6 +353,23 @@ def test_what_fits_in_several_ways_is_left_out_unless_the_last_pose_tells() -> N
     assert found.place.tolist() == [[0, 1, 2, 3]]
 
 
+def test_of_two_turns_that_fit_the_one_that_leaves_only_noise_is_taken() -> None:
+    # Turned by half a turn, its markers are up to 10 mm off, less than the limit.
+    shape = BRICK + np.array([0.01, 0, 0.01j, 0])
+    nowhere = np.full(1, complex(np.nan, np.nan))
+    expected = Expected(nowhere, nowhere, np.full((1, 4), -1), np.zeros(1, bool))
+    limit, known = np.full(1, 0.02), expected._replace(variance=(2e-4) ** 2)
+    points = 0.3 + np.exp(0.2j) * shape
+    found = match(points, shape[None], limit, expected)
+    assert found.uncertain.all()
+    assert found.variance[0] < 1e-30
+    found = match(points, shape[None], limit, known)
+    assert found.place.tolist() == [[0, 1, 2, 3]]
+    # Markers halfway between the two turns.
+    halfway = (shape - shape[[2, 3, 0, 1]]) / 2
+    assert match(halfway, shape[None], limit, known).uncertain.all()
+
+
 def test_two_bodies_alike_are_not_guessed() -> None:
     points = np.concatenate((KITE, 1 + KITE * 1j))
     assert matched(points, np.array([KITE, KITE])).uncertain.all()

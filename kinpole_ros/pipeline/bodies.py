@@ -29,7 +29,7 @@ from kinpole_ros.rigid import (
     Shapes,
     Verdict,
 )
-from kinpole_ros.rigid.levels import FEWEST, LITTLE, ROUNDING, SURE
+from kinpole_ros.rigid.levels import FEWEST, LITTLE, ROUNDING, SURE, TINY
 
 # rad. An angle noisier than this wanders round, and its errors are no longer small.
 UNSTEADY = 0.15
@@ -189,6 +189,8 @@ class RigidBodies:
         loose = (off > SURE * noise) & (off > LITTLE * self._size())
         # A lens moves poles by more than it bends bodies.
         loose |= [cause in (LENS, SLANT) for cause in self.causes()]
+        # Coordinates without noise show how they are rounded.
+        loose &= off > TINY * self._size()
         return np.where(loose, off, 0.0)
 
     def causes(self) -> list[str]:

@@ -74,6 +74,8 @@ class Matcher:
         # The poses of late: stamps (T,), positions and angles (T, B); and the points they are of.
         self._track: deque[tuple[np.ndarray, Complex, Real]] = deque(maxlen=RECENT)
         self._late: deque[Complex] = deque(maxlen=KEPT)
+        # Variances (m^2) of the ways that fit best, of bodies that were searched for of late.
+        self._variances: deque[float] = deque(maxlen=KEPT)
         self._first = self._end = 0
         self._matched_here = False
 
@@ -349,7 +351,13 @@ class Matcher:
         if self.withheld.any():
             shapes = np.where(self.withheld[:, None], np.nan, shapes)
         position, turn = self._ahead(k, before)
-        return match(points, shapes, self._shapes.limit, Expected(position, turn, named, held))
+        # Whichever way is right, most of the best ones err by no more than the noise.
+        few = len(self._variances) < FEW
+        variance = np.inf if few else float(np.median(self._variances))
+        expected = Expected(position, turn, named, held, variance)
+        found = match(points, shapes, self._shapes.limit, expected)
+        self._variances.extend(found.variance[np.isfinite(found.variance)].tolist())
+        return found
 
     def _ahead(self, k: int, before: Sequence[Fit]) -> tuple[Complex, Complex]:
         """Where bodies (B,) are to be expected in a frame, by their last velocity."""

@@ -14,6 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from kinpole_ros.planar._plane import Complex, Real
+from kinpole_ros.rigid.levels import SURE
 
 # A point is where a marker is expected if the second nearest is so many times as far.
 _NEARER = 2.0
@@ -31,13 +32,15 @@ class Match(NamedTuple):
 
     `place` (B, n) says which point is the marker, -1 for none; `position` (B,), complex, m, and
     `turn` (B,), of length 1, are the poses, NaN for a body that was not found; `uncertain` (B,)
-    says where one was found in several ways that fit as well.
+    says where one was found in several ways that fit as well. `variance` (B,) is that of one
+    coordinate of a marker in the way that fits best, m^2, NaN for a body that was not searched for.
     """
 
     place: np.ndarray
     position: Complex
     turn: Complex
     uncertain: np.ndarray
+    variance: Real
 
 
 class Expected(NamedTuple):
@@ -46,21 +49,28 @@ class Expected(NamedTuple):
 
     `position` and `turn` (B,) are where bodies are to be expected, NaN where nothing tells. `named`
     (B, n) are the points by name, -1 for none, and `held` (B,) the bodies that fit by name.
+    `variance` is that of the noise of one coordinate of a marker, m^2, infinite while not known.
     """
 
     position: Complex
     turn: Complex
     named: np.ndarray
     held: np.ndarray
+    variance: float = np.inf
 
 
 class Ways(NamedTuple):
-    """H ways to find one body among points: place (H, n), the pose, and how many markers fit."""
+    """
+    H ways to find one body among points: place (H, n), the pose, and how many markers fit.
+
+    `variance` (H,) is the mean square of a residual per degree of freedom, m^2.
+    """
 
     place: np.ndarray
     position: Complex
     turn: Complex
     count: np.ndarray
+    variance: Real
 
     def at(self, which: np.ndarray) -> 'Ways':
         return Ways(*(part[which] for part in self))
@@ -83,6 +93,7 @@ def match(points: Complex, shapes: Complex, limit: Real, expected: Expected) -> 
     # Two markers of several agree in one distance only, so whoever else has that must not be near.
     found = (off <= limit) & (count >= 2)
     uncertain = np.zeros(len(shapes), bool)
+    variance = np.full(len(shapes), np.nan)
     position = np.where(found, position, np.nan)
     turn = np.where(found, turn, np.nan)
     found &= np.isfinite(turn)
@@ -95,10 +106,14 @@ def match(points: Complex, shapes: Complex, limit: Real, expected: Expected) -> 
         free = free[~np.isin(free, place)]
         ways = {b: find_ways(points, free, shapes[b], float(limit[b])) for b in lost.tolist()}
         ways = {b: _likely(b, some, shape[b], known[b], expected) for b, some in ways.items()}
+        for b, some in ways.items():
+            # Two points of many are always as far apart as two markers.
+            variance[b] = some.variance[some.count > 2].min(initial=np.inf)
+        variance[np.isinf(variance)] = np.nan
         _settle(ways, place, position, turn, uncertain)
         if not uncertain.all():
             place = _gathered(points, shape, known, limit, position, turn, place)
-    return Match(place, position, turn, uncertain)
+    return Match(place, position, turn, uncertain, variance)
 
 
 def merge_names(found: Match, named: np.ndarray) -> np.ndarray | None:
@@ -208,7 +223,11 @@ def find_ways(points: Complex, free: np.ndarray, shape: Complex, limit: float) -
     order = np.argsort(-long, kind='stable')[:_MOST]
     i, j, long = (part[order][long[order] > 2 * limit] for part in (i, j, long))
     nothing = Ways(
-        np.zeros((0, n), int), np.zeros(0, complex), np.zeros(0, complex), np.zeros(0, int)
+        np.zeros((0, n), int),
+        np.zeros(0, complex),
+        np.zeros(0, complex),
+        np.zeros(0, int),
+        np.zeros(0),
     )
     if not len(long) or not 2 <= len(there) <= _MOST:
         return nothing
@@ -243,7 +262,10 @@ def find_ways(points: Complex, free: np.ndarray, shape: Complex, limit: float) -
     good = (off <= limit) & (count >= 2) & np.isfinite(turn)
     order = np.flatnonzero(good)[np.argsort(-count[good], kind='stable')]
     place = np.where(inner >= 0, free[np.where(inner >= 0, inner, 0)], -1)
-    return Ways(place, position, turn, count).at(order)
+    off = np.abs(there[np.where(inner >= 0, inner, 0)] - position[:, None] - turn[:, None] * filled)
+    square = np.square(off).sum(axis=1, where=inner >= 0)
+    variance = square / np.maximum(2 * count - 3, 1)
+    return Ways(place, position, turn, count, variance).at(order)
 
 
 def _nearest(
@@ -287,6 +309,10 @@ def _likely(b: int, ways: Ways, shape: Complex, known: np.ndarray, expected: Exp
     # A name counts as much as a fit: a marker that is off for once does not make its body another.
     score = ways.count + agree
     best = score == score.max()
+    # Of these, a way with residuals far beyond the noise is wrong where another has less.
+    best &= ways.variance <= max(
+        SURE**2 * expected.variance, _NEARER**2 * ways.variance.min(where=best, initial=np.inf)
+    )
     ways, agree, ahead = ways.at(best), agree[best], ahead[best]
     if len(agree) > 1 and (agree.max() > agree).sum() == len(agree) - 1:
         return ways.at(agree == agree.max())
