@@ -101,6 +101,27 @@ def test_less_is_nan_and_nothing_is_empty_and_warned_of() -> None:
 
 
 @pytest.mark.parametrize(
+    'frames, hidden, noise', [(1200, 0.12, 1e-5), (1200, 0.2, 1e-5), (500, 0.1, 0)]
+)
+def test_a_body_hidden_now_and_then_has_its_rate_whenever_it_is_seen(
+    frames: int, hidden: float, noise: float
+) -> None:
+    """Also while few samples are seen since it came back, and without noise."""
+    stamps = np.arange(frames) * 5_000_000
+    time = stamps * 1e-9
+    shape = np.array([0.4 + 0.1j, 0.2 + 0.1j, 0.2 - 0.1j, 0.4 - 0.1j])
+    places = np.exp(0.8j * np.sin(4 * np.pi * time))[:, None] * shape
+    points = np.stack((places.real, places.imag), axis=-1)
+    points += noise * np.random.default_rng(0).normal(size=points.shape)
+    covered = (time > 1) & (time % 0.9 < hidden)
+    points[covered] = np.nan
+    found = track(points, stamps, window=0.5, lag=0.05)
+    body, seen = found['body'], ~covered[np.searchsorted(stamps, found.stamp)]
+    assert (body.missing[seen] == '').all()
+    assert np.isfinite(body.angular_velocity[seen]).all()
+
+
+@pytest.mark.parametrize(
     'words, told',
     [
         ({'points': np.zeros((5, 2))}, r'points must have shape \(T, n, 2\)'),

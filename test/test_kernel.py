@@ -11,6 +11,7 @@ from kinpole_ros.derivatives import _evidence, _fast, _samples
 from kinpole_ros.derivatives._evidence import Found
 from kinpole_ros.derivatives._lacking import Lacking
 from kinpole_ros.derivatives._models import Modes, Stencils, modes_of, slopes_of, stencils_of
+from kinpole_ros.derivatives._parts import derive_parts
 from kinpole_ros.derivatives._samples import lacking_of
 
 built = pytest.mark.skipif(
@@ -149,6 +150,28 @@ def test_bodies_at_rest_and_signals_alone() -> None:
         alone = _fast.derive(*window, samples[..., k : k + 1], 50.0)
         for part, whole in zip(alone, found, strict=True):
             assert (part[..., 0] == whole[..., k]).all()
+
+
+@pytest.mark.parametrize('compiled', [pytest.param(True, marks=built), False])
+def test_a_part_of_few_samples_leaves_the_window_whole(
+    compiled: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Six samples after a gap are too few for a motion of their own, and no model has a figure."""
+    if not compiled:
+        monkeypatch.setattr(_fast, '_kernel', None)
+    time = np.arange(101)[:, None, None]
+    phase = np.array([0.0, 1.0, 2.0])[:, None]
+    samples = 1e5 * np.sin(np.pi / 50 * time + phase)
+    samples += np.random.default_rng(0).normal(size=samples.shape)
+    weights = np.ones((101, 2, 1))
+    weights[71:95] = 0.0
+    window = _samples.Window(101, 49.0, 1, 2, exact=False, dense=False, parts=True)
+    samples, _ = _samples.place(window, samples, weights, None)
+    found = derive_parts(window, samples, weights)
+    rate = 1e5 * np.pi / 50 * np.cos(np.pi / 50 * 99 + phase)
+    assert np.isfinite(found.covariance).all()
+    deviation = np.sqrt(found.covariance[1, 1])[[0, 1, 1]]
+    assert (np.abs(found.mean[1] - rate) < 4 * deviation).all()
 
 
 @built

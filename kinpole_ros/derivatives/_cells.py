@@ -23,7 +23,7 @@ _DOUBTFUL, _COUNTED = 0.2, 4
 # Cells of a window, most of which are empty.
 _MOST_CELLS = 4096
 # Samples that differ by more deviations of their noise are taken for exact.
-_EXACT = 1e7
+EXACT = 1e7
 
 
 class Poses(NamedTuple):
@@ -242,7 +242,7 @@ def _in_units(samples: Real, unit: Real) -> np.ndarray:
     np.maximum(unit, largest / MOST_EXACT, out=unit)
     samples[0] /= unit[0]
     samples[1:] /= unit[1]
-    return np.logical_or.reduce(largest > _EXACT * unit)
+    return np.logical_or.reduce(largest > EXACT * unit)
 
 
 def _intervals(time: Real, inside: np.ndarray) -> Real:

@@ -19,10 +19,8 @@ _NEWER = (0.3, 0.46, 0.7)
 _PRIOR = 0.5
 # Evidence that another part costs, flat priors of a parameter.
 _WORTH = 4
-# A part of which less is seen, samples, is none.
+# A part needs so many samples that are seen.
 _FEWEST = FEWEST_SAMPLES + 1
-# The logarithm of no chance at all.
-_NEVER = -1e9
 _COMPONENTS = np.array((1, 2))[:, None]
 _SIGNAL = [0, 1, 1]
 
@@ -43,24 +41,50 @@ def derive_parts(window: Window, samples: Real, weights: Real | None) -> Found:
         return whole
     found = [Found(*(part[..., some] for part in whole))]
     chances = [_chance(found[0], seen[:, some])]
-    inside = samples[..., some], None if weights is None else weights[..., some]
+    samples = samples[..., some]
+    weights = None if weights is None else weights[..., some]
     for newer in _NEWER:
         cut = window.size - round(newer * window.size)
         if min(cut, window.size - cut) < _FEWEST:
             continue
-        old, new = (slice(cut), slice(cut, None))
-        later = window.at + (window.size - 1) / 2 >= cut - 0.5
-        halves = [
-            _derive(
-                window.part(part, window.orders if (part == new) == later else 1),
-                *(None if all_ is None else all_[part] for all_ in inside),
-            )
-            for part in (old, new)
-        ]
-        found.append(halves[later][0])
-        old_one, new_one = (_chance(*half) for half in halves)
-        chances.append(old_one + new_one + np.log(_PRIOR / (1 - _PRIOR) / len(_NEWER)))
+        split = _derive_split(window, cut, samples, weights)
+        if split is not None:
+            found.append(split[0])
+            chances.append(split[1] + np.log(_PRIOR / (1 - _PRIOR) / len(_NEWER)))
     return _put(whole, some, _mean(found, np.array(chances)))
+
+
+def _derive_split(
+    window: Window, cut: int, samples: Real, weights: Real | None
+) -> tuple[Found, Real] | None:
+    """
+    The derivatives if another motion begins at the sample `cut`, and the chance (2, S) of that.
+
+    The chance is a logarithm, -inf for a signal of which a part has too few samples; None if all
+    signals are such.
+    """
+    signals = samples.shape[2]
+    parts = slice(cut), slice(cut, None)
+    possible = np.ones(signals, bool)
+    if weights is not None:
+        for part in parts:
+            possible &= (total(weights[part]) >= _FEWEST).all(axis=0)
+    some = possible.nonzero()[0]
+    if not len(some):
+        return None
+    later = window.at + (window.size - 1) / 2 >= cut - 0.5
+    halves = [
+        _derive(
+            window.part(part, window.orders if (part is parts[1]) == later else 1),
+            samples[part][..., some],
+            None if weights is None else weights[part][..., some],
+        )
+        for part in parts
+    ]
+    chance = np.full((2, signals), -np.inf)
+    chance[:, some] = _chance(*halves[0]) + _chance(*halves[1])
+    found = Found(*(np.zeros((*part.shape[:-1], signals)) for part in halves[later][0]))
+    return _put(found, some, halves[later][0]), chance
 
 
 def _derive(window: Window, samples: Real, weights: Real | None) -> tuple[Found, Real]:
@@ -74,8 +98,7 @@ def _chance(found: Found, seen: Real) -> Real:
     """The logarithm (2, S) of how probable so many samples are by all models."""
     # The evidence is relative to a line with a flat prior, and to so many samples.
     chance = found.evidence - 2 * FLAT * _COMPONENTS
-    chance -= np.log(KNOWN + seen * _COMPONENTS) / 2 - np.log(KNOWN) / 2
-    return np.where(seen < _FEWEST, _NEVER, chance)
+    return np.asarray(chance - np.log(KNOWN + seen * _COMPONENTS) / 2 + np.log(KNOWN) / 2)
 
 
 def _mean(found: list[Found], chances: Real) -> Found:

@@ -9,7 +9,16 @@ from typing import NamedTuple
 
 import numpy as np
 
-from kinpole_ros.derivatives._cells import OFF, SIMILAR, Cells, Poses, Windows, cells_of, usual_of
+from kinpole_ros.derivatives._cells import (
+    EXACT,
+    OFF,
+    SIMILAR,
+    Cells,
+    Poses,
+    Windows,
+    cells_of,
+    usual_of,
+)
 from kinpole_ros.derivatives._evidence import Found
 from kinpole_ros.derivatives._parts import derive_parts
 from kinpole_ros.derivatives._samples import Window, place, total
@@ -152,6 +161,7 @@ def _longer(cells: Cells, more: int) -> Cells:
 
 def _derive_uneven(window: Window, samples: Real, weight: Real | None, off: Real | None) -> Found:
     """The same of samples some of which are lacking, or not in their places."""
+    given = samples
     signals = np.arange(samples.shape[2])
     noise = np.ones((2, len(signals)))
     if weight is not None:
@@ -177,7 +187,31 @@ def _derive_uneven(window: Window, samples: Real, weight: Real | None, off: Real
     more = more * noise
     found = derive_parts(window, samples, weight)
     mean, covariance = found.mean * more[[0, 1, 1]], found.covariance * more**2
-    return found._replace(mean=mean, covariance=covariance)
+    found = found._replace(mean=mean, covariance=covariance)
+    if window.exact:
+        lost = np.flatnonzero(~np.isfinite(found.mean).all(axis=(0, 1)))
+        if len(lost):
+            late = None if off is None else off[:, lost]
+            own = None if weight is None else weight[..., lost]
+            noisy = _derive_as_noisy(window, given[..., lost], own, late)
+            for array, part in zip(found, noisy, strict=True):
+                array[..., lost] = part
+    return found
+
+
+def _derive_as_noisy(window: Window, samples: Real, weight: Real | None, off: Real | None) -> Found:
+    """
+    Differentiate samples as if their noise were the least of a window that is not exact.
+
+    The samples in a gap follow from the others by a matrix. It is singular by rounding where motion
+    is much larger than noise and the gap is long.
+    """
+    largest = np.abs(samples).max(axis=0)
+    least = np.stack((largest[0], np.maximum(largest[1], largest[2]))) / EXACT
+    noise = np.maximum(least, 1.0)
+    by = noise[[0, 1, 1]]
+    found = _derive_uneven(window._replace(exact=False), samples / by, weight, off)
+    return found._replace(mean=found.mean * by, covariance=found.covariance * noise**2)
 
 
 def _blocks(
