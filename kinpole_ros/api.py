@@ -7,8 +7,9 @@ The same pipeline as that of node and replay, so the figures are the same too.
 import warnings
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields
+from difflib import get_close_matches
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any, NoReturn, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -28,6 +29,48 @@ from kinpole_ros.planar import to_plane
 
 # Frames that the tracker is given at once, as replay does.
 _AT_ONCE = 1000
+_NS_PER_S = 1_000_000_000
+_Key = TypeVar('_Key')
+_Record = TypeVar('_Record')
+
+
+class UnknownNameError(KeyError):
+    """A body, or a pair of bodies, that a result does not have."""
+
+    def __str__(self) -> str:
+        # A KeyError shows its message in quotes.
+        return str(self.args[0])
+
+
+class _Records(dict[_Key, _Record]):
+    """Records by name; a name that is missing is an `UnknownNameError` that lists the names."""
+
+    def __missing__(self, key: object) -> NoReturn:
+        names = {_shown(name): name for name in self}
+        if isinstance(key, tuple) and key[::-1] in self:
+            closest = [_shown(key[::-1])]
+        else:
+            closest = get_close_matches(_shown(key), names, n=1)
+        suggestion = f'did you mean {closest[0]}? ' if closest else ''
+        raise UnknownNameError(
+            f'{_shown(key)} is not tracked; {suggestion}known: {", ".join(names) or "none"}'
+        )
+
+
+def _shown(key: object) -> str:
+    return ' wrt '.join(map(str, key)) if isinstance(key, tuple) else str(key)
+
+
+def _raise_unknown_attribute(record: object, name: str) -> NoReturn:
+    """Raise an AttributeError that lists the fields of a record, a dataclass."""
+    names = list(type(record).__dataclass_fields__)  # type: ignore[attr-defined]
+    closest = get_close_matches(name, names, n=1)
+    suggestion = f'did you mean {closest[0]}? ' if closest else ''
+    raise AttributeError(
+        f'{type(record).__name__} has no {name}; {suggestion}known: {", ".join(names)}',
+        name=name,
+        obj=record,
+    )
 
 
 @dataclass(frozen=True)
@@ -64,6 +107,11 @@ class BodyMotion:
     centrode_curvature: np.ndarray
     centrode_curvature_sigma: np.ndarray
 
+    if not TYPE_CHECKING:
+
+        def __getattr__(self, name: str) -> NoReturn:
+            _raise_unknown_attribute(self, name)
+
 
 @dataclass(frozen=True)
 class PairMotion:
@@ -74,6 +122,11 @@ class PairMotion:
     icr: np.ndarray
     icr_covariance: np.ndarray
 
+    if not TYPE_CHECKING:
+
+        def __getattr__(self, name: str) -> NoReturn:
+            _raise_unknown_attribute(self, name)
+
 
 @dataclass(frozen=True)
 class Tracked:
@@ -81,7 +134,7 @@ class Tracked:
     The motion of bodies at M instants: `tracked['crank'].angular_velocity` (M,), and so on.
 
     `stamp` (M,) int64, ns, and the same as `t` (M,), s. `pairs` are relative motions by names
-    (j, i), i before j in `bodies`.
+    (j, i), i before j in `bodies`. A name that is missing raises a KeyError that lists the names.
     """
 
     t: np.ndarray
@@ -110,7 +163,8 @@ def track(
         Places of the markers (T, n, 2) or (T, n, 3), m, NaN where one is not seen. With two
         coordinates they are in the plane xy.
     stamps
-        Times of the frames (T,), int64, ns.
+        Times of the frames (T,): integers are ns, floats are s. Frames that repeat a stamp, or go
+        back a little, are left out, with a warning.
     bodies
         Which columns of the points are on which body; without it, all are on one, `body`.
     **parameters
@@ -125,18 +179,14 @@ def track(
     Raises
     ------
     ValueError
-        For shapes that do not fit, and as ParameterError for a parameter.
+        For shapes that do not fit, for stamps that are not finite, and as ParameterError for a
+        parameter.
 
     """
     there = np.asarray(points, float)
     if there.ndim != 3 or there.shape[2] not in (2, 3):
         raise ValueError(f'points must have shape (T, n, 2) or (T, n, 3), not {there.shape}')
-    times = np.asarray(stamps)
-    if times.shape != there.shape[:1] or times.dtype.kind not in 'iu':
-        raise ValueError(
-            f'stamps must be integers, ns, of shape {there.shape[:1]}, not {times.dtype} of shape '
-            f'{times.shape}'
-        )
+    times = _stamps_ns(stamps, there.shape[:1])
     if there.shape[2] == 2:
         if parameters.get('plane', 'xy') != 'xy':
             raise ValueError('points of two coordinates are in the plane xy; give three for others')
@@ -148,7 +198,7 @@ def track(
     found: list[Estimate] = []
     for first in range(0, len(times), _AT_ONCE):
         part = slice(first, first + _AT_ONCE)
-        frames = MarkerFrames(times[part].astype(np.int64), '', names, there[part])
+        frames = MarkerFrames(times[part], '', names, there[part])
         found += tracker.add(frames, _order(settings))
     _warn(_left_out(tracker, found))
     return _tracked(found, settings)
@@ -201,6 +251,29 @@ def replay(
     return _tracked(found, settings)
 
 
+def _stamps_ns(stamps: ArrayLike, shape: tuple[int, ...]) -> np.ndarray:
+    """Stamps (T,) as int64, ns, from integers, ns, or floats, s."""
+    times = np.asarray(stamps)
+    if times.shape != shape or times.dtype.kind not in 'iuf':
+        raise ValueError(
+            f'stamps must be integers, ns, or floats, s, of shape {shape}, not {times.dtype} of '
+            f'shape {times.shape}'
+        )
+    if times.dtype.kind == 'f':
+        wrong = np.flatnonzero(~np.isfinite(times))
+        if len(wrong):
+            raise ValueError(f'stamps must be finite; stamp {wrong[0]} is {times[wrong[0]]}')
+        # Longer floats keep the ns of times since 1970.
+        times = np.rint(times.astype(np.longdouble) * _NS_PER_S)
+    most = np.iinfo(np.int64).max
+    if len(times) and (times.max() > most or times.min() < -most):
+        raise ValueError(
+            'stamps are beyond the 292 years that int64 counts in ns; floats are taken for s, give '
+            'ns as integers'
+        )
+    return times.astype(np.int64)
+
+
 def _markers(bodies: Mapping[str, Sequence[int]] | None, count: int) -> dict[str, Any]:
     """Parameters that say which of `count` markers are on which body."""
     if bodies is None:
@@ -245,16 +318,17 @@ def _tracked(found: list[Estimate], settings: Settings) -> Tracked:
     """Estimates, one after the other, as one record."""
     names = tuple(settings.bodies)
     stamp = np.concatenate([np.empty(0, np.int64), *(one.stamp for one in found)])
-    bodies = {
-        name: BodyMotion(**_concatenated(BodyMotion, [_body(one, b) for one in found]))
+    bodies = _Records(
+        (name, BodyMotion(**_concatenated(BodyMotion, [_body(one, b) for one in found])))
         for b, name in enumerate(names)
-    }
-    pairs = {
-        (names[j], names[i]): PairMotion(
-            **_concatenated(PairMotion, [_pair(one, k) for one in found])
+    )
+    pairs = _Records(
+        (
+            (names[j], names[i]),
+            PairMotion(**_concatenated(PairMotion, [_pair(one, k) for one in found])),
         )
         for k, (i, j) in enumerate(measured_pairs(len(names)))
-    }
+    )
     return Tracked(stamp * 1e-9, stamp, bodies, pairs)
 
 

@@ -1,5 +1,6 @@
 """The door for Python: arrays in, arrays out, the figures of replay."""
 
+import pickle
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -10,6 +11,7 @@ from conftest import bodies_of, write_config
 
 import kinpole_ros
 from kinpole_ros import replay, track
+from kinpole_ros.api import UnknownNameError
 from kinpole_ros.bags import read_frames
 from kinpole_ros.bags import replay as replay_bag
 from kinpole_ros.pipeline.parameters import ParameterError, Settings
@@ -125,7 +127,10 @@ def test_a_body_hidden_now_and_then_has_its_rate_whenever_it_is_seen(
     'words, told',
     [
         ({'points': np.zeros((5, 2))}, r'points must have shape \(T, n, 2\)'),
-        ({'stamps': np.arange(5.0)}, 'stamps must be integers, ns'),
+        ({'stamps': ['1'] * 5}, 'stamps must be integers, ns, or floats, s'),
+        ({'stamps': [0, 1, np.nan, 3, 4]}, 'stamps must be finite; stamp 2 is nan'),
+        ({'stamps': 1.7e18 + np.arange(5.0)}, 'floats are taken for s, give ns as integers'),
+        ({'stamps': np.arange(5, dtype=np.uint64) + 2**63}, 'beyond the 292 years'),
         ({'stamps': np.arange(4)}, r'of shape \(5,\)'),
         ({'bodies': {'rod': [0, 7]}}, 'rod has the marker 7; points have those from 0 to 2'),
         ({'plane': 'yz'}, 'points of two coordinates are in the plane xy'),
@@ -137,6 +142,42 @@ def test_what_does_not_fit_is_refused(words: dict[str, Any], told: str) -> None:
     given = {'points': np.zeros((5, 3, 2)), 'stamps': np.arange(5), **words}
     with pytest.raises(ValueError, match=told):
         track(**given)
+
+
+def test_stamps_in_seconds_are_stamps_in_ns() -> None:
+    stamps = 1_700_000_000_000_000_000 + np.arange(60) * 5_000_000
+    places = np.exp(2e-9j * (stamps - stamps[0]))[:, None] * np.array([0.1, 0.1j])
+    points = np.stack((places.real, places.imag), axis=-1)
+    for offset in (0, stamps[0]):
+        expected = track(points, stamps - offset)
+        found = track(points, (stamps - offset) * 1e-9)
+        # Floats of seconds since 1970 have steps of 240 ns; making them here rounds twice.
+        most = 0 if offset else 480
+        assert np.abs(found.stamp - expected.stamp).max() <= most
+        rate = expected['body'].angular_velocity
+        assert found['body'].angular_velocity == pytest.approx(rate, rel=1e-3)
+
+
+def test_a_name_that_is_missing_is_told_with_those_there_are(rig: Path) -> None:
+    markers = bodies_of('four_bar')
+    names = {'bodies': list(markers), **{f'{k}.markers': v for k, v in markers.items()}}
+    found = replay(rig, derivative_order=1, **names)
+    with pytest.raises(UnknownNameError) as missing:
+        found['crnk']
+    assert str(missing.value) == (
+        'crnk is not tracked; did you mean crank? known: crank, coupler, rocker'
+    )
+    with pytest.raises(KeyError, match='crank is not'):
+        kinpole_ros.Tracked(found.t, found.stamp, type(found.bodies)(), {})['crank']
+    with pytest.raises(KeyError, match='did you mean rocker wrt coupler'):
+        found.pairs['coupler', 'rocker']
+    with pytest.raises(
+        AttributeError, match=r'no angular_velocty; did you mean angular_velocity\?'
+    ):
+        _ = found['crank'].angular_velocty
+    assert found.bodies.get('crnk') is None
+    assert 'crnk' not in found.bodies
+    assert (pickle.loads(pickle.dumps(found)).stamp == found.stamp).all()
 
 
 def test_replay_warns_as_the_command_does(rig: Path) -> None:
