@@ -10,7 +10,6 @@ import os
 import signal
 import subprocess
 import sys
-import threading
 import time
 from array import array
 from collections.abc import Callable, Iterator
@@ -27,7 +26,7 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from geometry_msgs.msg import PointStamped
 from lifecycle_msgs.srv import ChangeState, GetState
 from nav_msgs.msg import Path
-from rcl_interfaces.srv import GetParameters, SetParameters
+from rcl_interfaces.srv import SetParameters
 from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.serialization import serialize_message
@@ -35,9 +34,7 @@ from rosgraph_msgs.msg import Clock
 from test_node import LIMIT, RELIABLE, Peer, complaints, node_words, process
 from visualization_msgs.msg import MarkerArray
 
-import kinpole_ros.ros.listen as listen_module
 import kinpole_ros.ros.node as node_module
-from kinpole_ros.bags import BagError
 from kinpole_ros.messages import MARKER_TYPES, TF, result_outputs, to_message
 from kinpole_ros.pipeline.parameters import Settings
 from kinpole_ros.ros.source import MAX_MESSAGE_BYTES
@@ -591,58 +588,6 @@ def test_messages_that_are_too_large_are_dropped_and_told(rig: Rig) -> None:
         rig.fault(
             publisher, lambda _: large, None, f'{told}: publish', 'messages that could not be read'
         )
-
-
-@pytest.mark.parametrize('given', [None, 7])
-def test_the_default_depth_bounds_memory_and_can_be_overridden(
-    tmp_path: FilePath, given: int | None
-) -> None:
-    topic = '/bounded'
-    depth = f'qos_overrides.{topic}.subscription.depth'
-    more = {} if given is None else {depth: given}
-    config = write_config(tmp_path / 'rod.yaml', SETTINGS, marker_identity='index', **more)
-    rig = Rig('bounded', topic)
-    try:
-        with (
-            process(*rig.words(config), log=tmp_path / 'stderr'),
-            rig.publisher(MARKER_TYPES['marker_array']),
-        ):
-            request = GetParameters.Request(names=[depth])
-            asked = rig.call('/bounded/get_parameters', GetParameters, request)
-        found = asked.values[0].integer_value
-        if given is None:
-            assert 0 < found * MAX_MESSAGE_BYTES <= 64 << 20
-        else:
-            assert found == given
-    finally:
-        rig.close()
-
-
-@pytest.mark.parametrize(
-    ('size', 'told'),
-    [(MAX_MESSAGE_BYTES, 'are not read: publish only markers'), (0, 'MiB came on /flooded; fix: ')],
-)
-def test_what_is_kept_of_a_flooded_topic_is_bounded(
-    monkeypatch: pytest.MonkeyPatch, size: int, told: str
-) -> None:
-    monkeypatch.setattr(listen_module, '_MAX_KEPT_BYTES', 1000)
-    sent = serialize_message(message(1, rod(1))) + bytes(size)
-    rig, done = Rig(), threading.Event()
-    made = rig.node.create_publisher(MARKER_TYPES['marker_array'], '/flooded', 10)
-
-    def flood() -> None:
-        while not done.wait(0.01):
-            made.publish(sent)
-
-    thread = threading.Thread(target=flood)
-    thread.start()
-    try:
-        with pytest.raises(BagError, match=told):
-            listen_module.listen('flooded', 1.0)
-    finally:
-        done.set()
-        thread.join(LIMIT)
-        rig.close()
 
 
 def test_a_simulated_clock_may_tell_any_time(tmp_path: FilePath) -> None:
