@@ -123,6 +123,112 @@ def test_the_pose_published_is_that_of_the_frame_that_came() -> None:
     assert found.height[-1, 0] == pytest.approx(0.4)
 
 
+def product(first: np.ndarray, second: np.ndarray) -> np.ndarray:
+    """Products of quaternions (..., 4), x, y, z, w."""
+    vector = first[..., 3:] * second[..., :3] + second[..., 3:] * first[..., :3]
+    vector += np.cross(first[..., :3], second[..., :3])
+    scalar = first[..., 3] * second[..., 3] - (first[..., :3] * second[..., :3]).sum(axis=-1)
+    return np.concatenate((vector, scalar[..., None]), axis=-1)
+
+
+def about(axis: np.ndarray, angle: np.ndarray) -> np.ndarray:
+    """Quaternions (T, 4) of rotations by `angle` (T,), rad, about `axis` (3,) or (T, 3)."""
+    turned = np.broadcast_to(axis, (len(angle), 3)) * np.sin(angle / 2)[:, None]
+    return np.concatenate((turned, np.cos(angle / 2)[:, None]), axis=-1)
+
+
+def rotation(kind: str, times: np.ndarray) -> np.ndarray:
+    """Orientations (T, 4) of a body that turns about z and is tilted out of the plane xy."""
+    heading = 0.5 * np.sin(2 * np.pi * times)
+    tilt = np.radians(25.5 + 3.5 * np.sin(2 * np.pi * 0.7 * times + 0.4))
+    direction = np.full(len(times), 0.6)
+    if kind == 'cone':
+        direction = 0.6 + 3 * times
+    elif kind == 'steady':
+        heading, tilt = 12 * times, np.full(len(times), np.radians(25))
+    elif kind == 'flat':
+        tilt = np.zeros(len(times))
+    axis = np.stack((np.cos(direction), np.sin(direction), 0 * times), axis=-1)
+    return product(about(axis, tilt), about(np.array((0.0, 0.0, 1.0)), heading))
+
+
+def rate_in_space(kind: str, times: np.ndarray) -> np.ndarray:
+    """The angular velocity (T,) along z, rad/s, by a central difference of the rotation."""
+    step = 1e-4
+    after, before = rotation(kind, times + step), rotation(kind, times - step)
+    return product(after, before * (-1, -1, -1, 1))[:, 2] / step
+
+
+def tilted(kind: str, of_angle: float, middle: complex = 0j) -> MarkerFrames:
+    """Poses with noise of the orientation, rad per axis, and independent of it of a point."""
+    rng = np.random.default_rng(5)
+    errors = of_angle * rng.normal(size=(COUNT, 3))
+    size = np.sqrt((errors**2).sum(axis=1)) + 1e-300
+    true = rotation(kind, TIMES)
+    turn = product(about(errors / size[:, None], size), true)
+    arm = np.tile((middle.real, middle.imag, 0.0, 0.0), (COUNT, 1))
+    arms = (product(product(q, arm), q * (-1, -1, -1, 1))[:, :3] for q in (true, turn))
+    place = np.stack((PLACE.real, PLACE.imag, np.full(COUNT, 0.4)), axis=-1)
+    place += next(arms) - next(arms) + 2e-4 * rng.normal(size=(COUNT, 3))
+    rows = np.concatenate((place, turn), axis=1)
+    stamps = START + np.arange(COUNT) * (10**9 // RATE)
+    both = zip(stamps.tolist(), rows, strict=True)
+    data = [poses_data('body_poses', stamp, 'world', [], row[None]) for stamp, row in both]
+    (frames,) = PoseReader('body_poses', ('0',)).read(data)
+    assert isinstance(frames, MarkerFrames)
+    return frames
+
+
+@pytest.mark.parametrize('kind', ['swing', 'cone', 'steady', 'flat'])
+@pytest.mark.parametrize(('of_angle', 'middle'), [(2e-3, 0j), (5e-3, 0j), (3e-3, 0.1 + 0.05j)])
+def test_rates_of_a_tilted_body_are_those_of_its_rotation_in_space_along_the_normal(
+    kind: str, of_angle: float, middle: complex
+) -> None:
+    _, found = follow(tilted(kind, of_angle, middle), 2, marker_type='body_poses')
+    row = np.rint((found.stamp - START) * 1e-9 * RATE).astype(int)
+    good = (found.missing[:, 0] == '') & (row > 2 * LEARNED)
+    assert good.sum() > 0.9 * (row > 2 * LEARNED).sum()
+    row, step = row[good], 1e-3
+    rate = rate_in_space(kind, TIMES[row])
+    ends = (rate_in_space(kind, TIMES[row] + side) for side in (step, -step))
+    acceleration = (next(ends) - next(ends)) / (2 * step)
+    for order, true in ((1, rate), (2, acceleration)):
+        value, variance = (each[good, 0] for each in found.rate(order)[:2])
+        assert np.mean(np.abs(value - true) < 2 * np.sqrt(variance)) > 0.88
+    # The velocity of the origin is that of its projection, whatever point is differentiated.
+    speed_error = np.abs(found.origin(1)[good, 0] - VELOCITY[row])
+    arm = np.abs(found.reference[good, 0]) ** 2
+    variance = found.position_covariance[1, 1, good, 0] + arm * found.rate(1).variance[good, 0]
+    assert np.mean(speed_error < 2 * np.sqrt(2 * variance)) > 0.88
+    assert np.abs(found.origin(0)[good, 0] - PLACE[row]).max() < 1e-3
+    # The angle is that of the pose: it does not run away from it.
+    _, _, z, w = rotation(kind, TIMES[row]).T
+    error = np.angle(np.exp(1j * (found.angle[0][good, 0] - 2 * np.arctan2(z, w))))
+    assert np.sqrt(np.mean(error**2)) < 0.3 * of_angle
+
+
+def test_poses_of_a_tilted_body_one_by_one_give_what_they_give_at_once() -> None:
+    frames = part_of(tilted('cone', 3e-3, 0.1 + 0.05j), slice(0, 500))
+    _, whole = follow(frames, 2, marker_type='body_poses')
+    single = Tracker(settings_from({'marker_type': 'body_poses', 'lag': 0.15}))
+    parts = [single.add(part_of(frames, slice(k, k + 1)), 2) for k in range(500)]
+    for name in ('angle', 'position'):
+        found = np.concatenate([getattr(e, name) for each in parts for e in each], axis=1)
+        np.testing.assert_array_equal(found, getattr(whole, name))
+
+
+def test_a_wrong_pose_of_a_tilted_body_leaves_nothing_in_the_rates_after_it() -> None:
+    frames = tilted('swing', 2e-3)
+    _, expected = follow(frames, marker_type='body_poses')
+    assert frames.axes is not None
+    frames.axes[500, 0] = frames.axes[500, 0, ::-1] * (1.0, -1.0, 1.0)
+    frames.points[500, 0, 0] += 0.5
+    _, found = follow(frames, marker_type='body_poses')
+    later = slice(700, None)
+    error = found.rate(1).value[later] - expected.rate(1).value[later]
+    assert np.abs(error).max() < 0.2 * np.sqrt(found.rate(1).variance[later]).min()
+
+
 @pytest.mark.parametrize(
     'mount',
     [

@@ -78,6 +78,9 @@ def pose_columns(bodies: int) -> list[tuple]:
         # The mean of the markers seen, in the frame of the body.
         ('middle', complex, (bodies,)),
         ('height', float, (bodies,)),
+        # Of poses that come as such: `Roster.tilts`, and `PosedBodies.extra_turn` of the frame.
+        ('tilt', complex, (bodies,)),
+        ('extra_turn', float, (bodies,)),
         ('off_pin', bool, (bodies,)),
         # How many of the newest frames, with this one, may be wrong of a body: not to be relied on
         # until the next.
@@ -105,6 +108,8 @@ def _known_type(bodies: int, width: int) -> np.dtype:
         ('since', np.int64, (bodies,)),
         ('reference', complex, (bodies,)),
         ('middle', complex, (bodies,)),
+        # The `extra_turn` of the newest frame that this was learned from.
+        ('extra_turn', float, (bodies,)),
         ('shape', complex, (bodies, width)),
     ]
     return np.dtype(columns, align=True)
@@ -281,6 +286,7 @@ class RigidBodies:
         """Fill rows (T,) of frames that nothing can be made of: the plane is not known."""
         rows['poses'] = rows['height'] = rows['middle'] = np.nan
         rows['information'], rows['off_pin'], rows['suspect'] = 0.0, False, 0
+        rows['tilt'], rows['extra_turn'] = np.nan, 0.0
         rows['beat'] = self._known_now()
 
     def settle(self) -> bool:
@@ -431,6 +437,7 @@ class RigidBodies:
             references = self._references
             known['reference'] = np.where(np.isfinite(pins.center), 0.0, references.point)
             known['middle'] = references.middle
+            known['extra_turn'] = 0.0
             known['shape'] = self._shapes.markers()
         return len(self._known) - 1
 

@@ -142,8 +142,7 @@ class Roster:
         """
         assert self.plane is not None
         place, height = self.plane.project(solid[:, :, 0])
-        arms = (solid[:, :, 1:] - solid[:, :, :1]) / _ARM
-        axes = np.stack((*arms.transpose(2, 0, 1, 3), np.cross(arms[:, :, 0], arms[:, :, 1])))
+        axes = _axes_of(solid)
         # Where the axes of the plane come to, of a body that they are fixed to. Summed by hand, as
         # a matrix product rounds otherwise where there are more frames.
         first, second = (
@@ -161,6 +160,33 @@ class Roster:
         turn = np.where(turned, turn, complex(np.nan, np.nan)) / np.where(turned, length, 1.0)
         points = place[..., None] + turn[..., None] * np.array(POSE_POINTS)
         return points, np.where(np.isnan(points.real), np.nan, height[..., None])
+
+    def tilts(self, solid: np.ndarray) -> np.ndarray:
+        """
+        Compute how far poses are tilted out of the plane, and in which direction.
+
+        Parameters
+        ----------
+        solid : array, shape (T, B, 3, 3)
+            Poses as `sort` returns them, m, for which `flat` was called before.
+
+        Returns
+        -------
+        array, shape (T, B), complex
+            The normal of the plane as seen from the frame of the body, in Lambert's equal-area
+            projection: the sine of half the tilt, in the direction in which the normal leans.
+        """
+        assert self.plane is not None
+        # Sums by hand, for the reason given in `_turned`.
+        x, y, z = self.plane.normal
+        axes = _axes_of(solid)
+        own = x * axes[..., 0] + y * axes[..., 1] + z * axes[..., 2]
+        first, second, third = (
+            x * own[0] + y * own[1] + z * own[2] for x, y, z in self.plane.basis
+        )
+        side = np.where(self._upside_down > 0, -1.0, 1.0)
+        with np.errstate(divide='ignore', invalid='ignore'):
+            return np.asarray((first + 1j * side * second) / np.sqrt(2 * (1 + side * third)))
 
     def all_points(self, frame: int) -> tuple[np.ndarray, np.ndarray]:
         """All points (m,) of a frame sorted last, complex, and their heights, m."""
@@ -286,6 +312,12 @@ class Roster:
         if len(markers) > self.width:
             self.width = len(markers)
             self._places.clear()
+
+
+def _axes_of(solid: np.ndarray) -> np.ndarray:
+    """The unit axes (3, T, B, 3) of the frames of poses (T, B, 3, 3), m."""
+    arms = (solid[:, :, 1:] - solid[:, :, :1]) / _ARM
+    return np.stack((*arms.transpose(2, 0, 1, 3), np.cross(arms[:, :, 0], arms[:, :, 1])))
 
 
 def _layout(

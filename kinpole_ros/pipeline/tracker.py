@@ -11,6 +11,7 @@ from collections import Counter
 from collections.abc import Iterable
 from functools import partial
 from threading import Lock
+from typing import Any
 
 import numpy as np
 
@@ -338,6 +339,8 @@ class Tracker:
         else:
             self._rigid.are_timed(self._timeline.counts_are_sure)
             every = self._timeline.view()[-len(rows) - RUNNING :]
+            if self._posed:
+                rows['tilt'] = self._roster.tilts(solid)
             self._rigid.take(every, points, heights, gaps, landmarks)
             seen = points[..., 0] if self._posed else points
             if not self._posed:
@@ -359,7 +362,10 @@ class Tracker:
             if self._roster.width > self._rigid.width:
                 self._widen()
             landmarks = None if self._points is None else np.empty(solid.shape[:-1], complex)
-            self._rigid.take(rows, *self._roster.flat(solid), gaps, landmarks)
+            points, heights = self._roster.flat(solid)
+            if self._posed:
+                rows['tilt'] = self._roster.tilts(solid)
+            self._rigid.take(rows, points, heights, gaps, landmarks)
             first, end = end, end + len(rows)
             if end <= 0:
                 continue
@@ -546,15 +552,21 @@ class Tracker:
         count = len(self.bodies)
         frames = self._timeline.view()
         poses, information, time = frames['poses'], frames['information'], frames['time']
-        angle, turns = poses[:, :count, 0], poses[:, :count, 1]
+        turns = poses[:, :count, 1]
         if suspect is None:
             suspect = np.zeros((len(known), count), int)
-        parts = []
-        for part in constant_segments(known['reference'], known['since'], known['scale']):
+        parts, references = [], []
+        learned = (known[name] for name in ('reference', 'since', 'scale', 'extra_turn'))
+        for part in constant_segments(*learned):
             row = known[part.start]
             signals, good = poses, information
+            extra = np.zeros_like(turns)
             if self._posed:
                 good = good * row['scale']
+                # Rates are those of the rotation in space, and so is the motion of `reference`.
+                extra = frames['extra_turn'] - row['extra_turn']
+                signals = poses.copy()
+                signals[:, :count, 0] += extra
             if np.count_nonzero(row['since']):
                 # A body that began anew is another one since then.
                 before = np.tile(time[:, None] < row['since'], 2)
@@ -562,14 +574,21 @@ class Tracker:
             if np.count_nonzero(row['reference']):
                 signals, good = seen_at(row['reference'], row['middle'], signals, good)
             position = signals[:, count:].view(complex)[..., 0]
+            angle = signals[:, :count, 0]
             seen = Poses(time, angle, turns, position, good[:, :count], good[:, count:])
-            instants = windows.part(part)
             how = known['noise'][part], self._timeline.window * 1e-9, order, self.settings.effort
-            found = derive_poses(seen, instants, suspect[part], *how)
+            arguments = windows.part(part), suspect[part], *how
+            reference = known['reference'][part]
+            if np.count_nonzero(extra):
+                found, ahead = _derive_tilted(poses[:, :count, 0], seen, *arguments)
+                reference = reference * np.exp(1j * np.nan_to_num(ahead))
+            else:
+                found = derive_poses(seen, *arguments)
             parts.append(found)
+            references.append(reference)
         if len(parts) > 1:
             found = Derivatives(*(np.concatenate(e, axis=-2) for e in zip(*parts, strict=True)))
-        return (*found[:-1], found.freedom - 1), known['reference']
+        return (*found[:-1], found.freedom - 1), np.concatenate(references)
 
     def _from_landmarks(
         self, windows: Windows, known: np.ndarray, order: int
@@ -582,6 +601,27 @@ class Tracker:
         found = derive_landmarks(frames['time'], self._points.view(), windows, *how)
         found.angle[0] = frames['poses'][windows[0], : len(self.bodies), 0]
         return *found[:-1], found.freedom - 1
+
+
+def _derive_tilted(
+    headings: np.ndarray, poses: Poses, windows: Windows, left_out: np.ndarray, *how: Any
+) -> tuple[Derivatives, np.ndarray]:
+    """
+    Differentiate poses of bodies that are tilted, whose angles are not their `headings` (N, B).
+
+    The other arguments are those of `derive_poses`. Returns the derivatives of the poses, with the
+    heading in place of the angle itself, and by how much (T, B), rad, the angle is ahead of it.
+    """
+    both = Poses(poses.time, *(np.concatenate((each, each), axis=1) for each in poses[1:]))
+    count = headings.shape[1]
+    both.angle[:, count:] = headings
+    noise, *rest = how
+    found = derive_poses(both, windows, np.tile(left_out, 2), np.tile(noise, 2), *rest)
+    heading = found.angle[0, :, count:]
+    found = Derivatives(*(each[..., :count] for each in found))
+    ahead = found.angle[0] - heading
+    found.angle[0] = heading
+    return found, ahead
 
 
 def _frame_poses(frames: np.ndarray, seen: np.ndarray, known: np.ndarray) -> FramePoses:
