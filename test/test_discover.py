@@ -2,6 +2,7 @@
 
 from itertools import combinations
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -10,13 +11,18 @@ from kinpole_ros.bags import BagError, BagWriter
 from kinpole_ros.linkage import (
     Linkage,
     UndiscoveredError,
+    _rigid,
     discover,
     draft,
     parameter_file,
     table,
 )
+from kinpole_ros.linkage._columns import medians, quantiles
+from kinpole_ros.linkage._discover import _candidates
+from kinpole_ros.linkage._model import GROUND_NUMBER
+from kinpole_ros.linkage._near import near_pairs
 from kinpole_ros.linkage._places import match_places
-from kinpole_ros.linkage._poses import fit_body
+from kinpole_ros.linkage._poses import fit_body, ground
 from kinpole_ros.linkage._record import gather
 from kinpole_ros.linkage._rigid import Groups
 from kinpole_ros.linkage._settle import settle
@@ -471,3 +477,88 @@ def test_a_draft_closes_where_a_joint_or_a_pin_only_seems_to_be_another(name, no
     drawn = draft(found)
     assert drawn is not None
     assert not drawn[1].problem
+
+
+# --- many bodies --------------------------------------------------------------------------------
+
+
+def grid_of_bodies(count: int, frames: int = 100) -> np.ndarray:
+    """Markers (T, 4 count, 3), four a body, of bodies that turn and move about their places."""
+    rng = np.random.default_rng(count)
+    time = np.arange(frames)[:, None] / 100
+    kite = np.array([0.13 + 0.02j, -0.03 + 0.1j, -0.12 - 0.05j, 0.05 - 0.11j])
+    rate, phase = rng.uniform(2, 5, (3, count)), rng.uniform(0, 6, (3, count))
+    swing = np.sin(rate[:, None] * time + phase[:, None])
+    center = 0.6 * (np.arange(count) % 10 + 1j * (np.arange(count) // 10))
+    place = center + 0.06 * (swing[0] + 1j * swing[1])
+    flat = (place[..., None] + np.exp(1j * swing[2])[..., None] * kite).reshape(frames, -1)
+    flat = flat + 1e-4 * (rng.normal(size=(2, *flat.shape)).T @ (1, 1j)).T
+    return np.stack((flat.real, flat.imag, np.zeros(flat.shape)), axis=-1)
+
+
+def test_forty_bodies_are_found() -> None:
+    names = tuple(f'b{k // 4}_m{k % 4}' for k in range(160))
+    stamps = 10**9 + np.arange(100) * 10_000_000
+    found = discover([MarkerFrames(stamps, 'map', names, grid_of_bodies(40))])
+    assert sorted(found.columns) == [[4 * k + m for m in range(4)] for k in range(40)]
+
+
+def test_distances_are_sorted_once_a_marker(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each pair of markers had a quantile of its own: 720,000 of 1,200 markers."""
+    calls = 0
+
+    def counted(*args: Any) -> Any:
+        nonlocal calls
+        calls += 1
+        return quantiles(*args)
+
+    monkeypatch.setattr(_rigid, 'quantiles', counted)
+    points = grid_of_bodies(10)
+    tracks = points[..., 0] + 1j * points[..., 1]
+    groups = _rigid.group(tracks, np.full(40, 1e-4))
+    assert sorted(groups.bodies) == [[4 * k + m for m in range(4)] for k in range(10)]
+    assert calls <= 41
+
+
+def test_quantiles_of_rows_are_those_of_numpy() -> None:
+    rng = np.random.default_rng(3)
+    rows = rng.normal(size=(50, 101))
+    rows[10:][rng.random((40, 101)) < 0.3] = np.nan
+    found, counts = quantiles(rows, (0.01, 0.9))
+    middle, _ = medians(rows)
+    for k, row in enumerate(rows):
+        values = row[np.isfinite(row)]
+        assert counts[k] == len(values)
+        assert found[:, k].tolist() == np.quantile(values, (0.01, 0.9)).tolist()
+        assert middle[k] == np.median(values)
+
+
+def test_points_are_compared_with_near_ones_only() -> None:
+    rng = np.random.default_rng(4)
+    compared = {}
+    for count in (200, 400):
+        points = rng.uniform(0, count, (count, 3))
+        others = points + 0.1 * rng.normal(size=points.shape)
+        others[::7] = np.nan
+        reach = np.linalg.norm(points - others, axis=1)
+        one, other = near_pairs(points, others, reach)
+        compared[count] = len(one)
+        nearer = np.linalg.norm(points[:, None] - others, axis=-1) <= reach[:, None]
+        assert set(zip(*np.nonzero(nearer), strict=True)) <= set(zip(one, other, strict=True))
+    assert compared[400] < 3 * compared[200]
+
+
+def test_joints_are_sought_between_near_bodies_only() -> None:
+    """Pairs of all bodies, each with a fit of its own, grew with the square."""
+    pairs = {}
+    for count in (20, 100, 200):
+        points = grid_of_bodies(count, 30)
+        tracks = points[..., 0] + 1j * points[..., 1]
+        bodies = {k: fit_body(tracks[:, 4 * k : 4 * k + 4]) for k in range(count)}
+        bodies[GROUND_NUMBER] = ground(30)
+        pairs[count] = _candidates(bodies)
+        # A body with the ground, and with the next one in its row.
+        assert all((k, GROUND_NUMBER) in pairs[count] for k in range(count))
+        assert all((k, k + 1) in pairs[count] for k in range(count - 1) if k % 10 < 9)
+    assert len(pairs[20]) == 210
+    assert len(pairs[200]) < 2.3 * len(pairs[100])

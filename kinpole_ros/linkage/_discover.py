@@ -5,6 +5,7 @@ from itertools import combinations
 
 import numpy as np
 
+from kinpole_ros.linkage._columns import medians
 from kinpole_ros.linkage._identify import Bodies, identify
 from kinpole_ros.linkage._joints import Joint, fit_pin, fit_slide
 from kinpole_ros.linkage._model import GROUND_NUMBER, Linkage
@@ -14,6 +15,7 @@ from kinpole_ros.linkage._plane import scale_of
 from kinpole_ros.linkage._poses import Pose, ground
 from kinpole_ros.linkage._record import Record, Stamps, gather
 from kinpole_ros.linkage._rolling import Rolling, fit_gear, fit_wheel
+from kinpole_ros.pipeline.estimate import MOST_PAIRED_BODIES
 from kinpole_ros.pipeline.frame import MarkerFrames
 
 # Times the noise a pin may leave over without doubt.
@@ -72,6 +74,11 @@ def _linkage_from(record: Record, stamps: Stamps, found: Bodies) -> Linkage:
         if freedom > 1:
             rolling.append(gear)
             freedom -= 1
+    if len(poses) > MOST_PAIRED_BODIES + 1:
+        notes.append(
+            f'joints of each of the {len(poses)} bodies are sought with the ground and the '
+            f'{MOST_PAIRED_BODIES} nearest bodies only'
+        )
     _note_loose(joints, rolling, names, notes)
     _note_exchanged(record, notes)
     _note_left_over(record, found, notes)
@@ -103,7 +110,7 @@ def _in_order(found: Bodies) -> Bodies:
     count = len(found.poses)
     bodies = {**dict(enumerate(found.poses)), GROUND_NUMBER: ground(len(found.tracks))}
     near: dict[int, set[int]] = {number: set() for number in bodies}
-    for pair in combinations(bodies, 2):
+    for pair in _candidates(bodies):
         if fit_pin(bodies[pair[0]], bodies[pair[1]], pair)[0] is not None:
             near[pair[0]].add(pair[1])
             near[pair[1]].add(pair[0])
@@ -123,6 +130,30 @@ def _in_order(found: Bodies) -> Bodies:
     return found._replace(groups=groups, poses=[found.poses[k] for k in order])
 
 
+def _candidates(bodies: dict[int, Pose]) -> list[tuple[int, int]]:
+    """
+    List the pairs of bodies that a joint may connect, by their numbers, in the order of `bodies`.
+
+    All pairs of a body with the ground and with its nearest bodies, by the median distance of their
+    markers' means: with all others the number of pairs would grow with the square.
+    """
+    pairs = list(combinations(bodies, 2))
+    moving = [number for number in bodies if number != GROUND_NUMBER]
+    if len(moving) <= MOST_PAIRED_BODIES + 1:
+        return pairs
+    places = np.array([bodies[number].position for number in moving])
+    near: set[tuple[int, int]] = set()
+    for number, place in zip(moving, places, strict=True):
+        distances, _ = medians(np.abs(places - place))
+        nearest = np.argsort(distances, kind='stable')[: MOST_PAIRED_BODIES + 1]
+        near.update((number, moving[k]) for k in nearest.tolist())
+    return [
+        (one, other)
+        for one, other in pairs
+        if GROUND_NUMBER in (one, other) or (one, other) in near or (other, one) in near
+    ]
+
+
 def _scaled(pose: Pose, scale: float) -> Pose:
     if scale == 1:
         return pose
@@ -136,7 +167,7 @@ def _scaled(pose: Pose, scale: float) -> Pose:
 
 def _pins(bodies: dict[int, Pose], names: list[str], notes: list[str]) -> list[Joint]:
     pins = []
-    for one, other in combinations(range(len(names)), 2):
+    for one, other in _candidates({k: bodies[k] for k in range(len(names))}):
         joint, turns = fit_pin(bodies[one], bodies[other], (one, other))
         if joint is not None:
             pins.append(joint)
@@ -165,7 +196,7 @@ def _independent(pins: Sequence[Joint]) -> int:
 def _slides(bodies: dict[int, Pose], pinned: set[frozenset[int]]) -> list[Joint]:
     """Slides of all pairs that no pin joins, those that fit best first, one for each pair."""
     found = []
-    for pair in combinations(bodies, 2):
+    for pair in _candidates(bodies):
         if frozenset(pair) in pinned:
             continue
         tried = [

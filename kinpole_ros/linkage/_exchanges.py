@@ -11,6 +11,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from kinpole_ros.linkage._near import near_pairs
 from kinpole_ros.rigid.levels import SURE
 
 # Two names are exchanged where their points are so many times nearer to where the other one leads.
@@ -55,14 +56,16 @@ def _first_exchange(
     """How many frames after `begin` names are exchanged first, and the two columns."""
     ahead = _ahead(points, steps)[begin:]
     whole, points = points, points[begin:]
-    # Frame by frame: all distances of a thousand markers at once are gigabytes.
     for frame, (now, leads) in enumerate(zip(points, ahead, strict=True)):
-        # (n, n): how far each point is from where each marker leads.
-        off = np.linalg.norm(now[:, None] - leads, axis=-1)
-        nearer = _NEARER * off < np.diagonal(off)[:, None]
-        # One of two that is not seen then may have gone anywhere.
-        both = nearer & (nearer.T | np.isnan(now[:, 0]))
-        for one, other in np.argwhere(both).tolist():
+        # How far each point is from where its own marker leads, and which others lead nearer.
+        own = np.linalg.norm(now - leads, axis=-1)
+        ones, others = near_pairs(now, leads, own / _NEARER)
+        nearer = _NEARER * np.linalg.norm(now[ones] - leads[others], axis=-1) < own[ones]
+        pairs = set(zip(ones[nearer].tolist(), others[nearer].tolist(), strict=True))
+        for one, other in sorted(pairs):
+            # One of two that is not seen then may have gone anywhere.
+            if (other, one) not in pairs and not np.isnan(now[other, 0]):
+                continue
             two = [min(one, other), max(one, other)]
             if _keeps_distances_better(whole[: begin + frame], now, two):
                 return frame, two[0], two[1]

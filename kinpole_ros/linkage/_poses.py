@@ -4,14 +4,16 @@ from typing import NamedTuple
 
 import numpy as np
 
+from kinpole_ros.linkage._columns import medians, quantiles
 from kinpole_ros.planar import fit_pose
 from kinpole_ros.planar._plane import Complex, Real
 
 # Residuals beyond so many deviations are of another marker.
 _OUTLIER = 6.0
 _ROUNDS = 3
-# As many are enough to see whether a marker is on a body.
+# As many are enough to see whether a marker is on a body, and fewer say nothing.
 _FRAMES = 3000
+_FEWEST = 30
 
 
 class Pose(NamedTuple):
@@ -133,12 +135,19 @@ def off_body(pose: Pose, track: Complex, noise: float) -> tuple[float, complex]:
 
     A median, so that other points do not count.
     """
-    every = slice(None, None, max(1, len(track) // _FRAMES))
-    local = (track[every] - pose.position[every]) * np.exp(-1j * pose.angle[every])
-    local = local[np.isfinite(local.real)]
-    if len(local) < 30:
-        return np.inf, complex(np.nan)
-    place = complex(np.median(local.real), np.median(local.imag))
-    off = float(np.quantile(np.abs(local - place), 0.9)) / 2.146
-    variance = noise**2 + pose.position_variance + abs(place) ** 2 * pose.angle_variance / 2
-    return off / float(np.sqrt(max(variance, 1e-300))), place
+    off, place = off_body_all(pose, track[:, None], noise)
+    return float(off[0]), complex(place[0])
+
+
+def off_body_all(pose: Pose, tracks: Complex, noise: float) -> tuple[Real, Complex]:
+    """Compute the same of tracks (T, n), for each (n,); infinitely far for one hardly seen."""
+    every = slice(None, None, max(1, len(tracks) // _FRAMES))
+    turn = np.exp(-1j * pose.angle[every])
+    local = np.ascontiguousarray((tracks[every] - pose.position[every, None]).T) * turn
+    (real, counts), (imag, _) = medians(local.real), medians(local.imag)
+    place = real + 1j * imag
+    (far,), _ = quantiles(np.abs(local - place[:, None]), (0.9,))
+    variance = noise**2 + pose.position_variance + np.abs(place) ** 2 * pose.angle_variance / 2
+    off = far / 2.146 / np.sqrt(np.maximum(variance, 1e-300))
+    few = counts < _FEWEST
+    return np.where(few, np.inf, off), np.where(few, complex(np.nan), place)

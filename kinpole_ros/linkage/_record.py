@@ -10,6 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from kinpole_ros.linkage._exchanges import correct_exchanges
+from kinpole_ros.linkage._near import near_pairs
 from kinpole_ros.pipeline.frame import MarkerFrames
 
 # Names are counted anew in every frame by some drivers: more names than this many times the markers
@@ -144,12 +145,15 @@ def _names_hold(record: Record) -> bool:
     ahead = 2 * points[starts + 1] - points[starts]  # (S, n, 3)
     own = points[starts + 2]
     seen = np.isfinite(ahead[..., 0]) & np.isfinite(own[..., 0])
-    nearest = np.zeros(seen.shape, np.int64)
-    # Frame by frame: all distances of a thousand markers at once are gigabytes.
+    is_own = np.ones(seen.shape, bool)
     for k, (leads, found) in enumerate(zip(ahead, own, strict=True)):
-        off = np.linalg.norm(leads[:, None] - found, axis=-1)
-        nearest[k] = np.where(np.isfinite(off), off, np.inf).argmin(axis=-1)
-    held = (nearest == np.arange(points.shape[1]))[seen]
+        off = np.linalg.norm(leads - found, axis=-1)
+        one, other = near_pairs(leads, found, off)
+        to_other = np.linalg.norm(leads[one] - found[other], axis=-1)
+        # The first of two that are as near.
+        nearer = (to_other < off[one]) | ((to_other == off[one]) & (other < one))
+        is_own[k, one[nearer]] = False
+    held = is_own[seen]
     return bool(len(held) == 0 or held.mean() >= _HELD)
 
 

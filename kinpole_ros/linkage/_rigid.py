@@ -5,6 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from kinpole_ros.linkage._columns import quantiles
 from kinpole_ros.planar._plane import Complex, Real
 
 # Frames of a pair of tracks that distances are looked at in, and fewer than which say nothing.
@@ -48,11 +49,12 @@ def group(tracks: Complex, noise: Real) -> Groups:
     floor = 1e-9 * float(extent)
     known = np.maximum(np.nan_to_num(known), floor)
     ratio = np.full((count, count), np.inf)
-    for one, other in combinations(range(count), 2):
-        distances = np.abs(some[:, one] - some[:, other])
-        spread = _spread(distances)
-        ratio[one, other] = ratio[other, one] = spread / np.hypot(known[one], known[other])
-    still = np.array([_still(some[:, k]) / known[k] for k in range(count)])
+    rows = np.ascontiguousarray(some.T)
+    for one in range(count - 1):
+        spread = _spreads(np.abs(rows[one] - rows[one + 1 :]))
+        row = spread / np.hypot(known[one], known[one + 1 :])
+        ratio[one, one + 1 :] = ratio[one + 1 :, one] = row
+    still = np.maximum(_spreads(rows.real), _spreads(rows.imag)) / known
     limit = _limit(ratio)
     rigid = ratio < limit
     fixed = (still < min(limit, 2 * _RIGID)).nonzero()[0].tolist()
@@ -66,17 +68,10 @@ def group(tracks: Complex, noise: Real) -> Groups:
     return Groups(bodies, fixed, single, ratio, limit)
 
 
-def _spread(values: Real) -> float:
-    """Standard deviation (of values (T,), NaN for none) as of the range without its tails."""
-    values = values[np.isfinite(values)]
-    if len(values) < _FEWEST:
-        return float('inf')
-    low, high = np.quantile(values, (_TAIL, 1 - _TAIL))
-    return float(high - low) / _TAIL_WIDTH
-
-
-def _still(track: Complex) -> float:
-    return max(_spread(track.real), _spread(track.imag))
+def _spreads(rows: Real) -> Real:
+    """Standard deviations of rows (n, T), NaN for none, as of their ranges without their tails."""
+    (low, high), counts = quantiles(rows, (_TAIL, 1 - _TAIL))
+    return np.where(counts < _FEWEST, np.inf, (high - low) / _TAIL_WIDTH)
 
 
 def _limit(ratio: Real) -> float:
@@ -86,7 +81,7 @@ def _limit(ratio: Real) -> float:
     Gaps are those between the ratios at which clusters of markers merge (complete linkage): a
     marker near a pin keeps its distance to some of the next body, but not to all.
     """
-    merged = _linkage(ratio)
+    merged = np.concatenate([_linkage(ratio[np.ix_(k, k)]) for k in _separate(ratio < _LOOSE)])
     inside = np.sort(merged[(merged > _RIGID) & (merged < _LOOSE)])
     if not len(inside):
         return 2 * _RIGID
@@ -94,6 +89,21 @@ def _limit(ratio: Real) -> float:
     steps = np.log(np.concatenate(([least], inside, [_LOOSE])))
     k = int(np.diff(steps).argmax())
     return max(_RIGID, float(np.exp((steps[k] + steps[k + 1]) / 2)))
+
+
+def _separate(edges: np.ndarray) -> list[list[int]]:
+    """Sets of numbers that no edge (n, n) joins to another set: clusters are in one of them."""
+    rest = set(range(len(edges)))
+    found: list[list[int]] = []
+    while rest:
+        reached = [min(rest)]
+        rest.remove(reached[0])
+        for k in reached:
+            more = [m for m in edges[k].nonzero()[0].tolist() if m in rest]
+            reached += more
+            rest.difference_update(more)
+        found.append(sorted(reached))
+    return found
 
 
 def _linkage(ratio: Real) -> Real:

@@ -7,7 +7,7 @@ tells more.
 
 import numpy as np
 
-from kinpole_ros.linkage._poses import Pose, fit_body, off_body
+from kinpole_ros.linkage._poses import Pose, fit_body, off_body, off_body_all
 from kinpole_ros.linkage._rigid import Groups
 from kinpole_ros.planar._plane import Complex
 
@@ -25,7 +25,7 @@ def settle(tracks: Complex, groups: Groups) -> tuple[Groups, list[Pose]]:
     bodies = [list(body) for body in groups.bodies]
     for body, pose in zip(bodies, poses, strict=True):
         if len(body) > 2:
-            off = np.array([off_body(pose, tracks[:, k], usual)[0] for k in range(count)])
+            off, _ = off_body_all(pose, tracks, usual)
             limit = _ON * max(1.0, float(np.median(off[body])))
             body += [k for k in np.flatnonzero(off < limit).tolist() if k not in body]
     for k in range(count):
