@@ -406,6 +406,8 @@ def test_command_refuses_in_one_line(tmp_path, capsys):
         *('four_bar', 'slider_crank', 'cardan'),
         # The markers of two links, or of two turns of one, look about the same.
         *('trebuchet', 'exercise_machine', 'exercise_seat'),
+        # Two links, or nearly two, have the same shape: their pins tell them apart.
+        *('antiparallelogram', 'eight_bar'),
     ],
 )
 def test_rig_and_draft_of_markers_without_names_are_fitted_and_replayed_unedited(

@@ -375,6 +375,18 @@ def test_two_bodies_alike_are_not_guessed() -> None:
     assert matched(points, np.array([KITE, KITE])).uncertain.all()
 
 
+def test_pins_on_the_ground_tell_bodies_of_one_shape_apart() -> None:
+    points = np.concatenate((KITE, 1 + KITE * 1j))
+    nowhere = np.full(2, complex(np.nan, np.nan))
+    pins = np.array([[0.2, 1 + 0.2j], [nowhere[0], nowhere[0]]])
+    expected = Expected(nowhere, nowhere, np.full((2, 4), -1), np.zeros(2, bool), pins=pins)
+    found = match(points, np.array([KITE, KITE]), np.full(2, 1e-3), expected)
+    assert found.place.tolist() == [[4, 5, 6, 7], [0, 1, 2, 3]]
+    # A pin that no way keeps, as of cameras that were moved, tells nothing.
+    moved = expected._replace(pins=pins + 3)
+    assert match(points, np.array([KITE, KITE]), np.full(2, 1e-3), moved).uncertain.all()
+
+
 def test_a_mirrored_body_is_not_found() -> None:
     assert (matched(KITE.conj(), KITE[None]).place == -1).all()
 
@@ -386,6 +398,8 @@ def test_a_mirrored_body_is_not_found() -> None:
         ({'body.shape': [0, 0, 1, 0]}, 'parameter body.markers is missing'),
         ({'body.shape': [0, 0, 1, 0], 'body.markers': ['a', 'b', 'c']}, 'x and y of 2 markers'),
         ({'bodies': ['a'], 'b.shape': [0, 0, 1, 0]}, 'b is not among the bodies a'),
+        ({'body.pin': [0, 0, 1, 0]}, 'frame of body.shape, which is missing'),
+        ({'body.shape': [0, 0, 1, 0], 'body.pin': [0, 0, 1]}, 'body.pin is .* four numbers'),
     ],
 )
 def test_shapes_are_checked_with_the_other_parameters(values: dict[str, Any], said: str) -> None:

@@ -63,7 +63,7 @@ def test_nothing_given_is_one_body_of_all_markers_and_the_defaults() -> None:
 
 
 def test_every_setting_is_a_parameter_and_every_parameter_says_what_it_means() -> None:
-    assert {field.name for field in fields(Settings)} - {'shapes'} == set(PARAMETERS)
+    assert {field.name for field in fields(Settings)} - {'shapes', 'pins'} == set(PARAMETERS)
     for row in (*PARAMETERS.values(), MARKERS, SHAPE, AUTOSTART):
         assert row.description.endswith('.')
         assert row.allowed

@@ -2,7 +2,8 @@
 
 import re
 
-from kinpole_ros.linkage._model import Linkage
+from kinpole_ros.linkage._model import GROUND_NUMBER, Linkage
+from kinpole_ros.rigid.plane import plane_of
 
 _PLAIN = re.compile(r'[A-Za-z_][A-Za-z0-9_]*')
 # What YAML takes for something else than text.
@@ -26,6 +27,7 @@ def parameter_file(linkage: Linkage, topic: str = '/markers', about: str = '') -
     if not linkage.ordered:
         lines.append('    marker_identity: shape  # the points have no names that hold')
     lines.append(f'    bodies: [{", ".join(linkage.names)}]')
+    pins = _pins(linkage)
     for name, markers, pose in zip(linkage.names, linkage.markers, linkage.poses, strict=True):
         lines.append(f'    {name}:')
         if linkage.ordered:
@@ -33,7 +35,23 @@ def parameter_file(linkage: Linkage, topic: str = '/markers', about: str = '') -
         else:
             places = ', '.join(f'{z.real:.6f}, {z.imag:.6f}' for z in pose.shape)
             lines.append(f'      shape: [{places}]  # x, y of each marker, m')
+            if name in pins:
+                places = ', '.join(f'{z.real:.6f}, {z.imag:.6f}' for z in pins[name])
+                lines.append(f'      pin: [{places}]  # x, y there and in the plane, m')
     return '\n'.join(lines) + '\n'
+
+
+def _pins(linkage: Linkage) -> dict[str, tuple[complex, complex]]:
+    """Where bodies are pinned to the ground: on the body, and in the axes that the node uses."""
+    plane = plane_of(linkage.plane.name or tuple(linkage.plane.normal.round(6).tolist()))
+    assert plane is not None
+    pins = {}
+    for joint in linkage.joints:
+        if joint.kind == 'pin' and joint.other == GROUND_NUMBER:
+            at = joint.on_other.real, joint.on_other.imag
+            ground = complex(plane.project(at @ linkage.plane.axes)[0])
+            pins[linkage.names[joint.one]] = joint.on_one, ground
+    return pins
 
 
 def _text(name: str) -> str:

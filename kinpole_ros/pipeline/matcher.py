@@ -60,6 +60,8 @@ class Matcher:
         for b, name in enumerate(self._names):
             shape = settings.shapes.get(name, ())
             self.given[b, : len(shape)] = shape
+        pins = [settings.pins.get(name, (np.nan, np.nan)) for name in self._names]
+        self._pins = np.array(pins, complex) if settings.pins else None
         self.has_shape = ~np.isnan(self.given).all(axis=1)
         if self.has_shape.any():
             shapes.give(self.given)
@@ -354,7 +356,7 @@ class Matcher:
         # Whichever way is right, most of the best ones err by no more than the noise.
         few = len(self._variances) < FEW
         variance = np.inf if few else float(np.median(self._variances))
-        expected = Expected(position, turn, named, held, variance)
+        expected = Expected(position, turn, named, held, variance, self._pins)
         found = match(points, shapes, self._shapes.limit, expected)
         self._variances.extend(found.variance[np.isfinite(found.variance)].tolist())
         return found

@@ -55,6 +55,9 @@ class Settings:
     frame_prefix: str = ''
     # Of the bodies that have one given: places of their markers, complex, m.
     shapes: Mapping[str, tuple[complex, ...]] = field(default_factory=dict)
+    # Of the bodies that have one given: the pin on the ground, in the frame of the shape and in the
+    # plane, complex, m.
+    pins: Mapping[str, tuple[complex, ...]] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -176,6 +179,13 @@ def _shape(value: Any) -> tuple[complex, ...]:
     if shape and len(set(shape)) < max(2, len(shape)):
         raise ValueError
     return shape
+
+
+def _pin(value: Any) -> tuple[complex, ...]:
+    if isinstance(value, str) or len(value) not in (0, 4):
+        raise ValueError
+    numbers = [_number(-1e6, 1e6)(number) for number in value]
+    return tuple(map(complex, numbers[::2], numbers[1::2]))
 
 
 def _choices(default: str, description: str, *names: str, fixed: bool = False) -> Parameter:
@@ -339,6 +349,13 @@ SHAPE = Parameter(
     'a flat list of x, y of two or more markers at different places, m, such as '
     '[0.0, 0.0, 0.1, 0.0, 0.05, 0.08]',
 )
+PIN = Parameter(
+    [],
+    'Where a pin joins this body to the ground: its x and y in the frame of <body>.shape, then in '
+    'the plane. It tells bodies of the same shape apart. Empty: not known.',
+    _pin,
+    'a flat list of four numbers, m, such as [0.0, 0.0, 0.3, 0.1]',
+)
 AUTOSTART = Parameter(
     True,
     'Whether the node configures and activates itself.',
@@ -369,6 +386,13 @@ def settings_from(values: Mapping[str, Any]) -> Settings:
     checked['bodies'] = bodies
     shapes = {name: checked.pop(f'{name}.shape') for name in names}
     checked['shapes'] = shapes = {name: shape for name, shape in shapes.items() if shape}
+    pins = {name: checked.pop(f'{name}.pin') for name in names}
+    checked['pins'] = pins = {name: pin for name, pin in pins.items() if pin}
+    if without := next((name for name in pins if name not in shapes), None):
+        raise ParameterError(
+            f'parameter {without}.pin is in the frame of {without}.shape, which is missing: give '
+            'both, as kinpole discover finds them'
+        )
     checked['joints'] = {name: checked.pop(f'{name}.bodies') for name in joints}
     for name, pair in checked['joints'].items():
         if unknown := set(pair) - {*names, GROUND}:
@@ -488,7 +512,7 @@ def known_rows(values: Mapping[str, Any]) -> dict[str, Parameter]:
         if name not in known and name not in _NODE_ONLY and not name.startswith('qos_overrides.'):
             hint = ''
             body, _, last = name.rpartition('.')
-            if last in ('markers', 'shape'):
+            if last in ('markers', 'shape', 'pin'):
                 hint = f'; {cut(body)} is not among the bodies {", ".join(names)}'
             elif last == 'bodies':
                 hint = f'; {cut(body)} is not among the joints {", ".join(joints) or "(none)"}'
@@ -500,12 +524,12 @@ def known_rows(values: Mapping[str, Any]) -> dict[str, Parameter]:
 
 def is_of_bodies(name: str) -> bool:
     """Whether a parameter says which bodies and joints there are, or of which markers."""
-    return name in ('bodies', 'joints') or name.endswith(('.markers', '.shape', '.bodies'))
+    return name in ('bodies', 'joints') or name.endswith(('.markers', '.shape', '.pin', '.bodies'))
 
 
 def own_parameters(bodies: Iterable[str], joints: Iterable[str]) -> dict[str, Parameter]:
     """The rows of the parameters that each body and each joint has."""
-    rows = {'markers': MARKERS, 'shape': SHAPE}
+    rows = {'markers': MARKERS, 'shape': SHAPE, 'pin': PIN}
     own = {f'{body}.{name}': row for body in bodies for name, row in rows.items()}
     return own | {f'{joint}.bodies': JOINT_BODIES for joint in joints}
 

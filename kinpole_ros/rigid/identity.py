@@ -50,6 +50,8 @@ class Expected(NamedTuple):
     `position` and `turn` (B,) are where bodies are to be expected, NaN where nothing tells. `named`
     (B, n) are the points by name, -1 for none, and `held` (B,) the bodies that fit by name.
     `variance` is that of the noise of one coordinate of a marker, m^2, infinite while not known.
+    `pins` (B, 2) are where bodies are pinned to the ground, in their frames and in the plane,
+    complex, m, NaN for a body without; None where there are none.
     """
 
     position: Complex
@@ -57,6 +59,7 @@ class Expected(NamedTuple):
     named: np.ndarray
     held: np.ndarray
     variance: float = np.inf
+    pins: Complex | None = None
 
 
 class Ways(NamedTuple):
@@ -105,12 +108,21 @@ def match(points: Complex, shapes: Complex, limit: Real, expected: Expected) -> 
         free = np.flatnonzero(~np.isnan(points))
         free = free[~np.isin(free, place)]
         ways = {b: find_ways(points, free, shapes[b], float(limit[b])) for b in lost.tolist()}
-        ways = {b: _likely(b, some, shape[b], known[b], expected) for b, some in ways.items()}
+        pinned = {b: _keep_pin(some, b, limit[b], expected) for b, some in ways.items()}
+        ways = {
+            b: _likely(b, pinned[b] or some, shape[b], known[b], expected)
+            for b, some in ways.items()
+        }
         for b, some in ways.items():
             # Two points of many are always as far apart as two markers.
             variance[b] = some.variance[some.count > 2].min(initial=np.inf)
         variance[np.isinf(variance)] = np.nan
-        _settle(ways, place, position, turn, uncertain)
+        # Bodies that are at their pins come first.
+        for first in (True, False):
+            part = {b: some for b, some in ways.items() if (pinned[b] is not None) == first}
+            taken = place[place >= 0]
+            part = {b: some.at(~np.isin(some.place, taken).any(axis=1)) for b, some in part.items()}
+            _settle(part, place, position, turn, uncertain)
         if not uncertain.all():
             place = _gathered(points, shape, known, limit, position, turn, place)
     return Match(place, position, turn, uncertain, variance)
@@ -287,6 +299,15 @@ def _nearest(
             least[same & farther, n] = np.inf
             least[same & ~farther, before] = np.inf
     return np.where(least <= most, place, -1)
+
+
+def _keep_pin(ways: Ways, b: int, limit: float, expected: Expected) -> Ways | None:
+    """Those of the ways that keep the pin of body `b` where it is on the ground; None for none."""
+    if expected.pins is None:
+        return None
+    own, ground = expected.pins[b]
+    near = np.abs(ways.position + ways.turn * own - ground) <= _BY_TWO * limit
+    return ways.at(near) if near.any() else None
 
 
 def _likely(b: int, ways: Ways, shape: Complex, known: np.ndarray, expected: Expected) -> Ways:
