@@ -311,7 +311,7 @@ def test_labeled_images_are_frames_by_their_number_and_have_no_likelihood(tmp_pa
 
 def test_frames_without_a_line_leave_a_gap(tmp_path):
     lines = deeplabcut().splitlines()
-    _, stamps, _ = bring(tmp_path, '\n'.join(lines[:4] + lines[5:]), **PIXELS)
+    _, stamps, _ = bring(tmp_path, '\n'.join([*lines[:4], *lines[5:], '']), **PIXELS)
     np.testing.assert_allclose(stamps, [0.0, 0.02, 0.03], atol=1e-9)
     lines = kinovea(False).splitlines()
     _, stamps, _ = bring(tmp_path, '\n'.join(lines[:3] + lines[4:]), rate=50.0, scale=1.0)
@@ -515,14 +515,62 @@ print(int(Path('/proc/self/status').read_text().partition('VmHWM:')[2].split()[0
 """
 
 
-def test_millions_of_empty_cells_take_little_memory(tmp_path):
-    file = tmp_path / 'empty.csv'
-    file.write_bytes(b',\n' * 3_000_000)
+def peak_memory(file: Path) -> tuple[int, str]:
+    """Megabytes that it takes to read a file, and the complaint."""
     done = subprocess.run(
         [sys.executable, '-c', PEAK, str(file)], capture_output=True, text=True, check=True
     )
-    assert 'of no format known here' in done.stderr
-    assert int(done.stdout) < 350  # MB; 545 when each row had a list of its own
+    return int(done.stdout), done.stderr
+
+
+@pytest.mark.parametrize(
+    ('content', 'complaint', 'megabytes'),
+    [
+        (b',\n' * 3_000_000, 'of no format known here', 150),  # was 184
+        (b't,a_x,a_y\n' + b'1,2,3\n' * 1_000_000, '', 180),  # was 270
+        (b't,a_x,a_y\n' + b'1_0,2,3\n' * 1_000_000, "'1_0' is not a number", 150),
+        ('\U0001f600'.encode() * 15_000_000, 'a row has more than', 250),  # was 400
+        (b't,a_x,a_y\n' + b',"\n"' * 5_000_000, '10001 columns', 150),  # was one endless row
+    ],
+    ids=['empty cells', 'a table', 'no numbers', 'one line', 'one row of many lines'],
+)
+def test_a_text_file_takes_memory_by_its_numbers(tmp_path, content, complaint, megabytes):
+    file = tmp_path / 'points.csv'
+    file.write_bytes(content)
+    peak, error = peak_memory(file)
+    assert complaint in error
+    assert bool(error) == bool(complaint)
+    assert peak < megabytes
+
+
+@pytest.mark.parametrize('end', ['', '_0', 'x'])
+def test_numbers_are_those_of_float_in_every_block_of_rows(tmp_path, monkeypatch, end):
+    monkeypatch.setattr('kinpole_ros.bags.formats._file._BLOCK_CELLS', 64)
+    draw = np.random.default_rng(5)
+    texts = [repr(x) for x in draw.normal(size=400) * 10.0 ** draw.integers(-300, 300, 400)]
+    texts[::7] = ['', ' ', 'NaN', '+.5', '5.', '-1E-3', ' 7 '] * 9
+    rows = [f'{k},{text},{k}' for k, text in enumerate(texts)]
+    (tmp_path / 'points.csv').write_text('\n'.join(['t,a_x,a_y', *rows, f'900,1{end},2\n']))
+    if end:
+        with pytest.raises(BagError, match=f"line 402, column a_x: '1{end}' is not a number"):
+            read_points(tmp_path / 'points.csv')
+        return
+    _, read = read_points(tmp_path / 'points.csv')
+    expected = [float(text.strip() or 'nan') for text in [*texts, '1']]
+    assert read.points[:, 0, 0].tobytes() == np.array(expected).tobytes()
+
+
+@pytest.mark.parametrize('ends', [b'\r', b'\n', b'\r\n'])
+def test_lines_may_end_as_on_any_computer(tmp_path, ends):
+    rows = b''.join(b'%d,1,2%b' % (k, ends) for k in range(6000))
+    done, stamps, _ = bring(tmp_path, b't,a_x,a_y' + ends + rows)
+    assert (done.frames, stamps[-1]) == (6000, 5999.0)
+
+
+def test_tracks_of_sleap_that_would_need_a_frame_each_are_refused(tmp_path):
+    rows = ''.join(f't{k},{k},1,2\n' for k in range(9000))
+    with pytest.raises(BagError, match='cells; fix: cut it into parts'):
+        bring(tmp_path, 'track,frame_idx,tip.x,tip.y\n' + rows, **PIXELS)
 
 
 def test_more_cells_than_are_held_are_refused_while_reading(tmp_path, monkeypatch):

@@ -72,7 +72,8 @@ def import_points(
     assert used is not None
     turned = read.y_down if y_down is None else y_down
     with np.errstate(over='ignore'):
-        points = read.points * [used, -used if turned else used, used]
+        # In place, as they can be most of what is in memory.
+        points = np.multiply(read.points, [used, -used if turned else used, used], out=read.points)
     if np.isinf(points).any():
         raise BagError(f'scale is {scale}; fix: give the length of the unit of {path} in m')
     stamps, moved = _stamps(path, read, rate)
@@ -139,7 +140,7 @@ def _write(
 ) -> None:
     step = math.ceil(len(stamps) / 200)
     with in_place_of(output) as part, BagWriter(part, name=output) as bag:
-        for count, (stamp, row) in enumerate(zip(stamps.tolist(), points, strict=True), start=1):
+        for count, (stamp, row) in enumerate(zip(map(int, stamps), points, strict=True), start=1):
             bag.write(topic, to_message('marker_array', stamp, frame_id, names, row), stamp)
             if progress is not None and (count % step == 0 or count == len(stamps)):
                 progress(count / len(stamps))

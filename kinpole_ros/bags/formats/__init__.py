@@ -52,10 +52,12 @@ def read_points(
     if name != 'auto' and name not in FORMATS:
         raise BagError(f"format '{shown(name)}' is unknown; fix: auto, {', '.join(FORMATS)}")
     file = File(Path(path))
-    if not file.data.strip():
+    if not file.data or file.data.isspace():
         raise BagError(f'{path} is empty; fix: give a line of names and a line for each frame')
     for found in FORMATS.values() if name == 'auto' else [FORMATS[name]]:
         if found.recognizes(file):
+            if file.is_text:
+                file.sheet.judge_last_row(found.is_always_ended)
             points = found.read(file, wanted or Wanted())
             if not len(points.frames):
                 raise BagError(f'{path} has no frames; fix: give a line for each frame')
@@ -69,7 +71,7 @@ def _unknown(file: File, name: str) -> BagError:
     if file.data[:2] in (b'\xff\xfe', b'\xfe\xff'):
         return not_utf8(file.path, 1)
     if file.is_text:
-        lines = [' '.join(row) for row in file.sheet.rows[:2]]
+        lines = [' '.join(file.sheet.head(row)) for row in range(min(2, len(file.sheet)))]
         seen = f'begins with {" / ".join(repr(shown(line)) for line in lines)}'
     else:
         seen = f'is binary and begins with {file.data[:8].hex(" ")}'

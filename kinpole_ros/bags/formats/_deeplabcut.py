@@ -10,8 +10,10 @@ import io
 import pickle
 import pickletools
 import re
-from collections.abc import Sequence
-from typing import Any, NoReturn
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from itertools import islice, product
+from typing import Any, NamedTuple, NoReturn
 
 import numpy as np
 
@@ -33,7 +35,17 @@ _LIKELIHOOD = 0.6
 _HDF = b'\x89HDF\r\n\x1a\n'
 _CHUNK = 32 << 20  # bytes that one chunk may unpack to; those of PyTables have some 100 kB
 _SLICE = 8 << 20  # bytes of rows read at a time
+_AXES = ('x', 'y', 'z')
 _FIX = 'give the .csv or .h5 that analyze_videos wrote'
+
+
+class _Table(NamedTuple):
+    """Columns of a .csv or an .h5, which are read a block of rows at a time."""
+
+    labels: list[tuple[str, str]]  # marker and coordinate of each column
+    lines: Sequence[int]  # of each row
+    index_name: str  # of the column of numbers of frames
+    blocks: Iterator[tuple[np.ndarray, np.ndarray]]  # numbers of frames (rows,), (rows, columns)
 
 
 def _recognizes(file: File) -> bool:
@@ -46,57 +58,62 @@ def _recognizes(file: File) -> bool:
 
 
 def _read(file: File, wanted: Wanted) -> Points:
-    labels, values, frames = (_of_hdf if file.data.startswith(_HDF) else _of_csv)(file)
+    read = _of_hdf if file.data.startswith(_HDF) else _of_csv
+    labels, lines, index_name, blocks = read(file)
     least = _LIKELIHOOD if wanted.likelihood is None else wanted.likelihood
     columns = {label: column for column, label in enumerate(labels)}
     names = list(dict.fromkeys(name for name, _ in labels))
     check_names(file.path, names)
     if len(columns) < len(labels):
         raise BagError(f'{file.path}: a point has one coordinate twice; fix: {_FIX}')
-    points = np.zeros((len(values), len(names), 3))
-    for index, name in enumerate(names):
-        for axis, letter in enumerate('xyz'):
-            if (name, letter) in columns:
-                points[:, index, axis] = values[:, columns[name, letter]]
-            elif letter != 'z':
-                raise BagError(f"{file.path}: '{shown(name)}' has no {letter}; fix: {_FIX}")
-        if (name, 'likelihood') in columns:
-            # What people labeled has none.
-            doubtful = values[:, columns[name, 'likelihood']] < least
-            points[doubtful, index] = np.nan
+    for name, letter in product(names, 'xy'):
+        if (name, letter) not in columns:
+            raise BagError(f"{file.path}: '{shown(name)}' has no {letter}; fix: {_FIX}")
+    check_cells(file.path, 3 * len(lines) * len(names))
+    points, numbers = np.zeros((len(lines), len(names), 3)), np.empty(len(lines))
+    places = {name: index for index, name in enumerate(names)}
+    done = 0
+    for indices, values in blocks:
+        here = points[done : done + len(values)]
+        numbers[done : done + len(values)] = indices
+        for (name, letter), column in columns.items():
+            if letter in _AXES:
+                here[:, places[name], _AXES.index(letter)] = values[:, column]
+        for (name, letter), column in columns.items():
+            # Positions that people labeled have no likelihood.
+            if letter == 'likelihood':
+                here[values[:, column] < least, places[name]] = np.nan
+        done += len(values)
+    frames = whole_numbers(file.path, numbers, lines, index_name)
     in_space = any(letter == 'z' for _, letter in labels)
     return Points(names, points, frames, None, '' if in_space else 'px', y_down=not in_space)
 
 
-def _of_csv(file: File) -> tuple[list[tuple[str, str]], np.ndarray, np.ndarray]:
-    """Names of columns as (marker, coordinate), values (T, columns), numbers of frames (T,)."""
+def _of_csv(file: File) -> _Table:
+    """Find the columns of a .csv, and read the numbers of its frames."""
     sheet = file.sheet
-    titles = {sheet.cell(row, 0): row for row in reversed(range(min(5, len(sheet.rows))))}
+    titles = {sheet.cell(row, 0): row for row in reversed(range(min(5, len(sheet))))}
     first = titles['coords'] + 1
     levels = [titles[title] for title in ('individuals', 'bodyparts', 'coords') if title in titles]
     labels, columns = [], []
-    for column in range(1, len(sheet.rows[titles['coords']])):
+    for column in range(1, len(sheet.head(titles['coords']))):
         label = [sheet.cell(row, column) for row in levels]
         if label[-1]:
             labels.append(_label(label))
             columns.append(column)
     if not columns:
         raise BagError(f'{file.path} names no coordinates; fix: {_FIX}')
-    values = np.stack(
-        [sheet.column(c, first, '.'.join(x)) for c, x in zip(columns, labels, strict=True)], axis=1
-    )
-    # Of labeled images there are folders in front of their names.
-    cells = [sheet.cell(row, columns[0] - 1) for row in range(first, len(sheet.rows))]
-    return labels, values, _numbers_of(file, cells, sheet.lines[first:])
+    blocks = sheet.blocks(columns, ['.'.join(label) for label in labels], first)
+    # Names of labeled images follow those of their folders.
+    indices = map(_number_of, sheet.texts(columns[0] - 1, first))
+    numbered = ((np.array(list(islice(indices, len(block)))), block) for block in blocks)
+    return _Table(labels, sheet.lines[first:], '1', numbered)
 
 
-def _numbers_of(file: File, cells: list[str], lines: Sequence[int]) -> np.ndarray:
-    """Numbers of frames, or of images such as img0012.png."""
-    numbers = np.full(len(cells), np.nan)
-    for row, cell in enumerate(cells):
-        if match := re.search(r'([0-9]{1,15})(\.0*|\.[A-Za-z]+)?$', cell):
-            numbers[row] = int(match[1])
-    return whole_numbers(file.path, numbers, lines, '1')
+def _number_of(cell: str) -> float:
+    """Number of a frame, or of an image such as img0012.png; NaN where there is none."""
+    match = re.search(r'([0-9]{1,15})(\.0*|\.[A-Za-z]+)?$', cell)
+    return int(match[1]) if match else np.nan
 
 
 def _label(levels: 'list[str] | tuple[str, ...]') -> tuple[str, str]:
@@ -104,8 +121,19 @@ def _label(levels: 'list[str] | tuple[str, ...]') -> tuple[str, str]:
     return '.'.join(level for level in levels[:-1] if level), levels[-1]
 
 
-def _of_hdf(file: File) -> tuple[list[tuple[str, str]], np.ndarray, np.ndarray]:
-    """The same of a table that pandas wrote, of which PyTables has names of columns as pickles."""
+@contextmanager
+def _errors_of_hdf(file: File) -> Iterator[None]:
+    """Turn what h5py and pickle raise, which depends on the byte that is wrong, into BagError."""
+    try:
+        yield
+    except BagError:
+        raise
+    except Exception as error:
+        raise BagError(f'{file.path} is not an .h5 of DeepLabCut; fix: {_FIX}') from error
+
+
+def _of_hdf(file: File) -> _Table:
+    """Read a table that pandas wrote; PyTables keeps the names of columns as pickles."""
     try:
         import h5py
     except ImportError:
@@ -113,37 +141,35 @@ def _of_hdf(file: File) -> tuple[list[tuple[str, str]], np.ndarray, np.ndarray]:
             f'{file.path} is HDF5, which needs h5py; fix: {install_command("formats")}, or give '
             'the .csv'
         ) from None
-    try:
-        with h5py.File(io.BytesIO(file.data), 'r') as content:
-            table = _hdf_table(file, content)
-            labels: list[tuple[str, str]] = []
-            fields = [name for name in table.dtype.names if name.startswith('values_block_')]
-            for name in fields:
-                # The scorer is the first level.
-                labels += [
-                    _label(levels[1:]) for levels in _names_in(bytes(table.attrs[f'{name}_kind']))
-                ]
-            widths = [int(np.prod(table.dtype[name].shape)) for name in fields]
-            check_cells(file.path, len(table) * sum(widths))
-            values = np.empty((len(table), sum(widths)))
-            frames = np.empty(len(table), np.int64)
-            step = max(1, _SLICE // table.dtype.itemsize)
-            for first in range(0, len(table), step):
-                rows = table[first : first + step]
-                frames[first : first + step] = rows['index']
-                values[first : first + step] = np.concatenate(
-                    [rows[name].reshape(len(rows), -1) for name in fields], axis=1
-                )
-    except BagError:
-        raise
-    except Exception as error:
-        # h5py and pickle raise whatever the byte that is wrong leads to.
-        raise BagError(f'{file.path} is not an .h5 of DeepLabCut; fix: {_FIX}') from error
-    if values.shape[1] != len(labels):
-        raise BagError(
-            f'{file.path} has {values.shape[1]} columns, {len(labels)} names; fix: {_FIX}'
-        )
-    return labels, values, whole_numbers(file.path, frames, range(1, len(frames) + 1), 'index')
+    with _errors_of_hdf(file):
+        table = _hdf_table(file, h5py.File(io.BytesIO(file.data), 'r'))
+        labels: list[tuple[str, str]] = []
+        fields = [name for name in table.dtype.names if name.startswith('values_block_')]
+        for name in fields:
+            if table.attrs.get_id(f'{name}_kind').shape != ():
+                raise ValueError('names of columns in an array, which may repeat any of its bytes')
+            # The scorer is the first level.
+            labels += [
+                _label(levels[1:]) for levels in _names_in(bytes(table.attrs[f'{name}_kind']))
+            ]
+        width = sum(int(np.prod(table.dtype[name].shape)) for name in fields)
+        check_cells(file.path, len(table) * width)
+    if width != len(labels):
+        raise BagError(f'{file.path} has {width} columns, {len(labels)} names; fix: {_FIX}')
+    lines = range(1, len(table) + 1)
+    return _Table(labels, lines, 'index', _hdf_blocks(file, table, fields, width))
+
+
+def _hdf_blocks(
+    file: File, table: Any, fields: Sequence[str], width: int
+) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+    step = max(1, _SLICE // max(table.dtype.itemsize, 8 * width))
+    for first in range(0, len(table), step):
+        with _errors_of_hdf(file):
+            rows = table[first : first + step]
+            values = [rows[name].reshape(len(rows), -1) for name in fields]
+            block = rows['index'], np.concatenate(values, axis=1, dtype=np.float64)
+        yield block
 
 
 def _hdf_table(file: File, content: Any) -> Any:
@@ -151,7 +177,7 @@ def _hdf_table(file: File, content: Any) -> Any:
     The table of positions in an open .h5 file, all of whose bytes are in that file.
 
     Raises BagError for links and storage that lead to other files, for fields that are not
-    numbers, and where a chunk alone unpacks to more than `MOST`.
+    numbers, and where a row or a chunk alone unpacks to more than `_CHUNK`.
     """
     import h5py
 
@@ -174,10 +200,10 @@ def _hdf_table(file: File, content: Any) -> Any:
                     f"{file.path}: column '{shown(field)}' is not of numbers; fix: {_FIX}"
                 )
         # HDF5 unpacks one chunk as a whole.
-        if table.chunks and table.chunks[0] * table.dtype.itemsize > _CHUNK:
+        rows = table.chunks[0] if table.chunks else 1
+        if rows * table.dtype.itemsize > _CHUNK:
             raise BagError(
-                f'{file.path}: a chunk of {table.chunks[0]} rows is more than {_CHUNK >> 20} MiB; '
-                f'fix: {_FIX}'
+                f'{file.path}: a chunk of {rows} rows is more than {_CHUNK >> 20} MiB; fix: {_FIX}'
             )
         return table
     raise BagError(f'{file.path} has no table of DeepLabCut; fix: {_FIX}')
@@ -211,4 +237,5 @@ FORMAT = Format(
     '0,101.5,55.2,0.99',
     _recognizes,
     _read,
+    is_always_ended=True,
 )

@@ -5,11 +5,13 @@ import errno
 import math
 import re
 from array import array
+from codecs import getincrementaldecoder
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from io import StringIO
+from io import BytesIO, TextIOWrapper
+from itertools import islice
 from pathlib import Path
 from typing import NamedTuple
 
@@ -18,7 +20,7 @@ import numpy as np
 from kinpole_ros.bags._files import BagError
 from kinpole_ros.files import printable, read_limited
 
-# Bytes of a file, which is held as text and cell by cell; hours of tracked points are less.
+# Bytes of a file; hours of tracked points are less.
 MOST = 256 << 20
 # m in the units that programs write, by their names in small letters.
 UNITS = {
@@ -30,11 +32,14 @@ UNITS = {
     **dict.fromkeys(('in', 'inch', 'inches'), 0.0254),
     **dict.fromkeys(('ft', 'foot', 'feet'), 0.3048),
 }
-_MOST_COLUMNS = 10_000
-# Cells of a file: 1e6 frames of 10 markers in space, and times; a text cell takes some 60 bytes.
-MOST_CELLS = 45_000_000
+MOST_COLUMNS = 10_000
+# Cells of a file, two more a row: 1e6 frames of 10 markers in space, and times.
+MOST_CELLS = 33_000_000
 _NUMBER = re.compile(r'[+-]?(?:(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:e[+-]?[0-9]+)?|nan)', re.I | re.A)
-_SNIFFED = 50  # lines that show what separates cells
+_HEAD_ROWS = 50  # rows held as text; they show what separates cells
+_ROW_CHARACTERS = 1 << 20  # of a row with all its cells
+_BLOCK_CELLS = 1 << 16  # held as text at a time, at some 60 bytes each
+_MOST_DECIMALS = 17  # no number in float64 needs more digits
 _SHOWN = 40  # characters of a cell
 
 
@@ -73,6 +78,7 @@ class Format(NamedTuple):
     example: str  # its first lines, shortened
     recognizes: Callable[['File'], bool]
     read: Callable[['File', Wanted], Points]
+    is_always_ended: bool = False  # its programs end the last line, too
 
 
 class File:
@@ -85,15 +91,11 @@ class File:
     @cached_property
     def sheet(self) -> 'Sheet':
         """Its cells, where it is text; what is not UTF-8 is taken as of Windows."""
-        try:
-            text, fault = self.data.decode('utf-8-sig'), 0
-        except UnicodeDecodeError as error:
-            text = self.data.decode('cp1252', 'replace')
-            fault = self.data.count(b'\n', 0, error.start) + 1
-        if '\0' in text:
+        fault = _not_utf8_line(self.data)
+        if b'\0' in self.data:
             # UTF-16, or no text at all.
             raise not_utf8(self.path, fault or 1)
-        return Sheet(self.path, text, fault)
+        return Sheet(self.path, self.data, fault)
 
     @property
     def is_text(self) -> bool:
@@ -103,98 +105,243 @@ class File:
 
 class Sheet:
     """
-    Cells of a text file, without its empty lines.
+    Rows of cells of a text file, without its empty lines and the rows of empty cells at its end.
 
     Cells are separated by what most lines have of tab, semicolon and comma; where it is not
-    commas, numbers may have decimal commas. Raises BagError when quotes do not match.
+    commas, numbers may have decimal commas. Only the bytes of the file and the number of each line
+    are held: cells are split again whenever numbers are asked for. Raises BagError when quotes do
+    not match.
     """
 
-    def __init__(self, path: Path, text: str, not_utf8_line: int = 0) -> None:
+    def __init__(self, path: Path, data: bytes, not_utf8_line: int = 0) -> None:
         self.path = path
         self.not_utf8_line = not_utf8_line  # 0: it is
-        first = [line for line in text[: 1 << 20].splitlines() if line.strip()][:_SNIFFED]
+        self._data = data
+        self._encoding = 'cp1252' if not_utf8_line else 'utf-8-sig'
+        text = data[:_ROW_CHARACTERS].decode(self._encoding, 'replace')
+        first = [line for line in text.splitlines() if line.strip()][:_HEAD_ROWS]
         self.delimiter = next(
             (mark for mark in '\t;' if sum(mark in line for line in first) * 2 > len(first)), ','
         )
-        # Before they are split: a cell of nothing takes as much as 100 letters then.
-        for number, line in enumerate(StringIO(text, newline='\n'), 1):
-            if (columns := line.count(self.delimiter) + 1) > _MOST_COLUMNS:
-                raise BagError(
-                    f'{path}, line {number}: {columns} columns; fix: give {_MOST_COLUMNS} at most'
-                )
-        reader = csv.reader(StringIO(text, newline=''), delimiter=self.delimiter, strict=True)
-        self.rows: list[list[str]] = []
-        self.lines = array('q')
-        empty: dict[int, list[str]] = {}  # by length, shared by all rows without content
-        cell_count = 0
-        try:
-            for row in reader:
-                # A row takes as much memory as some cells.
-                cell_count += len(row) + 2
-                if cell_count > MOST_CELLS:
-                    check_cells(path, cell_count)
-                if row:
-                    if not any(row):
-                        row = empty.setdefault(len(row), row)
-                    self.rows.append(row)
-                    self.lines.append(reader.line_num)
-        except csv.Error as error:
-            raise BagError(
-                f'{path}, line {reader.line_num}: {shown(str(error))}; '
-                'fix: save it as plain CSV, with commas'
-            ) from error
-        self.notes = self._leave_out_cut_row(text)
+        self.lines = array('I')  # number of the line that each row ends in
+        self.notes: list[str] = []
+        self._uneven_row: int | None = None  # the first of another width than the first row
+        self._most_columns = 1
+        self._top: list[list[str]] = []
+        self._near: tuple[int, list[list[str]]] = 0, []
+        self._row_separators = self._row_characters = self._row_lines = 0
+        self._last_row_is_open = False
+        self._count_rows()
 
-    def _leave_out_cut_row(self, text: str) -> list[str]:
-        """Remove a last row that ends amid its cells, where the file was cut off; a note of it."""
-        if text.endswith(('\n', '\r')) or len(self.rows) < 3:
+    def __len__(self) -> int:
+        """Return the number of rows."""
+        return len(self.lines)
+
+    def _stream(self) -> TextIOWrapper:
+        return TextIOWrapper(BytesIO(self._data), self._encoding, 'replace', newline='')
+
+    def _bounded_lines(self) -> Iterator[str]:
+        """Yield lines; raise BagError where a row has more cells or letters than are held."""
+        with self._stream() as stream:
+            number = 0
+            while line := stream.readline(_ROW_CHARACTERS):
+                number += 1
+                self._row_lines += 1
+                self._row_separators += line.count(self.delimiter)
+                self._row_characters += len(line)
+                if (columns := self._row_separators + 1) > MOST_COLUMNS:
+                    raise BagError(
+                        f'{self.path}, line {number}: {columns} columns; '
+                        f'fix: give {MOST_COLUMNS} at most'
+                    )
+                if self._row_characters >= _ROW_CHARACTERS:
+                    raise BagError(
+                        f'{self.path}, line {number}: a row has more than {_ROW_CHARACTERS} '
+                        'characters; fix: check its quotes and ends of lines'
+                    )
+                yield line
+
+    def _count_rows(self) -> None:
+        """Find the number, lines and widths of rows, keep the first ones, leave out a cut one."""
+        reader = csv.reader(self._bounded_lines(), delimiter=self.delimiter, strict=True)
+        is_ended = self._data.endswith((b'\n', b'\r'))
+        cell_count = row_count = 0
+        before: list[str] = []
+        row: list[str] = []
+        try:
+            for cells in reader:
+                self._row_separators = self._row_characters = self._row_lines = 0
+                # A row takes as much memory as some cells.
+                cell_count += len(cells) + 2
+                if cell_count > MOST_CELLS:
+                    check_cells(self.path, cell_count)
+                if not cells:
+                    continue
+                before, row = row, cells
+                self.lines.append(reader.line_num)
+                if any(map(str.strip, row)):
+                    row_count = len(self.lines)
+                if len(self._top) < _HEAD_ROWS:
+                    self._top.append(row)
+                self._most_columns = max(self._most_columns, len(row))
+                if self._uneven_row is None and len(row) != len(self._top[0]):
+                    self._uneven_row = len(self.lines) - 1
+        except csv.Error as error:
+            # Quotes that are open for more than the last line were left open before the cut.
+            if is_ended or 'end of data' not in str(error) or self._row_lines != 1:
+                raise BagError(
+                    f'{self.path}, line {reader.line_num}: {shown(str(error))}; '
+                    'fix: save it as plain CSV, with commas'
+                ) from error
+            self._keep_rows(row_count)
+            self.notes.append(
+                f'{self.path}, line {reader.line_num}: the file is cut off amid a cell in quotes; '
+                'the row is left out'
+            )
+            return
+        is_last_row_full = row_count == len(self.lines)
+        self._keep_rows(row_count)
+        if is_ended or not is_last_row_full or row_count < 3:
+            return
+        if len(row) < len(before):
+            self.notes.append(
+                f'{self.path}, line {self.lines[-1]}: the file is cut off after {len(row)} of '
+                f'{len(before)} cells; the row is left out'
+            )
+            self._keep_rows(row_count - 1)
+            return
+        # A last cell that is closed by a quote, or empty in the row before, too, lacks nothing.
+        self._last_row_is_open = not self._data.endswith(b'"') and bool(row[-1] or before[-1])
+
+    def _keep_rows(self, count: int) -> None:
+        del self.lines[count:], self._top[count:]
+
+    def judge_last_row(self, is_always_ended: bool) -> None:
+        """
+        Note that the last number of the file may be cut off, where no end of line follows it.
+
+        The row is left out where the program that writes such files always ends the last line.
+        """
+        if not self._last_row_is_open:
+            return
+        end = (
+            'the row is left out'
+            if is_always_ended
+            else 'end the line if it is not, or delete the line'
+        )
+        self.notes.append(
+            f'{self.path}, line {self.lines[-1]}: the file ends without the end of a line, so the '
+            f'last number may be cut off; {end}'
+        )
+        if is_always_ended:
+            self._keep_rows(len(self) - 1)
+
+    def rows(self) -> Iterator[list[str]]:
+        """Split the file into rows of cells, from its beginning."""
+        reader = csv.reader(self._stream(), delimiter=self.delimiter, strict=True)
+        return islice(filter(None, reader), len(self))
+
+    def _row(self, index: int) -> list[str]:
+        if index >= len(self):
             return []
-        if len(self.rows[-1]) >= len(self.rows[-2]):
-            return []
-        row, line = self.rows.pop(), self.lines.pop()
-        if not any(cell.strip() for cell in row):
-            return []
-        count, before = len(row), len(self.rows[-1])
-        return [
-            f'{self.path}, line {line}: the file is cut off after {count} of {before} '
-            'cells; the row is left out'
-        ]
+        if index < len(self._top):
+            return self._top[index]
+        first, rows = self._near
+        if not first <= index < first + len(rows):
+            first, rows = index, list(islice(self.rows(), index, index + _HEAD_ROWS))
+            self._near = first, rows
+        return rows[index - first]
 
     def cell(self, row: int, column: int) -> str:
         """A cell without the spaces around it; '' where there is none."""
-        if row >= len(self.rows) or column >= len(self.rows[row]):
-            return ''
-        return self.rows[row][column].strip()
+        cells = self._row(row)
+        return cells[column].strip() if column < len(cells) else ''
 
     def head(self, row: int) -> list[str]:
         """The cells of a row, without spaces around them."""
-        return [cell.strip() for cell in self.rows[row]] if row < len(self.rows) else []
+        return [cell.strip() for cell in self._row(row)]
 
-    def column(self, index: int, first: int, name: str = '', end: int | None = None) -> np.ndarray:
+    def uneven_row(self) -> int | None:
+        """Index of the first row with another number of cells than the first; None without."""
+        row = self._uneven_row
+        return row if row is not None and row < len(self) else None
+
+    def texts(self, column: int, first: int) -> Iterator[str]:
+        """Yield the cells of a column from row `first` on, without the spaces around them."""
+        for row in islice(self.rows(), first, None):
+            yield row[column].strip() if column < len(row) else ''
+
+    def blocks(
+        self, columns: Sequence[int], names: Sequence[str], first: int, end: int | None = None
+    ) -> Iterator[np.ndarray]:
+        """
+        Yield numbers (rows, columns) of the rows from `first` to `end`, some thousand at a time.
+
+        They are float64, NaN where a cell is empty. Raises BagError for a cell that is no number,
+        with the name of its column.
+        """
+        rows = islice(self.rows(), first, end)
+        step = max(1, _BLOCK_CELLS // self._most_columns)
+        done = first
+        while block := list(islice(rows, step)):
+            cells = [row[c] if c < len(row) else '' for row in block for c in columns]
+            numbers = np.array(_numbers_or_inf(cells, self.delimiter != ','))
+            if (bad := np.isinf(numbers)).any():
+                place = int(bad.argmax())
+                row, column = divmod(place, len(columns))
+                raise BagError(
+                    f'{self.path}, line {self.lines[done + row]}, column {shown(names[column])}: '
+                    f"'{shown(cells[place])}' is not a number; fix: write it with a decimal "
+                    'point, and nothing where a marker was not seen'
+                )
+            yield numbers.reshape(len(block), len(columns))
+            done += len(block)
+
+    def column(self, index: int, first: int, name: str) -> np.ndarray:
         """Numbers of a column from row `first` on, float64, NaN where a cell is empty."""
-        rows = self.rows[first:end]
-        cells = [row[index].strip() or 'nan' if index < len(row) else 'nan' for row in rows]
-        if self.delimiter != ',':
-            cells = [cell.replace(',', '.') for cell in cells]
-        numbers = np.array([_number_or_inf(cell) for cell in cells])
-        if (bad := np.isinf(numbers)).any():
-            row = first + int(bad.argmax())
-            raise BagError(
-                f'{self.path}, line {self.lines[row]}, column {shown(name or str(index + 1))}: '
-                f"'{shown(self.rows[row][index])}' is not a number; fix: write it with a decimal "
-                'point, and nothing where a marker was not seen'
-            )
+        numbers = np.empty(max(0, len(self) - first))
+        done = 0
+        for block in self.blocks([index], [name], first):
+            numbers[done : done + len(block)] = block[:, 0]
+            done += len(block)
         return numbers
 
     def points(
-        self, columns: Sequence[Sequence[int]], names: Sequence[str], first: int, end: int | None
-    ) -> np.ndarray:
-        """Points (T, n, 3) of rows first to end, from two or three columns each; z is else 0."""
-        points = np.zeros((len(self.rows[first:end]), len(columns), 3))
-        for index, (name, axes) in enumerate(zip(names, columns, strict=True)):
-            for axis, column in enumerate(axes):
-                points[:, index, axis] = self.column(column, first, f'{name} {"xyz"[axis]}', end)
-        return points
+        self,
+        columns: Sequence[Sequence[int]],
+        names: Sequence[str],
+        first: int,
+        end: int | None = None,
+        also: tuple[int, str] | None = None,
+        *,
+        separator: str = ' ',
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """
+        Points (T, n, 3) of rows first to end, from two or three columns each; z is else 0.
+
+        With them come numbers (T,) of a column `also`, an index and a name. The `separator` is
+        between the name of a marker and the axis where a message names a column.
+        """
+        count = max(0, len(self.lines[first:end]))
+        points, numbers = np.zeros((count, len(columns), 3)), np.empty(count)
+        sources = [column for axes in columns for column in axes]
+        targets = [3 * k + axis for k, axes in enumerate(columns) for axis in range(len(axes))]
+        titles = [
+            f'{name}{separator}{axis}'
+            for name, axes in zip(names, columns, strict=True)
+            for axis, _ in zip('xyz', axes, strict=False)
+        ]
+        if also is not None:
+            sources.append(also[0])
+            titles.append(also[1])
+        flat = points.reshape(count, 3 * len(columns))
+        done = 0
+        for block in self.blocks(sources, titles, first, end):
+            flat[done : done + len(block), targets] = block[:, : len(targets)]
+            if also is not None:
+                numbers[done : done + len(block)] = block[:, -1]
+            done += len(block)
+        return points, numbers
 
     def frames(
         self,
@@ -210,8 +357,7 @@ class Sheet:
         """
         names, lines = list(columns), self.lines[first:end]
         check_names(self.path, names)
-        points = self.points(list(columns.values()), names, first, end)
-        numbers = self.column(0, first, title, end)
+        points, numbers = self.points(list(columns.values()), names, first, end, (0, title))
         return names, points, whole_numbers(self.path, numbers, lines, title), lines
 
     def check_axes(self, columns: dict[str, list[int]], axes: int, program: str) -> None:
@@ -310,13 +456,42 @@ def frame_times(
     return even + start
 
 
-def decimals_of(cells: Sequence[str]) -> int:
-    """The most digits behind the point of these numbers, but for zeros that all of them end in."""
-    plain = (cell.strip().replace(',', '.') for cell in cells)
-    return max(
-        (len(cell.partition('.')[2].rstrip('0')) for cell in plain if 'e' not in cell.lower()),
-        default=9,
-    )
+def decimals_of(numbers: np.ndarray) -> int:
+    """The fewest digits behind the point that all of these numbers can be written with."""
+    known = numbers[~np.isnan(numbers)]
+    for digits in range(_MOST_DECIMALS):
+        if np.array_equal(np.round(known, digits), known):
+            return digits
+    return _MOST_DECIMALS
+
+
+def _not_utf8_line(data: bytes) -> int:
+    """Number of the first line that is not UTF-8; 0 where all are."""
+    if data.isascii():
+        return 0
+    decoder = getincrementaldecoder('utf-8')()
+    for first in range(0, len(data), _ROW_CHARACTERS):
+        piece = data[first : first + _ROW_CHARACTERS]
+        begun = first - len(decoder.getstate()[0])
+        try:
+            decoder.decode(piece, final=first + len(piece) == len(data))
+        except UnicodeDecodeError as error:
+            return data.count(b'\n', 0, begun + error.start) + 1
+    return 0
+
+
+def _numbers_or_inf(cells: Sequence[str], have_decimal_commas: bool) -> list[float]:
+    """Numbers of cells, NaN where they are empty, infinity where they are no numbers."""
+    text = ''.join(cells)
+    if have_decimal_commas and ',' in text:
+        cells = [cell.replace(',', '.') for cell in cells]
+    if text.isascii() and '_' not in text:
+        # All else that float takes and _NUMBER does not is infinite.
+        try:
+            return [float(cell) if cell else math.nan for cell in cells]
+        except ValueError:
+            pass
+    return [_number_or_inf(cell.strip() or 'nan') for cell in cells]
 
 
 def _number_or_inf(cell: str) -> float:

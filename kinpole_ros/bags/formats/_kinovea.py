@@ -44,8 +44,7 @@ def _read(file: File, wanted: Wanted) -> Points:
         for name, thing in zip(columns, objects, strict=True)
     ]
     check_names(path, names)
-    points = sheet.points(list(columns.values()), names, 1, None)
-    numbers = sheet.column(0, 1, 'Time')
+    points, numbers = sheet.points(list(columns.values()), names, 1, also=(0, 'Time'))
     steps = np.diff(numbers)
     step = float(steps.min(initial=np.inf))
     lines = sheet.lines[1:]

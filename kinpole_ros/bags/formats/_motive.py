@@ -28,7 +28,7 @@ def _recognizes(file: File) -> bool:
 
 
 def _row_with(sheet: Sheet, title: str, columns: range, fix: str) -> int:
-    for row in range(1, min(12, len(sheet.rows))):
+    for row in range(1, min(12, len(sheet))):
         if any(sheet.cell(row, column) == title for column in columns):
             return row
     raise BagError(f'{sheet.path} has no row with {title} in its head; fix: {fix}')
@@ -44,7 +44,7 @@ def _read(file: File, wanted: Wanted) -> Points:
     titles = _row_with(sheet, 'Name', range(2), fix)
     columns: dict[str, list[int]] = {}
     seen: dict[str, None] = {}
-    for column in range(2, len(sheet.rows[axes])):
+    for column in range(2, len(sheet.head(axes))):
         kind = sheet.cell(types, column)
         if kind:
             seen[kind] = None
@@ -74,8 +74,7 @@ def _times(sheet: Sheet, axes: int, frames: np.ndarray, about: dict[str, str]) -
     if not sheet.cell(axes, 1).startswith('Time'):
         return frame_times(frames, rate)
     times = sheet.column(1, axes + 1, sheet.cell(axes, 1))
-    digits = decimals_of([sheet.cell(row, 1) for row in range(axes + 1, len(sheet.rows))])
-    return frame_times(frames, rate, times, digits)
+    return frame_times(frames, rate, times, decimals_of(times))
 
 
 FORMAT = Format(
@@ -86,4 +85,5 @@ FORMAT = Format(
     '0,0.0,0.1,0.2,0.3',
     _recognizes,
     _read,
+    is_always_ended=True,
 )

@@ -2,6 +2,7 @@
 
 import re
 from collections import Counter
+from itertools import product
 
 import numpy as np
 
@@ -47,8 +48,8 @@ def _read(file: File, wanted: Wanted) -> Points:
     sheet, path = file.sheet, file.path
     if sheet.not_utf8_line:
         raise not_utf8(path, sheet.not_utf8_line)
-    if len(sheet.rows) < 2:
-        has = 'has no frames, only a line of names' if sheet.rows else 'is empty'
+    if len(sheet) < 2:
+        has = 'has no frames, only a line of names' if len(sheet) else 'is empty'
         raise BagError(f'{path} {has}; fix: give a line of names and a line for each frame')
     header, head_line = sheet.head(0), sheet.lines[0]
     for name, count in Counter(header).items():
@@ -56,12 +57,11 @@ def _read(file: File, wanted: Wanted) -> Points:
             raise BagError(
                 f"{path}, line {head_line}: column '{shown(name)}' is there twice; fix: rename one"
             )
-    for row, line in zip(sheet.rows, sheet.lines, strict=True):
-        if len(row) != len(header):
-            raise BagError(
-                f'{path}, line {line}: {len(row)} cells under {len(header)} names; '
-                'fix: as many separators in each line'
-            )
+    if (uneven := sheet.uneven_row()) is not None:
+        raise BagError(
+            f'{path}, line {sheet.lines[uneven]}: {len(sheet.head(uneven))} cells under '
+            f'{len(header)} names; fix: as many separators in each line'
+        )
     places = {name: index for index, name in enumerate(header)}
     # A dict, not a set: markers keep the order of the columns.
     names = list(dict.fromkeys(c[:-2] for c in header if c[:-2] and c[-2:] in _AXES))
@@ -70,25 +70,25 @@ def _read(file: File, wanted: Wanted) -> Points:
             f'{path}, line {head_line}: no column is named NAME_x; fix: name the columns of each '
             'marker NAME_x and NAME_y, with commas between them'
         )
-    points = np.zeros((len(sheet.rows) - 1, len(names), 3))
-    for index, name in enumerate(names):
-        for axis, end in enumerate(_AXES):
-            column = f'{name}{end}'
-            if column in places:
-                points[:, index, axis] = sheet.column(places[column], 1, column)
-            elif end != '_z':
-                raise BagError(
-                    f"{path}, line {head_line}: marker '{shown(name)}' has no column "
-                    f'{shown(column)}; fix: add it'
-                )
-    frames = np.arange(len(points))
-    times, title = None, 't'
-    if wanted.rate is None and (column_of := _time_column(sheet)) is not None:
-        column_index, seconds = column_of
-        title = header[column_index]
-        times = sheet.column(column_index, 1, title) * seconds
+    for name, end in product(names, _AXES[:2]):
+        if f'{name}{end}' not in places:
+            raise BagError(
+                f"{path}, line {head_line}: marker '{shown(name)}' has no column "
+                f'{shown(name + end)}; fix: add it'
+            )
+    columns = [[places[name + end] for end in _AXES if name + end in places] for name in names]
+    time_column = None if wanted.rate is not None else _time_column(sheet)
+    title = 't' if time_column is None else header[time_column[0]]
+    also = None if time_column is None else (time_column[0], title)
+    points, numbers = sheet.points(columns, names, 1, also=also, separator='_')
     return Points(
-        names, points, frames, times, 'm', lines=sheet.lines[1:], time_column=shown(title)
+        names,
+        points,
+        np.arange(len(points)),
+        None if time_column is None else numbers * time_column[1],
+        'm',
+        lines=sheet.lines[1:],
+        time_column=shown(title),
     )
 
 

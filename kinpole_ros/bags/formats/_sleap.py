@@ -5,10 +5,21 @@ Columns track, frame_idx, instance.score, then NODE.x, NODE.y and NODE.score. Pi
 times. Cells of nodes that were not found are empty.
 """
 
+from itertools import repeat
+
 import numpy as np
 
 from kinpole_ros.bags._files import BagError
-from kinpole_ros.bags.formats._file import File, Format, Points, Wanted, check_names, shown
+from kinpole_ros.bags.formats._file import (
+    MOST_COLUMNS,
+    File,
+    Format,
+    Points,
+    Wanted,
+    check_cells,
+    check_names,
+    shown,
+)
 
 
 def _recognizes(file: File) -> bool:
@@ -28,12 +39,16 @@ def _read(file: File, wanted: Wanted) -> Points:
     if len(numbers) == 0 or not (np.abs(numbers) < 2**53).all():
         raise BagError(f'{path}: frame_idx is missing or empty; fix: export the analysis CSV again')
     frames, rows = np.unique(numbers.astype(np.int64), return_inverse=True)
-    tracks = [
-        sheet.cell(row, places['track']) if 'track' in places else ''
-        for row in range(1, len(sheet.rows))
-    ]
-    animals = {name: index for index, name in enumerate(dict.fromkeys(tracks))}
-    instances = np.array([animals[name] for name in tracks])
+    animals: dict[str, int] = {}
+    instances = np.zeros(len(numbers), np.int64)
+    tracks = sheet.texts(places['track'], 1) if 'track' in places else repeat('', len(numbers))
+    for row, name in enumerate(tracks):
+        instances[row] = animals.setdefault(name, len(animals))
+        if len(animals) * len(nodes) > MOST_COLUMNS:
+            raise BagError(
+                f'{path}: more than {MOST_COLUMNS} nodes in all tracks; fix: export fewer tracks'
+            )
+    check_cells(path, 3 * len(frames) * len(animals) * len(nodes))
     places_taken, counts = np.unique(
         np.stack((frames[rows], instances), axis=1), axis=0, return_counts=True
     )
@@ -45,15 +60,18 @@ def _read(file: File, wanted: Wanted) -> Points:
             'tells them apart; fix: track them in SLEAP first, or export one instance a frame'
         )
     points = np.full((len(frames), len(animals), len(nodes), 3), np.nan)
-    for index, node in enumerate(nodes):
-        seen = np.zeros((len(tracks), 3))
-        for axis in range(2):
-            name = f'{node}.{"xy"[axis]}'
-            seen[:, axis] = sheet.column(places[name], 1, name)
-        if wanted.likelihood is not None and f'{node}.score' in places:
-            score = sheet.column(places[f'{node}.score'], 1, f'{node}.score')
-            seen[~(score >= wanted.likelihood)] = np.nan
-        points[rows, instances, index] = seen
+    titles = [f'{node}.{letter}' for node in nodes for letter in 'xy']
+    scored = [node for node in nodes if wanted.likelihood is not None and f'{node}.score' in places]
+    titles += [f'{node}.score' for node in scored]
+    done = 0
+    for block in sheet.blocks([places[title] for title in titles], titles, 1):
+        seen = np.zeros((len(block), len(nodes), 3))
+        seen[..., :2] = block[:, : 2 * len(nodes)].reshape(len(block), len(nodes), 2)
+        for index, node in enumerate(scored, start=2 * len(nodes)):
+            seen[~(block[:, index] >= wanted.likelihood), nodes.index(node)] = np.nan
+        here = slice(done, done + len(block))
+        points[rows[here], instances[here]] = seen
+        done += len(block)
     one = len(animals) == 1
     names = [
         node if one else f'{animal or "untracked"}.{node}' for animal in animals for node in nodes

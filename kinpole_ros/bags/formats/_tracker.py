@@ -64,14 +64,15 @@ def _read(file: File, wanted: Wanted) -> Points:
         )
     check_names(path, list(columns))
     first = row + 1
-    points = sheet.points([[c['x'], c['y']] for c in columns.values()], list(columns), first, None)
     kinds = [match['name'] if match else '' for match in titles]
-    times = None if wanted.rate is not None else sheet.column(kinds.index('t'), first, 't')
+    also = None if wanted.rate is not None else (kinds.index('t'), 't')
+    places = [[c['x'], c['y']] for c in columns.values()]
+    points, times = sheet.points(places, list(columns), first, also=also)
     return Points(
         list(columns),
         points,
         np.arange(len(points)),
-        times,
+        times if also else None,
         units.pop(),
         lines=sheet.lines[first:],
         time_column='t',

@@ -5,6 +5,8 @@ Five lines of head: file, keys, their values (rate and unit among them), names, 
 and Qualisys write it, too. Times are often rounded to ms, where the rate is exact.
 """
 
+import numpy as np
+
 from kinpole_ros.bags._files import BagError
 from kinpole_ros.bags.formats._file import (
     File,
@@ -42,7 +44,7 @@ def _read(file: File, wanted: Wanted) -> Points:
                 f' fix: {_FIX}'
             )
     first = titles + 1
-    while first < len(sheet.rows) and not sheet.cell(first, 0).isdecimal():
+    while first < len(sheet) and not sheet.cell(first, 0).isdecimal():
         first += 1
         if first > titles + 3:
             raise BagError(f'{path}, line {sheet.lines[first - 1]}: no frames; fix: {_FIX}')
@@ -51,10 +53,9 @@ def _read(file: File, wanted: Wanted) -> Points:
     rate = number_in(about.get('DataRate', ''))
     times = None
     if wanted.rate is None:
-        cells = [sheet.cell(row, 1) for row in range(first, len(sheet.rows))]
-        known = any(cells)
-        numbers = sheet.column(1, first, 'Time') if known else None
-        times = frame_times(frames, rate, numbers, decimals_of(cells) if known else 9)
+        numbers = sheet.column(1, first, 'Time')
+        known = not np.isnan(numbers).all()
+        times = frame_times(frames, rate, *((numbers, decimals_of(numbers)) if known else ()))
     said = number_in(about.get('NumFrames', ''))
     notes = []
     if said and said != len(frames):
@@ -69,4 +70,5 @@ FORMAT = Format(
     'Frame#\tTime\ttip\n\t\tX1\tY1\tZ1\n1\t0.00\t125.1\t250.2\t3.3',
     _recognizes,
     _read,
+    is_always_ended=True,
 )

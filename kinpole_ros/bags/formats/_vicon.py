@@ -6,6 +6,8 @@ with its name and its rate; Trajectories goes on with the names of markers, each
 Frame, Sub Frame, X, Y, Z and so on, then units, then a line a frame.
 """
 
+from collections import deque
+
 from kinpole_ros.bags._files import BagError
 from kinpole_ros.bags.formats._file import (
     File,
@@ -23,14 +25,18 @@ _FIX = 'export trajectories as ASCII from Nexus again'
 
 
 def _recognizes(file: File) -> bool:
-    return file.is_text and _section(file.sheet) is not None
+    title = _SECTION.encode()
+    return file.is_text and title in file.data and _section(file.sheet) is not None
 
 
 def _section(sheet: Sheet) -> int | None:
     """The row in which trajectories begin."""
-    for row in range(len(sheet.rows)):
-        if sheet.cell(row, 0) == _SECTION and sheet.head(row + 3)[:2] == ['Frame', 'Sub Frame']:
-            return row
+    titles: deque[str] = deque(maxlen=3)  # the first cells of the rows before
+    for index, row in enumerate(sheet.rows()):
+        is_axes = [cell.strip() for cell in row[:2]] == ['Frame', 'Sub Frame']
+        if is_axes and len(titles) == 3 and titles[0] == _SECTION:
+            return index - 3
+        titles.append(row[0].strip())
     return None
 
 
@@ -42,7 +48,7 @@ def _read(file: File, wanted: Wanted) -> Points:
     names_row, axes, units, first = row + 2, row + 3, row + 4, row + 5
     columns: dict[str, list[int]] = {}
     name = ''
-    for column in range(2, len(sheet.rows[axes])):
+    for column in range(2, len(sheet.head(axes))):
         name = sheet.cell(names_row, column) or name
         # With velocities there are X', too.
         if name and sheet.cell(axes, column) in ('X', 'Y', 'Z'):
@@ -55,8 +61,8 @@ def _read(file: File, wanted: Wanted) -> Points:
             f'{shown(" ".join(sorted(named)))}; fix: {_FIX}'
         )
     end = next(
-        (r for r in range(first, len(sheet.rows)) if not _is_frame(sheet.cell(r, 0))),
-        len(sheet.rows),
+        (r for r, cell in enumerate(sheet.texts(0, first), first) if not _is_frame(cell)),
+        len(sheet),
     )
     names, points, frames, lines = sheet.frames(columns, first, end=end)
     rate = number_in(sheet.cell(row + 1, 0))
@@ -79,4 +85,5 @@ FORMAT = Format(
     'Trajectories\n100\n,,Rig:tip,,\nFrame,Sub Frame,X,Y,Z\n,,mm,mm,mm\n1,0,125.1,250.2,3.3',
     _recognizes,
     _read,
+    is_always_ended=True,
 )
