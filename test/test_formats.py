@@ -1,5 +1,6 @@
 """Files laid out as each program writes them import in one call, exactly, oddities and all."""
 
+import os
 import pickle
 import struct
 import subprocess
@@ -471,6 +472,64 @@ def test_an_h5_that_leads_elsewhere_or_has_no_numbers_is_refused(tmp_path, how):
         bring(tmp_path, content, **PIXELS)
 
 
+def test_an_external_link_to_a_pipe_is_refused_unopened(tmp_path):
+    h5py = pytest.importorskip('h5py')
+    os.mkfifo(tmp_path / 'pipe')
+    for place in ('/df_with_missing', '/df_with_missing/table'):
+        (tmp_path / 'points.h5').write_bytes(deeplabcut_h5())
+        with h5py.File(tmp_path / 'points.h5', 'r+') as file:
+            del file[place]
+            file[place] = h5py.ExternalLink(str(tmp_path / 'pipe'), '/x')
+        command = [sys.executable, '-c', PEAK, str(tmp_path / 'points.h5')]
+        # A pipe that is opened never ends.
+        done = subprocess.run(command, capture_output=True, text=True, check=True, timeout=60)
+        assert 'is a link; fix: ' in done.stderr
+
+
+def write_large_h5(path: Path, kind: str) -> None:
+    """Small files that would unpack to far more than their bytes."""
+    h5py = pytest.importorskip('h5py')
+    columns = [('DLC', p, c) for p in ('tip', 'heel') for c in ('x', 'y', 'likelihood')]
+    row: list[Any] = [('index', '<i8'), ('values_block_0', '<f8', (6,))]
+    with h5py.File(path, 'w') as file:
+        if kind == 'rows':
+            options = {'chunks': (1 << 14,), 'compression': 'gzip'}
+            table = file.create_dataset('df/table', (3_000_000,), row, **options)
+            for first in range(0, len(table), 500_000):
+                rows = np.zeros(500_000, row)
+                rows['index'] = np.arange(first, first + 500_000)
+                table[first : first + 500_000] = rows
+        elif kind == 'a row':
+            row.append(('other', '<f8', (100_000_000,)))
+            table = file.create_dataset('df/table', (4,), row)
+        elif kind == 'a column of lists':
+            row.append(('other', h5py.vlen_dtype(np.float64)))
+            table = file.create_dataset('df/table', (4,), row, chunks=(4,))
+        else:
+            table = file.create_dataset('df/table', (4,), row)
+        pickled = pickle.dumps(columns, 0)
+        names = [pickled] if kind == 'names' else pickled
+        # Names in an array may all refer to the same long text.
+        table.attrs['values_block_0_kind'] = np.array(names, f'S{len(pickled)}')
+
+
+@pytest.mark.parametrize(
+    ('kind', 'complaint'),
+    [
+        ('rows', ''),
+        ('a row', 'a chunk of 1 rows is more than 32 MiB'),
+        ('a column of lists', 'is not of numbers'),
+        ('names', 'is not an .h5 of DeepLabCut'),
+    ],
+)
+def test_an_h5_takes_memory_by_its_numbers(tmp_path, kind, complaint):
+    write_large_h5(tmp_path / 'points.h5', kind)
+    peak, error = peak_memory(tmp_path / 'points.h5')
+    assert complaint in error
+    assert bool(error) == bool(complaint)
+    assert peak < 400  # MB
+
+
 @pytest.mark.parametrize('text', ['1_000', '\u0661\u0662', '0x10', '1e', '.'])
 def test_a_number_is_in_ascii_digits(tmp_path, text):
     with pytest.raises(BagError, match=r'line 2, column a_x: .* is not a number'):
@@ -585,3 +644,54 @@ def test_a_c3d_with_fewer_frames_than_it_claims_is_refused(tmp_path):
     struct.pack_into('<H', content, 8, claimed)
     with pytest.raises(BagError, match=r'says that it has .* frames, and has .* cut off'):
         bring(tmp_path, bytes(content))
+
+
+def test_a_c3d_that_is_cut_anywhere_has_all_frames_or_is_refused(tmp_path):
+    content = c3d_file()
+    end = 1024 + 4 * 48
+    for length in range(520, len(content), 24):
+        if length >= end:
+            done, *_ = bring(tmp_path, content[:length])
+            assert (done.frames, done.notes) == (4, ())
+            continue
+        with pytest.raises(BagError, match=r'cut off|has no frames|cannot be read|not a C3D'):
+            bring(tmp_path, content[:length])
+
+
+def test_padding_of_a_c3d_supplies_no_frames(tmp_path):
+    content = bytearray(c3d_file())
+    struct.pack_into('<H', content, 8, struct.unpack_from('<H', content, 8)[0] + 3)
+    done, _, points = bring(tmp_path, bytes(content))
+    assert done.frames == 4
+    assert any('ends with 3 frames of zeros out of 7' in note for note in done.notes)
+    np.testing.assert_allclose(points, SEEN * 1e-3, rtol=1e-7)
+
+
+def test_motive_that_has_other_frames_than_it_claims_is_noted(tmp_path):
+    lines = motive('Meters').splitlines(keepends=True)
+    done, *_ = bring(tmp_path, ''.join(lines[:-1]))
+    assert any('says that it has 4 frames, and has 3' in note for note in done.notes)
+
+
+@pytest.mark.parametrize('case', ['dlc', 'motive', 'table', 'sleap', 'kinovea'])
+def test_a_last_number_without_an_end_of_line_is_not_believed_in_silence(tmp_path, case):
+    if case == 'table':
+        options, content = {}, 't,a_x,a_y\n0,1,2\n1,2,3\n2,3,41.5\n'
+    else:
+        _, make, options, *_ = CASES[case]
+        content = str(make()).rstrip() + '\n'
+    whole, *_ = bring(tmp_path, content, **options)
+    assert not whole.notes
+    cut, *_ = bring(tmp_path, content.rstrip()[:-2], **options)
+    if case == 'kinovea':
+        assert 'cut off amid a cell in quotes; the row is left out' in cut.notes[0]
+    else:
+        assert 'ends without the end of a line' in cut.notes[0]
+    assert whole.frames - cut.frames == (0 if case in ('table', 'sleap') else 1)
+
+
+@pytest.mark.parametrize('case', ['table', 'tracker'])
+def test_rows_of_separators_at_the_end_are_no_frames(tmp_path, case):
+    content = 'a_x,a_y\n1,2\n,\n3,4\n,\n,\n' if case == 'table' else tracker_one() + '\n\t\t\t\n'
+    done, *_ = bring(tmp_path, content, rate=10.0, scale=1.0)
+    assert done.frames == (3 if case == 'table' else 4)

@@ -15,6 +15,7 @@ from kinpole_ros.bags._files import BagError
 from kinpole_ros.bags.formats._file import File, Format, Points, Wanted, check_names, frame_times
 from kinpole_ros.packages import install_command
 
+_BLOCK = 512  # bytes that files are padded to
 # Parameters that name points which are none.
 _NO_POINTS = ('ANGLES', 'FORCES', 'MOMENTS', 'POWERS', 'SCALARS')
 
@@ -63,6 +64,15 @@ def _read(file: File, wanted: Wanted) -> Points:
             'cut off; fix: export it again'
         )
     seen = np.array(rows, dtype=np.float64)
+    bytes_per_point = 16 if reader.point_scale < 0 else 8
+    padded = _padded_frames(seen, bytes_per_point)
+    notes = []
+    if padded:
+        notes = [
+            f'{file.path} ends with {padded} frames of zeros out of {len(seen)}, as padding is: '
+            'they are left out'
+        ]
+        seen, numbers = seen[:-padded], numbers[:-padded]
     seen[seen[..., 3] < 0] = np.nan
     names = [label or f'point {index + 1}' for index, label in enumerate(labels)]
     names += [f'point {index + 1}' for index in range(len(names), seen.shape[1])]
@@ -71,7 +81,14 @@ def _read(file: File, wanted: Wanted) -> Points:
     check_names(file.path, names)
     frames = np.array(numbers, dtype=np.int64)
     times = None if wanted.rate is not None else frame_times(frames, rate)
-    return Points(names, seen[:, kept, :3], frames, times, unit_name)
+    return Points(names, seen[:, kept, :3], frames, times, unit_name, notes=notes)
+
+
+def _padded_frames(values: np.ndarray, bytes_per_point: int) -> int:
+    """Count the frames of zeros (T, n, 4) at the end that the padding of a block can supply."""
+    most = (_BLOCK - 1) // max(1, values.shape[1] * bytes_per_point)
+    content = np.flatnonzero(values.any(axis=(1, 2)))
+    return min(most, len(values) - 1 - int(content[-1])) if len(content) else 0
 
 
 def _labels(reader: Any, parameter: str) -> list[str]:

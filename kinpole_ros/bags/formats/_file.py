@@ -435,6 +435,14 @@ def whole_numbers(path: Path, numbers: np.ndarray, lines: Sequence[int], name: s
     return whole
 
 
+def claimed_frames(path: Path, claim: str, count: int) -> list[str]:
+    """Note that the head of a file claims another number of frames than the file has."""
+    said = number_in(claim)
+    if not said or said == count:
+        return []
+    return [f'{path} says that it has {said:.0f} frames, and has {count}']
+
+
 def frame_times(
     frames: np.ndarray, rate: float | None, times: np.ndarray | None = None, decimals: int = 9
 ) -> np.ndarray | None:

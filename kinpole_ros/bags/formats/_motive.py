@@ -16,6 +16,7 @@ from kinpole_ros.bags.formats._file import (
     Points,
     Sheet,
     Wanted,
+    claimed_frames,
     decimals_of,
     frame_times,
     number_in,
@@ -58,6 +59,7 @@ def _read(file: File, wanted: Wanted) -> Points:
         )
     sheet.check_axes(columns, axes, 'Motive')
     names, points, frames, lines = sheet.frames(columns, axes + 1)
+    claim = about.get('Total Exported Frames') or about.get('Total Frames in Take', '')
     return Points(
         names,
         points,
@@ -66,6 +68,7 @@ def _read(file: File, wanted: Wanted) -> Points:
         about.get('Length Units', ''),
         lines=lines,
         time_column='Time (Seconds)',
+        notes=claimed_frames(path, claim, len(frames)),
     )
 
 

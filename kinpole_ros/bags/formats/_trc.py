@@ -14,6 +14,7 @@ from kinpole_ros.bags.formats._file import (
     Points,
     Wanted,
     check_names,
+    claimed_frames,
     decimals_of,
     frame_times,
     number_in,
@@ -56,10 +57,7 @@ def _read(file: File, wanted: Wanted) -> Points:
         numbers = sheet.column(1, first, 'Time')
         known = not np.isnan(numbers).all()
         times = frame_times(frames, rate, *((numbers, decimals_of(numbers)) if known else ()))
-    said = number_in(about.get('NumFrames', ''))
-    notes = []
-    if said and said != len(frames):
-        notes.append(f'{path} says that it has {said:.0f} frames, and has {len(frames)}')
+    notes = claimed_frames(path, about.get('NumFrames', ''), len(frames))
     return Points(names, points, frames, times, about.get('Units', ''), lines=lines, notes=notes)
 
 
