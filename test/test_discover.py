@@ -431,6 +431,19 @@ def test_rig_and_draft_of_markers_without_names_are_fitted_and_replayed_unedited
     assert main(['replay', str(bag), '--config', str(rig)]) == 0
 
 
+def test_a_fit_leaves_no_more_than_the_draft_that_it_began_with(tmp_path, capsys):
+    """Its slot ends 3 m away, so that full steps of the fit lead to lengths of 1e12 m."""
+    bag, rig, scene = tmp_path / 'r.mcap', tmp_path / 'rig.yaml', tmp_path / 'draft.yaml'
+    made = ['--tilt', '20', '--arrival', '0.001', '--scale', '1000', '--message', 'point_cloud2']
+    made += ['--unlabeled', '--noise', '0.0002', '--seed', '1', '--output', str(bag)]
+    assert main(['simulate', 'loader_cylinder', *made]) == 0
+    assert main(['discover', str(bag), '--output', str(rig), '--scene', str(scene)]) == 0
+    capsys.readouterr()
+    assert main(['fit', str(scene), str(bag), '--config', str(rig)]) == 0
+    (line,) = [row for row in capsys.readouterr().out.splitlines() if row.startswith('chi^2/n')]
+    assert float(line.split()[1]) < float(line.split()[-1])
+
+
 def test_markers_without_noise_are_of_one_rigid_body(tmp_path, capsys):
     bag, rig = tmp_path / 'r.mcap', tmp_path / 'rig.yaml'
     made = ['--tilt', '20', '--arrival', '0.001', '--scale', '1000', '--message', 'point_cloud2']

@@ -102,20 +102,28 @@ def solve(
     count = len(values)
     asked = [*always_free(equations), *free]
     hidden = None if guess is None else guess(poses, ground)
+    left = left_over(equations, values, ground, poses, anchors, hidden)
     for _ in range(max(steps, 1)):
-        left = left_over(equations, values, ground, poses, anchors, hidden)
         normal = normal_of(left)
         used, held, inverse = independent(normal.square, asked)
         step = -inverse @ normal.gradient[used]
-        for k, by in zip(used, step.tolist(), strict=True):
-            if k < count:
-                values[k] += by
-            else:
-                ground[k - count] += by
         deviation = np.sqrt(np.diag(inverse))
+        was = values, ground, left
+        # A step too long to be linear, as along a direction that data hardly tell, is halved.
+        for _ in range(max(steps, 1)):
+            moved = np.concatenate((was[0], was[1]))
+            moved[used] += step
+            values, ground = moved[:count], moved[count:]
+            left = left_over(equations, values, ground, poses, anchors, hidden)
+            better = normal_of(left).chi_square <= normal.chi_square
+            if not free or better or (np.abs(step) <= _SMALL * deviation).all():
+                break
+            step = step / 2
+        else:
+            values, ground, left = was
+            break
         if (np.abs(step) <= _SMALL * deviation).all():
             break
-    left = left_over(equations, values, ground, poses, anchors, hidden)
     excess = excess_of(left.value)
     return Solved(
         values,
