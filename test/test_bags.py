@@ -467,7 +467,7 @@ def test_folder_without_bags(tmp_path):
         ('run.mcap', b'', r'is empty \(0 bytes\)'),
         ('run.db3', b'SQLite format 3\x00', 'is a bag in sqlite3'),
         ('run.bag', b'#ROSBAG V2.0\n', 'is a ROS 1 bag'),
-        ('run.csv', b't,a_x,a_y\n', 'is not an MCAP file'),
+        ('run.csv', b't,a_x,a_y\n', 'is a file of points, not a bag; fix: .*kinpole import'),
         ('run.mcap.zstd', b'\x28\xb5\x2f\xfd1234', 'zstd -d'),
     ],
 )

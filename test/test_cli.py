@@ -589,12 +589,12 @@ def test_what_goes_to_a_device_is_no_file_written_twice(kinpole: Any) -> None:
 @pytest.mark.parametrize(
     'words',
     [
-        'solve {scene} --html {out} --csv {other}',
+        'solve {scene} --html {out}.html --csv {other}',
         'solve {scene} --plot {other}.png --pitch crank rocker {out}.svg',
         'discover {bag} --output {out} --scene {other}',
         'discover {bag} --output {out} --plot {other}.png',
-        'report {bag} --output {out}',
-        'report {bag} --scene {scene} --output {out}',
+        'report {bag} --output {out}.html',
+        'report {bag} --scene {scene} --output {out}.html',
         'replay {bag} --output {out} --csv {other}',
         'simulate {scene} --duration 0.2 --output {out}',
         'fit {scene} {bag} --output {out}',

@@ -46,7 +46,7 @@ def results(bag: Path, config: Path) -> dict[str, np.ndarray]:
         head, *rows = list(csv.reader(file))
     cells = np.array([[cell or 'nan' for cell in row] for row in rows], dtype=float)
     found = dict(zip(head, cells.T, strict=True))
-    found['frame'] = np.round((found['t'] - 1) * RATE).astype(int)
+    found['frame'] = np.round(found['t'] * RATE).astype(int)
     return found
 
 

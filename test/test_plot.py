@@ -488,7 +488,7 @@ def test_the_mend_of_a_bag_without_results_can_be_typed(bags, tmp_path) -> None:
 
 
 def test_missing_matplotlib_is_told_with_the_mend(monkeypatch, bags, tmp_path) -> None:
-    monkeypatch.setitem(sys.modules, 'matplotlib.figure', None)
+    monkeypatch.setitem(sys.modules, 'matplotlib.backend_bases', None)
     with pytest.raises(BagError, match='pip install matplotlib'):
         plot(bags['cardan'], tmp_path / 'out.png')
 

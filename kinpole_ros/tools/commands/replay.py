@@ -62,11 +62,11 @@ def run(options: argparse.Namespace) -> int:
     from kinpole_ros.rigid.plane import AXES
 
     outputs = (options.output, options.csv, options.parquet)
+    settings = settings_of(options)
+    check_outputs([options.config, settings.scene, options.bag], outputs)
     check_ending('--output', options.output, 'an MCAP bag')
     check_ending('--csv', options.csv, 'a CSV table')
     check_ending('--parquet', options.parquet, 'a Parquet table')
-    settings = settings_of(options)
-    check_outputs([options.config, settings.scene, options.bag], outputs)
     with progress_bar('replay') as progress:
         result = replay(
             options.bag,
