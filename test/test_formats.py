@@ -606,12 +606,14 @@ def test_a_text_file_takes_memory_by_its_numbers(tmp_path, content, complaint, m
 def test_numbers_are_those_of_float_in_every_block_of_rows(tmp_path, monkeypatch, end):
     monkeypatch.setattr('kinpole_ros.bags.formats._file._BLOCK_CELLS', 64)
     draw = np.random.default_rng(5)
-    texts = [repr(x) for x in draw.normal(size=400) * 10.0 ** draw.integers(-300, 300, 400)]
-    texts[::7] = ['', ' ', 'NaN', '+.5', '5.', '-1E-3', ' 7 '] * 9
+    texts = [
+        repr(x) for x in (draw.normal(size=490) * 10.0 ** draw.integers(-300, 300, 490)).tolist()
+    ]
+    texts[::7] = ['', ' ', 'NaN', '+.5', '5.', '-1E-3', ' 7 '] * 10
     rows = [f'{k},{text},{k}' for k, text in enumerate(texts)]
     (tmp_path / 'points.csv').write_text('\n'.join(['t,a_x,a_y', *rows, f'900,1{end},2\n']))
     if end:
-        with pytest.raises(BagError, match=f"line 402, column a_x: '1{end}' is not a number"):
+        with pytest.raises(BagError, match=f"line 492, column a_x: '1{end}' is not a number"):
             read_points(tmp_path / 'points.csv')
         return
     _, read = read_points(tmp_path / 'points.csv')
