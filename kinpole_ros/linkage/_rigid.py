@@ -42,8 +42,8 @@ def group(tracks: Complex, noise: Real) -> Groups:
     """Bodies of tracks (T, n), complex, NaN for none, whose `noise` (n,) is per axis."""
     count = tracks.shape[1]
     some = tracks[:: max(1, len(tracks) // _FRAMES)]
-    told = noise[np.isfinite(noise)]
-    known = np.where(np.isfinite(noise), noise, np.median(told) if len(told) else 0.0)
+    finite = noise[np.isfinite(noise)]
+    known = np.where(np.isfinite(noise), noise, np.median(finite) if len(finite) else 0.0)
     places = some[np.isfinite(some)]
     extent = np.abs(places - places.mean()).max() if len(places) else 0.0
     floor = 1e-9 * float(extent)

@@ -58,7 +58,7 @@ def _read(file: File, wanted: Wanted) -> Points:
     if not rows:
         raise BagError(f'{file.path} has no frames; fix: export it again')
     if len(rows) < claimed:
-        # The end of the last block is padding, which cannot be told from frames.
+        # The end of the last block is padding, which looks like frames.
         raise BagError(
             f'{file.path} says that it has {claimed} frames, and has {len(rows)} at most: it is '
             'cut off; fix: export it again'
