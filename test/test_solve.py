@@ -555,16 +555,23 @@ def test_pitch_curves_are_drawn(capsys: pytest.CaptureFixture[str], tmp_path: Pa
         (('six_bar', '--statics'), 'no loads'),
         (('loader_cylinder', '--at', '5 m'), 'to r5.length = 5 m, it turns back at 2.35533988 m: '),
         (('loader', '--at', '500 deg'), 'to arm = 500 deg, it turns back at 71.333396 deg: '),
-        (('four_bar', '--pitch', 'crank', 'wheel', 'x.svg'), 'no body wheel'),
+        (('four_bar', '--csv', 'x.csv', '--pitch', 'crank', 'wheel', 'x.svg'), 'no body wheel'),
+        (('four_bar', '--csv', 'x.csv', '--pitch', 'crank', 'rocker', 'x.pdf'), 'or .dxf'),
         (('four_bar', '--plot', '/dev/null/x.png'), 'x.png'),
         (('four_bar', '--plot', 'x.foo'), 'no picture'),
         (('four_bar', '--plot', 'x'), 'no picture'),
     ],
 )
 def test_what_cannot_be_solved_is_said_in_one_line(
-    words: tuple[str, ...], says: str, capsys: pytest.CaptureFixture[str]
+    words: tuple[str, ...],
+    says: str,
+    capsys: pytest.CaptureFixture[str],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
+    monkeypatch.chdir(tmp_path)
     assert cli.main(['solve', *words]) == 2
+    assert not [*tmp_path.iterdir()]
     err = capsys.readouterr().err
     assert says in err
     assert len(err.splitlines()) == 1

@@ -24,6 +24,7 @@ from kinpole_ros.messages._markers import (
     stamp_to_ns,
     to_message,
 )
+from kinpole_ros.messages._padding import with_zero_padding
 from kinpole_ros.messages._poses import AUTO_TYPES, PoseReader, kind_of, poses_data, reader_of
 from kinpole_ros.messages._reader import MarkerReader
 from kinpole_ros.messages._results import DRAWING, Output, outputs_of, result_outputs
@@ -100,4 +101,5 @@ __all__ = [
     'unit_fault',
     'unseen',
     'view_of',
+    'with_zero_padding',
 ]

@@ -69,6 +69,7 @@ def run(options: argparse.Namespace) -> int:
     check_outputs([options.scene], [options.csv, options.plot, pitch, options.html])
     check_ending('--html', options.html, 'an HTML page')
     check_ending('--csv', options.csv, 'a CSV table')
+    check_ending('--pitch', pitch, 'a pair of pitch curves')
     lines = solve_scene(
         options.scene,
         options.at,

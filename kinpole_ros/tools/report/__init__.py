@@ -112,7 +112,7 @@ def _replayed(
     collector = Collector(_most_instants(len(settings.bodies)), load_theory(settings))
     result = replay(bag, settings, topic=topic, progress=progress, take=collector.add)
     notes = warnings_of(result, settings)
-    if assumption := assumed_body(result, settings, bag):
+    if assumption := assumed_body(len(result.identities), settings, bag):
         notes.insert(0, assumption)
         if tell is not None:
             tell(assumption)

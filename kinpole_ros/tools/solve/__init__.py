@@ -85,15 +85,16 @@ def solve_scene(
         lines += center_lines(asked)
     if statics:
         lines += static_lines(asked)
+    rolled = None
+    if pitch:  # before anything is written, since there may be no such bodies
+        one, other, file = pitch
+        way = _whole(asked).inputs[0]
+        rolled = centrodes(loaded.mechanism, one, other, float(way.min()), float(way.max()))
     if table:
         with _writing(table) as part:
             write_table(part, asked, centers, statics)
         lines.append(f'written to {table}')
-    if pitch:
-        one, other, file = pitch
-        way = _whole(asked).inputs[0]
-        low, high = float(way.min()), float(way.max())
-        rolled = centrodes(loaded.mechanism, one, other, low, high)
+    if rolled is not None:
         write_pitch_curves(file, rolled)
         lines.append(
             f'the curves of {one} and {other} roll on each other, arc lengths equal to '
