@@ -12,6 +12,7 @@ from kinpole_ros.mechanism._mechanism import Mechanism, Motion
 from kinpole_ros.mechanism._motions import BodyMotion, marker_positions, rotation_derivatives
 from kinpole_ros.mechanism._pitch import write_pitch_curves
 from kinpole_ros.mechanism._poles import Poles, poles
+from kinpole_ros.mechanism._polygon import Polygon, polygon
 from kinpole_ros.mechanism._reactions import reactions, undetermined
 from kinpole_ros.mechanism._rewrite import rewritten
 from kinpole_ros.mechanism._scene import Scene, load_scene
@@ -39,6 +40,7 @@ __all__ = [
     'Motion',
     'Part',
     'Poles',
+    'Polygon',
     'Port',
     'Revolute',
     'Rolling',
@@ -60,6 +62,7 @@ __all__ = [
     'marker_positions',
     'mobility',
     'poles',
+    'polygon',
     'quantity',
     'reactions',
     'rewritten',

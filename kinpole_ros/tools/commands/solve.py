@@ -22,6 +22,7 @@ def add(commands: Any) -> None:
         '  kinpole solve slider_crank --sweep --csv crank.csv --plot crank.png\n'
         '  kinpole solve double_pendulum --time 5 --csv course.csv --html course.html\n'
         '  kinpole solve loader_cylinder --statics\n'
+        '  kinpole solve four_bar --at "60 deg" --polygon polygons.svg\n'
         '  kinpole solve antiparallelogram --pitch crank follower gears.svg\n',
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
@@ -52,6 +53,12 @@ def add(commands: Any) -> None:
         metavar='BODY',
         help='draw the centrodes of these bodies into the picture of --plot',
     )
+    solve.add_argument(
+        '--polygon',
+        metavar='FILE.svg',
+        help='velocity and acceleration polygons to scale beside the linkage, .svg or .png: at '
+        '--at, at time 0, or at the end of --time',
+    )
     solve.add_argument('--html', metavar='FILE.html', help='the linkage in motion, as in a report')
     solve.add_argument(
         '--pitch',
@@ -66,7 +73,9 @@ def run(options: argparse.Namespace) -> int:
     from kinpole_ros.tools.solve import solve_scene
 
     pitch = options.pitch[2] if options.pitch else None
-    check_outputs([options.scene], [options.csv, options.plot, pitch, options.html])
+    check_outputs(
+        [options.scene], [options.csv, options.plot, pitch, options.html, options.polygon]
+    )
     check_ending('--html', options.html, 'an HTML page')
     check_ending('--csv', options.csv, 'a CSV table')
     lines = solve_scene(
@@ -81,6 +90,7 @@ def run(options: argparse.Namespace) -> int:
         options.time,
         options.html,
         options.centrodes,
+        polygons=options.polygon,
     )
     print('\n'.join(map(printable, lines)))
     return 0

@@ -49,18 +49,20 @@ def solve_scene(
     time: str | None = None,
     page: str | Path | None = None,
     curves: Sequence[str] = (),
+    polygons: str | Path | None = None,
 ) -> list[str]:
     """
-    The analysis as lines to print; also writes the CSV `table`, the `picture`, the `pitch` curves
-    and the HTML `page`.
+    The analysis as lines to print; also writes the CSV `table`, the `picture`, the `pitch` curves,
+    the HTML `page` and the drawing of the `polygons`.
 
     `at` is a value of the one driver, with a unit or in SI; `sweep` takes all the way the linkage
     gives it; `time` all drivers as they move, from 0 to so long, with a unit or in s; none of them,
-    the position at time 0. `pitch` is two bodies and a file (.csv, .svg or .dxf),
-    `curves` are bodies whose centrodes the picture has. Raises SceneError and
-    LinkageError for what the scene cannot do, SceneError for files too.
+    the position at time 0. `pitch` is two bodies and a file (.csv, .svg or .dxf), `curves` are
+    bodies whose centrodes the picture has. The polygons are those of the position `at`, or at the
+    end of `time`. Raises SceneError and LinkageError for what the scene cannot do, SceneError for
+    files too.
     """
-    kind = _kind_of(Path(picture)) if picture else ''
+    kind, polygon_kind = (_kind_of(Path(p)) if p else '' for p in (picture, polygons))
     loaded = load_scene(scene)
     for body in curves:
         if body not in loaded.mechanism.bodies:
@@ -72,6 +74,7 @@ def solve_scene(
         asked = course(loaded, time, _SAMPLES)
     elif sweep:
         asked = over_range(loaded, _SAMPLES)
+    there = here if time is None else asked.last
     lines = head_lines(loaded)
     if at is not None and (note := unit_note(loaded, at)):
         lines.append(note)
@@ -112,6 +115,13 @@ def solve_scene(
         with _writing(picture) as part:
             draw(part, kind, whole, drawn(whole, here), centers, curves)
         lines.append(f'written to {picture}')
+    if polygons:
+        from kinpole_ros.tools.solve._polygons import draw_polygons, polygon_lines
+
+        lines += polygon_lines(there)
+        with _writing(polygons) as part:
+            draw_polygons(part, polygon_kind, there)
+        lines.append(f'written to {polygons}')
     return lines
 
 
@@ -141,6 +151,8 @@ def _writing(path: str | Path) -> Iterator[Path]:
 
 def _kind_of(path: Path) -> str:
     """The kind of picture, by its suffix; raises SceneError for what matplotlib does not draw."""
+    if path.suffix.lower() == '.svg':
+        return 'svg'
     from matplotlib.backend_bases import FigureCanvasBase
 
     known = sorted(FigureCanvasBase.get_supported_filetypes())

@@ -52,9 +52,19 @@ class Solved(NamedTuple):
     @property
     def first(self) -> 'Solved':
         """The same at the first position alone."""
-        motion = Motion(*(part[..., :1] for part in self.motion))
-        times = None if self.times is None else self.times[:1]
-        return Solved(self.scene, self.inputs[:, :1], self.rates[:, :1], motion, self.limits, times)
+        return self._some(slice(1))
+
+    @property
+    def last(self) -> 'Solved':
+        """The same at the last position alone."""
+        return self._some(slice(-1, None))
+
+    def _some(self, kept: slice) -> 'Solved':
+        motion = Motion(*(part[..., kept] for part in self.motion))
+        times = None if self.times is None else self.times[kept]
+        return self._replace(
+            inputs=self.inputs[:, kept], rates=self.rates[:, kept], motion=motion, times=times
+        )
 
     @property
     def values(self) -> np.ndarray:
