@@ -615,7 +615,9 @@ def test_the_bodies_after_centrodes_may_stand_before_or_after_the_scene(
     monkeypatch: pytest.MonkeyPatch, words: str
 ) -> None:
     taken: list[tuple[Any, ...]] = []
-    monkeypatch.setattr('kinpole_ros.tools.solve.solve_scene', lambda *a, **_: taken.append(a) or [])
+    monkeypatch.setattr(
+        'kinpole_ros.tools.solve.solve_scene', lambda *a, **_: taken.append(a) or []
+    )
     assert cli.main(['solve', *words.split()]) == 0
     scene, *_, bodies = taken[0]
     assert (scene, list(bodies)) == ('four_bar', ['coupler', 'rocker'])
