@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 
 from kinpole_ros import planar
-from kinpole_ros.mechanism import SceneError, load_scene, polygon, scene_names
+from kinpole_ros.mechanism import SceneError, load_scene, poles, polygon, scene_names
 from kinpole_ros.tools import cli
 from kinpole_ros.tools.solve import solve_scene
+from kinpole_ros.tools.solve._decompose import decompose, decomposition_panels
 from kinpole_ros.tools.solve._polygons import polygon_panels
 from kinpole_ros.tools.solve._sheet import Panel, width_of
 from kinpole_ros.tools.solve._solved import at_value, over_time, point_motions
@@ -31,6 +32,19 @@ def drawn(file: Path) -> list[dict[str, complex]]:
                 ).conjugate() / scale
         panels.append(found)
     return panels
+
+
+def arrows(file: Path, panel: int) -> dict[str, list[complex]]:
+    """Of a panel all arrows by name, in m, those of velocities in m/s."""
+    group = list(ET.parse(file).getroot().iter(f'{SVG}g'))[panel]
+    scale, found = float(group.attrib['data-scale']), {}
+    for line in group.iter(f'{SVG}polyline'):
+        if name := line.get('data-name'):
+            ends = [complex(*map(float, z.split(','))) for z in line.attrib['points'].split()]
+            rate = float(group.attrib['data-rate']) if name[0] in 'uv' else 1.0
+            vector = (ends[-1] - ends[0]).conjugate() / scale / rate
+            found.setdefault(name.translate({123: None, 125: None}), []).append(vector)
+    return found
 
 
 def table(lines: list[str]) -> dict[str, complex]:
@@ -180,3 +194,85 @@ def test_polygons_are_drawn_by_the_command(tmp_path: Path, capsys) -> None:
 def test_in_a_dead_point_there_is_no_polygon(tmp_path: Path) -> None:
     with pytest.raises(SceneError, match='no polygon in a dead point'):
         solve_scene('loader_cylinder', at='0.920227378 m', polygons=tmp_path / 'a.svg')
+
+
+@pytest.mark.parametrize(
+    ('name', 'body', 'at'), [('slider_crank', 'rod', '75 deg'), ('four_bar', 'coupler', '200 deg')]
+)
+def test_both_reference_points_give_the_same_motion(
+    tmp_path: Path, name: str, body: str, at: str
+) -> None:
+    """Seed 001, Figs. 1 to 3."""
+    file = tmp_path / 'a.svg'
+    lines = solve_scene(name, at=at, decomposed=(f'{body}:A,B', file))
+    scene = load_scene(name)
+    former, here = over_time(scene, np.zeros(1)), at_value(scene, at)
+    b = scene.mechanism.bodies.index(body)
+    turn = here.motion.angle[0, b, 0] - former.motion.angle[0, b, 0]
+    then, now = ({k: z[:, 0] for k, z in point_motions(one).items()} for one in (former, here))
+    names = [f'{body}.A', f'{body}.B']
+    size = abs(now[names[0]][0] - now[names[1]][0])
+    for k, letter in enumerate('AB'):
+        found = arrows(file, k)
+        move = now[names[k]][0] - then[names[k]][0]
+        assert len(found[f's_{letter}']) == 2
+        for vector in found[f's_{letter}']:
+            same(vector, move, size)
+        # The chord of the rotation, about one point and about the other.
+        arm = then[names[1 - k]][0] - then[names[k]][0]
+        same(found[f'φ_{letter}'][0], arm * (np.exp(1j * turn) - 1), size)
+        # The velocities: v_B = v_A + w x r_BA.
+        found, other = arrows(file, 2 + k), 'BA'[k]
+        v, fastest = [now[one][1] for one in names], abs(now[names[0]][1])
+        same(found[f'v_{letter}'][0], v[k], fastest)
+        same(found[f'v_{other}/{letter}'][0], v[1 - k] - v[k], fastest)
+        same(
+            found[f'v_{letter}'][1] + found[f'v_{other}/{letter}'][0],
+            found[f'v_{other}'][0],
+            fastest,
+        )
+    pole = poles(scene.mechanism, here.motion)
+    u, tangent = arrows(file, 4)['u'][0], arrows(file, 4)['t_P'][0]
+    same(u, pole.velocity[b, 0], abs(pole.velocity[b, 0]))
+    assert abs((u * tangent.conjugate()).imag) < 1e-6 * abs(u * tangent)
+    printed = {line.split('  ')[0]: line.split()[-2:] for line in lines}
+    along = [
+        np.array(printed[f'u along the {which} centrode'], float) for which in ('fixed', 'moving')
+    ]
+    assert along[0] == pytest.approx(along[1], rel=1e-5)
+    assert complex(*along[0]) == pytest.approx(u, rel=1e-5)
+    assert complex(*map(float, printed['r_P (eq. 23)'])) == pytest.approx(pole.icr[b, 0], rel=1e-5)
+    rotations = [float(line.split()[-1]) for line in lines if re.match('[AB]  ', line)]
+    assert rotations == pytest.approx([np.degrees(turn)] * 2, rel=1e-5)
+
+
+@pytest.mark.parametrize(
+    ('name', 'words'),
+    [
+        ('four_bar', 'crank:O,A'),
+        ('four_bar', 'rocker:B,C'),
+        ('loader_loop', 'r3p:tail,head'),
+        ('loader_loop', 'r3p:P,tail'),
+        ('double_pendulum', 'lower:A,P'),
+        ('cardan', 'rod:A,B'),
+    ],
+)
+def test_decompositions_of_other_bodies_are_legible(name: str, words: str) -> None:
+    scene = load_scene(name)
+    here, whole = over_time(scene, np.array([0.2])), over_time(scene, np.linspace(0, 1, 61))
+    for panel in decomposition_panels(decompose(words, over_time(scene, np.zeros(1)), here, whole)):
+        assert not covered(panel)
+
+
+@pytest.mark.parametrize(
+    ('words', 'fix'),
+    [
+        ('none:A,B', 'there is no moving body'),
+        ('coupler:A', 'coupler:A,B; it has A, B, P'),
+        ('coupler:A,A', 'two reference points'),
+        ('coupler:A,C', 'it has A, B, P'),
+    ],
+)
+def test_what_cannot_be_decomposed_is_said(tmp_path: Path, words: str, fix: str) -> None:
+    with pytest.raises(SceneError, match=re.escape(fix)):
+        solve_scene('four_bar', decomposed=(words, tmp_path / 'a.svg'))

@@ -59,10 +59,19 @@ def add(commands: Any) -> None:
         help='velocity and acceleration polygons to scale beside the linkage, .svg or .png: at '
         '--at, at time 0, or at the end of --time',
     )
+    solve.add_argument(
+        '--decompose',
+        nargs=2,
+        default=(),
+        metavar=('BODY:A,B', 'FILE.svg'),
+        help="Poisson's decomposition: translation with the point A and rotation about it against "
+        'the same with B, from time 0 to --at or the end of --time, and of the velocities there',
+    )
     solve.add_argument('--html', metavar='FILE.html', help='the linkage in motion, as in a report')
     solve.add_argument(
         '--pitch',
         nargs=3,
+        default=(),
         metavar=('BODY', 'BODY', 'FILE'),
         help='centrodes of two bodies as pitch curves: .csv, or .svg, .dxf true to scale',
     )
@@ -72,10 +81,8 @@ def run(options: argparse.Namespace) -> int:
     """Do it, and print the outcome; the exit status."""
     from kinpole_ros.tools.solve import solve_scene
 
-    pitch = options.pitch[2] if options.pitch else None
-    check_outputs(
-        [options.scene], [options.csv, options.plot, pitch, options.html, options.polygon]
-    )
+    files = [options.csv, options.plot, options.html, options.polygon]
+    check_outputs([options.scene], [*files, *options.pitch[2:], *options.decompose[1:]])
     check_ending('--html', options.html, 'an HTML page')
     check_ending('--csv', options.csv, 'a CSV table')
     lines = solve_scene(
@@ -91,6 +98,7 @@ def run(options: argparse.Namespace) -> int:
         options.html,
         options.centrodes,
         polygons=options.polygon,
+        decomposed=options.decompose,
     )
     print('\n'.join(map(printable, lines)))
     return 0

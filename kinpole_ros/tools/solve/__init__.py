@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from kinpole_ros import files
-from kinpole_ros.mechanism import SceneError, centrodes, load_scene, write_pitch_curves
+from kinpole_ros.mechanism import Scene, SceneError, centrodes, load_scene, write_pitch_curves
 from kinpole_ros.tools.solve._lines import (
     center_lines,
     course_lines,
@@ -50,6 +50,7 @@ def solve_scene(
     page: str | Path | None = None,
     curves: Sequence[str] = (),
     polygons: str | Path | None = None,
+    decomposed: Sequence[str] = (),
 ) -> list[str]:
     """
     The analysis as lines to print; also writes the CSV `table`, the `picture`, the `pitch` curves,
@@ -62,7 +63,8 @@ def solve_scene(
     end of `time`. Raises SceneError and LinkageError for what the scene cannot do, SceneError for
     files too.
     """
-    kind, polygon_kind = (_kind_of(Path(p)) if p else '' for p in (picture, polygons))
+    drawings = (picture, polygons, decomposed[1] if decomposed else None)
+    kind, polygon_kind, decomposed_kind = (_kind_of(Path(p)) if p else '' for p in drawings)
     loaded = load_scene(scene)
     for body in curves:
         if body not in loaded.mechanism.bodies:
@@ -74,7 +76,7 @@ def solve_scene(
         asked = course(loaded, time, _SAMPLES)
     elif sweep:
         asked = over_range(loaded, _SAMPLES)
-    there = here if time is None else asked.last
+    there = here if time is None else asked.at(-1)
     lines = head_lines(loaded)
     if at is not None and (note := unit_note(loaded, at)):
         lines.append(note)
@@ -122,6 +124,20 @@ def solve_scene(
         with _writing(polygons) as part:
             draw_polygons(part, polygon_kind, there)
         lines.append(f'written to {polygons}')
+    if decomposed:
+        from kinpole_ros.tools.solve._decompose import (
+            decompose,
+            decomposition_lines,
+            draw_decomposition,
+        )
+
+        body, file = decomposed
+        whole = _whole(asked)
+        found = decompose(body, _former(loaded, there, whole), there, whole)
+        lines += decomposition_lines(found)
+        with _writing(file) as part:
+            draw_decomposition(part, decomposed_kind, found)
+        lines.append(f'written to {file}')
     return lines
 
 
@@ -134,6 +150,15 @@ def _whole(asked: Solved) -> Solved:
     except SceneError:
         # Several drivers, or one that nothing stops.
         return course(asked.scene, None, _SAMPLES)
+
+
+def _former(scene: Scene, there: Solved, whole: Solved) -> Solved:
+    """The position at time 0, or where that is `there` one an eighth of the range from it."""
+    start = over_time(scene, np.zeros(1))
+    if np.abs(start.values - there.values).max() > 1e-9:
+        return start
+    away = np.abs(whole.inputs[0] - there.inputs[0, 0])
+    return whole.at(int(np.abs(away - np.ptp(whole.inputs[0]) / 8).argmin()))
 
 
 @contextmanager

@@ -198,7 +198,7 @@ def center_lines(solved: Solved) -> list[str]:
 
 def static_lines(solved: Solved) -> list[str]:
     """What the drivers and the joints bear, at the first position."""
-    scene, acts = solved.scene, acting(solved.first)
+    scene, acts = solved.scene, acting(solved.at(0))
     if not acts.all:
         raise SceneError(
             f'{scene.name} has no loads: add them, as loads: [{{weight: 10 kg, at: BODY.POINT}}]'

@@ -28,6 +28,8 @@ STYLES: dict[str, tuple[str, float, str, bool]] = {
     'tangential': ('#00785a', 1.4, '6 3', True),
     'Coriolis': ('#7a4fa0', 1.4, '6 3', True),
     'slide': ('#8a6100', 1.4, '6 3', True),
+    'fixed': ('#c08a2b', 3.0, '', False),
+    'moving': ('#0060a8', 1.5, '6 3', False),
     'bar': ('#1c2127', 1.4, '', False),
     'point': ('#1c2127', 1.0, '', False),
 }
@@ -60,7 +62,8 @@ class Panel:
     """
     A box of a sheet, `low` to `high`, in which one unit is `scale` px long.
 
-    `order` and `unit` tell what its vectors are; `lines` are in px, `names` where they were put.
+    `order` and `unit` tell what its vectors are; one unit of those drawn into a picture of another
+    unit is `rate` of this. `lines` are in px, `names` where they were put.
     """
 
     title: str
@@ -69,6 +72,7 @@ class Panel:
     high: complex
     order: int = 0
     scale: float = 1.0
+    rate: float = 1.0
     shift: complex = 0j
     lines: list[_Line] = field(default_factory=list)
     names: list[_Name] = field(default_factory=list)
@@ -207,7 +211,7 @@ def _svg(title: str, size: complex, panels: Sequence[Panel]) -> str:
         middle = (panel.low.real + panel.high.real) / 2
         rows.append(
             f'<g data-order="{panel.order}" data-unit="{escape(panel.unit)}" '
-            f'data-scale="{panel.scale!r}" data-title="{escape(panel.title)}">'
+            f'data-scale="{panel.scale:.15g}" data-rate="{panel.rate:.15g}">'
         )
         rows.append(
             f'<text x="{middle:g}" y="{panel.low.imag + 20:g}" font-weight="bold">'

@@ -49,21 +49,13 @@ class Solved(NamedTuple):
     limits: Limits = (None, None)
     times: np.ndarray | None = None
 
-    @property
-    def first(self) -> 'Solved':
-        """The same at the first position alone."""
-        return self._some(slice(1))
-
-    @property
-    def last(self) -> 'Solved':
-        """The same at the last position alone."""
-        return self._some(slice(-1, None))
-
-    def _some(self, kept: slice) -> 'Solved':
-        motion = Motion(*(part[..., kept] for part in self.motion))
-        times = None if self.times is None else self.times[kept]
+    def at(self, k: int) -> 'Solved':
+        """The same at position `k` alone."""
+        one = [k]
+        motion = Motion(*(part[..., one] for part in self.motion))
+        times = None if self.times is None else self.times[one]
         return self._replace(
-            inputs=self.inputs[:, kept], rates=self.rates[:, kept], motion=motion, times=times
+            inputs=self.inputs[:, one], rates=self.rates[:, one], motion=motion, times=times
         )
 
     @property
