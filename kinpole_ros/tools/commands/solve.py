@@ -44,6 +44,12 @@ def add(commands: Any) -> None:
     )
     solve.add_argument('--centers', action='store_true', help='instant centers, as deduced by hand')
     solve.add_argument('--statics', action='store_true', help='what drivers and joints bear')
+    solve.add_argument(
+        '--work',
+        action='store_true',
+        help='the statics step by step: virtual work line by line, the share of each load, each '
+        'bearing force by letting the bearing go, mechanical advantages',
+    )
     solve.add_argument('--csv', metavar='FILE', help='all figures as a table, SI units')
     solve.add_argument('--plot', metavar='FILE.png', help='the linkage, and rates over the range')
     solve.add_argument(
@@ -99,6 +105,7 @@ def run(options: argparse.Namespace) -> int:
         options.centrodes,
         polygons=options.polygon,
         decomposed=options.decompose,
+        work=options.work,
     )
     print('\n'.join(map(printable, lines)))
     return 0

@@ -30,6 +30,7 @@ from kinpole_ros.tools.solve._solved import (
     unit_note,
 )
 from kinpole_ros.tools.solve._spreadsheet import write_table
+from kinpole_ros.tools.solve._work import work_lines
 
 __all__ = ['solve_scene']
 
@@ -51,6 +52,7 @@ def solve_scene(
     curves: Sequence[str] = (),
     polygons: str | Path | None = None,
     decomposed: Sequence[str] = (),
+    work: bool = False,
 ) -> list[str]:
     """
     The analysis as lines to print; also writes the CSV `table`, the `picture`, the `pitch` curves,
@@ -90,6 +92,8 @@ def solve_scene(
         lines += center_lines(asked)
     if statics:
         lines += static_lines(asked)
+    if work:
+        lines += work_lines(there if time is not None else asked)
     if table:
         with _writing(table) as part:
             write_table(part, asked, centers, statics)
@@ -108,7 +112,7 @@ def solve_scene(
         from kinpole_ros.tools.solve._page import write_page
 
         with _writing(page) as part:
-            write_page(part, _whole(asked))
+            write_page(part, _whole(asked), there)
         lines.append(f'written to {page}')
     if picture:
         from kinpole_ros.tools.solve._picture import draw

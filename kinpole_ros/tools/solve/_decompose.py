@@ -45,8 +45,8 @@ def decompose(words: str, former: Solved, here: Solved, whole: Solved) -> Decomp
     scene = here.scene
     body, _, said = words.partition(':')
     if body not in scene.mechanism.bodies:
-        names = ', '.join(scene.mechanism.bodies)
-        raise SceneError(f'--decompose: there is no moving body {body!r}: give one of {names}')
+        known = ', '.join(scene.mechanism.bodies)
+        raise SceneError(f'--decompose: there is no moving body {body!r}: give one of {known}')
     places = {name.rpartition('.')[2]: z for name, (of, z) in scene.points.items() if of == body}
     if not scene.mechanism.assembly.joints:
         loops, b = scene.mechanism.assembly.loops, scene.mechanism.bodies.index(body)
