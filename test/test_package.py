@@ -177,6 +177,27 @@ def test_arrows_between_rooms_point_one_way():
         assert used - {room, '__version__', 'packages'} <= below, room
 
 
+@pytest.mark.parametrize(
+    ('module', 'others'),
+    [
+        ('kinpole_ros.ros.node', ['kinpole_ros.bags', 'mcap', 'rosbags', 'lz4', 'zstandard']),
+        ('kinpole_ros.bags', ['rosbags', 'matplotlib']),
+        ('kinpole_ros.api', ['kinpole_ros.bags', 'kinpole_ros.messages', 'mcap', 'rclpy']),
+    ],
+)
+def test_linkage_and_mechanism_are_imported_with_a_scene_only(
+    module: str, others: list[str]
+) -> None:
+    """They took half of the start of a node; neither does the start need the `others`."""
+    program = f'import kinpole_ros, {module}, sys; print(*sys.modules)'
+    done = subprocess.run(
+        [sys.executable, '-c', program], capture_output=True, text=True, timeout=60, check=True
+    )
+    loaded = set(done.stdout.split())
+    assert module in loaded
+    assert not loaded & {'kinpole_ros.linkage', 'kinpole_ros.mechanism', *others}
+
+
 def test_the_source_distribution_holds_all_that_is_tracked(tmp_path):
     tree = tmp_path / 'kinpole_ros'
     for path in tracked():

@@ -43,7 +43,6 @@ def fit_bag(
         raise SceneError(f'{scene}: its joints have no dimensions to be fitted: add joints')
     settings = _settings(loaded, scene, config)
     theory = load_theory(settings)
-    assert theory is not None
 
     def part(first: float, share: float) -> Callable[[float], None] | None:
         return None if progress is None else (lambda done: progress(first + share * done))
