@@ -87,8 +87,9 @@ def run(options: argparse.Namespace) -> int:
     """Do it, and print the outcome; the exit status."""
     from kinpole_ros.tools.solve import solve_scene
 
-    files = [options.csv, options.plot, options.html, options.polygon]
-    check_outputs([options.scene], [*files, *options.pitch[2:], *options.decompose[1:]])
+    pitch = options.pitch[2] if options.pitch else None
+    files = [options.csv, options.plot, options.html, options.polygon, pitch]
+    check_outputs([options.scene], [*files, *options.decompose[1:]])
     check_ending('--html', options.html, 'an HTML page')
     check_ending('--csv', options.csv, 'a CSV table')
     check_ending('--pitch', pitch, 'a pair of pitch curves')
