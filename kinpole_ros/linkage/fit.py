@@ -15,7 +15,7 @@ from kinpole_ros.linkage.theory import Theory
 from kinpole_ros.mechanism import Dimension, Scene, SceneError
 from kinpole_ros.pipeline.estimate import Estimate
 
-_MOST = 6000
+_MOST = 6000  # instants, evenly over the recording: more take time and tell little
 
 
 class Fitted(NamedTuple):
