@@ -499,6 +499,14 @@ def test_a_draft_closes_where_a_joint_or_a_pin_only_seems_to_be_another(name, no
     assert not drawn[1].problem
 
 
+@pytest.mark.parametrize(('name', 'told'), [('loader_cylinder', True), ('slider_crank', False)])
+def test_a_slide_that_may_be_on_either_body_is_noted(name, told):
+    """The cylinder turns by 13 degrees only: a line on the ground fits as well as its own."""
+    frames, _ = markers_of(name, 4)
+    notes = discover([frames]).notes
+    assert any('on ground: a line on either of them fits' in note for note in notes) == told
+
+
 # --- many bodies --------------------------------------------------------------------------------
 
 
