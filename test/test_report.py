@@ -522,3 +522,17 @@ def test_print_holds_all_charts_and_no_buttons(opened) -> None:
     canvas = page.locator('.chart canvas').first
     assert canvas.evaluate('e => e.width / e.getBoundingClientRect().width') > 1.9
     assert page.pdf(format='A4').startswith(b'%PDF')
+
+
+def test_polygons_show_the_images_of_the_bodies_shown(opened) -> None:
+    page = opened()
+    canvases = page.locator('#polygons canvas')
+    assert canvases.count() == 2
+    before = [canvases.nth(k).screenshot() for k in (0, 1)]
+    assert colored(page, '#polygons canvas', BLUE) > 50
+    page.keyboard.press('Shift+ArrowRight')
+    drawn(page)
+    assert all(canvases.nth(k).screenshot() != before[k] for k in (0, 1))
+    page.keyboard.press('1')
+    drawn(page)
+    assert colored(page, '#polygons canvas', BLUE) == 0

@@ -36,6 +36,7 @@ _SCRIPTS = (
     'charts',
     'table',
     'strips',
+    'polygons',
     'input',
     'live',
     'page',

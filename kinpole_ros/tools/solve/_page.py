@@ -34,6 +34,13 @@ def write_page(path: Path, solved: Solved, here: Solved) -> None:
     packed = pack(record)
     for body in packed['bodies']:
         rims = _rims(scene, body['name'])
+        body['points'] = [
+            [name.rpartition('.')[2], place.real, place.imag]
+            for name, (of, place) in scene.points.items()
+            if of == body['name']
+        ]
+        if not scene.mechanism.assembly.joints:
+            body['points'] += [['', z.real, z.imag] for z in _outline(scene, body['name'])]
         body['rims'] = [[hub.real, hub.imag, radius] for hub, radius in rims]
     data = {
         **packed,
