@@ -44,8 +44,10 @@ from kinpole_ros import planar
 from kinpole_ros.mechanism import *
 from kinpole_ros.planar import *
 
+
 def close(one, other):
     return bool(np.allclose(one, other, rtol=1e-9, atol=1e-9))
+
 
 # Seed 000, page 7: the web cutter, points B3 and C3, to the jerk. Page 6: link 3, in mm.
 f = [1, 1]
@@ -72,7 +74,7 @@ dICR = (w * R @ m[2] - B @ m[1]) / w**2
 K = w**3 * np.eye(2) - 2 * w * a * R
 ddICR = (-(w * j - 2 * a**2) * R @ m[1] + K @ m[2] + w**2 * R @ m[3]) / w**3
 at_unit_rate = scene.mechanism.sweep([0.2 * np.pi])
-kappa = (dICR[0] * ddICR[1] - dICR[1] * ddICR[0]) / norm(dICR)**3
+kappa = (dICR[0] * ddICR[1] - dICR[1] * ddICR[0]) / norm(dICR) ** 3
 
 # Seed 001: the points A (the crank pin) and B of the coupler.
 r_A, v_A, a_A = (to_plane(part) for part in z[:3])
@@ -90,8 +92,12 @@ borne, released = (
     find(loader.mechanism, at_45.values[0], loader.loads).force
     for find in (reactions, freed_reactions)
 )
+
+
 def matrix(t3, t4):
     return np.array([[-1.2 * np.sin(t3), -np.sin(t4)], [1.2 * np.cos(t3), np.cos(t4)]])
+
+
 t2, t3, t4 = at_45.values[0][:, 0]
 v = inv(matrix(t3, t4 + np.pi)) @ [0.5 * 1.41 * np.sin(t2), -0.5 * 1.41 * np.cos(t2)]
 """

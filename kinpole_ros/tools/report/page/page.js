@@ -257,7 +257,7 @@ function show(data) {
   drawNotes(by('notes'), data);
   by('work').hidden = !data.work?.length;
   by('work').querySelector('pre').textContent = (data.work || []).join('\n').trim();
-  if (data.exact) by('now').after(by('polygons'));
+  if (data.solved) by('now').after(by('polygons'));
   const actions = makePage(data);
   actions.open();
   const still = matchMedia('(prefers-reduced-motion: reduce)').matches;
