@@ -276,3 +276,12 @@ def test_decompositions_of_other_bodies_are_legible(name: str, words: str) -> No
 def test_what_cannot_be_decomposed_is_said(tmp_path: Path, words: str, fix: str) -> None:
     with pytest.raises(SceneError, match=re.escape(fix)):
         solve_scene('four_bar', decomposed=(words, tmp_path / 'a.svg'))
+
+
+def test_a_wheel_has_no_velocity_where_it_touches_but_an_acceleration(tmp_path: Path) -> None:
+    file = tmp_path / 'a.svg'
+    solve_scene('rolling_wheel', polygons=file)
+    _, v, a = drawn(file)
+    assert v['v_H'] == pytest.approx(0.2 * np.pi, rel=1e-6)
+    assert a['a_contact of wheel'] == pytest.approx(0.1j * (2 * np.pi) ** 2, rel=1e-6)
+    assert a['a_H/contact'] == pytest.approx(-0.1j * (2 * np.pi) ** 2, rel=1e-6)
