@@ -134,18 +134,24 @@ SEEDS: dict[str, list[Entry]] = {
         Entry('p. 1', 'ω = Σ f (c × ṙ) / S', 'close(k.angular_velocity, w)'),
         Entry('p. 1', 'ICR = r̄ − [ω]⁻¹ ṙ̄', 'close(k.icr, m[0] - inv(w * R) @ m[1])'),
         Entry(
-            'p. 1', 'ṙ_P = [ω](r_P − ICR)', 'close(point_derivatives(k, P)[0], w * R @ (P - k.icr))'
+            'p. 1',
+            'ṙ_P = [ω] (r_P − ICR)',
+            'close(point_derivatives(k, P)[0], w * R @ (P - k.icr))',
         ),
         Entry('p. 2', 'α = Σ f (c × r̈) / S', 'close(k.angular_acceleration, a)'),
         Entry('p. 2', 'IAP = r̄ − [β]⁻¹ r̈̄, β = [ω̇] + [ω]²', 'close(k.iap, m[0] - inv(B) @ m[2])'),
-        Entry('p. 2', 'r̈_P = [β](r_P − IAP)', 'close(point_derivatives(k, P)[1], B @ (P - k.iap))'),
+        Entry(
+            'p. 2', 'r̈_P = [β] (r_P − IAP)', 'close(point_derivatives(k, P)[1], B @ (P - k.iap))'
+        ),
         Entry('p. 2', 'angular jerk ω̈ = ω³ + Σ f (c × r⃛) / S', 'close(k.angular_jerk, j)'),
         Entry('p. 2', 'IJP = r̄ − [η]⁻¹ r⃛̄', 'close(k.ijp, m[0] - inv(H) @ m[3])'),
-        Entry('p. 2', 'r⃛_P = [η](r_P − IJP)', 'close(point_derivatives(k, P)[2], H @ (P - k.ijp))'),
+        Entry(
+            'p. 2', 'r⃛_P = [η] (r_P − IJP)', 'close(point_derivatives(k, P)[2], H @ (P - k.ijp))'
+        ),
         Entry('p. 2', 'angular snap ω⃛ = 6 ω² α + Σ f (c × r⁗) / S', 'close(k.angular_snap, s)'),
         Entry('p. 2', 'ISP = r̄ − [σ]⁻¹ r⁗̄', 'close(k.isp, m[0] - inv(G) @ m[4])'),
         Entry(
-            'p. 2', 'r⁗_P = [σ](r_P − ISP)', 'close(point_derivatives(k, P)[3], G @ (P - k.isp))'
+            'p. 2', 'r⁗_P = [σ] (r_P − ISP)', 'close(point_derivatives(k, P)[3], G @ (P - k.isp))'
         ),
         Entry(
             'p. 3',

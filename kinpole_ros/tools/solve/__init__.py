@@ -51,18 +51,20 @@ def solve_scene(
     time: str | None = None,
     page: str | Path | None = None,
     curves: Sequence[str] = (),
+    *,
     polygons: str | Path | None = None,
     decomposed: Sequence[str] = (),
     work: bool = False,
 ) -> list[str]:
     """
     The analysis as lines to print; also writes the CSV `table`, the `picture`, the `pitch` curves,
-    the HTML `page` and the drawing of the `polygons`.
+    the HTML `page` and drawings.
 
     `at` is a value of the one driver, with a unit or in SI; `sweep` takes all the way the linkage
     gives it; `time` all drivers as they move, from 0 to so long, with a unit or in s; none of them,
     the position at time 0. `pitch` is two bodies and a file (.csv, .svg or .dxf), `curves` are
-    bodies whose centrodes the picture has. The polygons are those of the position `at`, or at the
+    bodies whose centrodes the picture has. `polygons`, the decomposition of BODY:A,B into a file
+    (`decomposed`) and `work`, the statics step by step, are those of the position `at`, or at the
     end of `time`. Raises SceneError and LinkageError for what the scene cannot do, SceneError for
     files too.
     """

@@ -122,7 +122,7 @@ def _draw_polygon(panel: Panel, figure: Polygon) -> None:
     arrows, lines = arrows_of(figure), _construction(figure)
     ends = [z for _, _, tail, vector in arrows for z in (tail, tail + vector)]
     panel.fit([0j, *figure.points.values(), *ends, *(z for line in lines for z in line)])
-    panel.title += f', 1 {panel.unit} = {panel.scale:.4g} px'
+    panel.title += f', 1 {panel.unit} = {panel.scale:.4g} px' if arrows else ': none, it is at rest'
     for shape in figure.shapes:
         panel.line([*shape, shape[0]], 'shape')
     for line in lines:
@@ -134,6 +134,8 @@ def _draw_polygon(panel: Panel, figure: Polygon) -> None:
     for name, z in figure.points.items():
         if z:
             panel.point(z, name)
+    if not arrows:
+        return
     used = {style for _, style, *_ in arrows}
     panel.bar('; '.join(f'{mark}: {what}' for what, mark in _MARKS.items() if what in used))
 

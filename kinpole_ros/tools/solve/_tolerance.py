@@ -20,7 +20,7 @@ from kinpole_ros.mechanism import (
     spread,
 )
 from kinpole_ros.tools.solve._lines import head_lines, table_lines
-from kinpole_ros.tools.solve._solved import Solved, everywhere, shown, writing
+from kinpole_ros.tools.solve._solved import Solved, driver_unit, everywhere, shown, writing
 
 # Positions over the range.
 _POSITIONS = 121
@@ -28,8 +28,8 @@ _POSITIONS = 121
 _USUAL = {'length': 1e-4, 'angle': np.radians(0.1)}
 # A line of `kinpole fit`.
 _FITTED = re.compile(r'(\S+?)(?: ([xy]))?\s+\S+ (m|deg), deviation ([\d.e+-]+);')
-# 95% of a normal distribution.
-_BAND = 1.96
+# The widest band that is drawn is less than this share of the largest path.
+_BAND = 0.3
 # Errors that are named as the largest of a quantity.
 _NAMED = 3
 _UNITS = {'angle': ('deg', 180 / np.pi), 'angular velocity': ('rad/s', 1.0)}
@@ -181,45 +181,64 @@ def _write_table(path: Path, solved: Solved, found: Spread) -> None:
 
 
 def _draw(path: Path, kind: str, solved: Solved, found: Spread) -> None:
-    """Deviations over the range, to first order as lines, of the samples as dots."""
+    """Paths of points with their bands, and deviations over the range; dots are of the samples."""
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(9, 9), layout='constrained')
+    figure = Figure(figsize=(13, 8), layout='constrained')
+    grid = figure.add_gridspec(3, 2, width_ratios=(1.1, 1))
+    _draw_paths(figure.add_subplot(grid[:, 0]), found)
     at, label = solved.times, 'time (s)'
     if at is None:
-        angle = solved.scene.mechanism.kind(0) == 'angle'
-        at = np.degrees(solved.inputs[0]) if angle else solved.inputs[0]
-        label = f'{solved.scene.mechanism.drivers[0].name} ({"deg" if angle else "m"})'
+        unit, size = driver_unit(solved.scene, 0)
+        at, label = solved.inputs[0] / size, f'{solved.scene.mechanism.drivers[0].name} ({unit})'
     sampled = _sampled(found)
-    for k, (title, kinds) in enumerate(
-        (
-            ('points (mm)', ('x', 'y')),
-            ('angles (deg)', ('angle',)),
-            ('centers (mm)', ('ICR x', 'ICR y')),
-        )
-    ):
-        axis = figure.add_subplot(3, 1, k + 1)
+    for k, kinds in enumerate((('x', 'y'), ('angle',), ('ICR x', 'ICR y'))):
+        axis = figure.add_subplot(grid[k, 1])
+        unit, size = _UNITS.get(kinds[0], ('mm', 1e3))
         for q, (name, what) in enumerate(found.names):
-            size = _UNITS.get(what, ('mm', 1e3))[1]
             deviation = found.deviation[q] * size
-            if what not in kinds or not np.isfinite(deviation).any() or np.nanmax(deviation) < 1e-9:
+            if what not in kinds or not np.nanmax(deviation, initial=0.0) > 1e-9:
                 continue
-            words = name if what == 'angle' else f'{name} {what}'
-            (line,) = axis.plot(
-                at, deviation, label=words, linestyle='--' if what[-1] == 'y' else '-'
-            )
+            dashes = '--' if what[-1] == 'y' else '-'
+            (line,) = axis.plot(at, deviation, dashes, label=f'{name} {what}', linewidth=1.2)
             if sampled is not None:
-                some = slice(None, None, 8)
-                axis.plot(at[some], sampled[0][q][some] * size, '.', color=line.get_color())
-            if kinds[0] == 'ICR x':
-                axis.set_yscale('log')
-        axis.set(ylabel=f'deviation of {title}', xlabel=label)
+                axis.plot(at[::8], sampled[0][q][::8] * size, '.', color=line.get_color())
+        axis.set(ylabel=f'deviation ({unit})', xlabel=label, yscale='log' if k == 2 else 'linear')
         axis.grid(alpha=0.3)
-        axis.legend(fontsize=7, ncols=3)
+        if axis.lines:
+            axis.legend(fontsize=6, ncols=3)
     name = solved.scene.name
     title = f'{name}: standard deviations, to first order' + (', dots: samples' if sampled else '')
     figure.suptitle(title, parse_math=False)
     figure.savefig(path, format=kind, dpi=150)
+
+
+def _draw_paths(axis: Any, found: Spread) -> None:
+    """Paths of points, and to both sides two deviations across them, times a round number."""
+    rows = {words: q for q, words in enumerate(found.names)}
+    paths: dict[str, tuple[np.ndarray, np.ndarray]] = {}
+    for name in (name for name, what in found.names if what == 'x'):
+        x, y = rows[name, 'x'], rows[name, 'y']
+        z = found.value[x] + 1j * found.value[y]
+        way = np.gradient(z)
+        if np.nanmax(np.abs(way), initial=0.0) < 1e-9:
+            continue
+        across = 1j * np.exp(1j * np.angle(way))
+        parts = found.parts[:, x] * across.real + found.parts[:, y] * across.imag
+        paths[name] = z, 2 * across * np.sqrt((parts**2).sum(axis=0))
+    extent = max((np.nanmax(np.abs(z - np.nanmean(z))) for z, _ in paths.values()), default=1.0)
+    widest = max((np.nanmax(np.abs(band)) for _, band in paths.values()), default=0.0)
+    times = 10.0 ** np.floor(np.log10(_BAND * extent / widest)) if widest else 1.0
+    for name, (z, band) in paths.items():
+        (line,) = axis.plot(z.real, z.imag, label=name)
+        one, other = z + times * band, (z - times * band)[::-1]
+        edge = np.concatenate((one, other))
+        edge = edge[np.isfinite(edge)]
+        axis.fill(edge.real, edge.imag, color=line.get_color(), alpha=0.2, linewidth=0)
+    axis.set(xlabel='x (m)', ylabel='y (m)', aspect='equal')
+    axis.set_title(f'paths, with bands of two deviations, {times:g} times as wide', fontsize=10)
+    if paths:
+        axis.legend(fontsize=8)
 
 
 def _columns(found: Spread) -> Mapping[tuple[str, str], Any]:
