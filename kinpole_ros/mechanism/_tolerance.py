@@ -77,9 +77,9 @@ def errors_of(
     scene
         The scene.
     deviations
-        Standard deviations, m or rad, by name: of a point (rocker.B), of a length or angle
-        (r2.length), or of all of a body, vector or joint; 'length' and 'angle' are all of these.
-        The last that names a dimension holds.
+        Standard deviations, m or rad, by name: of a point (rocker.B), one coordinate of it
+        (rocker.B x), of a length or angle (r2.length), or of all of a body, vector or joint;
+        'length' and 'angle' are all of a kind. The last that names a dimension holds.
     play
         Radial play, m, by the name of the pin.
 
@@ -95,18 +95,21 @@ def errors_of(
 
     """
     found: dict[tuple[Path, int], Error] = {}
-    rows = [row for row in scene.equations.dimensions if row.path]
+    rows = {
+        f'{row.name} {"xy"[row.axis]}' if row.path[0] == 'bodies' else row.name: row
+        for row in scene.equations.dimensions
+        if row.path
+    }
     for name, deviation in deviations.items():
-        own = [
-            row
-            for row in rows
-            if row.kind == name or row.name == name or row.name.startswith(f'{name}.')
-        ]
+        own = {
+            what: row
+            for what, row in rows.items()
+            if name in (what, row.name, row.kind) or row.name.startswith(f'{name}.')
+        }
         if not own and name not in ('length', 'angle'):
-            known = ', '.join(dict.fromkeys(row.name for row in rows))
+            known = ', '.join(dict.fromkeys(row.name for row in rows.values()))
             raise SceneError(f'{name} is no dimension that joints use: give some of {known}')
-        for row in own:
-            what = f'{row.name} {"xy"[row.axis]}' if row.path[0] == 'bodies' else row.name
+        for what, row in own.items():
             found[row.path, row.axis] = Error(what, deviation, row.value, row.path, row.axis)
     pins = {j.name: j for j in scene.mechanism.assembly.joints if isinstance(j, Revolute)}
     extra = []

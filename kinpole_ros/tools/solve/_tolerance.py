@@ -27,7 +27,7 @@ _POSITIONS = 121
 # Where nothing is said: of lengths, m, and of angles, rad.
 _USUAL = {'length': 1e-4, 'angle': np.radians(0.1)}
 # A line of `kinpole fit`.
-_FITTED = re.compile(r'(\S+?)(?: ([xy]))?\s+\S+ (m|deg), deviation ([\d.e+-]+);')
+_FITTED = re.compile(r'^(\S+(?: [xy])?) +\S+ (m|deg), deviation ([\d.e+-]+);', re.M)
 # The widest band that is drawn is less than this share of the largest path.
 _BAND = 0.3
 # Errors that are named as the largest of a quantity.
@@ -98,7 +98,7 @@ def _is_angle(scene: Scene, name: str) -> bool:
 
 
 def _fitted(path: str) -> dict[str, float]:
-    """Deviations that `kinpole fit` printed into a file; of a point the larger of both."""
+    """Deviations that `kinpole fit` printed into a file, by name."""
     try:
         text = Path(path).read_text(encoding='utf-8')
     except (OSError, UnicodeDecodeError):
@@ -106,10 +106,10 @@ def _fitted(path: str) -> dict[str, float]:
             f'--tolerances {path!r}: give NAME=0.1mm, play:PIN=0.05mm, or a file with what '
             '`kinpole fit` printed'
         ) from None
-    found: dict[str, float] = {}
-    for name, _, unit, deviation in _FITTED.findall(text):
-        size = float(deviation) * (1.0 if unit == 'm' else np.pi / 180)
-        found[name] = max(found.get(name, 0.0), size)
+    found = {
+        name: float(deviation) * (1.0 if unit == 'm' else np.pi / 180)
+        for name, unit, deviation in _FITTED.findall(text)
+    }
     if not found:
         raise SceneError(f'{path} has no line of `kinpole fit` with a deviation')
     return found
