@@ -20,6 +20,7 @@ from kinpole_ros.mechanism._scene_file import scene_names, scene_text, scenes_fo
 from kinpole_ros.mechanism._share import share_folder
 from kinpole_ros.mechanism._start import mobility
 from kinpole_ros.mechanism._statics import Force, Holder, Load, Torque, efforts, holding, load_rates
+from kinpole_ros.mechanism._tolerance import Error, Spread, errors_of, spread
 from kinpole_ros.mechanism._transmission import Port, advantage, transmission_angles
 from kinpole_ros.mechanism._units import SceneError, quantity
 
@@ -31,6 +32,7 @@ __all__ = [
     'Dimension',
     'Equation',
     'Equations',
+    'Error',
     'Force',
     'Holder',
     'LinkageError',
@@ -47,6 +49,7 @@ __all__ = [
     'Rolling',
     'Scene',
     'SceneError',
+    'Spread',
     'Spring',
     'Torque',
     'Torsion',
@@ -54,6 +57,7 @@ __all__ = [
     'center_name',
     'centrodes',
     'efforts',
+    'errors_of',
     'explain',
     'freed_reactions',
     'holding',
@@ -74,6 +78,7 @@ __all__ = [
     'scene_text',
     'scenes_folder',
     'share_folder',
+    'spread',
     'spring_loads',
     'transmission_angles',
     'undetermined',
