@@ -1,6 +1,5 @@
 """`kinpole tolerance`: how errors of a scene's dimensions spread over its motion."""
 
-import csv
 import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -21,6 +20,7 @@ from kinpole_ros.mechanism import (
 )
 from kinpole_ros.tools.solve._lines import head_lines, table_lines
 from kinpole_ros.tools.solve._solved import Solved, driver_unit, everywhere, shown, writing
+from kinpole_ros.tools.solve._spreadsheet import write_columns
 
 # Positions over the range.
 _POSITIONS = 121
@@ -175,11 +175,7 @@ def _write_table(path: Path, solved: Solved, found: ToleranceSpread) -> None:
             columns[f'sampled_sigma_{name}'] = sampled[0][q]
             columns[f'sampled_low_{name}'] = found.value[q] + sampled[1][0, q]
             columns[f'sampled_high_{name}'] = found.value[q] + sampled[1][1, q]
-    with path.open('w', newline='', encoding='utf-8') as file:
-        rows = csv.writer(file)
-        rows.writerow(columns)
-        for row in zip(*columns.values(), strict=True):
-            rows.writerow([repr(float(cell)) if np.isfinite(cell) else '' for cell in row])
+    write_columns(path, columns)
 
 
 def _draw(path: Path, kind: str, solved: Solved, found: ToleranceSpread) -> None:
