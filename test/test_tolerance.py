@@ -13,11 +13,11 @@ import pytest
 from kinpole_ros.mechanism import (
     LinkageError,
     SceneError,
-    Spread,
-    errors_of,
+    ToleranceSpread,
     load_scene,
+    propagate_tolerances,
     scene_text,
-    spread,
+    tolerances_of,
     transmission_angles,
 )
 from kinpole_ros.tools import cli
@@ -30,15 +30,17 @@ def spread_of(
     deviations: dict[str, float],
     play: dict[str, float] | None = None,
     samples: int = 0,
-) -> Spread:
+) -> ToleranceSpread:
     """Of a scene at values of its driver, which moves at 1."""
     scene = load_scene(name)
     values = scene.mechanism.sweep(at).values[0]
-    errors = errors_of(scene, deviations, play or {})
-    return spread(scene_text(name), scene, errors, values, np.ones((1, len(at))), samples)
+    errors = tolerances_of(scene, deviations, play or {})
+    return propagate_tolerances(
+        scene_text(name), scene, errors, values, np.ones((1, len(at))), samples
+    )
 
 
-def quantity(found: Spread, name: str, what: str) -> int:
+def quantity(found: ToleranceSpread, name: str, what: str) -> int:
     return found.names.index((name, what))
 
 
@@ -98,7 +100,7 @@ def test_vectors_and_slides_have_errors_too() -> None:
     place = found.value[quantity(found, 'rod.A', 'y')]
     moved = np.abs(found.parts[0, quantity(found, 'rod.A', 'x')])
     np.testing.assert_allclose(moved, 1e-3 * np.abs(place), rtol=1e-3)
-    assert len(errors_of(scene, {'angle': 1e-3}, {})) == 2
+    assert len(tolerances_of(scene, {'angle': 1e-3}, {})) == 2
     loop = spread_of(
         'loader_loop', np.radians([40.0, 50.0]), {'r3p.angle': 1e-3, 'r3p.length': 1e-3}
     )

@@ -20,7 +20,12 @@ from kinpole_ros.mechanism._scene_file import scene_names, scene_text, scenes_fo
 from kinpole_ros.mechanism._share import share_folder
 from kinpole_ros.mechanism._start import mobility
 from kinpole_ros.mechanism._statics import Force, Holder, Load, Torque, efforts, holding, load_rates
-from kinpole_ros.mechanism._tolerance import Error, Spread, errors_of, spread
+from kinpole_ros.mechanism._tolerance import (
+    Tolerance,
+    ToleranceSpread,
+    propagate_tolerances,
+    tolerances_of,
+)
 from kinpole_ros.mechanism._transmission import Port, advantage, transmission_angles
 from kinpole_ros.mechanism._units import SceneError, quantity
 
@@ -32,7 +37,6 @@ __all__ = [
     'Dimension',
     'Equation',
     'Equations',
-    'Error',
     'Force',
     'Holder',
     'LinkageError',
@@ -49,15 +53,15 @@ __all__ = [
     'Rolling',
     'Scene',
     'SceneError',
-    'Spread',
     'Spring',
+    'Tolerance',
+    'ToleranceSpread',
     'Torque',
     'Torsion',
     'advantage',
     'center_name',
     'centrodes',
     'efforts',
-    'errors_of',
     'explain',
     'freed_reactions',
     'holding',
@@ -69,6 +73,7 @@ __all__ = [
     'mobility',
     'poles',
     'polygon',
+    'propagate_tolerances',
     'quantity',
     'reactions',
     'releases',
@@ -78,8 +83,8 @@ __all__ = [
     'scene_text',
     'scenes_folder',
     'share_folder',
-    'spread',
     'spring_loads',
+    'tolerances_of',
     'transmission_angles',
     'undetermined',
     'write_pitch_curves',

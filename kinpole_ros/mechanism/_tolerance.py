@@ -31,7 +31,7 @@ _TURNING = 1e-6
 _OTHER = re.compile(r'\s*([A-Za-z_]\w*)')
 
 
-class Error(NamedTuple):
+class Tolerance(NamedTuple):
     """
     A length, m, or angle, rad, of a scene that is not known better than by `deviation`.
 
@@ -47,7 +47,7 @@ class Error(NamedTuple):
     is_play: bool = False
 
 
-class Spread(NamedTuple):
+class ToleranceSpread(NamedTuple):
     """
     Quantities (Q), by `names` as (body or point, what), at T positions.
 
@@ -66,9 +66,9 @@ class Spread(NamedTuple):
         return np.asarray(np.sqrt((self.parts**2).sum(axis=0)))
 
 
-def errors_of(
+def tolerances_of(
     scene: Scene, deviations: Mapping[str, float], play: Mapping[str, float]
-) -> list[Error]:
+) -> list[Tolerance]:
     """
     The errors of a scene's dimensions by their names, and those of its pins.
 
@@ -85,7 +85,7 @@ def errors_of(
 
     Returns
     -------
-    list of Error
+    list of Tolerance
         Those that are not zero.
 
     Raises
@@ -94,7 +94,7 @@ def errors_of(
         For what is no dimension of the scene, or no pin.
 
     """
-    found: dict[tuple[Path, int], Error] = {}
+    found: dict[tuple[Path, int], Tolerance] = {}
     rows = {
         f'{row.name} {"xy"[row.axis]}' if row.path[0] == 'bodies' else row.name: row
         for row in scene.equations.dimensions
@@ -110,7 +110,7 @@ def errors_of(
             known = ', '.join(dict.fromkeys(row.name for row in rows.values()))
             raise SceneError(f'{name} is no dimension that joints use: give some of {known}')
         for what, row in own.items():
-            found[row.path, row.axis] = Error(what, deviation, row.value, row.path, row.axis)
+            found[row.path, row.axis] = Tolerance(what, deviation, row.value, row.path, row.axis)
     pins = {j.name: j for j in scene.mechanism.assembly.joints if isinstance(j, Revolute)}
     extra = []
     for name, radius in play.items():
@@ -120,19 +120,21 @@ def errors_of(
         path: Path = ('bodies', pin.other, name.partition('.')[0])
         for axis, value in enumerate((pin.b.real, pin.b.imag)):
             # Of a point anywhere in a circle each coordinate has half its radius.
-            extra.append(Error(f'play {name} {"xy"[axis]}', radius / 2, value, path, axis, True))
+            extra.append(
+                Tolerance(f'play {name} {"xy"[axis]}', radius / 2, value, path, axis, True)
+            )
     return [error for error in (*found.values(), *extra) if error.deviation > 0]
 
 
-def spread(
+def propagate_tolerances(
     text: str,
     scene: Scene,
-    errors: Sequence[Error],
+    errors: Sequence[Tolerance],
     values: Real,
     rates: Real,
     samples: int = 0,
     seed: int = 0,
-) -> Spread:
+) -> ToleranceSpread:
     """
     What errors of dimensions make of a linkage's motion, its drivers as they are.
 
@@ -153,7 +155,7 @@ def spread(
 
     Returns
     -------
-    Spread
+    ToleranceSpread
         Of each body its angle, angular velocity and ICR, of each point its place; rad, rad/s and m.
 
     Raises
@@ -183,10 +185,10 @@ def spread(
             raise LinkageError(f'{error.name} cannot be off by itself: {wrong}') from None
     drawn = _drawn(errors, samples, np.random.default_rng(seed))
     found = [at(change) for change in drawn]
-    return Spread(names, value, parts, np.reshape(found, (samples, *value.shape)))
+    return ToleranceSpread(names, value, parts, np.reshape(found, (samples, *value.shape)))
 
 
-def _drawn(errors: Sequence[Error], count: int, rng: np.random.Generator) -> Real:
+def _drawn(errors: Sequence[Tolerance], count: int, rng: np.random.Generator) -> Real:
     """Changes (N, E) at random: normal, or anywhere in a pin's circle."""
     drawn = rng.normal(size=(count, len(errors))) * [error.deviation for error in errors]
     pairs = [k for k, error in enumerate(errors) if error.is_play and error.axis == 0]
@@ -198,7 +200,7 @@ def _drawn(errors: Sequence[Error], count: int, rng: np.random.Generator) -> Rea
 
 
 def _changed(
-    data: Mapping[str, Any], errors: Sequence[Error], changes: Real
+    data: Mapping[str, Any], errors: Sequence[Tolerance], changes: Real
 ) -> tuple[Assembly, Points]:
     """The linkage and its points with changed dimensions."""
     parts = ('bodies', 'joints', 'vectors', 'loops', 'points')

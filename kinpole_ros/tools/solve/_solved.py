@@ -280,6 +280,17 @@ class Acting(NamedTuple):
         return [*self.loads, *self.springs, *self.inertia]
 
 
+def loaded_by(solved: Solved) -> Acting:
+    """What acts at the first position; raises SceneError where that is nothing."""
+    acts = acting(solved.at(0))
+    if not acts.all:
+        raise SceneError(
+            f'{solved.scene.name} has no loads: add them, as loads: [{{weight: 10 kg, at: '
+            'BODY.POINT}]'
+        )
+    return acts
+
+
 def acting(solved: Solved) -> Acting:
     """What acts at all positions (T,)."""
     scene, mechanism = solved.scene, solved.scene.mechanism

@@ -1,6 +1,5 @@
 """`kinpole tolerance`: how errors of a scene's dimensions spread over its motion."""
 
-import csv
 import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -9,18 +8,19 @@ from typing import Any
 import numpy as np
 
 from kinpole_ros.mechanism import (
-    Error,
     Scene,
     SceneError,
-    Spread,
-    errors_of,
+    Tolerance,
+    ToleranceSpread,
     load_scene,
+    propagate_tolerances,
     quantity,
     scene_text,
-    spread,
+    tolerances_of,
 )
 from kinpole_ros.tools.solve._lines import head_lines, table_lines
 from kinpole_ros.tools.solve._solved import Solved, driver_unit, everywhere, shown, writing
+from kinpole_ros.tools.solve._spreadsheet import write_columns
 
 # Positions over the range.
 _POSITIONS = 121
@@ -54,7 +54,9 @@ def tolerances(
     if not errors:
         raise SceneError('no dimension has an error: give --tolerances length=0.1mm')
     solved = everywhere(loaded, _POSITIONS)
-    found = spread(scene_text(scene), loaded, errors, solved.values, solved.rates, samples)
+    found = propagate_tolerances(
+        scene_text(scene), loaded, errors, solved.values, solved.rates, samples
+    )
     lines = [*head_lines(loaded), *notes, '', *_error_lines(errors)]
     lines += ['', *_spread_lines(solved, found, errors)]
     if table:
@@ -74,7 +76,7 @@ def tolerances(
     return lines
 
 
-def _errors(scene: Scene, said: Sequence[str]) -> tuple[list[Error], list[str]]:
+def _errors(scene: Scene, said: Sequence[str]) -> tuple[list[Tolerance], list[str]]:
     """The errors that are said, or the usual ones, with a line that says so."""
     deviations: dict[str, float] = {}
     play: dict[str, float] = {}
@@ -88,9 +90,9 @@ def _errors(scene: Scene, said: Sequence[str]) -> tuple[list[Error], list[str]]:
             kind = 'angle' if name == 'angle' or _is_angle(scene, name) else 'length'
             deviations[name] = quantity(f'--tolerances {words!r}', value, kind)
     if said:
-        return errors_of(scene, deviations, play), []
+        return tolerances_of(scene, deviations, play), []
     note = 'no --tolerances: each length is taken to be off by 0.1 mm, each angle by 0.1 deg'
-    return errors_of(scene, _USUAL, {}), [note]
+    return tolerances_of(scene, _USUAL, {}), [note]
 
 
 def _is_angle(scene: Scene, name: str) -> bool:
@@ -115,7 +117,7 @@ def _fitted(path: str) -> dict[str, float]:
     return found
 
 
-def _error_lines(errors: Sequence[Error]) -> list[str]:
+def _error_lines(errors: Sequence[Tolerance]) -> list[str]:
     rows: list[list[str | float]] = []
     for error in errors:
         angle = not error.is_play and error.path[-1] in ('angle', 'along', 'turned')
@@ -124,7 +126,7 @@ def _error_lines(errors: Sequence[Error]) -> list[str]:
     return table_lines(['dimension', 'standard deviation', ''], rows)
 
 
-def _spread_lines(solved: Solved, found: Spread, errors: Sequence[Error]) -> list[str]:
+def _spread_lines(solved: Solved, found: ToleranceSpread, errors: Sequence[Tolerance]) -> list[str]:
     """A row for each quantity: deviations over the range, and where they come from."""
     rows: list[list[str | float]] = []
     sampled = _sampled(found)
@@ -150,7 +152,7 @@ def _spread_lines(solved: Solved, found: Spread, errors: Sequence[Error]) -> lis
     return table_lines([*head, 'mostly from'], rows)
 
 
-def _sampled(found: Spread) -> tuple[np.ndarray, np.ndarray] | None:
+def _sampled(found: ToleranceSpread) -> tuple[np.ndarray, np.ndarray] | None:
     """Standard deviations (Q, T) and 95% bands (2, Q, T) less the value, of the samples."""
     if len(found.samples) < 2:
         return None
@@ -158,7 +160,7 @@ def _sampled(found: Spread) -> tuple[np.ndarray, np.ndarray] | None:
     return off.std(axis=0, ddof=1), np.percentile(off, [2.5, 97.5], axis=0)
 
 
-def _write_table(path: Path, solved: Solved, found: Spread) -> None:
+def _write_table(path: Path, solved: Solved, found: ToleranceSpread) -> None:
     columns: dict[str, np.ndarray] = {}
     if solved.times is not None:
         columns['t'] = solved.times
@@ -173,14 +175,10 @@ def _write_table(path: Path, solved: Solved, found: Spread) -> None:
             columns[f'sampled_sigma_{name}'] = sampled[0][q]
             columns[f'sampled_low_{name}'] = found.value[q] + sampled[1][0, q]
             columns[f'sampled_high_{name}'] = found.value[q] + sampled[1][1, q]
-    with path.open('w', newline='', encoding='utf-8') as file:
-        rows = csv.writer(file)
-        rows.writerow(columns)
-        for row in zip(*columns.values(), strict=True):
-            rows.writerow([repr(float(cell)) if np.isfinite(cell) else '' for cell in row])
+    write_columns(path, columns)
 
 
-def _draw(path: Path, kind: str, solved: Solved, found: Spread) -> None:
+def _draw(path: Path, kind: str, solved: Solved, found: ToleranceSpread) -> None:
     """Paths of points with their bands, and deviations over the range; dots are of the samples."""
     from matplotlib.figure import Figure
 
@@ -213,7 +211,7 @@ def _draw(path: Path, kind: str, solved: Solved, found: Spread) -> None:
     figure.savefig(path, format=kind, dpi=150)
 
 
-def _draw_paths(axis: Any, found: Spread) -> None:
+def _draw_paths(axis: Any, found: ToleranceSpread) -> None:
     """Paths of points, and to both sides two deviations across them, times a round number."""
     rows = {words: q for q, words in enumerate(found.names)}
     paths: dict[str, tuple[np.ndarray, np.ndarray]] = {}
@@ -241,7 +239,7 @@ def _draw_paths(axis: Any, found: Spread) -> None:
         axis.legend(fontsize=8)
 
 
-def _columns(found: Spread) -> Mapping[tuple[str, str], Any]:
+def _columns(found: ToleranceSpread) -> Mapping[tuple[str, str], Any]:
     """Deviations and covariances of bodies as a report has them."""
     rows = {words: q for q, words in enumerate(found.names)}
     columns: dict[tuple[str, str], np.ndarray] = {}

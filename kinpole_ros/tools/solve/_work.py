@@ -10,7 +10,6 @@ import numpy as np
 
 from kinpole_ros.mechanism import (
     Load,
-    SceneError,
     Torque,
     advantage,
     efforts,
@@ -19,17 +18,13 @@ from kinpole_ros.mechanism import (
     releases,
 )
 from kinpole_ros.tools.solve._lines import table_lines
-from kinpole_ros.tools.solve._solved import Solved, acting, shown
+from kinpole_ros.tools.solve._solved import Solved, loaded_by, shown
 
 
 def work_lines(solved: Solved) -> list[str]:
     """Virtual work line by line, each load's share, each bearing force, at the first position."""
     here = solved.at(0)
-    scene, acts = here.scene, acting(here)
-    if not acts.all:
-        raise SceneError(
-            f'{scene.name} has no loads: add them, as loads: [{{weight: 10 kg, at: BODY.POINT}}]'
-        )
+    scene, acts = here.scene, loaded_by(here)
     kinds = ['load'] * len(acts.loads) + ['spring'] * len(acts.springs)
     kinds += ['inertia'] * len(acts.inertia)
     named = {
