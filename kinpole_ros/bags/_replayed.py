@@ -6,7 +6,7 @@ from kinpole_ros.bags._reader import Truncated
 from kinpole_ros.linkage.positions import PositionsFound
 from kinpole_ros.linkage.theory import DeviationSummary
 from kinpole_ros.pipeline.bodies import Outage
-from kinpole_ros.pipeline.ticks import StampState
+from kinpole_ros.pipeline.stamps import StampState
 from kinpole_ros.rigid.space import SpaceReport
 
 
