@@ -15,12 +15,14 @@ import numpy as np
 from kinpole_ros.derivatives import FEWEST_SAMPLES
 from kinpole_ros.planar._plane import Real
 
-# All constants of the clock and of its use. The first three are frames.
-# The clock is estimated from so many: 10 s at 200 Hz.
+# All constants of the clock and of its use.
+# Frames that the clock is estimated from: 10 s at 200 Hz.
 MEMORY = 2000
-# The interval is searched for in so many of the newest: fewer do not tell 2% of losses from none.
+# Newest frames that the interval is searched for in: fewer do not tell 2% of losses from none.
 SEARCHED = 128
-# So many of the newest, and after a loss, may have the count of another: the fit leaves them out.
+# Intervals that are refined: the likeliest of the search.
+KEPT = 16
+# Newest frames, and frames after a loss, that the fit leaves out: their counts may be wrong.
 UNSETTLED = 4
 # Frames that wait for a sure count at most: the usual lag at 200 Hz.
 MAX_PENDING = 20
@@ -88,23 +90,35 @@ class Clock(NamedTuple):
         return min(math.ceil(number), MAX_PENDING)
 
 
-def estimate_clock(stamps: np.ndarray) -> tuple[Clock, np.ndarray]:
+def estimate_clock(stamps: np.ndarray, before: Clock | None) -> tuple[Clock, np.ndarray]:
     """
     Estimate the clock of `stamps` (N,), ns, of frames in order of capture, and count the frames.
 
     Intervals that are likely by the newest frames are refined with twice as many, and so on, as
     long as one of them holds: frames before a change of the rate are left out. The counts (n,) are
     of the newest frames that the clock holds for. N is at least `FEWEST_SAMPLES`.
+
+    The clock `before`, by an earlier estimate, is kept if all stamps are near its ticks as they
+    were, within a quarter of the interval: another rate would show. Else its interval is tried too.
     """
+    resolution = float(max(np.gcd.reduce(np.diff(stamps)), 1))
+    if before is not None and len(stamps) > SEARCHED and before.resolution == resolution:
+        counts = count_frames(stamps, before)
+        late = stamps - before.origin - before.phase - counts * before.interval
+        near = late.min() >= -1.0 and late.max() <= min(before.largest + 1.0, before.interval / 4)
+        # Where more are lost than come it is the pace within bunches, not that of the camera.
+        if near and counts[-1] - counts[0] <= 2 * len(counts):
+            return before, counts
     origin = int(stamps[0])
     since = (stamps - origin).astype(float)
-    resolution = float(max(np.gcd.reduce(np.diff(stamps)), 1))
     number = min(SEARCHED, len(since))
     newest = since[-number:]
     # Any share of the frames up to one half may have been lost.
     lost = np.arange(-1, number, 0.5) / (number - 1)
     mean = (newest[-1] - newest[0]) / (number - 1)
     intervals = _likeliest(newest, np.maximum(mean / (1 + lost), 1.0), resolution, 0)[1]
+    if before is not None:
+        intervals = np.append(intervals, before.interval)
     counts, intervals = _likeliest(newest, intervals, resolution, 2)
     while number < len(since):
         longer = min(2 * number, len(since))
@@ -215,7 +229,7 @@ def _likeliest(
     counts, intervals, costs = (np.concatenate(part) for part in zip(*found, strict=True))
     order = costs.argsort(kind='stable')
     _, first = np.unique(counts[order, settled - 1] - counts[order, 0], return_index=True)
-    order = order[np.sort(first)]
+    order = order[np.sort(first)[:KEPT]]
     if rounds:
         order = order[costs[order] <= costs[order[0]] + 2 * CHANGE_NATS]
     return counts[order], intervals[order]
@@ -230,7 +244,7 @@ def _costs(since: Real, counts: np.ndarray, intervals: Real, resolution: float) 
     share = (lost.clip(0) + 1) / (settled + lost.clip(0) + math.exp(LOSS_NATS))
     cost = settled * np.log(late + resolution / 4 + 1.0)
     cost -= lost * np.log(share) + settled * np.log1p(-share)
-    # Where more are lost than come it is the pace within bunches, not that of the camera.
+    # Of bunches, as above.
     return np.asarray(np.where(lost > settled, np.inf, cost))
 
 

@@ -33,8 +33,9 @@ def _frame_type(bodies: int) -> np.dtype:
         ('stamp', np.int64),
         # When it was captured, ns: its stamp, or its tick of the clock.
         ('time', np.int64),
-        # Its tick, if it is counted.
+        # Its tick, if it is counted, and whether it may be from before a loss or after it.
         ('count', np.int64),
+        ('ambiguous', bool),
         # While it waits: its number among the frames that were given together, the oldest frame in
         # the window, and the mean interval, ns.
         ('number', np.int64),
@@ -166,7 +167,7 @@ class Timeline:
         Also which (T,) come much later than those before did. `numbers` (T,) are theirs.
         """
         rows = self._frames.room(len(stamps))
-        rows['stamp'], rows['number'] = stamps, numbers
+        rows['stamp'], rows['number'], rows['ambiguous'] = stamps, numbers, False
         self._waiting += len(stamps)
         times = self._frames.view()['time']
         first = len(times) - len(rows)
@@ -194,6 +195,7 @@ class Timeline:
         every = self._frames.view()[-number - MAX_PENDING :]
         ambiguous = ambiguous_frames(every['count'], self._clock)
         ambiguous[: len(every) - number] = False
+        every['ambiguous'][ambiguous] = True
         every['information'][ambiguous] = 0.0
 
     def _times(self, counts: np.ndarray) -> np.ndarray:

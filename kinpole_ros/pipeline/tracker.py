@@ -40,6 +40,7 @@ from kinpole_ros.rigid.space import Space, SpaceReport
 TOO_FEW, NO_POSE = 'too few markers seen, or all at one place', 'no pose of it came'
 TOO_CLOSE = 'markers too close together for their noise'
 NOISY_POSES = 'the noise of its angle is too large'
+AMBIGUOUS = 'its stamp does not tell whether it was captured before or after a lost frame'
 # Not by its first stamp, which a bag that loops has again and again.
 _run_numbers = itertools.count(1)
 
@@ -438,6 +439,7 @@ class Tracker:
             missing[~orientation_observable] = NOISY_POSES if self._posed else TOO_CLOSE
             missing[~measured] = 'noise not known yet'
             missing[~seen] = NO_POSE if self._posed else TOO_FEW
+            missing[frames['ambiguous']] = AMBIGUOUS
             if self.plane is None:
                 missing[...] = 'plane not known yet'
         return Estimate(
