@@ -103,32 +103,30 @@ def estimate_clock(stamps: np.ndarray, before: Clock | None) -> tuple[Clock, np.
     """
     resolution = float(max(np.gcd.reduce(np.diff(stamps)), 1))
     if before is not None and len(stamps) > SEARCHED and before.resolution == resolution:
-        counts = count_frames(stamps, before)
-        late = stamps - before.origin - before.phase - counts * before.interval
-        near = late.min() >= -1.0 and late.max() <= min(before.largest + 1.0, before.interval / 4)
-        # Where more are lost than come it is the pace within bunches, not that of the camera.
-        if near and counts[-1] - counts[0] <= 2 * len(counts):
-            return before, counts
+        near = _counts_if_near(stamps, before)
+        if near is not None:
+            return before, near
     origin = int(stamps[0])
     since = (stamps - origin).astype(float)
     number = min(SEARCHED, len(since))
     newest = since[-number:]
-    # Any share of the frames up to one half may have been lost.
+    # Any share of the frames up to one half may have been lost, and the first may have come late.
     lost = np.arange(-1, number, 0.5) / (number - 1)
     mean = (newest[-1] - newest[0]) / (number - 1)
     intervals = _likeliest(newest, np.maximum(mean / (1 + lost), 1.0), resolution, 0)[1]
-    if before is not None:
-        intervals = np.append(intervals, before.interval)
-    counts, intervals = _likeliest(newest, intervals, resolution, 2)
+    known = [] if before is None else [before.interval]
+    counts, intervals = _likeliest(newest, np.append(intervals, known), resolution, 2)
     while number < len(since):
         longer = min(2 * number, len(since))
-        more, refined = _likeliest(since[-longer:], intervals, resolution, 2)
+        more, refined = _likeliest(since[-longer:], np.append(intervals, known), resolution, 2)
+        # The rate has changed where the newest frames are likelier without the older ones, ...
         cost = _costs(newest, counts[:1], intervals[:1], resolution)[0]
         costs = _costs(newest, more[:, -number:], refined, resolution)
         best = int(costs.argmin())
         off = abs(refined[best] - intervals[0]) * number
         if costs[best] > cost + CHANGE_NATS and off > 2 * resolution:
             break
+        # ... or where the older ones are much later.
         late = since[-longer:] - more[0] * refined[0]
         late -= late.min()
         if late[:-number].mean() > 2 * (late[-number:].mean() + resolution):
@@ -137,6 +135,15 @@ def estimate_clock(stamps: np.ndarray, before: Clock | None) -> tuple[Clock, np.
         newest = since[-number:]
     clock = _fit_clock(origin, newest, counts[0], resolution)
     return clock, count_frames(stamps[-number:], clock)
+
+
+def _counts_if_near(stamps: np.ndarray, clock: Clock) -> np.ndarray | None:
+    """Counts (N,) of frames by their clock, if all `stamps` (N,) are still near its ticks."""
+    counts = count_frames(stamps, clock)
+    late = stamps - clock.origin - clock.phase - counts * clock.interval
+    near = late.min() >= -1.0 and late.max() <= min(clock.largest + 1.0, clock.interval / 4)
+    # Where more are lost than come it is the pace within bunches, not that of the camera.
+    return counts if near and counts[-1] - counts[0] <= 2 * len(counts) else None
 
 
 def count_frames(stamps: np.ndarray, clock: Clock) -> np.ndarray:
