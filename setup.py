@@ -51,9 +51,13 @@ setup(
     ext_modules=[
         Extension(
             f'{NAME}._compiled',
-            [f'{NAME}/derivatives/_kernel.c', f'{NAME}/planar/_kernel.c'],
-            depends=[f'{NAME}/derivatives/_kernel_sums.h'],
-            extra_compile_args=['-O3'],
+            [
+                f'{NAME}/derivatives/_derive.c',
+                f'{NAME}/derivatives/_derive_avx2.c',
+                f'{NAME}/planar/_kernel.c',
+            ],
+            depends=glob(f'{NAME}/*/*.[ch]'),
+            extra_compile_args=['-O3', '-fno-strict-aliasing'],
         )
     ],
     cmdclass={'build_ext': BuildExt},
