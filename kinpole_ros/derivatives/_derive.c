@@ -23,26 +23,30 @@ typedef struct {
     double at; /* the instant, samples from the middle */
 } Window;
 
+/* The models of a window of so many samples, or NULL if they have to be made; with slopes if these
+   are `wanted`. */
 static const ModelTable *
-find_models(Call *call, const Window *window, long long count)
+find_models(Call *call, const Window *window, long long count, int wanted)
 {
     long long flags = window->exact + 2 * window->dense;
-    for (const ModelTable *t = call->models; t < call->models + call->model_tables; t++)
-        if (t->count == count && t->block == window->block && t->flags == flags)
-            return t;
     call->lacking = (StencilTable){count, window->block, flags, 0, 0.0, NULL};
+    for (const ModelTable *t = call->models; t < call->models + call->model_tables; t++)
+        if (t->count == count && t->block == window->block && t->flags == flags) {
+            call->lacking.orders = -1;
+            return wanted && !t->slopes ? NULL : t;
+        }
     return NULL;
 }
 
 static const StencilTable *
 find_stencils(Call *call, const Window *window, long long count, double at)
 {
-    long long flags = window->exact + 2 * window->dense;
+    long long flags = window->exact + 2 * window->dense, orders = window->orders;
+    call->lacking = (StencilTable){count, window->block, flags, orders, at, NULL};
     for (const StencilTable *t = call->stencils; t < call->stencils + call->stencil_tables; t++)
         if (t->at == at && t->count == count && t->block == window->block && t->flags == flags &&
-            t->orders == window->orders)
+            t->orders == orders)
             return t;
-    call->lacking = (StencilTable){count, window->block, flags, window->orders, at, NULL};
     return NULL;
 }
 
@@ -76,39 +80,24 @@ prepare(const Models *m, long long orders, const Samples *s, Work *w)
     long long number = w->cells, pairs = number * (number + 1) / 2, half = m->half + LANES;
     long long columns = pairs > 3 * orders ? pairs : 3 * orders;
     columns = (3 + orders) * number > columns ? (3 + orders) * number : columns;
-    struct {
-        void **array;
-        long long size;
-    } arrays[] = {
-        {(void **)&w->evidence, 2 * m->groups * LANES},
-        {(void **)&w->variance, 2 * m->groups * LANES},
-        {(void **)&w->likely, 2 * m->groups * LANES},
-        {(void **)&w->counting, 2 * m->groups * LANES},
-        {(void **)&w->apart, 3 * orders * m->groups * LANES},
-        {(void **)&w->off, (pairs + 3 * number) * LANES},
-        {(void **)&w->factors, w->parts * pairs * m->groups * LANES},
-        {(void **)&w->errors, 3 * number * m->groups * LANES},
-        {(void **)&w->reach, orders * number * LANES},
-        {(void **)&w->scaled, (orders + 1) * number * LANES},
-        {(void **)&w->along, 2 * SLOPES * 3 * half},
-        {(void **)&w->modes, 3 * m->rows},
-        {(void **)&w->squares, 3 * m->rows},
-        {(void **)&w->terms, (columns + 6) * half},
-        {(void **)&w->vectors, number * m->rows},
-        {(void **)&w->base, 2 * (pairs + 3 * number)},
-        {(void **)&w->weight, 2 * number},
-        {(void **)&w->root, 2 * number},
-        {(void **)&w->at, number},
-        {(void **)&w->counts, m->groups},
-    };
-    size_t size = 0, count = sizeof arrays / sizeof *arrays;
-    for (size_t k = 0; k < count; k++)
-        size += 8 * arrays[k].size;
-    char *data = buffer(OF_MODELS, size);
+    long long of_models = m->groups * (8 + 3 * orders + w->parts * pairs + 3 * number);
+    long long of_lanes = of_models + pairs + (4 + 2 * orders) * number + 6 * SLOPES * half / LANES;
+    long long of_numbers = (6 + number) * m->rows + (columns + 6) * half + 2 * pairs + 12 * number;
+    char *data = buffer(OF_MODELS, 8 * (of_lanes * LANES + of_numbers + m->groups));
     if (!data)
         return NO_MEMORY;
-    for (size_t k = 0; k < count; data += 8 * arrays[k++].size)
-        *arrays[k].array = data;
+#define TAKE(array, size) (array = (void *)data, data += (size) * sizeof *array)
+    TAKE(w->evidence, 2 * m->groups), TAKE(w->variance, 2 * m->groups);
+    TAKE(w->likely, 2 * m->groups), TAKE(w->counting, 2 * m->groups);
+    TAKE(w->apart, 3 * orders * m->groups);
+    TAKE(w->factors, w->parts * pairs * m->groups), TAKE(w->errors, 3 * number * m->groups);
+    TAKE(w->off, pairs + 3 * number), TAKE(w->reach, orders * number);
+    TAKE(w->scaled, (orders + 1) * number), TAKE(w->along, 6 * SLOPES * (half / LANES));
+    TAKE(w->modes, 3 * m->rows), TAKE(w->squares, 3 * m->rows), TAKE(w->vectors, number * m->rows);
+    TAKE(w->terms, (columns + 6) * half), TAKE(w->base, 2 * (pairs + 3 * number));
+    TAKE(w->weight, 2 * number), TAKE(w->root, 2 * number), TAKE(w->at, number);
+    TAKE(w->counts, m->groups);
+#undef TAKE
     for (long long k = 0, x = 0; k < s->count; k++)
         if (s->weight[0][k] < 1.0 || s->weight[1][k] < 1.0) {
             w->at[x] = k;
@@ -127,7 +116,7 @@ find_derivatives(Call *call, const Window *window, const Samples *s, double at, 
 {
     Models m;
     Work w;
-    const ModelTable *table = find_models(call, window, s->count);
+    const ModelTable *table = find_models(call, window, s->count, 0);
     if (!table)
         return LACKING;
     const StencilTable *stencils = wanted ? find_stencils(call, window, s->count, at) : NULL;
@@ -249,10 +238,8 @@ put_in_place(Call *call, const Window *window, Samples *s, double *spare, double
 {
     Models m;
     Work w;
-    const ModelTable *table = find_models(call, window, s->count);
-    if (table && !table->slopes)
-        call->lacking = (StencilTable){s->count, window->block, table->flags, -1, 0.0, NULL};
-    if (!table || !table->slopes)
+    const ModelTable *table = find_models(call, window, s->count, 1);
+    if (!table)
         return LACKING;
     unpack_models(table, &m);
     if (prepare(&m, 1, s, &w))
@@ -283,9 +270,8 @@ put_in_place(Call *call, const Window *window, Samples *s, double *spare, double
     }
     for (int c = 0; c < 2; c++)
         more[c] = sqrt(1 + left[c] * left[c]);
-    for (int c = 0; c < 3; c++)
-        for (long long k = 0; k < s->count; k++)
-            s->x[c][k] = placed.x[c][k] / more[c > 0];
+    memcpy(s->x[0], placed.x[0], 3 * s->count * sizeof(double));
+    divide(s, more);
     return DONE;
 }
 
@@ -324,10 +310,8 @@ derive_uneven(Call *call, const Window *window, const Samples *given, double *sp
             if (s.weight[c][k] > 0)
                 sum += 1 / s.weight[c][k], number += 1, s.weight[c][k] = 1.0;
         noise[c] = sqrt(sum / larger(number, 1.0));
-        for (int d = c; d <= 2 * c; d++)
-            for (long long k = 0; k < n; k++)
-                s.x[d][k] /= noise[c];
     }
+    divide(&s, noise);
     if (lacking)
         fill_missing(&s);
     int code = late ? put_in_place(call, window, &s, spare + 6 * n, more) : DONE;
@@ -348,16 +332,9 @@ derive_uneven(Call *call, const Window *window, const Samples *given, double *sp
        that is not exact. */
     Window noisy = *window;
     noisy.exact = 0;
-    for (int c = 0; c < 2; c++) {
-        double most = 0.0;
-        for (int d = c; d <= 2 * c; d++)
-            for (long long k = 0; k < n; k++)
-                most = larger(most, fabs(given->x[d][k]));
-        noise[c] = larger(most / EXACT, 1.0);
-        for (int d = c; d <= 2 * c; d++)
-            for (long long k = 0; k < n; k++)
-                given->x[d][k] /= noise[c];
-    }
+    for (int c = 0; c < 2; c++)
+        noise[c] = larger(largest_of(given, c) / EXACT, 1.0);
+    divide(given, noise);
     code = derive_uneven(call, &noisy, given, spare, out);
     scale_found(out, noise);
     return code;
@@ -393,11 +370,11 @@ write_results(const Call *call, long long signal, long long now, const Found *fo
 static int
 derive_signal(Call *call, long long instant, long long body, const Grid *grid)
 {
-    Samples cells, s;
+    Samples cells = {0}, s;
     Found found;
     long long count, ahead, block, size, signal = instant * call->bodies + body;
     long long now = call->windows[instant] * call->bodies + body;
-    double unit[2], finer[2] = {1.0, 1.0}, of[2][MOST_ORDERS], interval = grid->interval * 1e-9;
+    double unit[2], coarser[2] = {1.0, 1.0}, of[2][MOST_ORDERS], interval = grid->interval * 1e-9;
     int exact = 0;
     if (fill_cells(call, instant, body, grid, &cells, &count, &ahead, unit, &exact))
         return NO_MEMORY;
@@ -415,16 +392,7 @@ derive_signal(Call *call, long long instant, long long body, const Grid *grid)
     for (int c = 0; c < 3; c++)
         s.x[c] = data + c * size;
     s.weight[0] = data + 3 * size, s.weight[1] = data + 4 * size, s.off = data + 5 * size;
-    if (block > 1)
-        average(&cells, block, &s, finer);
-    else
-        for (long long k = 0; k < size; k++) {
-            long long from = size - 1 - k;
-            for (int c = 0; c < 3; c++)
-                s.x[c][k] = cells.x[c][from];
-            s.weight[0][k] = cells.weight[0][from], s.weight[1][k] = cells.weight[1][from];
-            s.off[k] = cells.off[from];
-        }
+    average(&cells, block, &s, coarser);
     Window window = {block, call->orders, exact, call->effort == HIGH_EFFORT,
                      call->effort != LOW_EFFORT, 0.0};
     window.at = (size - 1) / 2.0 - (ahead - (block - 1) / 2.0) / block;
@@ -434,7 +402,7 @@ derive_signal(Call *call, long long instant, long long body, const Grid *grid)
     interval *= block;
     for (int c = 0; c < 2; c++)
         for (int k = 0; k < MOST_ORDERS; k++)
-            of[c][k] = unit[c] / finer[c] * pow(interval, -k);
+            of[c][k] = unit[c] * coarser[c] * pow(interval, -k);
     write_results(call, signal, now, &found, of, (size - 1) * interval);
     return DONE;
 }

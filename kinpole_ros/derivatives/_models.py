@@ -222,8 +222,8 @@ def models_of(count: int, block: int, exact: bool, dense: bool) -> tuple[np.ndar
     Make the models of a window of `count` samples, each the mean of `block`.
 
     The largest motion is 1e7 deviations of the noise, and 1e13 if the samples are `exact`: then
-    each process has as many modes as there are samples. Lengths of processes are twice as many if they
-    are `dense`. Returns the integers and the numbers of `Models` of _evidence.h.
+    each process has as many modes as there are samples. Lengths of processes are twice as many if
+    they are `dense`. Returns the integers and the numbers of `Models` of _evidence.h.
     """
     members, amplitudes = _members(count, block, exact, dense), _amplitudes(exact)
     _, root, lines = _half_window(count)

@@ -14,8 +14,12 @@ from kinpole_ros.derivatives._models import FLAT, models_of, slopes_of, stencils
 from kinpole_ros.planar._plane import Complex, Real
 
 _EFFORTS = 'low', 'normal', 'high'
+_ARRAYS = (
+    *('time', 'windows', 'left_out', 'angle', 'turns', 'position', 'angle_information'),
+    *('position_information', 'noise', 'models', 'stencils', 'results'),
+)
 # How many are kept: models of one window are some 200 kB.
-_MOST_MODELS, _MOST_STENCILS = 64, 256
+_MOST_MODELS, _MOST_SLOPES, _MOST_STENCILS = 64, 24, 256
 
 
 class Poses(NamedTuple):
@@ -81,7 +85,7 @@ class _Call(Structure):
         *((name, c_longlong) for name in ('effort', 'model_tables', 'stencil_tables')),
         ('window', c_double),
         ('flat', c_double),
-        ('arrays', POINTER(c_char) * 12),
+        *((name, POINTER(c_char)) for name in _ARRAYS),
         ('lacking', _Lacking),
     ]
 
@@ -124,38 +128,37 @@ def derive_poses(
     if shapes != [(frames, bodies)] * 5 + [(instants,)] * 3 + [(instants, bodies)] or order > 4:
         raise ValueError(f'shapes do not fit to {frames} frames and noise {noise.shape}: {shapes}')
     results = np.empty((3 * orders + 2 * orders**2 + 2, instants, bodies))
-    inputs = (
+    call = _Call(
+        *(frames, bodies, instants, 0, orders, _EFFORTS.index(effort), 0, 0, window, FLAT),
         pass_array(poses.time, np.int64),
         pass_array(np.array(windows), np.int64),
         pass_array(left_out, np.int64),
-        *map(pass_array, (poses.angle, poses.turns)),
+        pass_array(poses.angle),
+        pass_array(poses.turns),
         pass_array(poses.position, complex),
-        *map(pass_array, (poses.angle_information, poses.position_information, noise)),
+        pass_array(poses.angle_information),
+        pass_array(poses.position_information),
+        pass_array(noise),
+        results=pass_array(results),
     )
-    call = _Call(
-        frames, bodies, instants, 0, orders, _EFFORTS.index(effort), window=window, flat=FLAT
-    )
-    call.arrays[:9], call.arrays[11] = inputs, pass_array(results)
     code = 1
     while code:
         tables = _tables
         call.model_tables, call.stencil_tables = len(tables.of_models), len(tables.of_stencils)
-        call.arrays[9:11] = [pass_array(table, np.int64) for table in tables[3:]]
+        call.models = pass_array(tables.of_models, np.int64)
+        call.stencils = pass_array(tables.of_stencils, np.int64)
         code = _derive(byref(call))
         if code < 0:
             raise MemoryError if code < -1 else IndexError('windows lie beyond the frames')
         if code:
             _make(call.lacking)
-    ends = np.cumsum([2 * orders, orders, orders**2, orders**2, 1])
-    position, angle, of_position, of_angle, span, freedom = np.split(results, ends)
-    square = orders, orders, instants, bodies
+    first, second, square = 2 * orders, 3 * orders, (orders, orders, instants, bodies)
+    third = second + orders * orders
+    position = results[:first].reshape(orders, instants, bodies, 2).view(complex)[..., 0]
+    of_position = results[second:third].reshape(square)
+    of_angle = results[third:-2].reshape(square)
     return Derivatives(
-        position.reshape(orders, instants, bodies, 2).view(complex)[..., 0],
-        angle,
-        of_position.reshape(square),
-        of_angle.reshape(square),
-        span[0],
-        freedom[0],
+        position, results[first:second], of_position, of_angle, results[-2], results[-1]
     )
 
 
@@ -175,7 +178,7 @@ def _make(lacking: _Lacking) -> None:
     else:
         models[key] = models_of(*window)
     kept: Any
-    for kept, most in ((models, _MOST_MODELS), (slopes, _MOST_MODELS), (stencils, _MOST_STENCILS)):
+    for kept, most in ((models, _MOST_MODELS), (slopes, _MOST_SLOPES), (stencils, _MOST_STENCILS)):
         while len(kept) > most:
             del kept[next(iter(kept))]
     of_models = [

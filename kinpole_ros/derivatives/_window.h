@@ -226,6 +226,26 @@ make_room(Samples *s, int which, long long count)
     return 1;
 }
 
+/* Samples of angle and position in other units. */
+static void
+divide(const Samples *s, const double *by)
+{
+    for (int c = 0; c < 3; c++)
+        for (long long k = 0; k < s->count; k++)
+            s->x[c][k] /= by[c > 0];
+}
+
+/* The largest sample of the angle, or of the position. */
+static double
+largest_of(const Samples *s, int c)
+{
+    double most = 0.0;
+    for (int d = c; d <= 2 * c; d++)
+        for (long long k = 0; k < s->count; k++)
+            most = larger(most, fabs(s->x[d][k]));
+    return most;
+}
+
 /* The cells of one body about its pose at the instant, the newest first, in units of their noise.
    There are `count` of them, 0 if they are too few, `ahead` of which are newer than the instant, and
    room for more, of which nothing is seen; `exact` is whether they are all but exact. */
@@ -268,20 +288,14 @@ fill_cells(const Call *call, long long instant, long long body, const Grid *grid
         if (!*count)
             return DONE;
     }
-    *exact = 0;
     for (int c = 0; c < 2; c++) {
-        double most = 0.0, usual = usual_of(s->weight[c], *count);
-        for (int d = c; d <= 2 * c; d++)
-            for (long long k = 0; k < *count; k++)
-                most = larger(most, fabs(s->x[d][k]));
+        double most = largest_of(s, c), usual = usual_of(s->weight[c], *count);
         /* There is no noise below rounding. */
         unit[c] = larger(call->noise[signal] / sqrt(usual), most / MOST_EXACT);
         *exact |= most > EXACT * unit[c];
-        for (int d = c; d <= 2 * c; d++)
-            for (long long k = 0; k < *count; k++)
-                s->x[d][k] /= unit[c];
         make_weights(s->weight[c], *count, usual);
     }
+    divide(s, unit);
     return DONE;
 }
 
@@ -345,10 +359,10 @@ choose_size(const Samples *s, long long count, long long whole, long long ahead,
     return size;
 }
 
-/* The oldest first, means over blocks of those samples in each that there are; `finer` is by how much
-   the noise of means is less. */
+/* The oldest first, means over blocks of those samples in each that there are; their noise is
+   `coarser` times as large as that of a sample. */
 static void
-average(const Samples *cells, long long block, Samples *out, double *finer)
+average(const Samples *cells, long long block, Samples *out, double *coarser)
 {
     for (long long b = 0; b < out->count; b++) {
         long long first = b * block, at = out->count - 1 - b, number = 0;
@@ -376,14 +390,12 @@ average(const Samples *cells, long long block, Samples *out, double *finer)
         late /= number * block;
         out->off[at] = fabs(late) < OFF ? 0.0 : late;
     }
-    for (int c = 0; c < 2; c++) {
+    for (int c = 0; c < (block > 1 ? 2 : 0); c++) {
         double usual = usual_of(out->weight[c], out->count);
-        finer[c] = sqrt(block * usual);
+        coarser[c] = 1 / sqrt(block * usual);
         make_weights(out->weight[c], out->count, usual);
     }
-    for (int c = 0; c < 3; c++)
-        for (long long k = 0; k < out->count; k++)
-            out->x[c][k] *= finer[c > 0];
+    divide(out, coarser);
 }
 
 /* Those of samples whose position is missing on parabolas through the nearest of the others. */
