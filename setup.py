@@ -58,6 +58,7 @@ setup(
             ],
             depends=glob(f'{NAME}/*/*.[ch]'),
             extra_compile_args=['-O3', '-fno-strict-aliasing'],
+            libraries=['m'],
         )
     ],
     cmdclass={'build_ext': BuildExt},
