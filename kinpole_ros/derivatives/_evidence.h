@@ -10,10 +10,11 @@
 #define PARTS (LANES / WIDTH)
 /* The noise as it was measured counts for so many samples. */
 #define KNOWN 300.0
-/* Models with less weight than this do not count, nor do those with so much less evidence. */
+/* Models with less weight than this do not count. */
 #define LEAST_WEIGHT 1e-5
+/* Models with so much less evidence than others do not count. */
 #define FAR 80.0
-/* Derivatives by which samples are moved. */
+/* Derivatives by which samples are moved: as many as `slopes_of` of _models.py makes. */
 #define SLOPES 4
 #define MOST_KINDS 8
 

@@ -5,44 +5,50 @@
  * for less than others, or not where their frame is; too many of them are averaged in blocks.
  */
 
-/* Samples of the shortest window there is; in a window of more than the most they are averaged. */
+/* Samples of the shortest window there is; it still has every order. */
 #define FEWEST_SAMPLES 7
+/* More samples than this in a window are averaged in blocks. */
 #define MOST_SAMPLES 128
-/* Samples that have this share of the information of the best count equally, by their mean; in a
-   block all count that have the other share. */
+/* Samples with this share of the information of the best count equally, by their mean. */
 #define SIMILAR 0.5
+/* Samples of a block with less than this share of the information of the best are left out. */
 #define POOR 0.25
-/* Samples are in their places if they are off by no more than this part of the interval. */
+/* A sample is in its place if it is off by less than this part of the interval. */
 #define OFF 1e-4
-/* Of intervals between frames, by which they are none of a whole number; how many may be miscounted. */
+/* A gap that is off a whole number of intervals by more than this makes their count doubtful. */
 #define DOUBTFUL 0.2
+/* If the count is doubtful, up to so many intervals more and fewer are tried. */
 #define MISCOUNTED 4
-/* Cells of a window, most of which are empty. */
+/* Cells of a window, most of which are empty where frames come in bunches: a bound of memory. */
 #define MOST_CELLS 4096
-/* Samples that differ by more deviations of their noise are taken for exact; by no more than the
-   second number, or the noise is taken for larger. */
+/* Samples that differ by more deviations of their noise are taken for exact. */
 #define EXACT 1e7
+/* Samples differ by no more deviations of their noise, or the noise is taken for larger. */
 #define MOST_EXACT 1e13
-/* So much of a window is there, and one that is not full is at most so much larger than what there
-   is of it. If more cells than that are lacking, two of them make one. */
+/* At least this part of a window has to be seen. */
 #define PRESENT 0.5
+/* A window that is not full is at most so much larger than what there is of it. */
 #define LARGER 1.25
+/* If more cells than that are lacking, two of them make one: cost goes by the square. */
 #define MOST_LACKING 24
 /* A sample that is missing is first put on a parabola through so many others. */
 #define NEAREST 6
-/* How often samples are moved, and those that are all but exact, until they move by less than so
-   many deviations. Meanwhile the noise counts for so many samples: it is more while they are not in
-   their places. */
+/* Samples are moved to their places at most so often, and up to 3 times more. */
 #define ROUNDS 6
+/* Samples that are all but exact are moved at most so often, and up to 3 times more. */
 #define MORE_ROUNDS 38
+/* Samples that move by less than so many deviations are in their places. */
 #define SETTLED 0.05
+/* While samples are moved the noise counts for so many samples: it is more than was measured. */
 #define KNOWN_MEANWHILE 1.0
-/* How much of a window is the newer part, if it is of two motions; how probable that is; flat priors
-   of a parameter that another part has to be worth; and samples that a part needs. */
+/* How much of a window is the newer part, if it is of two motions. */
 static const double newer_parts[] = {0.3, 0.46, 0.7};
 #define NEWER_PARTS 3
+/* How probable it is that a window is of two motions. */
 #define PARTS_PRIOR 0.5
+/* Another part has to be worth so many flat priors of a parameter. */
 #define WORTH 4
+/* A part needs so many samples, one more than a window. */
 #define FEWEST_OF_PART (FEWEST_SAMPLES + 1)
 
 enum { LOW_EFFORT, NORMAL_EFFORT, HIGH_EFFORT };
