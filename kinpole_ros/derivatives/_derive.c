@@ -56,7 +56,7 @@ unpack_models(const ModelTable *table, Models *m)
     const long long *head = table->counts;
     m->count = table->count, m->half = (m->count + 1) / 2, m->exact = table->flags & 1;
     m->processes = head[0], m->chunks = head[1], m->kinds = head[2], m->odd = head[3];
-    m->rows = head[4], m->groups = m->processes * m->chunks + 1;
+    m->rows = head[4], m->groups = m->processes * m->chunks;
     m->first = head + 5, m->kind = m->first + 2 * (m->processes + 1);
     m->panels = (const Lanes *)table->numbers;
     m->share = m->left = m->panels + m->rows / LANES * m->half;
@@ -82,7 +82,7 @@ prepare(const Models *m, long long orders, const Samples *s, Work *w)
     columns = (3 + orders) * number > columns ? (3 + orders) * number : columns;
     long long of_models = m->groups * (8 + 3 * orders + w->parts * pairs + 3 * number);
     long long of_lanes = of_models + pairs + (4 + 2 * orders) * number + 6 * SLOPES * half / LANES;
-    long long of_numbers = (6 + number) * m->rows + (columns + 6) * half + 2 * pairs + 12 * number;
+    long long of_numbers = (6 + number) * m->rows + (columns + 6) * half + pairs + 9 * number;
     char *data = buffer(OF_MODELS, 8 * (of_lanes * LANES + of_numbers + m->groups));
     if (!data)
         return NO_MEMORY;
@@ -94,7 +94,7 @@ prepare(const Models *m, long long orders, const Samples *s, Work *w)
     TAKE(w->off, pairs + 3 * number), TAKE(w->reach, orders * number);
     TAKE(w->scaled, (orders + 1) * number), TAKE(w->along, 6 * SLOPES * (half / LANES));
     TAKE(w->modes, 3 * m->rows), TAKE(w->squares, 3 * m->rows), TAKE(w->vectors, number * m->rows);
-    TAKE(w->terms, (columns + 6) * half), TAKE(w->base, 2 * (pairs + 3 * number));
+    TAKE(w->terms, (columns + 6) * half), TAKE(w->base, pairs + 3 * number);
     TAKE(w->weight, 2 * number), TAKE(w->root, 2 * number), TAKE(w->at, number);
     TAKE(w->counts, m->groups);
 #undef TAKE

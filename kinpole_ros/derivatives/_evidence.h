@@ -1,9 +1,9 @@
 /*
  * What all models say of even samples: evidence, and the mean and covariance of derivatives.
  *
- * LANES amplitudes of one process are a group, side by side in all arrays. The last group is rest,
- * in the first of its lanes. A lane that is no model has evidence -infinity. Mean and slope are the
- * first even and the first odd mode of all processes; rest has the mean only.
+ * LANES amplitudes of one process are a group, side by side in all arrays; a lane that is no model has
+ * evidence -infinity. Each process has modes of its own, even and odd, the first of which are mean
+ * and slope. The last process is rest, which has the mean only.
  */
 
 #define LANES 8
@@ -85,7 +85,7 @@ sum_of(Lanes lanes)
 
 /* Models of a window of `count` samples, as `models_of` of _models.py makes them. Processes have
    `chunks` groups each, and modes `first[p]` to `first[p + 1]` of the even ones, and so on of the
-   odd ones, which begin at the row `odd`. */
+   odd ones, which begin at the row `odd`. If samples are exact, modes are as many as these. */
 typedef struct {
     long long count, half, processes, chunks, groups, kinds, exact, odd, rows;
     const long long *first, *kind;
@@ -154,8 +154,6 @@ static inline void
 add_products(const Models *m, const Lanes *table, long long group, const double *left, long long a,
              const double *right, long long b, double *terms, Lanes *out)
 {
-    if (group == m->groups - 1)
-        return; /* rest has no modes beside the mean */
     const long long *first = m->first + group / m->chunks;
     table += group % m->chunks * m->rows;
     for (int parity = 0; parity < 2; parity++, first += m->processes + 1) {
@@ -171,20 +169,7 @@ add_products(const Models *m, const Lanes *table, long long group, const double 
     }
 }
 
-/* What mean and slope make of left (a, rows) and right (b, rows): out (a, b). */
-static inline void
-multiply_lines(const Models *m, long long group, const double *left, long long a,
-               const double *right, long long b, Lanes *out)
-{
-    for (long long i = 0; i < a; i++)
-        for (long long j = 0; j < b; j++) {
-            const double *x = left + i * m->rows, *y = right + j * m->rows;
-            double slope = group < m->groups - 1 ? x[m->odd] * y[m->odd] : 0.0;
-            *out++ = all_lanes(x[0] * y[0] + slope);
-        }
-}
-
-/* The modes of samples, and how large the samples are beside the mean. */
+/* The modes of samples, and the sums of their squares. */
 static inline void
 find_modes(const Models *m, const Samples *s, Work *w)
 {
@@ -203,17 +188,15 @@ find_modes(const Models *m, const Samples *s, Work *w)
     for (long long r = 0; r < m->rows; r += LANES)
         add(m->panels + r / LANES * half, half, fold + (r < m->odd ? 0 : 3 * half), half, 3,
             (Lanes *)(w->modes + r), m->rows / LANES);
-    for (int c = 0; c < 3; c++)
-        w->total[c] -= w->modes[c * m->rows] * w->modes[c * m->rows];
     for (long long i = 0; i < 3 * m->rows; i++)
         w->squares[i] = w->modes[i] * w->modes[i];
 }
 
-/* The modes of cells, and what is off at them (pairs + 3 cells): of all but rest, and of rest. */
+/* The modes of cells, and what is off at them (pairs + 3 cells) if nothing is motion. */
 static void
 find_cells(const Models *m, const Samples *s, Work *w)
 {
-    long long number = w->cells, k = 0, columns = number * (number + 1) / 2 + 3 * number;
+    long long number = w->cells, k = 0;
     for (long long x = 0; x < number; x++) {
         long long at = w->at[x], opposite = m->count - 1 - at, near = at < opposite ? at : opposite;
         double even = at == opposite ? 2.0 : 1.0, odd = at > opposite ? -1.0 : 1.0;
@@ -222,14 +205,8 @@ find_cells(const Models *m, const Samples *s, Work *w)
                 ((const double *)(m->panels + r / LANES * m->half + near))[r % LANES];
     }
     for (long long i = 0; i < number + 3; i++)
-        for (long long j = 0; j < (i < number ? i + 1 : number); j++, k++) {
-            const double *a = i < number ? w->vectors + i * m->rows
-                                         : w->modes + (i - number) * m->rows;
-            const double *b = w->vectors + j * m->rows;
-            double all = i < number ? i == j : s->x[i - number][w->at[j]];
-            w->base[columns + k] = all - a[0] * b[0];
-            w->base[k] = all - a[0] * b[0] - a[m->odd] * b[m->odd];
-        }
+        for (long long j = 0; j < (i < number ? i + 1 : number); j++)
+            w->base[k++] = i < number ? i == j : s->x[i - number][w->at[j]];
 }
 
 /* `values` at cells, by the factors L D L' of their covariance: these times the roots are divided by
@@ -286,14 +263,12 @@ static inline void
 add_lacking(const Models *m, long long group, Work *w, Lanes *less, Lanes *logs)
 {
     long long number = w->cells, pairs = number * (number + 1) / 2, columns = pairs + 3 * number;
-    int rest = group == m->groups - 1;
     /* What is off at the cells if all are as good: its covariance, and itself. */
     memset(w->off, 0, columns * sizeof(Lanes));
     add_products(m, m->left, group, w->vectors, number, NULL, 0, w->terms, w->off);
     add_products(m, m->left, group, w->modes, 3, w->vectors, number, w->terms, w->off + pairs);
-    if (!m->exact || rest)
-        for (long long k = 0; k < columns; k++)
-            EACH w->off[k].part[h] = w->base[rest * columns + k] - w->off[k].part[h];
+    for (long long k = 0; k < (m->exact ? 0 : columns); k++)
+        EACH w->off[k].part[h] = w->base[k] - w->off[k].part[h];
     for (long long part = 0; part < w->parts; part++)
         logs[part] = factorize(w->off, w->weight + part * number, w->root + part * number, number,
                                w->factors + (group * w->parts + part) * pairs);
@@ -368,17 +343,15 @@ weigh_models(const Models *m, const Samples *s, Work *w, double *evidence_of_all
     for (long long g = 0; g < m->groups; g++) {
         Lanes left[3], less[3], logs[2];
         memset(left, 0, sizeof left), memset(less, 0, sizeof less), memset(logs, 0, sizeof logs);
-        int rest = g == m->groups - 1;
         const long long *first = m->first + g / m->chunks;
-        for (int parity = 0; parity < (rest ? 0 : 2); parity++, first += m->processes + 1)
+        for (int parity = 0; parity < 2; parity++, first += m->processes + 1)
             add(m->left + g % m->chunks * m->rows + first[0], first[1] - first[0],
                 w->squares + first[0], m->rows, 3, left, 1);
         if (w->cells)
             add_lacking(m, g, w, less, logs);
         for (int c = 0; c < 3; c++) {
-            double all = w->total[c] - (rest ? 0.0 : w->squares[c * m->rows + m->odd]);
-            if (!m->exact || rest)
-                EACH left[c].part[h] = all - left[c].part[h];
+            if (!m->exact)
+                EACH left[c].part[h] = w->total[c] - left[c].part[h];
             EACH left[c].part[h] -= less[c].part[h];
             for (int i = 0; i < LANES; i++)
                 if (((double *)(left + c))[i] < 0.0)
@@ -409,7 +382,7 @@ subtract_lacking(const Models *m, const Stencils *s, long long group, Work *w, c
 {
     long long orders = s->orders, number = w->cells, pairs = number * (number + 1) / 2;
     for (long long part = 0; part < w->parts; part++) {
-        multiply_lines(m, group, s->modes, orders, w->vectors, number, w->reach);
+        memset(w->reach, 0, orders * number * sizeof(Lanes));
         add_products(m, m->share, group, s->modes, orders, w->vectors, number, w->terms, w->reach);
         for (long long k = 0; k < orders; k++) {
             Lanes *reach = w->reach + k * number, *over = w->scaled + k * number;
@@ -457,7 +430,7 @@ differentiate(const Models *m, const Stencils *s, const Samples *samples, Work *
         w->counts[g] = any != 0.0;
         if (!w->counts[g])
             continue;
-        multiply_lines(m, g, w->modes, 3, s->modes, orders, apart);
+        memset(apart, 0, 3 * orders * sizeof(Lanes));
         add_products(m, m->share, g, w->modes, 3, s->modes, orders, w->terms, apart);
         for (int c = 0; c < 2; c++) {
             parameters[c] = plus(parameters[c], w->likely[c * m->groups + g], m->freedom[g]);
@@ -521,39 +494,25 @@ move(const Models *m, const Lanes *slopes, const Samples *given, const Samples *
      double *const moved[3])
 {
     long long rows = m->rows, n = m->count, panels = (m->half + LANES - 1) / LANES;
-    double evidence[2], moving[2] = {0};
+    double evidence[2];
     weigh_models(m, samples, w, evidence);
     /* Derivatives (2, SLOPES, 3, panels) of even and of odd modes. */
     double *motion = w->squares;
     memset(w->along, 0, 2 * SLOPES * 3 * panels * sizeof(Lanes));
     for (long long g = 0; g < m->groups; g++) {
-        double sum[2];
-        for (int c = 0; c < 2; c++) {
-            sum[c] = sum_of(w->likely[c * m->groups + g]);
-            moving[c] += g < m->groups - 1 ? sum[c] : 0.0;
-        }
-        w->counts[g] = sum[0] != 0.0 || sum[1] != 0.0;
-    }
-    for (int c = 0; c < 3; c++)
-        motion[c * rows + m->odd] = moving[c > 0] * w->modes[c * rows + m->odd];
-    /* The slope, and then all groups. */
-    for (long long g = -1; g < m->groups - 1; g++) {
-        if (g >= 0 && !w->counts[g])
-            continue;
-        for (int parity = g < 0; parity < 2; parity++) {
-            const long long *first = m->first + parity * (m->processes + 1);
-            long long begin = g < 0 ? m->odd : first[g / m->chunks];
-            long long end = g < 0 ? begin + 1 : first[g / m->chunks + 1];
-            for (long long r = begin; g >= 0 && r < end; r++) {
+        const Lanes likely[2] = {w->likely[g], w->likely[m->groups + g]};
+        w->counts[g] = sum_of(likely[0]) != 0.0 || sum_of(likely[1]) != 0.0;
+        for (int parity = 0; parity < (w->counts[g] ? 2 : 0); parity++) {
+            const long long *first = m->first + parity * (m->processes + 1) + g / m->chunks;
+            for (long long r = first[0]; r < first[1]; r++) {
                 Lanes share = m->share[g % m->chunks * rows + r];
-                double part[2];
-                for (int c = 0; c < 2; c++)
-                    part[c] = sum_of(product(share, w->likely[c * m->groups + g]));
+                double of_angle = sum_of(product(share, likely[0]));
+                double of_position = sum_of(product(share, likely[1]));
                 for (int c = 0; c < 3; c++)
-                    motion[c * rows + r] = part[c > 0] * w->modes[c * rows + r];
+                    motion[c * rows + r] = (c ? of_position : of_angle) * w->modes[c * rows + r];
             }
             for (long long k = 0; k < SLOPES * panels; k++)
-                add(slopes + k * rows + begin, end - begin, motion + begin, rows, 3,
+                add(slopes + k * rows + first[0], first[1] - first[0], motion + first[0], rows, 3,
                     w->along + (parity * SLOPES + k / panels) * 3 * panels + k % panels, panels);
         }
     }
