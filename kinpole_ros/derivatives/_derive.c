@@ -7,6 +7,7 @@
  */
 
 #include <math.h>
+#include <stddef.h>
 #include <stdlib.h>
 #include <string.h>
 
@@ -23,37 +24,21 @@ typedef struct {
     double at; /* the instant, samples from the middle */
 } Window;
 
-/* The models of a window of so many samples, or NULL if they have to be made; with slopes if these
-   are `wanted`. */
-static const ModelTable *
-find_models(Call *call, const Window *window, long long count, int wanted)
+/* A table, or NULL if it has to be made. */
+static const Table *
+find_table(Call *call, const Window *window, long long count, long long orders, double at)
 {
-    long long flags = window->exact + 2 * window->dense;
-    call->lacking = (StencilTable){count, window->block, flags, 0, 0.0, NULL};
-    for (const ModelTable *t = call->models; t < call->models + call->model_tables; t++)
-        if (t->count == count && t->block == window->block && t->flags == flags) {
-            call->lacking.orders = -1;
-            return wanted && !t->slopes ? NULL : t;
-        }
-    return NULL;
-}
-
-static const StencilTable *
-find_stencils(Call *call, const Window *window, long long count, double at)
-{
-    long long flags = window->exact + 2 * window->dense, orders = window->orders;
-    call->lacking = (StencilTable){count, window->block, flags, orders, at, NULL};
-    for (const StencilTable *t = call->stencils; t < call->stencils + call->stencil_tables; t++)
-        if (t->at == at && t->count == count && t->block == window->block && t->flags == flags &&
-            t->orders == orders)
+    call->lacking = (Table){count, window->block, window->exact + 2 * window->dense, orders, at, 0, 0};
+    for (const Table *t = call->tables; t < call->tables + call->table_count; t++)
+        if (!memcmp(t, &call->lacking, offsetof(Table, integers)))
             return t;
     return NULL;
 }
 
 static void
-unpack_models(const ModelTable *table, Models *m)
+unpack_models(const Table *table, Models *m)
 {
-    const long long *head = table->counts;
+    const long long *head = table->integers;
     m->count = table->count, m->half = (m->count + 1) / 2, m->exact = table->flags & 1;
     m->processes = head[0], m->chunks = head[1], m->kinds = head[2], m->odd = head[3];
     m->rows = head[4], m->groups = m->processes * m->chunks;
@@ -116,11 +101,8 @@ find_derivatives(Call *call, const Window *window, const Samples *s, double at, 
 {
     Models m;
     Work w;
-    const ModelTable *table = find_models(call, window, s->count, 0);
-    if (!table)
-        return LACKING;
-    const StencilTable *stencils = wanted ? find_stencils(call, window, s->count, at) : NULL;
-    if (wanted && !stencils)
+    const Table *table = find_table(call, window, s->count, 0, 0.0), *stencils = NULL;
+    if (!table || (wanted && !(stencils = find_table(call, window, s->count, window->orders, at))))
         return LACKING;
     unpack_models(table, &m);
     if (prepare(&m, window->orders, s, &w))
@@ -238,8 +220,9 @@ put_in_place(Call *call, const Window *window, Samples *s, double *spare, double
 {
     Models m;
     Work w;
-    const ModelTable *table = find_models(call, window, s->count, 1);
-    if (!table)
+    const Table *table = find_table(call, window, s->count, 0, 0.0);
+    const Table *slopes = table ? find_table(call, window, s->count, -1, 0.0) : NULL;
+    if (!slopes)
         return LACKING;
     unpack_models(table, &m);
     if (prepare(&m, 1, s, &w))
@@ -253,7 +236,7 @@ put_in_place(Call *call, const Window *window, Samples *s, double *spare, double
     /* What is off by little is in its place at once. */
     for (int round = 0; round < rounds + 3 && !(settled[0] && settled[1]); round++) {
         w.known = round == 0 || round > rounds ? KNOWN : KNOWN_MEANWHILE;
-        move(&m, (const Lanes *)table->slopes, s, &placed, &w, moved);
+        move(&m, (const Lanes *)slopes->numbers, s, &placed, &w, moved);
         /* Of both coordinates, whichever way the axes lie. */
         double square[2] = {0.0};
         for (int c = 0; c < 3; c++)

@@ -53,35 +53,29 @@ static const double newer_parts[] = {0.3, 0.46, 0.7};
 
 enum { LOW_EFFORT, NORMAL_EFFORT, HIGH_EFFORT };
 
-/* The models that are made, and the stencils, by their window; `flags` are 1 for samples that are
-   all but exact and 2 for twice as many processes. */
-typedef struct {
-    long long count, block, flags;
-    const long long *counts;
-    const double *numbers, *slopes;
-} ModelTable;
-
+/* What is made once for a kind of window, of so many samples each the mean of a block: models if
+   `orders` is 0, slopes if it is -1, or stencils of an instant so many samples from the middle.
+   `flags` are 1 for samples that are all but exact and 2 for twice as many processes. */
 typedef struct {
     long long count, block, flags, orders;
     double at;
+    const long long *integers;
     const double *numbers;
-} StencilTable;
+} Table;
 
 /* Poses of B bodies in N frames at stamps, ns: an angle beyond so many whole turns, a position and
    inverse variances of both in units of the noise, 0 where a body is not known. Of T instants `now`
    (3, T) is the frame, and the oldest and newest frame of the window; so many of the newest frames
    are left out (T, B), and the deviation of the noise is (T, B). Results are (T, B, ...): see
-   _poses.py. Signals before `next` are done; `lacking` is what has to be made to go on: models if
-   `orders` is 0, slopes if it is -1, else stencils. */
+   _poses.py. Signals before `next` are done; `lacking` is what has to be made to go on. */
 typedef struct {
-    long long frames, bodies, instants, next, orders, effort, model_tables, stencil_tables;
+    long long frames, bodies, instants, next, orders, effort, table_count;
     double window, flat; /* s; logarithm of the deviation of a flat prior */
     const long long *time, *windows, *left_out;
     const double *angle, *turns, *position, *angle_information, *position_information, *noise;
-    const ModelTable *models;
-    const StencilTable *stencils;
+    const Table *tables;
     double *results;
-    StencilTable lacking;
+    Table lacking;
 } Call;
 
 /* The even cells of an instant: the interval, ns, and of each frame, the newest first, its cell and
