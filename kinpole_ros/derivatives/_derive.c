@@ -1,9 +1,9 @@
 /*
  * From poses at stamps to derivatives at instants with covariances: `derive_poses` of _poses.py.
  *
- * Nothing is remembered: what is found at an instant depends on the poses in its window alone. Each
- * instant and body is one signal, of an angle and two coordinates. _derive_avx2.c compiles this file
- * again for processors with wider vectors, since a package may be built elsewhere.
+ * Nothing is remembered: the results at an instant depend on the poses in its window alone. Each
+ * instant and body is one signal, of an angle and two coordinates. _derive_avx2.c compiles this
+ * file again for processors with wider vectors, since a package may be built elsewhere.
  */
 
 #include <math.h>
@@ -17,18 +17,19 @@
 #include "_evidence.h"
 #include "_window.h"
 
-/* What the samples of one window are differentiated by. */
+/* The kind of a window, and the instant in it. */
 typedef struct {
     long long block, orders;
     int exact, dense, parts;
     double at; /* the instant, samples from the middle */
 } Window;
 
-/* A table, or NULL if it has to be made. */
+/* Find a table; NULL if it has to be made. */
 static const Table *
 find_table(Call *call, const Window *window, long long count, long long orders, double at)
 {
-    call->lacking = (Table){count, window->block, window->exact + 2 * window->dense, orders, at, 0, 0};
+    long long flags = window->exact + 2 * window->dense;
+    call->lacking = (Table){count, window->block, flags, orders, at, NULL, NULL};
     for (const Table *t = call->tables; t < call->tables + call->table_count; t++)
         if (!memcmp(t, &call->lacking, offsetof(Table, integers)))
             return t;
@@ -50,7 +51,7 @@ unpack_models(const Table *table, Models *m)
     m->chances = m->left + m->chunks * m->rows, m->freedom = m->chances + 2 * m->groups;
 }
 
-/* The arrays of the work with samples, and their cells that count for less than 1. */
+/* Lay out the arrays for a window, and list the cells with a weight below 1. */
 static int
 prepare(const Models *m, long long orders, const Samples *s, Work *w)
 {
@@ -95,9 +96,10 @@ prepare(const Models *m, long long orders, const Samples *s, Work *w)
     return DONE;
 }
 
-/* What models say of samples, and the derivatives at an instant unless only evidence is wanted. */
+/* Compute the evidence of samples, and derivatives at an instant if these are wanted. */
 static int
-find_derivatives(Call *call, const Window *window, const Samples *s, double at, int wanted, Found *out)
+find_derivatives(Call *call, const Window *window, const Samples *s, double at, int wanted,
+                 Found *out)
 {
     Models m;
     Work w;
@@ -118,8 +120,8 @@ find_derivatives(Call *call, const Window *window, const Samples *s, double at, 
     return DONE;
 }
 
-/* The logarithm of how probable samples are by all models: their evidence is relative to a line with
-   a flat prior, and to so many samples. */
+/* The logarithm of how probable samples are by all models: their evidence is relative to a line
+   with a flat prior, and to so many samples. */
 static double
 chance_of(const Call *call, const Found *found, int c)
 {
@@ -127,7 +129,7 @@ chance_of(const Call *call, const Found *found, int c)
     return found->evidence[c] - 2 * call->flat * (c + 1) - log(number) / 2 + log(KNOWN) / 2;
 }
 
-/* The mean of what was found, by the logarithms of its chances. */
+/* Average the results of whole and divided windows by the logarithms of their chances. */
 static void
 mix(const Found *all, double (*chances)[2], int number, long long orders, Found *out)
 {
@@ -163,16 +165,16 @@ mix(const Found *all, double (*chances)[2], int number, long long orders, Found 
     }
 }
 
-/* Derivatives in one window, or in two parts of it. The older part may be of another motion than the
-   newer: how probable that is follows from how probable either is by itself, with a mean and a slope
-   of its own, and derivatives are those of the part that the instant is in. */
+/* Differentiate a window as a whole, or as two parts with motions of their own. The chance of a
+   division follows from the evidence of both parts, each with its own mean and slope. Derivatives
+   are those of the part with the instant in it. */
 static int
 derive_parts(Call *call, const Window *window, const Samples *s, Found *out)
 {
     Found all[NEWER_PARTS + 1];
     double chances[NEWER_PARTS + 1][2];
     int number = 1, code = find_derivatives(call, window, s, window->at, 1, out);
-    /* A window with more evidence than that needs no parts. */
+    /* With more evidence than that no division can pay. */
     if (code || window->exact || !window->parts || !(out->evidence[0] < -WORTH * call->flat ||
                                                      out->evidence[1] < -WORTH * call->flat * 2))
         return code;
@@ -213,8 +215,8 @@ derive_parts(Call *call, const Window *window, const Samples *s, Found *out)
     return DONE;
 }
 
-/* Put samples in their places along what is found of the motion, which is then found again; `more` is
-   by how much larger their noise is for what they were off at last. */
+/* Move samples to the even grid along the estimated motion, and estimate it again until they
+   settle. `more` is the factor by which the last movement increases their noise. */
 static int
 put_in_place(Call *call, const Window *window, Samples *s, double *spare, double *more)
 {
@@ -233,7 +235,7 @@ put_in_place(Call *call, const Window *window, Samples *s, double *spare, double
         placed.x[c] = spare + c * s->count, moved[c] = spare + (3 + c) * s->count;
     move_by_neighbors(s, placed.x);
     int settled[2] = {0}, rounds = window->exact ? MORE_ROUNDS : ROUNDS;
-    /* What is off by little is in its place at once. */
+    /* Samples that are off by little settle in the first round. */
     for (int round = 0; round < rounds + 3 && !(settled[0] && settled[1]); round++) {
         w.known = round == 0 || round > rounds ? KNOWN : KNOWN_MEANWHILE;
         move(&m, (const Lanes *)slopes->numbers, s, &placed, &w, moved);
@@ -270,7 +272,7 @@ scale_found(Found *found, const double *by)
     }
 }
 
-/* Derivatives of samples some of which may be lacking, or not in their places. */
+/* Differentiate samples some of which may be missing, or off the even grid. */
 static int
 derive_uneven(Call *call, const Window *window, const Samples *given, double *spare, Found *out)
 {
@@ -286,7 +288,7 @@ derive_uneven(Call *call, const Window *window, const Samples *given, double *sp
         lacking += s.weight[0][k] < 1 || s.weight[1][k] < 1;
         late |= s.off[k] != 0.0;
     }
-    /* To treat many by what they are takes too long: all have their mean. */
+    /* To treat many weights exactly takes too long: all samples get the mean variance. */
     for (int c = 0; c < (lacking > MOST_LACKING ? 2 : 0); c++) {
         double sum = 0.0, number = 0.0;
         for (long long k = 0; k < n; k++)
@@ -310,9 +312,8 @@ derive_uneven(Call *call, const Window *window, const Samples *given, double *sp
         finite &= isfinite(out->mean[k / window->orders][k % window->orders]);
     if (finite || !window->exact)
         return DONE;
-    /* The samples in a gap follow from the others by a matrix that is singular by rounding where
-       motion is much larger than noise and the gap is long: then the noise is the least of a window
-       that is not exact. */
+    /* In a long gap of a motion much larger than its noise the matrix of the missing samples is
+       singular by rounding. Then the noise is taken as the least of a window that is not exact. */
     Window noisy = *window;
     noisy.exact = 0;
     for (int c = 0; c < 2; c++)
@@ -323,15 +324,16 @@ derive_uneven(Call *call, const Window *window, const Samples *given, double *sp
     return code;
 }
 
-/* The results of a signal, per s: position (orders, T B, 2), angle (orders, T B), covariances (orders,
-   orders, T B) of one coordinate and of the angle, the length of the window, s, and the parameters of
-   the angle's motion (T B). All are NaN where nothing was found. */
+/* The results of a signal, per s: position (orders, T B, 2), angle (orders, T B), covariances
+   (orders, orders, T B) of one coordinate and of the angle, the length of the window, s, and the
+   parameters of the angle's motion (T B). All are NaN where nothing was found. */
 static void
 write_results(const Call *call, long long signal, long long now, const Found *found,
               const double (*of)[MOST_ORDERS], double span)
 {
     long long orders = call->orders, all = call->instants * call->bodies;
-    double *position = call->results + 2 * signal, *angle = call->results + 2 * orders * all + signal;
+    double *position = call->results + 2 * signal;
+    double *angle = call->results + 2 * orders * all + signal;
     double *of_position = angle + orders * all, *of_angle = of_position + orders * orders * all;
     double *rest = of_angle + orders * orders * all;
     for (long long k = 0; k < orders; k++) {

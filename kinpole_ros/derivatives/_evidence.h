@@ -1,8 +1,8 @@
 /*
- * What all models say of even samples: evidence, and the mean and covariance of derivatives.
+ * The evidence of all models by even samples, and the mean and covariance of derivatives.
  *
- * LANES amplitudes of one process are a group, side by side in all arrays; a lane that is no model has
- * evidence -infinity. Each process has modes of its own, even and odd, the first of which are mean
+ * LANES amplitudes of one process are a group, side by side in all arrays; a lane that is no model
+ * has evidence -infinity. Each process has modes of its own, even and odd, the first of which are mean
  * and slope. The last process is rest, which has the mean only.
  */
 
@@ -18,7 +18,8 @@
 #define SLOPES 4
 #define MOST_KINDS 8
 
-/* A compiler breaks up vectors wider than the processor's, and badly, so they are as wide as those. */
+/* A compiler breaks up vectors wider than the processor's, and badly, so they are as wide as those.
+   */
 typedef double Vector __attribute__((vector_size(8 * WIDTH), aligned(8)));
 typedef struct {
     Vector part[PARTS];
@@ -106,9 +107,9 @@ typedef struct {
     double *x[3], *weight[2], *off;
 } Samples;
 
-/* What was found: derivatives (3, orders) and covariances (2, orders, orders) of angle and of one
-   coordinate, how many parameters their motions have, the logarithm of how probable the samples
-   are, and how many there are. */
+/* Results: derivatives (3, orders), covariances (2, orders, orders) of the angle and of one
+   coordinate, the number of parameters of their motions, the evidence of all models together, and
+   the number of samples seen. */
 #define MOST_ORDERS 5
 typedef struct {
     double mean[3][MOST_ORDERS], covariance[2][MOST_ORDERS][MOST_ORDERS], freedom[2];
@@ -148,8 +149,8 @@ add(const Lanes *table, long long depth, const double *values, long long stride,
     }
 }
 
-/* out += sums of the products of left (a, rows) and right (b, rows), of each row by each, or of each
-   two of left if there is no right, over the modes of a group's process. */
+/* out += sums of the products of left (a, rows) and right (b, rows), of each row by each, or of
+   each two of left if there is no right, over the modes of a group's process. */
 static inline void
 add_products(const Models *m, const Lanes *table, long long group, const double *left, long long a,
              const double *right, long long b, double *terms, Lanes *out)
@@ -192,7 +193,8 @@ find_modes(const Models *m, const Samples *s, Work *w)
         w->squares[i] = w->modes[i] * w->modes[i];
 }
 
-/* The modes of cells, and what is off at them (pairs + 3 cells) if nothing is motion. */
+/* Compute the modes of cells, and the covariance and residuals (pairs + 3 cells) at the cells
+   without any motion. */
 static void
 find_cells(const Models *m, const Samples *s, Work *w)
 {
@@ -209,8 +211,8 @@ find_cells(const Models *m, const Samples *s, Work *w)
             w->base[k++] = i < number ? i == j : s->x[i - number][w->at[j]];
 }
 
-/* `values` at cells, by the factors L D L' of their covariance: these times the roots are divided by
-   L, and `over` are the same over D. */
+/* `values` at cells, by the factors L D L' of their covariance: these times the roots are divided
+   by L, and `over` are the same over D. */
 static inline void
 solve(const Lanes *factor, const double *root, long long number, Lanes *values, Lanes *over)
 {
@@ -226,13 +228,16 @@ solve(const Lanes *factor, const double *root, long long number, Lanes *values, 
 /* L D L' of the covariance of cells, with the inverse of D on the diagonal; returns half of the
    logarithm of its determinant. */
 static inline Lanes
-factorize(const Lanes *off, const double *weight, const double *root, long long number, Lanes *factor)
+factorize(const Lanes *off, const double *weight, const double *root, long long number,
+          Lanes *factor)
 {
     Lanes logs = all_lanes(0.0), determinant = all_lanes(1.0);
     for (long long i = 0; i < number; i++) {
-        Lanes *row = factor + i * (i + 1) / 2, diagonal = scaled(off[i * (i + 3) / 2], root[i] * root[i]);
+        const Lanes *covariance = off + i * (i + 1) / 2;
+        Lanes *row = factor + i * (i + 1) / 2, diagonal = scaled(covariance[i], root[i] * root[i]);
         for (long long j = 0; j < i; j++) {
-            Lanes *other = factor + j * (j + 1) / 2, sum = scaled(off[i * (i + 1) / 2 + j], root[i] * root[j]);
+            const Lanes *other = factor + j * (j + 1) / 2;
+            Lanes sum = scaled(covariance[j], root[i] * root[j]);
             for (long long k = 0; k < j; k++)
                 sum = minus(sum, row[k], other[k]);
             row[j] = sum;
@@ -256,14 +261,14 @@ factorize(const Lanes *off, const double *weight, const double *root, long long 
     return logs;
 }
 
-/* By how much the squares of what a group's models leave are smaller for what is lacking, and half
-   of the logarithm of their determinant larger (Rasmussen and Williams, Gaussian Processes for
-   Machine Learning, 2006, A.3). */
+/* Compute by how much lacking samples reduce the sum of squared residuals of a group's models, and
+   half of what they add to the logarithm of the determinant (matrix inversion lemma: Rasmussen and
+   Williams, Gaussian Processes for Machine Learning, 2006, A.3). */
 static inline void
 add_lacking(const Models *m, long long group, Work *w, Lanes *less, Lanes *logs)
 {
     long long number = w->cells, pairs = number * (number + 1) / 2, columns = pairs + 3 * number;
-    /* What is off at the cells if all are as good: its covariance, and itself. */
+    /* Covariance and residuals at the cells if all samples were equally good. */
     memset(w->off, 0, columns * sizeof(Lanes));
     add_products(m, m->left, group, w->vectors, number, NULL, 0, w->terms, w->off);
     add_products(m, m->left, group, w->modes, 3, w->vectors, number, w->terms, w->off + pairs);
@@ -278,17 +283,17 @@ add_lacking(const Models *m, long long group, Work *w, Lanes *less, Lanes *logs)
         long long part = w->parts > 1 && c > 0;
         Lanes *error = w->errors + (group * 3 + c) * number;
         memcpy(error, w->off + pairs + c * number, number * sizeof(Lanes));
-        solve(w->factors + (group * w->parts + part) * pairs, w->root + part * number, number, error,
-              w->scaled);
+        solve(w->factors + (group * w->parts + part) * pairs, w->root + part * number, number,
+              error, w->scaled);
         for (long long x = 0; x < number; x++)
             less[c] = plus(less[c], error[x], w->scaled[x]);
     }
 }
 
-/* Probabilities of models, and their weights in covariances, by their evidence. Returns the evidence
-   of all of them. For covariances evidence counts to the power of 1/2, and each kind, which is a
-   spectrum with low polynomials and rest, as much as the others: how harmonics fall below the noise
-   is what samples cannot tell. */
+/* Probabilities of models, and their weights in covariances, by their evidence. Returns the
+   evidence of all of them. For covariances evidence counts to the power of 1/2, and each kind,
+   which is a spectrum with low polynomials and rest, as much as the others: how harmonics fall
+   below the noise is what samples cannot tell. */
 static double
 weigh(const Models *m, const double *evidence, double *likely, double *weight)
 {
@@ -374,7 +379,7 @@ weigh_models(const Models *m, const Samples *s, Work *w, double *evidence_of_all
                                    (double *)(w->counting + c * m->groups));
 }
 
-/* The derivatives of one group's models less what cells lack (3, orders), and what that adds to the
+/* Correct the derivatives of a group's models (3, orders) for the lacking samples, and their
    covariances. */
 static inline void
 subtract_lacking(const Models *m, const Stencils *s, long long group, Work *w, const Lanes *noisy,
@@ -406,8 +411,8 @@ subtract_lacking(const Models *m, const Stencils *s, long long group, Work *w, c
     }
 }
 
-/* Derivatives of samples: the mean over all models, by how probable each is. What models disagree
-   about is part of the covariance. */
+/* Differentiate samples: the mean over all models by their probabilities. The disagreement between
+   models is part of the covariance. */
 static void
 differentiate(const Models *m, const Stencils *s, const Samples *samples, Work *w, Found *out)
 {
@@ -466,7 +471,8 @@ differentiate(const Models *m, const Stencils *s, const Samples *samples, Work *
     }
 }
 
-/* By how much cells are off (cells, 3), in the mean of all models. */
+/* Add up how far samples at the cells are off the prediction from the others (cells, 3), in the
+   mean of all models. */
 static inline void
 add_errors(const Models *m, Work *w, double *wrong)
 {
@@ -529,7 +535,7 @@ move(const Models *m, const Lanes *slopes, const Samples *given, const Samples *
             }
             moved[c][t] = given->x[c][t] - sum;
         }
-    /* What is missing is where the others have it. */
+    /* A missing sample is put where the others predict it. */
     double *wrong = w->terms;
     memset(wrong, 0, 3 * w->cells * sizeof(double));
     add_errors(m, w, wrong);

@@ -1,5 +1,5 @@
 /*
- * From poses at stamps to samples in even cells, and to what models say of them.
+ * From poses at stamps to samples in even cells.
  *
  * A window is cut into cells as long as the usual interval between frames. Cells may be empty, good
  * for less than others, or not where their frame is; too many of them are averaged in blocks.
@@ -63,11 +63,10 @@ typedef struct {
     const double *numbers;
 } Table;
 
-/* Poses of B bodies in N frames at stamps, ns: an angle beyond so many whole turns, a position and
-   inverse variances of both in units of the noise, 0 where a body is not known. Of T instants `now`
-   (3, T) is the frame, and the oldest and newest frame of the window; so many of the newest frames
-   are left out (T, B), and the deviation of the noise is (T, B). Results are (T, B, ...): see
-   _poses.py. Signals before `next` are done; `lacking` is what has to be made to go on. */
+/* The arguments of `derive_poses` in _poses.py, which says what they are: arrays (N, B) of B bodies
+   in N frames, and (T, B) of T instants; `windows` (3, T) are the frame of the instant and the
+   oldest and newest frames. Signals before `next` are done; `lacking` is the table to make before
+   the next call. */
 typedef struct {
     long long frames, bodies, instants, next, orders, effort, table_count;
     double window, flat; /* s; logarithm of the deviation of a flat prior */
@@ -188,7 +187,7 @@ find_grid(const long long *stamps, long long now, long long newest, long long fr
     return DONE;
 }
 
-/* The mean of those that are not much less than the best of them. */
+/* The mean of the numbers that are at least SIMILAR times the largest. */
 static double
 usual_of(const double *information, long long count)
 {
@@ -226,7 +225,7 @@ make_room(Samples *s, int which, long long count)
     return 1;
 }
 
-/* Samples of angle and position in other units. */
+/* Divide the samples of angle and position by a number each. */
 static void
 divide(const Samples *s, const double *by)
 {
@@ -246,9 +245,9 @@ largest_of(const Samples *s, int c)
     return most;
 }
 
-/* The cells of one body about its pose at the instant, the newest first, in units of their noise.
-   There are `count` of them, 0 if they are too few, `ahead` of which are newer than the instant, and
-   room for more, of which nothing is seen; `exact` is whether they are all but exact. */
+/* Fill the cells of one body, the newest first, relative to its pose at the instant and in units of
+   the noise. `count` is the number of cells, 0 if too few, and `ahead` how many are newer than the
+   instant; empty cells follow. `exact` says that the motion is far larger than its noise. */
 static int
 fill_cells(const Call *call, long long instant, long long body, const Grid *grid, Samples *s,
            long long *count, long long *ahead, double *unit, int *exact)
@@ -299,8 +298,9 @@ fill_cells(const Call *call, long long instant, long long body, const Grid *grid
     return DONE;
 }
 
-/* The size of a window of which enough is there, or 0, of so many blocks if it is full; `seen` are
-   how many blocks (blocks,) up to each have anything, of which `last` have, with `ahead` newer. */
+/* Choose the number of blocks of a window of which enough is seen, or 0. It has `full` blocks if it
+   is full, the oldest sample is in block `last`, and `ahead` are newer than the instant. `seen`
+   counts the blocks with samples up to each. */
 static long long
 find_size(long long full, long long last, long long ahead, int exact, const long long *seen,
           long long blocks)
@@ -325,8 +325,8 @@ find_size(long long full, long long last, long long ahead, int exact, const long
     return 0;
 }
 
-/* How many blocks a window has, 0 for none, -1 without memory, and how many cells a block. These are as few as may be,
-   or twice as many, and so on, until little is lacking: frames may come in bunches. */
+/* Choose the number of blocks of a window, 0 for none, -1 without memory, and of cells in a block.
+   A block is doubled until few are lacking, since frames may come in bunches. */
 static long long
 choose_size(const Samples *s, long long count, long long whole, long long ahead, int exact,
             long long *block)
@@ -349,7 +349,8 @@ choose_size(const Samples *s, long long count, long long whole, long long ahead,
                 any |= s->weight[0][k] > 0 && s->weight[1][k] > 0;
             seen[b] = sum += any;
         }
-        long long found = find_size(whole / tried, oldest / tried, ahead / tried, exact, seen, blocks);
+        long long found = find_size(whole / tried, oldest / tried, ahead / tried, exact, seen,
+                                    blocks);
         if (!found)
             continue;
         size = found, *block = tried;
@@ -359,8 +360,8 @@ choose_size(const Samples *s, long long count, long long whole, long long ahead,
     return size;
 }
 
-/* The oldest first, means over blocks of those samples in each that there are; their noise is
-   `coarser` times as large as that of a sample. */
+/* Average the samples in each block, the oldest first; the noise of a mean is `coarser` times that
+   of a sample. */
 static void
 average(const Samples *cells, long long block, Samples *out, double *coarser)
 {
@@ -372,13 +373,13 @@ average(const Samples *cells, long long block, Samples *out, double *coarser)
                 best[c] = larger(best[c], cells->weight[c][k]);
         for (long long k = first; k < first + block; k++) {
             double a = cells->weight[0][k], p = cells->weight[1][k];
-            /* All that are counted count similar, or the middle would not be where the block's is. */
+            /* Poor samples are left out: all in a mean have the same share. */
             if (!(a >= POOR * best[0] && p >= POOR * best[1] && a > 0 && p > 0))
                 continue;
             number++, variance[0] += 1 / a, variance[1] += 1 / p;
             for (int c = 0; c < 3; c++)
                 out->x[c][at] += cells->x[c][k];
-            /* What is missing in a block moves its middle. */
+            /* The mean time of a block moves with its missing samples. */
             late += cells->off[k] + (block - 1) / 2.0 - (k - first);
         }
         if (!number)
@@ -398,7 +399,7 @@ average(const Samples *cells, long long block, Samples *out, double *coarser)
     divide(out, coarser);
 }
 
-/* Those of samples whose position is missing on parabolas through the nearest of the others. */
+/* Put missing samples on parabolas through the nearest of the others, the older of two as near. */
 static void
 fill_missing(const Samples *s)
 {
@@ -421,7 +422,7 @@ fill_missing(const Samples *s)
                 }
                 found++;
             }
-        /* What the parabola is at the cell: Cramer's rule. */
+        /* The value of the parabola at the cell, by Cramer's rule. */
         double a = m[2] * m[4] - m[3] * m[3], b = m[2] * m[3] - m[1] * m[4];
         double d = m[1] * m[3] - m[2] * m[2], det = m[0] * a + m[1] * b + m[2] * d;
         for (int c = 0; c < 3; c++)
@@ -429,7 +430,7 @@ fill_missing(const Samples *s)
     }
 }
 
-/* Samples moved to their places by parabolas through their neighbors. */
+/* Move samples to the even grid by parabolas through their neighbors. */
 static void
 move_by_neighbors(const Samples *s, double *const moved[3])
 {
@@ -440,7 +441,8 @@ move_by_neighbors(const Samples *s, double *const moved[3])
             long long low = k > 0 ? k - 1 : 0, high = k < n - 1 ? k + 1 : n - 1;
             double before = k + s->off[k] - low - s->off[low];
             double after = high + s->off[high] - k - s->off[k];
-            double first = (y[k] - y[low]) / before, second = (y[high] - y[k]) / after, at = s->off[k];
+            double first = (y[k] - y[low]) / before, second = (y[high] - y[k]) / after;
+            double at = s->off[k];
             double bend = (second - first) / (before + after);
             if (k == 0 || k == n - 1)
                 moved[c][k] = y[k] - at * (k ? first : second);
