@@ -432,6 +432,9 @@ int kinpole_derive_avx2(Call *call);
 #endif
 
 /* Returns 0, or why it has to be called again, or that there is no memory. */
+#ifdef _WIN32
+__declspec(dllexport)
+#endif
 int
 kinpole_derive(Call *call)
 {
