@@ -60,7 +60,8 @@ def until(condition: Callable[[], object], what: str) -> None:
         ),
         (Service, ['handle']),
         (Executor, ['wake', 'spin_once', 'shutdown']),
-        (Timer, ['is_ready']),
+        (Timer, ['is_ready', 'handle']),
+        (rclpy_implementation.Timer, ['call_timer', '__enter__', '__exit__']),
         (rclpy_implementation.Subscription, ['take_message', '__enter__', '__exit__']),
         (Subscription, ['handle']),
         (rclpy.Context, ['handle']),
@@ -118,6 +119,19 @@ def test_a_wait_ends_with_a_request(node: Node) -> None:
     assert not prepared.wait(0.05), 'rclpy has changed: WaitSet.get_ready_entities of none'
     client.call_async(Trigger.Request())
     assert prepared.wait(5.0), 'rclpy has changed: WaitSet.wait misses a request'
+
+
+def test_a_timer_that_is_ready_is_called_once_a_period(node: Node) -> None:
+    calls: list[int] = []
+    timer = node.create_timer(0.1, lambda: calls.append(1))
+    assert not timer.is_ready(), 'rclpy has changed: Timer.is_ready before its time'
+    until(timer.is_ready, 'Timer.is_ready stays false')
+    private.call(timer)
+    assert calls == [1], 'rclpy has changed: Timer.callback'
+    assert not timer.is_ready(), 'rclpy has changed: call_timer begins no period'
+    until(timer.is_ready, 'a timer has one period')
+    timer.cancel()
+    assert not timer.is_ready(), 'rclpy has changed: Timer.is_ready of a canceled one'
 
 
 def test_rclpy_tells_an_executor_of_entities_that_come_and_go(node: Node) -> None:

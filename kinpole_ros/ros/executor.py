@@ -7,17 +7,16 @@ from typing import Any, Protocol
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 from rclpy.executors import Executor, SingleThreadedExecutor
 from rclpy.node import Node
-from rclpy.service import Service
 from rclpy.subscription import Subscription
 
-from kinpole_ros.ros.private import PreparedWait
+from kinpole_ros.ros.private import PreparedWait, call
 
-# s. Timers and services are looked at after the first message that comes when this has passed, as
-# then there is most time until the next one; without a message when it has passed.
+# s. Timers, services and other subscriptions are looked at after the first message that comes when
+# this has passed, as then there is most time until the next one; without a message when it passes.
 _OTHERS_EVERY = 0.05
-# s. Everything else of a node has a turn as often: other subscriptions, guard conditions, events.
-_TURN_EVERY = 0.2
-# Callbacks of timers and services in a row, with no message between them.
+# s. Everything else of a node has a turn as often: clients, guard conditions, events.
+_TURN_EVERY = 0.5
+# Callbacks of services and other subscriptions in a row, with no message between them.
 _MOST_IN_A_ROW = 10
 
 
@@ -51,10 +50,10 @@ def make_executor(source: MessageSource, node: Node, kind: str = 'lean') -> Exec
 
     rclpy's own builds a wait set of all that a node has for each callback, and makes a task of it:
     half of the CPU time of a relay. The `lean` one waits for the messages alone, with a wait set
-    that is made once and anew only when subscriptions or services come or go. It hands the rest to
-    rclpy, which is asked only when a timer or a service is ready. For that it relies on what rclpy
-    does not document (`PreparedWait`). Where that is not as expected it warns once, and does as
-    `rclpy`, the other kind.
+    that is made once and anew only when subscriptions or services come or go. Every 50 ms it calls
+    the timers that are ready, and has rclpy run what else is ready. For that it relies on what
+    rclpy does not document (`PreparedWait`). Where that is not as expected it warns once, and does
+    as `rclpy`, the other kind.
     """
     executor = SingleThreadedExecutor() if kind == 'rclpy' else LeanExecutor(source)
     executor.add_node(node)
@@ -70,7 +69,7 @@ class LeanExecutor(SingleThreadedExecutor):
         self._is_lean = True
         self._is_stale = True
         self._message_wait: PreparedWait | None = None
-        self._service_wait: PreparedWait | None = None
+        self._other_wait: PreparedWait | None = None
         self._others_due = self._turn_due = 0.0
 
     def wake(self) -> None:
@@ -94,36 +93,41 @@ class LeanExecutor(SingleThreadedExecutor):
                 self._source.take_messages()
             if time.monotonic() < self._others_due:
                 return
-        self._others_due = time.monotonic() + _OTHERS_EVERY
+        for node in self.get_nodes():
+            for timer in node.timers:
+                if timer.is_ready():
+                    call(timer)
         for _ in range(_MOST_IN_A_ROW):
-            if not self._is_other_ready():
+            if self._is_stale or not self._is_other_ready():
                 break
             self._turn_due = time.monotonic() + _TURN_EVERY
             super().spin_once(0)
+        # After a failure the rest goes on at once.
+        self._others_due = time.monotonic() + _OTHERS_EVERY
 
     def _is_other_ready(self) -> bool:
-        """Whether a timer or a service is ready, or a turn of everything else is due."""
-        return (
-            time.monotonic() >= self._turn_due
-            or any(timer.is_ready() for node in self.get_nodes() for timer in node.timers)
-            or (self._service_wait is not None and self._service_wait.wait(0.0))
-        )
+        """Whether rclpy has to run a callback, or its turn of everything is due."""
+        if time.monotonic() >= self._turn_due:
+            return True
+        return self._other_wait is not None and self._other_wait.wait(0.0)
 
     def _prepare(self) -> None:
         """Make the wait sets of the entities that there are now."""
-        self._message_wait = self._service_wait = None
+        self._message_wait = self._other_wait = None
         self._is_stale = False
         subscriptions = list(self._source.subscriptions)
         if not self._is_lean or not subscriptions:
             return
-        services: list[Service] = [s for node in self.get_nodes() for s in node.services]
+        nodes = self.get_nodes()
+        others = [s for node in nodes for s in node.subscriptions if s not in subscriptions]
+        services = [s for node in nodes for s in node.services]
         try:
-            self._message_wait = PreparedWait(self.context, subscriptions=subscriptions)
-            self._service_wait = PreparedWait(self.context, services=services)
+            self._message_wait = PreparedWait(self.context, subscriptions)
+            self._other_wait = PreparedWait(self.context, others, services)
         except (AttributeError, TypeError) as error:
-            self._message_wait = self._service_wait = None
+            self._message_wait = self._other_wait = None
             self._is_lean = False
-            for node in self.get_nodes():
+            for node in nodes:
                 node.get_logger().warning(
                     f'this rclpy has other internals than are known ({error}), so its own executor '
                     'waits, at more CPU time; set the parameter executor to rclpy to have no '

@@ -15,6 +15,7 @@ from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
 from rclpy.service import Service
 from rclpy.subscription import Subscription
+from rclpy.timer import Timer
 from rclpy.topic_endpoint_info import TopicEndpointInfo
 
 # What nearly every call of rclpy raises when rcl fails. rclpy.exceptions does not have it; its
@@ -60,6 +61,17 @@ class PreparedWait:
         return bool(
             wait_set.get_ready_entities('subscription') or wait_set.get_ready_entities('service')
         )
+
+
+def call(timer: Timer) -> None:
+    """
+    Begin the next period of a timer that is ready, and run its callback, which is no coroutine.
+
+    Executors make a wait set and a task for it. Public would be a method of the timer.
+    """
+    with timer.handle:
+        timer.handle.call_timer()
+    timer.callback()
 
 
 def take(subscription: Subscription, most: int) -> Iterator[tuple[bytes, Mapping[str, Any]]]:
