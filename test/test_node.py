@@ -47,7 +47,7 @@ from kinpole_ros.messages import (
 )
 from kinpole_ros.pipeline.estimate import Estimate
 from kinpole_ros.pipeline.frame import MarkerFrames
-from kinpole_ros.pipeline.parameters import PARAMETERS, Settings
+from kinpole_ros.pipeline.parameters import NODE_PARAMETERS, PARAMETERS, Settings
 from kinpole_ros.pipeline.tracker import Tracker
 from kinpole_ros.ros.live import play
 from kinpole_ros.ros.loop import headers
@@ -400,7 +400,7 @@ class TestOneNode:
                 assert float(said(arrays)['rate (Hz)']) >= 0
 
     def test_every_parameter_describes_itself(self, shared: Peer) -> None:
-        names = [*PARAMETERS, 'rod.markers', 'autostart']
+        names = [*PARAMETERS, 'rod.markers', *NODE_PARAMETERS]
         request = DescribeParameters.Request(names=names)
         answer = shared.call('/kinpole/describe_parameters', DescribeParameters, request)
         for name, descriptor in zip(names, answer.descriptors, strict=True):
