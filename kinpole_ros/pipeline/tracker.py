@@ -24,7 +24,7 @@ from kinpole_ros.pipeline.matcher import Matcher
 from kinpole_ros.pipeline.parameters import Settings, of_poses
 from kinpole_ros.pipeline.posed import PosedBodies
 from kinpole_ros.pipeline.roster import Roster
-from kinpole_ros.pipeline.stamps import StampState
+from kinpole_ros.pipeline.ticks import StampState
 from kinpole_ros.pipeline.timeline import Timeline
 from kinpole_ros.rigid import (
     Samples,
@@ -40,7 +40,6 @@ from kinpole_ros.rigid.space import Space, SpaceReport
 TOO_FEW, NO_POSE = 'too few markers seen, or all at one place', 'no pose of it came'
 TOO_CLOSE = 'markers too close together for their noise'
 NOISY_POSES = 'the noise of its angle is too large'
-AMBIGUOUS = 'its stamp does not tell whether it was captured before or after a lost frame'
 # Not by its first stamp, which a bag that loops has again and again.
 _run_numbers = itertools.count(1)
 
@@ -245,8 +244,8 @@ class Tracker:
                     self._start(None)
             first = 0
             while first < len(stamps):
-                if self._timeline.clock_update_is_due:
-                    found += self._update_clock(order)
+                if self._timeline.look_due:
+                    found += self._look(order)
                 # A plane that is being fitted is known at the next update at the earliest.
                 last = first + self._space.capacity(len(stamps) - first)
                 some = slice(first, last)
@@ -259,12 +258,11 @@ class Tracker:
                     if self._roster.plane is not self._space.plane:
                         found += self._estimates(order)
                         self._catch_up()
-                    for sure, numbers in self._timeline.count(taken, before + place):
-                        solid = self._roster.sort(sure)
-                        if self._roster.width > self._rigid.width:
-                            found += self._estimates(order)
-                            self._widen()
-                        self._take(sure, solid, numbers)
+                    solid = self._roster.sort(taken)
+                    if self._roster.width > self._rigid.width:
+                        found += self._estimates(order)
+                        self._widen()
+                    self._run(taken, steps[new], solid, before + place)
                 first += end
                 if anew:
                     found += self._estimates(order)
@@ -282,14 +280,14 @@ class Tracker:
         with self._alone:
             self._rigid.settle()
             self._space.settle()
-            if self._timeline.clock_update_is_due:
-                self._update_clock(None)
+            if self._timeline.look_due:
+                self._look(None)
 
-    def _update_clock(self, order: int | None) -> list[Estimate]:
-        """Estimate the clock of the stamps; what waits is estimated before frames change."""
+    def _look(self, order: int | None) -> list[Estimate]:
+        """Look at the clock of the stamps; what waits is estimated before it changes anything."""
         # By the noise as it is known to whoever takes frames one by one.
         self._rigid.settle()
-        change = self._timeline.update_clock(self._rigid.noise())
+        change = self._timeline.look(self._rigid.noise())
         if change is None:
             return []
         found = self._estimates(order)
@@ -299,14 +297,32 @@ class Tracker:
             self._rigid.retime()
         return found
 
-    def _take(self, frames: MarkerFrames, solid: np.ndarray, numbers: np.ndarray) -> None:
+    def _run(
+        self, frames: MarkerFrames, steps: np.ndarray, solid: np.ndarray, numbers: np.ndarray
+    ) -> None:
         """
-        Take frames that go on from those before; `numbers` (T,) are theirs.
+        Take frames that go on by `steps` from those before; `numbers` (T,) are theirs.
 
         `solid` (T, B, n, 3), m, are their markers as sorted.
         """
         self.counts['markers_unknown'] = self._roster.unknown
-        rows, gaps = self._timeline.enter(frames.stamps, numbers)
+        first = 0
+        while first < len(steps):
+            room = self._timeline.until_doubt(frames.stamps[first:])
+            if room == len(steps):
+                self._take(frames, steps, solid, numbers)
+                return
+            part = slice(first, first + room)
+            some = part_of(frames, part)
+            # By their names as they are known after the part before.
+            self._take(some, steps[part], self._roster.sort(some), numbers[part])
+            first += room
+
+    def _take(
+        self, frames: MarkerFrames, steps: np.ndarray, solid: np.ndarray, numbers: np.ndarray
+    ) -> None:
+        """The same of frames that may be taken at once."""
+        rows, gaps = self._timeline.enter(frames.stamps, steps, numbers)
         landmarks = None if self._points is None else self._points.room(len(rows))
         points, heights = self._roster.flat(solid)
         plane = self._roster.plane
@@ -321,6 +337,7 @@ class Tracker:
             if self._rigid.matcher.lacks_order(len(rows)):
                 solid = np.full_like(solid, np.nan)
         else:
+            self._rigid.are_timed(self._timeline.counts_are_sure)
             every = self._timeline.view()[-len(rows) - RUNNING :]
             if self._posed:
                 rows['tilt'] = self._roster.tilts(solid)
@@ -329,7 +346,7 @@ class Tracker:
             if not self._posed:
                 # As they were corrected.
                 solid = plane.in_space(points, heights)
-        self._timeline.leave_out_ambiguous(len(rows))
+        self._rigid.were_at(self._timeline.pose(rows, self._rigid.known['noise']))
         self._space.add(solid)
         missing = np.count_nonzero(np.isnan(seen)) - seen.size
         self.counts['markers_not_seen'] += int(self._roster.wanted * len(rows) + missing)
@@ -439,7 +456,6 @@ class Tracker:
             missing[~orientation_observable] = NOISY_POSES if self._posed else TOO_CLOSE
             missing[~measured] = 'noise not known yet'
             missing[~seen] = NO_POSE if self._posed else TOO_FEW
-            missing[frames['ambiguous']] = AMBIGUOUS
             if self.plane is None:
                 missing[...] = 'plane not known yet'
         return Estimate(
