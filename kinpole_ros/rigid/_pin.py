@@ -114,7 +114,8 @@ class Pins:
             self._positions[row, b] = position[at, b]
             self._turns[row, b] = np.exp(1j * angle[at, b])
             self._variances[:, row, b] = variance[at, :, b].T
-            self._residuals[row, b] = np.nan_to_num(residual[at, b])
+            # Not nan_to_num, which keeps the other part of a number of which one part is NaN.
+            self._residuals[row, b] = np.where(np.isnan(residual[at, b]), 0, residual[at, b])
             self._last[b] = angle[at[-1], b]
             self._count[b] += len(at)
             fresh[b] = True

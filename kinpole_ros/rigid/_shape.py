@@ -21,7 +21,14 @@ from kinpole_ros.rigid._continuity import Continuity, Verdict
 from kinpole_ros.rigid._marker_noise import MarkerNoise
 from kinpole_ros.rigid._noise import mean_square, tame_part
 from kinpole_ros.rigid._turn import Turns
-from kinpole_ros.rigid._untangle import EXCHANGED, agreed, correct_markers, half_turn
+from kinpole_ros.rigid._untangle import (
+    EXCHANGED,
+    Correction,
+    agreed,
+    correct_markers,
+    half_turn,
+    left_out,
+)
 from kinpole_ros.rigid.levels import FEW, SURE, TINY
 
 # A marker's place is held from so many frames on, when it is known to a twentieth of the noise. It
@@ -35,6 +42,9 @@ _BEAT = 1 / 8
 # share of the body's size, more than its noise may be, and only names are doubted by it.
 _SUSPECT, _YOUNG_SUSPECT = 6.0, 0.03
 _RULE_CLIP = SURE**2
+# Mean square residual per degree of freedom, over the rule, of markers that were corrected: 0.1% of
+# chi-squares of three degrees exceed it.
+_CONSISTENT = 5.4
 # What all but the worst three tenths of chi-squares stay below, over their mean, within a tenth.
 _RULE_SHARE = 1.15
 # A marker that does not fit in so many frames running sits elsewhere from the next beat on, and
@@ -411,6 +421,7 @@ class Shapes:
                 float(ahead[b]),
                 erring,
             )
+            found = self._without_doubt(b, found)
             out = np.isnan(found.points[found.order.argsort()]) & (weights[b] > 0)
             self._astray[b] = np.where(out, self._astray[b] + 1, 0)
             points[b], order[b] = found.points, order[b, found.order]
@@ -431,6 +442,20 @@ class Shapes:
         )
         self._disturbed = True
         return fit, points[None], residual, freedom
+
+    def _without_doubt(self, b: int, found: Correction) -> Correction:
+        """
+        Leave a corrected body out as a whole if what is left of it is larger than by chance.
+
+        Where one marker is wrong another may be, by less than makes it an outlier.
+        """
+        weights = np.where(np.isnan(found.points), 0.0, self._weights[b])
+        fit = fit_pose(found.points, self.points[b], weights)
+        erring = np.sqrt(self._marker_noise.relative[b])
+        square = float(mean_square(fit.residual / erring, fit.freedom)[0])
+        if not square > _CONSISTENT * self._least_rule()[b]:
+            return found
+        return left_out(found)
 
     def _turn_back(self, points: Complex, weights: Real, order: np.ndarray, fit: Fit) -> Fit:
         """

@@ -57,7 +57,7 @@ def correct_markers(
     Correct the markers of one body that do not fit its shape.
 
     Tries, in this order, to permute the markers, to leave one out, to permute all but one, and to
-    leave two out. The first kind that brings the remaining markers within the limit is taken, at
+    leave two out, where three remain. The first kind that brings the remaining markers within the limit is taken, at
     its best. A body that none of these corrects, or that fits mirrored, is left out as a whole.
 
     Parameters
@@ -107,12 +107,19 @@ def correct_markers(
         found = corrected(leave_out(1))
         if found is None and len(seen) > 3:
             found = corrected(ways[(ways >= 0).sum(axis=1) == len(seen) - 1])
-        # At least two markers have to remain that agree on the distance between them.
-        if found is None and len(seen) > 3:
+        # Of two markers that remain nothing would tell whether they are right.
+        if found is None and len(seen) > 4:
             found = corrected(leave_out(2))
         if found is not None:
             return found
     return _nothing_of(points, seen, DROPPED)
+
+
+def left_out(found: Correction) -> Correction:
+    """The same with the body left out as a whole."""
+    number = int(np.count_nonzero(~np.isnan(found.points))) + found.counts[LEFT_OUT]
+    nothing = np.full_like(found.points, _NOWHERE)
+    return Correction(nothing, np.arange(len(nothing)), Counter({DROPPED: number}))
 
 
 def _nothing_of(points: Complex, seen: np.ndarray, kind: str) -> Correction:
