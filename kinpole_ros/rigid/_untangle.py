@@ -58,7 +58,8 @@ def correct_markers(
 
     Tries, in this order, to permute the markers, to leave one out, to permute all but one, and to
     leave two out, where three remain. The first kind that brings the remaining markers within the
-    limit is taken, at its best. A body that none of these corrects, or that fits mirrored, is left out as a whole.
+    limit is taken, at its best. A body that none of these corrects, or that fits mirrored, is left
+    out as a whole.
 
     Parameters
     ----------
