@@ -22,12 +22,13 @@ from kinpole_ros.rigid._marker_noise import MarkerNoise
 from kinpole_ros.rigid._noise import mean_square, tame_part
 from kinpole_ros.rigid._turn import Turns
 from kinpole_ros.rigid._untangle import (
+    DROPPED,
     EXCHANGED,
     Correction,
     agreed,
     correct_markers,
     half_turn,
-    left_out,
+    leave_out_body,
 )
 from kinpole_ros.rigid.levels import FEW, SURE, TINY
 
@@ -421,7 +422,7 @@ class Shapes:
                 float(ahead[b]),
                 erring,
             )
-            found = self._without_doubt(b, found)
+            found = self._checked(b, points[b], found)
             out = np.isnan(found.points[found.order.argsort()]) & (weights[b] > 0)
             self._astray[b] = np.where(out, self._astray[b] + 1, 0)
             points[b], order[b] = found.points, order[b, found.order]
@@ -443,11 +444,11 @@ class Shapes:
         self._disturbed = True
         return fit, points[None], residual, freedom
 
-    def _without_doubt(self, b: int, found: Correction) -> Correction:
+    def _checked(self, b: int, points: Complex, found: Correction) -> Correction:
         """
-        Leave a corrected body out as a whole if what is left of it is larger than by chance.
+        Leave a corrected body out if the residuals of its markers are larger than by chance.
 
-        Where one marker is wrong another may be, by less than makes it an outlier.
+        Where one of its `points` (n,) is wrong another may be, by less than makes it an outlier.
         """
         weights = np.where(np.isnan(found.points), 0.0, self._weights[b])
         fit = fit_pose(found.points, self.points[b], weights)
@@ -455,7 +456,8 @@ class Shapes:
         square = float(mean_square(fit.residual / erring, fit.freedom)[0])
         if not square > _CONSISTENT * self._least_rule()[b]:
             return found
-        return left_out(found)
+        seen = np.flatnonzero((self._weights[b] > 0) & ~np.isnan(points))
+        return leave_out_body(points, seen, DROPPED)
 
     def _turn_back(self, points: Complex, weights: Real, order: np.ndarray, fit: Fit) -> Fit:
         """

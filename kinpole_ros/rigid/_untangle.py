@@ -104,7 +104,7 @@ def correct_markers(
             return found
         mirrored = np.where(whole < 0, _NOWHERE, points.conj())[None]
         if _best(mirrored, shape, np.where(whole < 0, 0.0, weights), erring=erring)[1] <= limit:
-            return _nothing_of(points, seen, MIRRORED)
+            return leave_out_body(points, seen, MIRRORED)
         found = corrected(leave_out(1))
         if found is None and len(seen) > 3:
             found = corrected(ways[(ways >= 0).sum(axis=1) == len(seen) - 1])
@@ -113,17 +113,10 @@ def correct_markers(
             found = corrected(leave_out(2))
         if found is not None:
             return found
-    return _nothing_of(points, seen, DROPPED)
+    return leave_out_body(points, seen, DROPPED)
 
 
-def left_out(found: Correction) -> Correction:
-    """The same with the body left out as a whole."""
-    number = int(np.count_nonzero(~np.isnan(found.points))) + found.counts[LEFT_OUT]
-    nothing = np.full_like(found.points, _NOWHERE)
-    return Correction(nothing, np.arange(len(nothing)), Counter({DROPPED: number}))
-
-
-def _nothing_of(points: Complex, seen: np.ndarray, kind: str) -> Correction:
+def leave_out_body(points: Complex, seen: np.ndarray, kind: str) -> Correction:
     """A body that is left out as a whole, with all markers `seen`."""
     nothing = np.full_like(points, _NOWHERE)
     return Correction(nothing, np.arange(len(points)), Counter({kind: len(seen)}))
