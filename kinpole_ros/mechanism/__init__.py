@@ -1,6 +1,6 @@
 """Mechanisms whose motion is known exactly: the truth that measured kinematics is held against."""
 
-from kinpole_ros.mechanism._assembly import GROUND, Revolute, Rolling
+from kinpole_ros.mechanism._assembly import GROUND, Belt, Revolute, Rolling
 from kinpole_ros.mechanism._centers import Centers, instant_centers
 from kinpole_ros.mechanism._centrodes import Centrodes, centrodes
 from kinpole_ros.mechanism._equations import Dimension, Equation, Equations, Part
@@ -31,6 +31,7 @@ from kinpole_ros.mechanism._units import SceneError, quantity
 
 __all__ = [
     'GROUND',
+    'Belt',
     'BodyMotion',
     'Centers',
     'Centrodes',

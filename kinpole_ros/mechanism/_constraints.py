@@ -12,6 +12,7 @@ import numpy as np
 from kinpole_ros.mechanism._assembly import (
     GROUND,
     Assembly,
+    Belt,
     Joint,
     Revolute,
     Rolling,
@@ -135,7 +136,7 @@ def _held(joint: Joint) -> tuple[int, ...]:
     """The directions a joint holds in by itself: 0 along its axis, 1 across."""
     if isinstance(joint, Rolling) and joint.pressure is not None:
         return (0,)
-    return {Revolute: (0, 1), Slot: (1,), Rolling: (0, 1), Strut: ()}[type(joint)]
+    return {Revolute: (0, 1), Slot: (1,), Rolling: (0, 1), Strut: (), Belt: (0,)}[type(joint)]
 
 
 def _place(
@@ -145,8 +146,9 @@ def _place(
     pin = frame.at(joint.other, joint.b)
     if isinstance(joint, Revolute):
         return pin, np.ones_like(pin)
-    if isinstance(joint, Strut):
-        return pin, np.exp(1j * value_of(mechanism, values, f'{joint.name}.angle'))
+    if isinstance(joint, Strut | Belt):
+        along = np.exp(1j * value_of(mechanism, values, f'{joint.name}.angle'))
+        return (pin if isinstance(joint, Strut) else pin + 1j * joint.radii[1] * along), along
     if isinstance(joint, Rolling) and joint.circle:
         normal = np.exp(1j * value_of(mechanism, values, joint.name))
         return pin - joint.radius * normal, -1j * normal

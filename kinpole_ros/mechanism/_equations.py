@@ -9,7 +9,7 @@ and remembers where the scene's file has it.
 from collections.abc import Iterator, Sequence
 from typing import Any, NamedTuple
 
-from kinpole_ros.mechanism._assembly import GROUND, Joint, Revolute, Rolling, Slot, Strut
+from kinpole_ros.mechanism._assembly import GROUND, Belt, Joint, Revolute, Rolling, Slot, Strut
 from kinpole_ros.mechanism._vectors import Vectors
 
 Path = tuple[str | int, ...]
@@ -106,7 +106,7 @@ def equations_of_joints(
     found = []
     first = len(joints) - len(said)
     for k, joint in enumerate(joints):
-        if isinstance(joint, Strut):
+        if isinstance(joint, Strut | Belt):
             continue
         if isinstance(joint, Revolute):
             point = joint.name.partition('.')[0]

@@ -1,19 +1,24 @@
 """The usual form of a scene: bodies with named points, pins where they share one, other joints."""
 
 import re
+from cmath import phase
 from itertools import combinations
 from math import pi
 from typing import Any
 
+import numpy as np
+
 from kinpole_ros.mechanism._assembly import (
     GROUND,
     Assembly,
+    Belt,
     Joint,
     Revolute,
     Rolling,
     Slot,
     Strut,
     assemble,
+    strand,
 )
 from kinpole_ros.mechanism._equations import Equations, equations_of_joints
 from kinpole_ros.mechanism._units import SceneError, quantity, vector
@@ -25,12 +30,14 @@ _KEYS = {
     'prismatic': ('prismatic', 'on', 'along', 'turned', 'name'),
     'rolling': ('rolling', 'radius', 'on', 'along', 'circle', 'start', 'pressure', 'name'),
     'strut': ('strut', 'name'),
+    'belt': ('belt', 'radii', 'length', 'direction', 'name'),
 }
 _EXAMPLES = {
     'slot': '{slot: rod.B, on: ground.O, along: 0 deg}',
     'prismatic': '{prismatic: block.Q, on: ground.O, along: 90 deg, turned: 0 deg}',
     'rolling': '{rolling: wheel.H, radius: 0.1, on: ground.O, along: 0 deg}',
     'strut': '{strut: [ground.D, lift.E], name: cylinder}',
+    'belt': '{belt: [motor.H, fan.K], radii: [3 cm, 9 cm], name: belt}',
 }
 
 
@@ -154,14 +161,15 @@ def _joint(where: str, said: Any, points: Points) -> Joint:
     name = said.get('name')
     if name is not None and not (isinstance(name, str) and _WORD.fullmatch(name)):
         raise SceneError(f'{where}: name is {name!r}: give letters, digits, _ and -')
-    if kind == 'strut':
-        need(where, said, ('strut', 'name'), _EXAMPLES[kind])
-        ends = said['strut']
+    if kind in ('strut', 'belt'):
+        need(where, said, (kind, 'name'), _EXAMPLES[kind])
+        ends = said[kind]
         if not isinstance(ends, list) or len(ends) != 2:
             raise SceneError(f'{where} is {ends!r}: give its two ends, as {_EXAMPLES[kind]}')
         (one, a), (other, b) = (named_point(where, end, points) for end in ends)
         _refuse_same(where, one, other)
-        return Strut(str(name), one, a, other, b)
+        joint = Strut(str(name), one, a, other, b)
+        return joint if kind == 'strut' else _belt(where, said, joint, ends, points)
     need(where, said, ('on',) + (('radius',) if kind == 'rolling' else ()), _EXAMPLES[kind])
     other, b = named_point(where, said[kind], points)
     one, a = named_point(f'{where}: on', said['on'], points)
@@ -175,6 +183,32 @@ def _joint(where: str, said: Any, points: Points) -> Joint:
         return Slot(name, one, a, along, other, b)
     turned = quantity(f'{where}: turned', said.get('turned', 0.0), 'angle')
     return Slot(name, one, a, along, other, b, turned)
+
+
+def _belt(where: str, said: dict[str, Any], ends: Strut, names: list[str], points: Points) -> Belt:
+    need(where, said, ('radii',), _EXAMPLES['belt'])
+    radii = vector(f'{where}: radii', said['radii'])
+    first, last = radii.real, radii.imag
+    belt = Belt(*ends, (first, last), 0.0, 0.0)
+    hubs = [name.rpartition('.')[2] for name in names]
+    for carrier in dict.fromkeys(body for body, _ in points.values()):
+        a, b = (points.get(f'{carrier}.{hub}') for hub in hubs)
+        if carrier not in (ends.one, ends.other) and a and b:
+            if abs(b[1] - a[1]) <= abs(first - last):
+                raise SceneError(
+                    f'{where}: on {carrier} its hubs are {abs(b[1] - a[1]):.6g} m apart: no strand '
+                    f'of radii {first:.6g} and {last:.6g} m fits: move them apart'
+                )
+            length, along = strand(belt, np.array(b[1] - a[1]))
+            start = float(length), phase(complex(along))
+            return belt._replace(length=start[0], direction=start[1], carrier=carrier)
+    need(where, said, ('length', 'direction'), '{..., length: 1 m, direction: -90 deg}')
+    length = quantity(f'{where}: length', said['length'], 'length')
+    if length <= 0:
+        raise SceneError(f'{where}: length is {said["length"]!r}: give one greater than 0')
+    return belt._replace(
+        length=length, direction=quantity(f'{where}: direction', said['direction'], 'angle')
+    )
 
 
 def _rolling(

@@ -9,7 +9,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from kinpole_ros.mechanism._assembly import GROUND, Assembly, Slot, Strut
+from kinpole_ros.mechanism._assembly import GROUND, Assembly, Belt, Slot, Strut, strand
 from kinpole_ros.mechanism._loops import Loops
 from kinpole_ros.planar._plane import Complex, Real
 
@@ -38,7 +38,7 @@ def start_near(assembly: Assembly, said: Mapping[str, float], drives: Real, inpu
     place, turn = _poses(assembly, values)
     known = dict(zip(names, values, strict=True))
     for joint in assembly.joints:
-        if not isinstance(joint, Strut):
+        if not isinstance(joint, Strut | Belt):
             continue
         one, other = (
             place[body] + point * turn[body]
@@ -46,6 +46,11 @@ def start_near(assembly: Assembly, said: Mapping[str, float], drives: Real, inpu
         )
         known[joint.name] = float(abs(other - one))
         known[f'{joint.name}.angle'] = float(np.angle(other - one))
+        if isinstance(joint, Belt):
+            length, along = strand(joint, other - one)
+            near = joint.direction + known.get(joint.carrier, 0.0)
+            known[joint.name] = float(length)
+            known[f'{joint.name}.angle'] = near + float(np.angle(along * np.exp(-1j * near)))
     known |= said
     return _meet(rows, right, np.array([known[name] for name in names]), given)
 
@@ -166,7 +171,7 @@ def _slide(assembly: Assembly, rows: Real, right: Real, values: Real, given: np.
     names = loops.variables
     slots = {joint.name for joint in assembly.joints if isinstance(joint, Slot)}
     slides = np.array([name in slots for name in names]) & ~given
-    struts = {f'{joint.name}.angle' for joint in assembly.joints if isinstance(joint, Strut)}
+    struts = {f'{j.name}.angle' for j in assembly.joints if isinstance(j, Strut | Belt)}
     with_strut = loops.angles[:, [name in struts for name in names]].any(axis=1)
     open_ended = (loops.loops[:, with_strut] != 0).any(axis=1)
     gap, matrix = _gaps(loops, values)

@@ -12,7 +12,7 @@ import numpy as np
 
 from kinpole_ros import __version__
 from kinpole_ros.files import printable
-from kinpole_ros.mechanism import Rolling, Scene, poles
+from kinpole_ros.mechanism import Belt, Rolling, Scene, poles
 from kinpole_ros.pipeline.estimate import POLE_NAMES, RATE_NAMES
 from kinpole_ros.tools.report import Record, pack, page
 from kinpole_ros.tools.solve._solved import Solved, acting, centers_of, rates_of
@@ -121,13 +121,18 @@ def _record(solved: Solved, deviations: Mapping[tuple[str, str], np.ndarray]) ->
 
 
 def _rims(scene: Scene, body: str) -> list[tuple[complex, float]]:
-    """Circles of a body that roll: middles, complex, m, in its frame, and radii, m."""
+    """Circles of a body that roll or carry belts: middles in its frame, complex, and radii, m."""
     found = []
     for joint in scene.mechanism.assembly.joints:
         if isinstance(joint, Rolling) and joint.other == body:
             found.append((joint.b, joint.radius))
         if isinstance(joint, Rolling) and joint.one == body and joint.circle:
             found.append((joint.a, abs(joint.circle)))
+        if isinstance(joint, Belt):
+            ends = ((joint.one, joint.a), (joint.other, joint.b))
+            for (of, hub), radius in zip(ends, joint.radii, strict=True):
+                if of == body and radius:
+                    found.append((hub, abs(radius)))
     return list(dict.fromkeys(found))
 
 
