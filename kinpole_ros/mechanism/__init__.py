@@ -3,6 +3,7 @@
 from kinpole_ros.mechanism._assembly import GROUND, Belt, Revolute, Rolling
 from kinpole_ros.mechanism._centers import Centers, instant_centers
 from kinpole_ros.mechanism._centrodes import Centrodes, centrodes
+from kinpole_ros.mechanism._constraints import why_no_reactions
 from kinpole_ros.mechanism._equations import Dimension, Equation, Equations, Part
 from kinpole_ros.mechanism._forces import Mass, Spring, Torsion, inertial_loads, spring_loads
 from kinpole_ros.mechanism._freed import Release, freed_reactions, releases
@@ -88,5 +89,6 @@ __all__ = [
     'tolerances_of',
     'transmission_angles',
     'undetermined',
+    'why_no_reactions',
     'write_pitch_curves',
 ]

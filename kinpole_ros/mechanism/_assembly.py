@@ -11,6 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from kinpole_ros.mechanism._laws import Function, Law
 from kinpole_ros.mechanism._loops import LinkageError, Loops
 from kinpole_ros.planar._plane import Complex, Real
 
@@ -91,7 +92,8 @@ class Belt(NamedTuple):
     left of the hub; zero ties its end to the point. It does not slip, and the distance of the hubs
     is held by nothing else than its length. Its variables are those of a strut: the length of the
     straight part, which is `length` where this points to `direction` (rad) and the wheels are at
-    angle zero; and the direction, NAME.angle. A `carrier` that holds both hubs turns it along.
+    angle zero; and the direction, NAME.angle. A `carrier` that holds both hubs turns the strand,
+    whose length then stays.
     """
 
     name: str
@@ -102,7 +104,21 @@ class Belt(NamedTuple):
     radii: tuple[float, float]
     length: float
     direction: float
-    carrier: str = GROUND
+    carrier: str | None = None
+
+
+class Follower(NamedTuple):
+    """
+    The variable `moved` is a `function` of the angle of the body `of`: of a cam, or Geneva drive.
+
+    The angle is that seen from the body `seen`, and `moved` too if it is that of a body.
+    """
+
+    name: str
+    moved: str
+    of: str
+    seen: str
+    function: Function
 
 
 Joint = Revolute | Slot | Rolling | Strut | Belt
@@ -166,9 +182,11 @@ class _Terms:
 Chain = dict[int, float]
 
 
-def assemble(bodies: Sequence[str], joints: Sequence[Joint]) -> Assembly:
+def assemble(
+    bodies: Sequence[str], joints: Sequence[Joint], followers: Sequence[Follower] = ()
+) -> Assembly:
     """
-    Write `bodies` (without the ground) and `joints` as loops, without drivers.
+    Write `bodies` (without the ground), `joints` and followers as loops, without drivers.
 
     Raises LinkageError for a body that no joint connects with the ground.
     """
@@ -212,7 +230,8 @@ def assemble(bodies: Sequence[str], joints: Sequence[Joint]) -> Assembly:
         )
     chains, around = [], []
     for k, joint in enumerate(joints):
-        if k not in used:
+        # Hubs on a carrier close a loop that never moves.
+        if k not in used and not (isinstance(joint, Belt) and joint.carrier):
             around.append(_around(way[joint.one], joint.name, way[joint.other]))
             one = _sum(places[joint.one], sides[k][0], {})
             chains.append(_sum(one, {}, _sum(places[joint.other], sides[k][1], {})))
@@ -229,6 +248,7 @@ def assemble(bodies: Sequence[str], joints: Sequence[Joint]) -> Assembly:
         tie0,
         np.zeros((0, len(variables))),
         tuple(around),
+        tuple(_law(follower, bodies, variables) for follower in followers),
     )
     starts = {joint.name: joint.start for joint in joints if isinstance(joint, Rolling)}
     return Assembly(
@@ -238,6 +258,14 @@ def assemble(bodies: Sequence[str], joints: Sequence[Joint]) -> Assembly:
         np.eye(len(bodies), len(variables)),
         tuple(joints),
     )
+
+
+def _law(follower: Follower, bodies: Sequence[str], variables: Sequence[str]) -> Law:
+    def seen(name: str) -> Real:
+        less = follower.seen if name in bodies else GROUND
+        return np.array([(name == other) - float(less == other) for other in variables])
+
+    return Law(follower.name, seen(follower.moved), seen(follower.of), follower.function)
 
 
 def _around(there: Sequence[str], closing: str, back: Sequence[str]) -> tuple[str, ...]:
@@ -284,6 +312,11 @@ def _ties(joints: Sequence[Joint], variables: Sequence[str]) -> tuple[Real, Real
     """Linear equations between the variables: guided angles, and rolling and belts without slip."""
     rows, right = [], []
     for joint in joints:
+        if isinstance(joint, Belt) and joint.carrier:
+            angle = f'{joint.name}.angle'
+            rows += [[float(name == joint.name) for name in variables]]
+            rows += [[float(name == angle) - (name == joint.carrier) for name in variables]]
+            right += [joint.length, joint.direction]
         row = dict.fromkeys(variables, 0.0) | {GROUND: 0.0}
         if isinstance(joint, Slot) and joint.turned is not None:
             row[joint.other], row[joint.one] = 1.0, -1.0

@@ -218,10 +218,32 @@ def value_of(mechanism: Mechanism, values: Real, name: str) -> Real:
     return np.asarray(values[mechanism.assembly.loops.variables.index(name)])
 
 
-def _joints(mechanism: Mechanism) -> tuple[Joint, ...]:
+def why_no_reactions(mechanism: Mechanism) -> str:
+    """
+    Why a linkage does not tell what its joints bear.
+
+    Parameters
+    ----------
+    mechanism
+        The linkage.
+
+    Returns
+    -------
+    str
+        The reason, empty if it does tell.
+
+    """
     if not mechanism.assembly.joints:
-        raise LinkageError(
-            'a linkage of vectors alone has no joints to bear anything: for reactions write it as '
-            'bodies and joints'
+        return 'vectors have no joints: for what these bear write bodies and joints'
+    if mechanism.assembly.loops.laws:
+        return (
+            'what joints bear depends on where a cam or a Geneva wheel is touched, which its law '
+            'does not say: only the efforts of the drivers are determined'
         )
+    return ''
+
+
+def _joints(mechanism: Mechanism) -> tuple[Joint, ...]:
+    if reason := why_no_reactions(mechanism):
+        raise LinkageError(reason)
     return mechanism.assembly.joints
