@@ -111,7 +111,8 @@ class Follower(NamedTuple):
     """
     The variable `moved` is a `function` of the angle of the body `of`: of a cam, or Geneva drive.
 
-    The angle is that seen from the body `seen`, and `moved` too if it is that of a body.
+    The angle is that seen from the body `seen`, and `moved` too if it is that of a body. The
+    function depends on where points with the names `hubs` are.
     """
 
     name: str
@@ -119,6 +120,7 @@ class Follower(NamedTuple):
     of: str
     seen: str
     function: Function
+    hubs: tuple[str, ...] = ()
 
 
 Joint = Revolute | Slot | Rolling | Strut | Belt
@@ -265,7 +267,8 @@ def _law(follower: Follower, bodies: Sequence[str], variables: Sequence[str]) ->
         less = follower.seen if name in bodies else GROUND
         return np.array([(name == other) - float(less == other) for other in variables])
 
-    return Law(follower.name, seen(follower.moved), seen(follower.of), follower.function)
+    rows = seen(follower.moved), seen(follower.of)
+    return Law(follower.name, *rows, follower.function, follower.hubs)
 
 
 def _around(there: Sequence[str], closing: str, back: Sequence[str]) -> tuple[str, ...]:

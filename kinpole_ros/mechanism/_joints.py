@@ -262,7 +262,9 @@ def _geneva(where: str, said: dict[str, Any], points: Points, joints: Sequence[J
     slot = quantity(f'{where}: slot', said.get('slot', 0.0), 'angle')
     # Of the wheel's slots one is as good as another: it starts with the least turn.
     offset = remainder(toward + pi - slot, 2 * pi / slots)
-    return Follower(where, wheel, crank, carrier, geneva(slots, toward - pin, offset))
+    law = geneva(slots, toward - pin, offset)
+    hubs = tuple(said[key].rpartition('.')[2] for key in ('on', 'geneva'))
+    return Follower(where, wheel, crank, carrier, law, hubs)
 
 
 def _cam(where: str, said: dict[str, Any], points: Points, joints: Sequence[Joint]) -> Follower:

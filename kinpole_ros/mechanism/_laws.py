@@ -28,13 +28,15 @@ class Law(NamedTuple):
     """
     A variable, or the difference of two, as a function of another: row @ u = function(of @ u).
 
-    `name` is for people, `row` and `of` are (n,).
+    `name` is for people, `row` and `of` are (n,). The function depends on where points with the
+    names `hubs` are.
     """
 
     name: str
     row: Real
     of: Real
     function: Function
+    hubs: tuple[str, ...]
 
 
 def compose(outer: Real, inner: Real) -> Real:

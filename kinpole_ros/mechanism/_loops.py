@@ -150,7 +150,22 @@ def reduce(loops: Loops) -> Linkage:
 
 
 def with_laws(linkage: Linkage, inputs: Real) -> Real:
-    """Inputs (orders, d, T) with, after those of the drivers, what the laws make of them."""
+    """
+    Inputs with what the laws of cams and Geneva drives make of them.
+
+    Parameters
+    ----------
+    linkage
+        The linkage.
+    inputs
+        Values and derivatives of the drivers (orders, d, T).
+
+    Returns
+    -------
+    ndarray
+        The same, and after the d drivers the laws.
+
+    """
     for law in linkage.loops.laws:
         by = law.of @ linkage.driven[:, : inputs.shape[1]]
         at = by @ inputs
