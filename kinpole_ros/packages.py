@@ -12,7 +12,7 @@ EXTRAS = MappingProxyType(
         'batch': ('fsspec',),
         'bench': ('matplotlib', 'pynumdiff', 'scipy'),
         'cluster': ('dask', 'distributed'),
-        'formats': ('c3d', 'h5py'),
+        'formats': ('h5py',),
         'parquet': ('pyarrow',),
         'plot': ('matplotlib',),
         'ros': ('ros-jazzy-rclpy', 'ros-jazzy-common-interfaces', 'ros-jazzy-rmw-fastrtps-cpp'),

@@ -20,7 +20,8 @@ from kinpole_ros.bags.formats import (
     _trc,
     _vicon,
 )
-from kinpole_ros.bags.formats._file import File, Format, Points, Wanted, not_utf8, shown
+from kinpole_ros.bags.formats._file import File, Format, Points, Wanted, not_utf8
+from kinpole_ros.bags.formats._sheet import shown
 
 __all__ = ['FORMATS', 'Points', 'Wanted', 'read_points', 'shown']
 
@@ -52,7 +53,7 @@ def read_points(
     if name != 'auto' and name not in FORMATS:
         raise BagError(f"format '{shown(name)}' is unknown; fix: auto, {', '.join(FORMATS)}")
     file = File(Path(path))
-    if not file.data or file.data.isspace():
+    if not (file.is_folder or file.head.strip() or file.data.strip()):
         raise BagError(f'{path} is empty; fix: give a line of names and a line for each frame')
     for found in FORMATS.values() if name == 'auto' else [FORMATS[name]]:
         if found.recognizes(file):
@@ -61,20 +62,19 @@ def read_points(
             points = found.read(file, wanted or Wanted())
             if not len(points.frames):
                 raise BagError(f'{path} has no frames; fix: give a line for each frame')
-            notes = file.sheet.notes if file.is_text else ()
-            return found.name, replace(points, notes=(*notes, *points.notes))
+            return found.name, replace(points, notes=tuple(file.notes))
     raise _unknown(file, name)
 
 
 def _unknown(file: File, name: str) -> BagError:
     """What was seen, and what would be read."""
-    if file.data[:2] in (b'\xff\xfe', b'\xfe\xff'):
+    if file.head[:2] in (b'\xff\xfe', b'\xfe\xff'):
         return not_utf8(file.path, 1)
     if file.is_text:
         lines = [' '.join(file.sheet.head(row)) for row in range(min(2, len(file.sheet)))]
         seen = f'begins with {" / ".join(repr(shown(line)) for line in lines)}'
     else:
-        seen = f'is binary and begins with {file.data[:8].hex(" ")}'
+        seen = f'is binary and begins with {file.head[:8].hex(" ")}'
     if name == 'auto':
         name = 'table'
         known = ', '.join(other for other in FORMATS if other != name)

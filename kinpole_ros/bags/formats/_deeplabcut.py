@@ -18,16 +18,8 @@ from typing import Any, NamedTuple, NoReturn
 import numpy as np
 
 from kinpole_ros.bags._files import BagError
-from kinpole_ros.bags.formats._file import (
-    File,
-    Format,
-    Points,
-    Wanted,
-    check_cells,
-    check_names,
-    shown,
-    whole_numbers,
-)
+from kinpole_ros.bags.formats._file import File, Format, Points, Wanted
+from kinpole_ros.bags.formats._sheet import check_cells, check_names, shown, whole_numbers
 from kinpole_ros.packages import install_command
 
 # What DeepLabCut itself takes as seen ("pcutoff").

@@ -12,7 +12,8 @@ import re
 import numpy as np
 
 from kinpole_ros.bags._files import BagError
-from kinpole_ros.bags.formats._file import File, Format, Points, Wanted, check_names, shown
+from kinpole_ros.bags.formats._file import File, Format, Points, Wanted
+from kinpole_ros.bags.formats._sheet import check_names, shown
 
 _X = re.compile(r'(.+)/X', re.IGNORECASE)
 

@@ -7,6 +7,8 @@ columns of type Marker are measured: those of rigid bodies and their markers are
 model has them.
 """
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from kinpole_ros.bags._files import BagError
@@ -14,25 +16,26 @@ from kinpole_ros.bags.formats._file import (
     File,
     Format,
     Points,
-    Sheet,
     Wanted,
-    claimed_frames,
+    claimed,
     decimals_of,
     frame_times,
-    number_in,
-    shown,
 )
+from kinpole_ros.bags.formats._sheet import Sheet, number_in, shown
+
+_KINDS = ('Rigid Body', 'Rigid Body Marker', 'Marker', 'Bone', 'Bone Marker')
 
 
 def _recognizes(file: File) -> bool:
     return file.is_text and file.sheet.cell(0, 0) == 'Format Version'
 
 
-def _row_with(sheet: Sheet, title: str, columns: range, fix: str) -> int:
+def _row_with(sheet: Sheet, titles: Sequence[str], columns: range) -> int | None:
+    """The first row of the head that has one of these titles in one of these columns."""
     for row in range(1, min(12, len(sheet))):
-        if any(sheet.cell(row, column) == title for column in columns):
+        if any(sheet.cell(row, column) in titles for column in columns):
             return row
-    raise BagError(f'{sheet.path} has no row with {title} in its head; fix: {fix}')
+    return None
 
 
 def _read(file: File, wanted: Wanted) -> Points:
@@ -40,26 +43,28 @@ def _read(file: File, wanted: Wanted) -> Points:
     fix = 'export the take again, with its header'
     first = sheet.head(0)
     about = dict(zip(first[::2], first[1::2], strict=False))
-    axes = _row_with(sheet, 'Frame', range(1), fix)
-    types = _row_with(sheet, 'Type', range(2), fix)
-    titles = _row_with(sheet, 'Name', range(2), fix)
-    columns: dict[str, list[int]] = {}
-    seen: dict[str, None] = {}
-    for column in range(2, len(sheet.head(axes))):
-        kind = sheet.cell(types, column)
-        if kind:
-            seen[kind] = None
-        if kind == 'Marker' and sheet.cell(axes - 1, column) == 'Position':
-            columns.setdefault(sheet.cell(titles, column), []).append(column)
-    if not columns:
-        kinds = shown(', '.join(seen) or 'none')
+    axes = _row_with(sheet, ['Frame'], range(1))
+    # Up to 1.21 rows have no titles: kinds of columns, their names, and more.
+    types = _row_with(sheet, ['Type', *_KINDS], range(5))
+    if axes is None or types is None:
+        lacking = 'Frame' if axes is None else 'Type'
+        raise BagError(f'{path} has no row with {lacking} in its head; fix: {fix}')
+    titles = _row_with(sheet, ['Name'], range(2)) or types + 1
+    places = [
+        column
+        for column in range(2, len(sheet.head(axes)))
+        if sheet.cell(types, column) == 'Marker' and sheet.cell(axes - 1, column) == 'Position'
+    ]
+    if not places:
+        kinds = shown(', '.join(filter(None, dict.fromkeys(sheet.head(types)[2:]))) or 'none')
         raise BagError(
             f'{path} has no columns of type Marker, only {kinds}, which are not measured; '
             'fix: export the take again, with markers'
         )
-    sheet.check_axes(columns, axes, 'Motive')
+    columns = sheet.markers(titles, axes, places)
     names, points, frames, lines = sheet.frames(columns, axes + 1)
     claim = about.get('Total Exported Frames') or about.get('Total Frames in Take', '')
+    file.notes += claimed(path, claim, len(frames))
     return Points(
         names,
         points,
@@ -68,7 +73,6 @@ def _read(file: File, wanted: Wanted) -> Points:
         about.get('Length Units', ''),
         lines=lines,
         time_column='Time (Seconds)',
-        notes=claimed_frames(path, claim, len(frames)),
     )
 
 

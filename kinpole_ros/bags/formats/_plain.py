@@ -7,15 +7,8 @@ from itertools import product
 import numpy as np
 
 from kinpole_ros.bags._files import BagError
-from kinpole_ros.bags.formats._file import (
-    File,
-    Format,
-    Points,
-    Sheet,
-    Wanted,
-    not_utf8,
-    shown,
-)
+from kinpole_ros.bags.formats._file import File, Format, Points, Wanted, not_utf8
+from kinpole_ros.bags.formats._sheet import Sheet, shown
 
 # "time", "Time (s)", "t [s]", "timestamp_ns", "time_ms".
 _TIME = re.compile(

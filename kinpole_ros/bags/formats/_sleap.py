@@ -10,16 +10,8 @@ from itertools import repeat
 import numpy as np
 
 from kinpole_ros.bags._files import BagError
-from kinpole_ros.bags.formats._file import (
-    MOST_COLUMNS,
-    File,
-    Format,
-    Points,
-    Wanted,
-    check_cells,
-    check_names,
-    shown,
-)
+from kinpole_ros.bags.formats._file import File, Format, Points, Wanted
+from kinpole_ros.bags.formats._sheet import MOST_COLUMNS, check_cells, check_names, shown
 
 
 def _recognizes(file: File) -> bool:

@@ -11,7 +11,8 @@ import re
 import numpy as np
 
 from kinpole_ros.bags._files import BagError
-from kinpole_ros.bags.formats._file import File, Format, Points, Sheet, Wanted, check_names, shown
+from kinpole_ros.bags.formats._file import File, Format, Points, Wanted
+from kinpole_ros.bags.formats._sheet import Sheet, check_names, shown
 
 _TITLE = re.compile(r'(?P<name>t|x|y|frame|step)(?:_\{.*\})?\s*(?:[(\[](?P<unit>[^)\]]*)[)\]])?')
 _MULTI = '#multi:'
