@@ -15,6 +15,7 @@ from kinpole_ros.bags.formats import (
     _kinovea,
     _motive,
     _plain,
+    _qualisys,
     _sleap,
     _tracker,
     _trc,
@@ -27,17 +28,19 @@ __all__ = ['FORMATS', 'Points', 'Wanted', 'read_points', 'shown']
 
 # Looked at in this order: the plain table is the least particular.
 FORMATS: dict[str, Format] = {
-    module.FORMAT.name: module.FORMAT
-    for module in (
-        _deeplabcut,
-        _sleap,
-        _kinovea,
-        _tracker,
-        _motive,
-        _vicon,
-        _trc,
-        _c3d,
-        _plain,
+    found.name: found
+    for found in (
+        _sleap.FORMAT,
+        _deeplabcut.FORMAT,
+        _kinovea.FORMAT,
+        _tracker.FORMAT,
+        _motive.FORMAT,
+        _vicon.FORMAT,
+        _qualisys.FORMAT,
+        _trc.FORMAT,
+        _c3d.FORMAT,
+        _plain.ANIPOSE,
+        _plain.FORMAT,
     )
 }
 

@@ -112,7 +112,7 @@ class File:
     @property
     def is_text(self) -> bool:
         """Whether it can be a sheet."""
-        return not self.is_folder and b'\0' not in self.head
+        return not self.is_folder and b'\0' not in self.data[:_HEAD]
 
     def xml(self, fix: str) -> ElementTree.Element:
         """Parse it as XML; raises BagError, with this fix, where it is damaged or too large."""

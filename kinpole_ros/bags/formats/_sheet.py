@@ -317,7 +317,7 @@ class Sheet:
 
 def number_in(cell: str) -> float:
     """A number of a file's head, maybe with a decimal comma; 0 where there is none."""
-    number = _number_or_inf(cell.strip().replace(',', '.'))
+    number = number_or_inf(cell.strip().replace(',', '.'))
     return number if math.isfinite(number) else 0.0
 
 
@@ -335,7 +335,7 @@ def check_cells(path: Path, count: int) -> None:
         )
 
 
-def check_names(path: Path, names: Sequence[str]) -> None:
+def check_names(path: Path, names: Sequence[object]) -> None:
     """Raise BagError where there are no markers."""
     if not names:
         raise BagError(f'{path} has no markers; fix: export positions of markers, too')
@@ -398,13 +398,14 @@ def _numbers_or_inf(cells: Sequence[str], have_decimal_commas: bool) -> list[flo
             return [float(cell) if cell else math.nan for cell in cells]
         except ValueError:
             pass
-    return [_number_or_inf(cell.strip() or 'nan') for cell in cells]
+    return [number_or_inf(cell.strip() or 'nan') for cell in cells]
 
 
-def _number_or_inf(cell: str) -> float:
+def number_or_inf(cell: str) -> float:
     """A number in ASCII digits, or NaN; infinity for all else, such as 1_000 or Arabic digits."""
     return float(cell) if _NUMBER.fullmatch(cell) else math.inf
 
 
 def _single_spaced(line: str) -> str:
-    return ' '.join(line.split()) + '\n'
+    """Put one space between cells; numpy puts a # before the names of columns."""
+    return ' '.join(line.removeprefix('#').split()) + '\n'
