@@ -12,6 +12,7 @@ from kinpole_ros.bags._files import BagError
 from kinpole_ros.bags.formats import (
     _c3d,
     _deeplabcut,
+    _keypoints,
     _kinovea,
     _motive,
     _plain,
@@ -39,6 +40,7 @@ FORMATS: dict[str, Format] = {
         _qualisys.FORMAT,
         _trc.FORMAT,
         _c3d.FORMAT,
+        _keypoints.FORMAT,
         _plain.ANIPOSE,
         _plain.FORMAT,
     )
