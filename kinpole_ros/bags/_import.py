@@ -171,6 +171,8 @@ def _stamps(path: Path, read: Points, rate: float | None) -> tuple[np.ndarray, l
         stamps = frames * 1e9
         stamps /= rate
         return np.rint(stamps, out=stamps).astype(np.int64), []
+    if read.stamps is not None:
+        return read.stamps, []
     assert read.times is not None
     seconds, notes = read.times, []
     if seconds[0] < 0:

@@ -10,6 +10,7 @@ from pathlib import Path
 
 from kinpole_ros.bags._files import BagError
 from kinpole_ros.bags.formats import (
+    _bag,
     _c3d,
     _deeplabcut,
     _keypoints,
@@ -31,6 +32,7 @@ __all__ = ['FORMATS', 'Points', 'Wanted', 'read_points', 'shown']
 FORMATS: dict[str, Format] = {
     found.name: found
     for found in (
+        _bag.FORMAT,
         _sleap.FORMAT,
         _deeplabcut.FORMAT,
         _kinovea.FORMAT,

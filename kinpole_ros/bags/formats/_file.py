@@ -56,6 +56,7 @@ class Points:
     time_column: str = 'Time'
     no_times: str = 'has no times'  # why `times` is None
     notes: Sequence[str] = field(default=())  # what the user should know, a line each
+    stamps: np.ndarray | None = None  # (T,), ns: `times` as they were written, where they were
     # Poses (T, B, 7) of the bodies: a point, in the unit of the file, and a quaternion x, y, z, w.
     bodies: Sequence[str] = ()
     poses: np.ndarray | None = None
