@@ -97,6 +97,7 @@ setup(
         'bench': ['matplotlib>=3.7', 'pynumdiff>=0.3', 'scipy>=1.11'],
         'docs': ['furo>=2024.1.29', 'myst-parser>=3', 'numpydoc>=1.8', 'sphinx>=7.4'],
         'formats': ['h5py>=3.8'],
+        'pandas': ['pandas>=2.1'],
         'parquet': ['pyarrow>=12'],
         'plot': ['matplotlib>=3.7'],
         'test': [

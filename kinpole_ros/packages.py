@@ -13,6 +13,7 @@ EXTRAS = MappingProxyType(
         'bench': ('matplotlib', 'pynumdiff', 'scipy'),
         'cluster': ('dask', 'distributed'),
         'formats': ('h5py',),
+        'pandas': ('pandas',),
         'parquet': ('pyarrow',),
         'plot': ('matplotlib',),
         'ros': ('ros-jazzy-rclpy', 'ros-jazzy-common-interfaces', 'ros-jazzy-rmw-fastrtps-cpp'),
