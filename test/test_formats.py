@@ -40,7 +40,7 @@ def bring(folder: Path, content: str | bytes, **options: Any) -> tuple[Imported,
     done = import_points(file, bag, **options)
     points = np.full((done.frames, len(done.markers), 3), NAN)
     stamps = []
-    for row, message in enumerate(read_messages(bag)):
+    for row, message in enumerate(read_messages(bag, ['/markers'])):
         stamps.append(message.log_time)
         for marker in deserialize_message(message.data, MarkerArray).markers:
             place = marker.pose.position

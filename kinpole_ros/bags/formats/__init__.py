@@ -64,7 +64,7 @@ def read_points(
         raise BagError(f'{path} is empty; fix: give a line of names and a line for each frame')
     for found in FORMATS.values() if name == 'auto' else [FORMATS[name]]:
         if found.recognizes(file):
-            if file.is_text:
+            if file.is_sheet:
                 file.sheet.judge_last_row(found.is_always_ended)
             points = found.read(file, wanted or Wanted())
             if not len(points.frames):
@@ -77,9 +77,13 @@ def _unknown(file: File, name: str) -> BagError:
     """What was seen, and what would be read."""
     if file.head[:2] in (b'\xff\xfe', b'\xfe\xff'):
         return not_utf8(file.path, 1)
-    if file.is_text:
+    if file.is_folder:
+        seen = 'is a folder'
+    elif file.is_sheet:
         lines = [' '.join(file.sheet.head(row)) for row in range(min(2, len(file.sheet)))]
         seen = f'begins with {" / ".join(repr(shown(line)) for line in lines)}'
+    elif file.is_text:
+        seen = f'begins with {shown(" ".join(file.head[:80].decode(errors="replace").split()))!r}'
     else:
         seen = f'is binary and begins with {file.head[:8].hex(" ")}'
     if name == 'auto':

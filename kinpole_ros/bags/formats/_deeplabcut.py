@@ -40,7 +40,7 @@ class _Table(NamedTuple):
 def _recognizes(file: File) -> bool:
     if file.head.startswith(HDF):
         return True
-    if not file.is_text:
+    if not file.is_sheet:
         return False
     first = [file.sheet.cell(row, 0) for row in range(4)]
     return 'bodyparts' in first and 'coords' in first

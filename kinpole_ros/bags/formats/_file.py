@@ -2,6 +2,7 @@
 
 import errno
 import math
+import re
 from codecs import getincrementaldecoder
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
@@ -30,6 +31,7 @@ UNITS = {
     **dict.fromkeys(('in', 'inch', 'inches'), 0.0254),
     **dict.fromkeys(('ft', 'foot', 'feet'), 0.3048),
 }
+_MARKUP = re.compile(rb'(?:\xef\xbb\xbf)?\s*(?:<|\{|\[\s*\{)')
 _HEAD = 4096  # bytes by which a file is recognized
 _MOST_ELEMENTS = 500_000  # of XML, at up to 600 bytes each
 _MOST_DECIMALS = 17  # no number in float64 needs more digits
@@ -112,8 +114,13 @@ class File:
 
     @property
     def is_text(self) -> bool:
-        """Whether it can be a sheet."""
+        """Whether it can be text."""
         return not self.is_folder and b'\0' not in self.data[:_HEAD]
+
+    @property
+    def is_sheet(self) -> bool:
+        """Whether it can be rows of cells, which XML and JSON are not."""
+        return self.is_text and not _MARKUP.match(self.head)
 
     def xml(self, fix: str) -> ElementTree.Element:
         """Parse it as XML; raises BagError, with this fix, where it is damaged or too large."""

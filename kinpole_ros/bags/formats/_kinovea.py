@@ -45,10 +45,10 @@ class _Track(NamedTuple):
 
 
 def _recognizes(file: File) -> bool:
-    if not file.is_text:
-        return False
     if _TEXT in file.head or _EXCEL in file.head:
         return True
+    if not file.is_sheet:
+        return False
     time, *others = file.sheet.head(0) or ['']
     others = [title for title in others if title]
     is_angles = bool(others) and all(map(_ANGLE.fullmatch, others))

@@ -27,7 +27,7 @@ _KINDS = ('Rigid Body', 'Rigid Body Marker', 'Marker', 'Bone', 'Bone Marker')
 
 
 def _recognizes(file: File) -> bool:
-    return file.is_text and file.sheet.cell(0, 0) == 'Format Version'
+    return file.is_sheet and file.sheet.cell(0, 0) == 'Format Version'
 
 
 def _row_with(sheet: Sheet, titles: Sequence[str], columns: range) -> int | None:

@@ -38,11 +38,11 @@ _COORDINATE = re.compile(
 
 
 def _recognizes(file: File) -> bool:
-    return file.is_text and bool(_axes_by_marker(_header(file.sheet))[0])
+    return file.is_sheet and bool(_axes_by_marker(_header(file.sheet))[0])
 
 
 def _is_anipose(file: File) -> bool:
-    header = _header(file.sheet) if file.is_text else []
+    header = _header(file.sheet) if file.is_sheet else []
     return 'fnum' in header and any(name.endswith('_ncams') for name in header)
 
 

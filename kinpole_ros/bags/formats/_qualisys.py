@@ -37,7 +37,7 @@ _FIX = 'export 3D or 6D data as .tsv, with its header'
 
 
 def _recognizes(file: File) -> bool:
-    return file.is_text and file.sheet.cell(0, 0) in _KEYS
+    return file.is_sheet and file.sheet.cell(0, 0) in _KEYS
 
 
 def _read(file: File, wanted: Wanted) -> Points:

@@ -30,7 +30,7 @@ _MOST_NAMES = 1 << 20  # bytes of names
 def _recognizes(file: File) -> bool:
     if file.head.startswith(HDF):
         return b'node_names' in file.data
-    if not file.is_text:
+    if not file.is_sheet:
         return False
     header = file.sheet.head(0)
     return 'frame_idx' in header and any(cell.endswith('.x') for cell in header)

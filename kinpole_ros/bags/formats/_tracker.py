@@ -34,7 +34,7 @@ _FIX = 'export t, x and y of each track'
 
 
 def _recognizes(file: File) -> bool:
-    return file.is_text and (_PROJECT in file.head or _titles_row(file.sheet) is not None)
+    return _PROJECT in file.head or (file.is_sheet and _titles_row(file.sheet) is not None)
 
 
 def _titles_row(sheet: Sheet) -> int | None:

@@ -25,7 +25,7 @@ _FIX = 'export it again as .trc'
 
 
 def _recognizes(file: File) -> bool:
-    return file.is_text and file.sheet.cell(0, 0).startswith('PathFileType')
+    return file.is_sheet and file.sheet.cell(0, 0).startswith('PathFileType')
 
 
 def _read(file: File, wanted: Wanted) -> Points:

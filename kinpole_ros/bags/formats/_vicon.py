@@ -24,7 +24,7 @@ _FIX = 'export trajectories as ASCII from Nexus again'
 
 def _recognizes(file: File) -> bool:
     title = _SECTION.encode()
-    return file.is_text and title in file.data and _section(file.sheet) is not None
+    return file.is_sheet and title in file.data and _section(file.sheet) is not None
 
 
 def _section(sheet: Sheet) -> int | None:
