@@ -387,7 +387,7 @@ SCORED = 'frame_idx,track,tip.x,tip.y\n0,,1,2\n0,,3,4\n'
         (lambda: motive('Meters').replace('X,Y,Z\n', 'X,Y,Y\n'), {}, 'columns than X, Y, Z'),
         (lambda: vicon().replace('mm,mm,mm', 'mm,cm,mm', 1), {}, 'several units, cm mm; fix'),
         (lambda: vicon().replace('s\n200\n,,Rig:t', 's\nfast\n,,Rig:t'), {}, 'has no times; fix'),
-        (lambda: trc().replace(b'R.tip\t', b'R.tip\tR.m\t'), {}, 'line 7: 9 cells, and 3 marker'),
+        (lambda: trc().replace(b'R.tip\t', b'R.tip\tR.m\t'), {}, '4: frames have 9 cells, and 3 m'),
         (lambda: trc().replace(b'\n2\t', b'\n7\t'), {}, 'line 9, column Frame#: 3 is not the numb'),
         (lambda: trc().replace(b'10.5', b'1o.5'), {}, "line 7, column R.tip x: '1o.500000' is not"),
         (lambda: SCORED, PIXELS, 'frame 0 has 2 instances of track .*fix: track them in SLEAP'),

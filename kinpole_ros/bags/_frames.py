@@ -56,7 +56,9 @@ def read_frames(
                 break
     if not found:
         why = f': {problem}' if problem else ''
-        raise BagError(f'{bag}: no message on {name} can be read{why}; name another with --topic')
+        raise BagError(
+            f'{bag}: no message on {name} can be read{why}; fix: name another with --topic'
+        )
     return _within(found, first or 0, seconds), name
 
 
@@ -84,4 +86,4 @@ def _topic(bag: str | Path, topic: str | None) -> tuple[str, str]:
         return name, fit[name]
     what = f'is {there[name]}, which holds no markers' if name in there else 'is not there'
     listed = ', '.join(sorted(fit)) or 'no topic of markers'
-    raise BagError(f'{bag}: topic {name} {what}; it holds {listed}; name one with --topic')
+    raise BagError(f'{bag}: topic {name} {what}; it holds {listed}; fix: name one with --topic')

@@ -9,7 +9,7 @@ from typing import BinaryIO, NamedTuple
 
 from kinpole_ros.bags._files import BagError
 from kinpole_ros.bags._layout import unpack_lz4
-from kinpole_ros.files import open_regular
+from kinpole_ros.files import open_regular, printable
 
 _MAGIC = b'#ROSBAG V2.0\n'
 _MESSAGE, _CHUNK, _CONNECTION = 2, 5, 7  # kinds of records
@@ -46,9 +46,10 @@ def ros1_messages(path: Path) -> Iterator[Ros1Message]:
                 for inner, content in _records(io.BytesIO(_unpacked(fields, data))):
                     yield from _messages(inner[b'op'][0], inner, content, connections)
         except (struct.error, LookupError, ValueError, OSError, EOFError, RuntimeError) as error:
+            why = printable(str(error)[:80]) or type(error).__name__
             raise BagError(
-                f'{path} is cut off or damaged before byte {file.tell()} '
-                f'({str(error) or type(error).__name__}); fix: `rosbag reindex {path}`'
+                f'{path} is cut off or damaged before byte {file.tell()} ({why}); '
+                f'fix: `rosbag reindex {path}`'
             ) from error
 
 

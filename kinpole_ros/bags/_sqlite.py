@@ -10,6 +10,7 @@ import zstandard
 
 from kinpole_ros.bags._channels import BagMessage
 from kinpole_ros.bags._files import SQLITE_MAGIC, ZSTD_MAGIC, BagError, Truncated
+from kinpole_ros.files import printable
 
 _LARGEST = 1 << 26  # bytes of a message, unpacked
 _BLOCK = 1000  # messages read at a time
@@ -35,8 +36,9 @@ def _opened(path: Path) -> Iterator[sqlite3.Connection]:
                 raise BagError(f'{path} has no tables of rosbag2; fix: record again')
             yield file
     except (sqlite3.Error, UnicodeDecodeError, OverflowError) as error:
+        why = printable(str(error)[:80])
         raise Truncated(
-            f'{path} is damaged ({error}); fix: record again, or `sqlite3 {path} .recover`'
+            f'{path} is damaged ({why}); fix: record again, or `sqlite3 {path} .recover`'
         ) from error
 
 

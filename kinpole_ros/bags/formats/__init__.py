@@ -8,6 +8,8 @@ one is a module like the others and its line below.
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
+
 from kinpole_ros.bags._files import BagError
 from kinpole_ros.bags.formats import (
     _bag,
@@ -66,7 +68,9 @@ def read_points(
         if found.recognizes(file):
             if file.is_sheet:
                 file.sheet.judge_last_row(found.is_always_ended)
-            points = found.read(file, wanted or Wanted())
+            # Damaged numbers may be any, and what is not finite was not seen.
+            with np.errstate(invalid='ignore', over='ignore'):
+                points = found.read(file, wanted or Wanted())
             if not len(points.frames):
                 raise BagError(f'{path} has no frames; fix: give a line for each frame')
             return found.name, replace(points, notes=tuple(file.notes))

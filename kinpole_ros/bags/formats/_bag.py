@@ -13,10 +13,11 @@ import numpy as np
 from mcap.writer import MCAP0_MAGIC
 from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_typestore
 
+from kinpole_ros.bags._channels import BagMessage
 from kinpole_ros.bags._files import ROS1_MAGIC, SQLITE_MAGIC, ZSTD_MAGIC, BagError, Truncated
 from kinpole_ros.bags._frames import read_frames
 from kinpole_ros.bags._reader import described, read_messages
-from kinpole_ros.bags._ros1 import ros1_messages
+from kinpole_ros.bags._ros1 import Ros1Message, ros1_messages
 from kinpole_ros.bags.formats._file import File, Format, Points, Wanted
 from kinpole_ros.bags.formats._sheet import check_cells, check_names, shown
 from kinpole_ros.messages import (
@@ -159,9 +160,14 @@ def _frames(seen: list[_Seen]) -> tuple[np.ndarray, list[np.ndarray]]:
 
 def _rule(type_name: str) -> str | None:
     """The list that holds markers or poses in messages of a type, '' for the message itself."""
-    package, *_, last = type_name.split('/')
+    package, last = _short(type_name).split('/')
     attribute, packages = _LISTS.get(last, ('', ('',)))
     return attribute if not packages or package in packages else None
+
+
+def _short(type_name: str) -> str:
+    """Package and name of a type, without what stands between them in ROS 2."""
+    return f'{type_name.partition("/")[0]}/{type_name.rpartition("/")[2]}'
 
 
 def _chosen(file: File, types: dict[str, str]) -> list[str]:
@@ -170,11 +176,11 @@ def _chosen(file: File, types: dict[str, str]) -> list[str]:
 
     Notes what is left out, and raises BagError where there is nothing or no telling.
     """
-    markers = {f'{name.split("/")[0]}/{name.split("/")[-1]}' for name in ROS_TYPE_NAMES.values()}
+    markers = set(map(_short, ROS_TYPE_NAMES.values()))
     kinds: dict[str, list[str]] = {}
     for topic, name in sorted(types.items()):
         rule = _rule(name)
-        if f'{name.split("/")[0]}/{name.split("/")[-1]}' in markers:
+        if _short(name) in markers:
             kinds.setdefault('markers', []).append(topic)
         elif rule is not None:
             kind = 'tf' if rule == 'transforms' else 'tracker' if rule else 'pose'
@@ -230,8 +236,7 @@ def _of_ros2(file: File) -> Iterator[_Seen]:
     names = _topic_names(topics)
     try:
         for message in read_messages(file.path, topics):
-            decoded = read(message.data, message.type_name)
-            yield from _parts(decoded, message.type_name, names[message.topic], message.log_time)
+            yield from read(message, message.type_name, names[message.topic])
     except Truncated as error:
         file.notes.append(str(error))
 
@@ -245,6 +250,8 @@ def _of_ros1(file: File) -> Iterator[_Seen]:
             types[message.topic] = message.type_name
             definitions[message.type_name] = message.definition
     except BagError as error:
+        if not types:
+            raise
         problem = str(error)
     topics = _chosen(file, types)
     read = _reader(file, {types[topic] for topic in topics}, definitions, Stores.EMPTY)
@@ -253,8 +260,7 @@ def _of_ros1(file: File) -> Iterator[_Seen]:
         for message in ros1_messages(file.path):
             if message.topic in topics:
                 name = message.type_name.replace('/', '/msg/')
-                decoded = read(message.data, name)
-                yield from _parts(decoded, name, names[message.topic], message.log_time)
+                yield from read(message, name, names[message.topic])
     except BagError as error:
         if str(error) != problem:
             raise
@@ -263,8 +269,8 @@ def _of_ros1(file: File) -> Iterator[_Seen]:
 
 def _reader(
     file: File, types: set[str], definitions: dict[str, str], base: Stores
-) -> Callable[[bytes, str], Any]:
-    """What decodes a message of one of these types; it raises BagError."""
+) -> Callable[[BagMessage | Ros1Message, str, str], list[_Seen]]:
+    """What finds markers or poses in a message of one of these types; it raises BagError."""
 
     def fail(what: str, error: Exception) -> BagError:
         why = shown(' '.join(str(error).split()))
@@ -276,10 +282,10 @@ def _reader(
         raise fail(f'the definition of {shown(", ".join(types))}', error) from error
     decode = store.deserialize_ros1 if base == Stores.EMPTY else store.deserialize_cdr
 
-    def read(data: bytes, name: str) -> Any:
+    def read(message: BagMessage | Ros1Message, name: str, topic: str) -> list[_Seen]:
         try:
-            return decode(data, name)
-        except Exception as error:  # rosbags raises what its reading of bytes does
+            return list(_parts(decode(message.data, name), name, topic, message.log_time))
+        except Exception as error:  # of the reading of bytes, and where a type is defined otherwise
             raise fail(f'a message of {name}', error) from error
 
     return read
@@ -304,8 +310,8 @@ def _topic_names(topics: list[str]) -> dict[str, str]:
 def _parts(message: Any, type_name: str, topic: str, log_time: int) -> Iterator[_Seen]:
     """Markers or poses in a decoded message."""
     times = np.array([log_time])
-    name = f'{type_name.split("/")[0]}/msg/{type_name.split("/")[-1]}'
-    kind = next((kind for kind, known in ROS_TYPE_NAMES.items() if known == name), None)
+    short = _short(type_name)
+    kind = next((kind for kind, name in ROS_TYPE_NAMES.items() if _short(name) == short), None)
     if kind is not None:
         try:
             frames = read_markers(_converted(message, MARKER_TYPES[kind]))

@@ -62,8 +62,8 @@ def _columns(sheet: Sheet, titles: int, first: int, notes: list[str]) -> dict[st
         cells = len(sheet.head(first))
         if not 0 <= cells - places[-1] - 3 <= 1:
             raise BagError(
-                f'{sheet.path}, line {sheet.lines[first]}: {cells} cells, and {len(names)} markers '
-                f'have {places[-1] + 3}; fix: {_FIX}'
+                f'{sheet.path}, line {sheet.lines[titles]}: frames have {cells} cells, and '
+                f'{len(names)} markers {places[-1] + 3}; fix: {_FIX}'
             )
     return {
         name: [column, column + 1, column + 2] for name, column in zip(names, places, strict=True)
