@@ -11,7 +11,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from mcap.writer import MCAP0_MAGIC
-from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_typestore
 
 from kinpole_ros.bags._channels import BagMessage
 from kinpole_ros.bags._files import ROS1_MAGIC, SQLITE_MAGIC, ZSTD_MAGIC, BagError, Truncated
@@ -206,10 +205,14 @@ def _chosen(file: File, types: dict[str, str]) -> list[str]:
     )
 
 
-def _store(types: set[str], definitions: dict[str, str], base: Stores) -> Any:
+def _store(types: set[str], definitions: dict[str, str], is_ros1: bool) -> Any:
     """A store of message types, as defined in the bag, or else as known here."""
-    known: dict[str, Any] = dict(get_typestore(base).fielddefs)
-    if base != Stores.EMPTY:
+    # Only bags need it.
+    from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_typestore
+
+    known: dict[str, Any] = {}
+    if not is_ros1:
+        known |= get_typestore(Stores.ROS2_JAZZY).fielddefs
         for name, text in _MESSAGES.items():
             known |= get_types_from_msg(text, name)
     for name in types:
@@ -232,7 +235,7 @@ def _of_ros2(file: File) -> Iterator[_Seen]:
         for frames in parts:
             yield _Seen('', frames.stamps, frames.stamps, frames.identities, frames.points)
         return
-    read = _reader(file, {types[topic] for topic in topics}, definitions, Stores.ROS2_JAZZY)
+    read = _reader(file, {types[topic] for topic in topics}, definitions, is_ros1=False)
     names = _topic_names(topics)
     try:
         for message in read_messages(file.path, topics):
@@ -254,7 +257,7 @@ def _of_ros1(file: File) -> Iterator[_Seen]:
             raise
         problem = str(error)
     topics = _chosen(file, types)
-    read = _reader(file, {types[topic] for topic in topics}, definitions, Stores.EMPTY)
+    read = _reader(file, {types[topic] for topic in topics}, definitions, is_ros1=True)
     names = _topic_names(topics)
     try:
         for message in ros1_messages(file.path):
@@ -268,7 +271,7 @@ def _of_ros1(file: File) -> Iterator[_Seen]:
 
 
 def _reader(
-    file: File, types: set[str], definitions: dict[str, str], base: Stores
+    file: File, types: set[str], definitions: dict[str, str], is_ros1: bool
 ) -> Callable[[BagMessage | Ros1Message, str, str], list[_Seen]]:
     """What finds markers or poses in a message of one of these types; it raises BagError."""
 
@@ -277,10 +280,10 @@ def _reader(
         return BagError(f'{file.path}: {what} cannot be read ({why}); fix: record again')
 
     try:
-        store = _store(types, definitions, base)
+        store = _store(types, definitions, is_ros1)
     except Exception as error:  # of the parser, and of names that are none
         raise fail(f'the definition of {shown(", ".join(types))}', error) from error
-    decode = store.deserialize_ros1 if base == Stores.EMPTY else store.deserialize_cdr
+    decode = store.deserialize_ros1 if is_ros1 else store.deserialize_cdr
 
     def read(message: BagMessage | Ros1Message, name: str, topic: str) -> list[_Seen]:
         try:

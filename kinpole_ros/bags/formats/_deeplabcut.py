@@ -83,6 +83,8 @@ def _of_csv(file: File) -> _Table:
     """Find the columns of a .csv, and read the numbers of its frames."""
     sheet = file.sheet
     titles = {sheet.cell(row, 0): row for row in reversed(range(min(5, len(sheet))))}
+    if 'coords' not in titles:
+        raise BagError(f'{file.path} has no frames; fix: {_FIX}')
     first = titles['coords'] + 1
     levels = [titles[title] for title in ('individuals', 'bodyparts', 'coords') if title in titles]
     labels, columns = [], []

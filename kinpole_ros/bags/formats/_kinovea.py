@@ -132,6 +132,7 @@ def _clock(sheet: Sheet, numbers: np.ndarray) -> tuple[np.ndarray, np.ndarray | 
         )
     # Frames in which nothing was tracked have no line.
     frames = np.concatenate(([0], np.rint(steps / step).cumsum())).astype(np.int64)
+    frames = frames[: len(numbers)]
     unit = (_TIME.fullmatch(sheet.cell(0, 0)) or {'unit': None})['unit']
     if unit:
         return frames, numbers * (1e-3 if unit.lower() == 'ms' else 1.0), ''
