@@ -6,6 +6,7 @@ types need not be installed. Frames are put together from several topics by thei
 """
 
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -18,7 +19,7 @@ from kinpole_ros.bags._frames import read_frames
 from kinpole_ros.bags._reader import described, read_messages
 from kinpole_ros.bags._ros1 import Ros1Message, ros1_messages
 from kinpole_ros.bags.formats._file import File, Format, Points, Wanted
-from kinpole_ros.bags.formats._sheet import check_cells, check_names, shown
+from kinpole_ros.bags.formats._sheet import check_cells, check_names, number_names, shown
 from kinpole_ros.messages import (
     MARKER_TYPES,
     ROS_TYPE_NAMES,
@@ -31,17 +32,14 @@ from kinpole_ros.messages import (
 
 _SECOND = 1_000_000_000  # ns
 _SAME_FRAME = 0.25  # share of the interval of a topic within which stamps are of one frame
-# Types of trackers by their last name: the list in the message, and its packages, () for any.
-_LISTS: dict[str, tuple[str, tuple[str, ...]]] = {
-    'Markers': ('markers', ('mocap4r2_msgs', 'mocap_msgs')),
-    'RigidBodies': ('rigidbodies', ('mocap4r2_msgs', 'mocap_msgs')),
-    'NamedPoseArray': ('poses', ()),
-    'TFMessage': ('transforms', ()),
-    'tfMessage': ('transforms', ()),
-    'PoseStamped': ('', ('geometry_msgs',)),
-    'PoseWithCovarianceStamped': ('', ('geometry_msgs',)),
-    'TransformStamped': ('', ('geometry_msgs',)),
+# Names of types by what they hold: a list of markers or bodies, a body, frames that bodies may be.
+_KINDS = {
+    **dict.fromkeys(('Markers', 'RigidBodies', 'NamedPoseArray'), 'tracker'),
+    **dict.fromkeys(('PoseStamped', 'PoseWithCovarianceStamped', 'TransformStamped'), 'pose'),
+    **dict.fromkeys(('TFMessage', 'tfMessage'), 'tf'),
 }
+_MARKERS = {name.replace('/msg/', '/'): key for key, name in ROS_TYPE_NAMES.items()}
+_IN_MM = ('vicon_bridge/Markers',)  # by no convention of ROS
 # Those that bags of before ROS 2 Iron do not define.
 _MARKER = 'int8 id_type\nint32 marker_index\nstring marker_name\ngeometry_msgs/Point translation\n'
 _BODY = 'string rigid_body_name\n{0}/Marker[] markers\ngeometry_msgs/Pose pose\n'
@@ -157,11 +155,12 @@ def _frames(seen: list[_Seen]) -> tuple[np.ndarray, list[np.ndarray]]:
     return found, np.split(rows, np.cumsum([len(part.stamps) for part in seen])[:-1])
 
 
-def _rule(type_name: str) -> str | None:
-    """The list that holds markers or poses in messages of a type, '' for the message itself."""
-    package, last = _short(type_name).split('/')
-    attribute, packages = _LISTS.get(last, ('', ('',)))
-    return attribute if not packages or package in packages else None
+def _kind(type_name: str) -> str | None:
+    """What messages of a type hold, None where that is nothing for us."""
+    short = _short(type_name)
+    if short in _MARKERS:
+        return 'markers'
+    return None if short in _IN_MM else _KINDS.get(short.rpartition('/')[2])
 
 
 def _short(type_name: str) -> str:
@@ -175,14 +174,9 @@ def _chosen(file: File, types: dict[str, str]) -> list[str]:
 
     Notes what is left out, and raises BagError where there is nothing or no telling.
     """
-    markers = set(map(_short, ROS_TYPE_NAMES.values()))
     kinds: dict[str, list[str]] = {}
     for topic, name in sorted(types.items()):
-        rule = _rule(name)
-        if _short(name) in markers:
-            kinds.setdefault('markers', []).append(topic)
-        elif rule is not None:
-            kind = 'tf' if rule == 'transforms' else 'tracker' if rule else 'pose'
+        if kind := _kind(name):
             kinds.setdefault(kind, []).append(topic)
     for kind in ('tracker', 'markers', 'pose', 'tf'):
         topics = kinds.pop(kind, [])
@@ -230,7 +224,7 @@ def _store(types: set[str], definitions: dict[str, str], is_ros1: bool) -> Any:
 def _of_ros2(file: File) -> Iterator[_Seen]:
     types, definitions = described(file.path)
     topics = _chosen(file, types)
-    if types[topics[0]] in ROS_TYPE_NAMES.values():
+    if _kind(types[topics[0]]) == 'markers':
         parts, _ = read_frames(file.path, topics[0], report=lambda e: file.notes.append(str(e)))
         for frames in parts:
             yield _Seen('', frames.stamps, frames.stamps, frames.identities, frames.points)
@@ -287,7 +281,7 @@ def _reader(
 
     def read(message: BagMessage | Ros1Message, name: str, topic: str) -> list[_Seen]:
         try:
-            return list(_parts(decode(message.data, name), name, topic, message.log_time))
+            return list(_parts(file, decode(message.data, name), name, topic, message.log_time))
         except Exception as error:  # of the reading of bytes, and where a type is defined otherwise
             raise fail(f'a message of {name}', error) from error
 
@@ -310,49 +304,53 @@ def _topic_names(topics: list[str]) -> dict[str, str]:
     return {topic: '/'.join(row[first : len(row) - last]) for topic, row in parts.items()}
 
 
-def _parts(message: Any, type_name: str, topic: str, log_time: int) -> Iterator[_Seen]:
+def _parts(file: File, message: Any, type_name: str, topic: str, log_time: int) -> Iterator[_Seen]:
     """Markers or poses in a decoded message."""
-    times = np.array([log_time])
-    short = _short(type_name)
-    kind = next((kind for kind, name in ROS_TYPE_NAMES.items() if _short(name) == short), None)
-    if kind is not None:
-        try:
-            frames = read_markers(_converted(message, MARKER_TYPES[kind]))
-        except MessageError:
-            return
-        yield _Seen('', frames.stamps, times, frames.identities, frames.points)
+    times, kind = np.array([log_time]), _kind(type_name)
+    if kind == 'markers':
+        with suppress(MessageError):
+            cls = MARKER_TYPES[_MARKERS[_short(type_name)]]
+            frames = read_markers(_converted(message, cls))
+            yield _Seen('', frames.stamps, times, frames.identities, frames.points)
         return
-    attribute = _rule(type_name)
-    items = getattr(message, attribute) if attribute else [message]
-    for item in [items] if attribute not in ('', 'transforms') else [[one] for one in items]:
-        if not item:
+    items = [message]
+    if kind != 'pose':
+        items = next(value for value in vars(message).values() if isinstance(value, list))
+    # The bodies of a tracker are of one instant, others each of its own.
+    for group in [items][: len(items)] if kind == 'tracker' else [[item] for item in items]:
+        stamp = (group[0] if kind == 'tf' else message).header.stamp
+        stamps = np.array([stamp.sec * _SECOND + stamp.nanosec])
+        if not 0 <= stamps[0] < 2**31 * _SECOND:
             continue
-        header = getattr(item[0], 'header', None) or message.header
-        stamp = np.array([header.stamp.sec * _SECOND + header.stamp.nanosec])
-        if not 0 <= stamp[0] < 2**31 * _SECOND:
-            continue
-        named = dict(_places(item, topic))
-        values = np.array(list(named.values()), float)[None]
+        notes: list[str] = []
+        names = [topic if kind == 'pose' else _name(one, k) for k, one in enumerate(group)]
+        names = number_names(file.path, names, notes)
+        file.notes += [note for note in notes if note not in file.notes]
+        values = np.array([[_place(one) for one in group]], float)
         turns = values[..., 3:] if values.shape[-1] == 7 else None
-        source = ''.join(named) if attribute in ('', 'transforms') else topic
-        yield _Seen(source, stamp, times, tuple(named), values[..., :3], turns)
+        source = topic if kind == 'tracker' else names[0]
+        yield _Seen(source, stamps, times, tuple(names), values[..., :3], turns)
 
 
-def _places(items: list[Any], topic: str) -> Iterator[tuple[str, list[float]]]:
-    """The name of each marker or body, with its point or pose."""
-    for index, item in enumerate(items):
-        if hasattr(item, 'translation'):
-            point, is_named = item.translation, item.id_type != 1 and item.marker_name
-            name = item.marker_name if is_named else str(item.marker_index)
-            yield name, [point.x, point.y, point.z]
-            continue
-        pose = getattr(item, 'pose', None) or item.transform
-        pose = getattr(pose, 'pose', pose)
-        point = getattr(pose, 'position', None) or pose.translation
-        turn = getattr(pose, 'orientation', None) or pose.rotation
-        names = (getattr(item, k, '') for k in ('rigid_body_name', 'name', 'child_frame_id'))
-        name = next(filter(None, names), topic if len(items) == 1 else str(index))
-        yield name, [point.x, point.y, point.z, turn.x, turn.y, turn.z, turn.w]
+def _name(item: Any, index: int) -> str:
+    """The name that a marker or body says, else its number, else its place."""
+    values = {k: value for k, value in vars(item).items() if not k.startswith('__')}
+    if values.get('id_type') == 1:  # of mocap4r2: the number is meant
+        return str(item.marker_index)
+    named = (value for value in values.values() if isinstance(value, str) and value)
+    numbers = (str(value) for k, value in values.items() if k in ('marker_index', 'id'))
+    return next(named, next(numbers, str(index)))
+
+
+def _place(item: Any) -> list[float]:
+    """The point of a marker, or the point and quaternion of a body."""
+    if hasattr(item, 'translation') and not hasattr(item, 'rotation'):
+        return [item.translation.x, item.translation.y, item.translation.z]
+    pose = getattr(item, 'pose', None) or item.transform
+    pose = getattr(pose, 'pose', pose)
+    point = getattr(pose, 'position', None) or pose.translation
+    turn = getattr(pose, 'orientation', None) or pose.rotation
+    return [point.x, point.y, point.z, turn.x, turn.y, turn.z, turn.w]
 
 
 def _converted(message: Any, cls: type) -> Any:
