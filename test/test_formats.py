@@ -383,7 +383,8 @@ SCORED = 'frame_idx,track,tip.x,tip.y\n0,,1,2\n0,,3,4\n'
             {'scale': 1.0},
             'line, frames or milliseconds.*fix: give --rate',
         ),
-        (lambda: motive('Meters').replace(',Marker', ',Bone'), {}, 'no columns of type Marker, on'),
+        (lambda: motive('Meters').replace(',Marker', ',Bone').replace('d Body,', 'd,'), {},
+         'no columns of type Marker, only Rigi'),
         (lambda: motive('Meters').replace('X,Y,Z\n', 'X,Y,Y\n'), {}, 'columns than X, Y, Z'),
         (lambda: vicon().replace('mm,mm,mm', 'mm,cm,mm', 1), {}, 'several units, cm mm; fix'),
         (lambda: vicon().replace('s\n200\n,,Rig:t', 's\nfast\n,,Rig:t'), {}, 'has no times; fix'),
@@ -398,7 +399,7 @@ SCORED = 'frame_idx,track,tip.x,tip.y\n0,,1,2\n0,,3,4\n'
         (lambda: deeplabcut_h5()[:900], PIXELS, 'is not an .h5 of DeepLabCut'),
         (lambda: c3d_file()[:530], {}, 'is not a C3D file that can be read|has no frames'),
         (lambda: 'time\tpos\x1b[2J\n1\t2\n', {},
-         "begins with 'time pos.*2J' / '1 2': of no format known here .sleap, deeplabcut.*fix: .*"
+         "begins with 'time pos.*2J' / '1 2': of no format known here .bag, sleap.*fix: .*"
          't,tip_x,tip_y'),
         (lambda: b'\x89PNG\r\n\x1a\n\0\0', {}, 'is binary and begins with 89 50 4e 47'),
     ],

@@ -219,6 +219,19 @@ def test_markers_and_poses_are_exact(tmp_path, kind, storage):
         np.testing.assert_allclose(frames.axes[..., 0, :], [[[0.28, 0.96, 0]] * 2] * 5)
 
 
+def test_markers_of_one_name_in_a_message_are_numbered(tmp_path, monkeypatch):
+    make = Maker.make
+
+    def renamed(self: Maker, name: str, *values: Any) -> Any:
+        is_body = name.endswith('NamedPose')
+        return make(self, name, *(('arm', *values[1:]) if is_body else values))
+
+    monkeypatch.setattr(Maker, 'make', renamed)
+    done = import_points(write_bag(tmp_path, 'named poses', 'mcap'), tmp_path / 'out.mcap')
+    assert done.markers == ('arm', 'arm_2')
+    assert "they are numbered: 'arm_2'" in done.notes[0]
+
+
 def test_an_old_db3_has_no_definitions(tmp_path):
     path = write_bag(tmp_path, 'mocap4r2 bodies', 'db3') / 'bag.db3'
     with sqlite3.connect(path) as file:

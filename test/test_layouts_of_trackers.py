@@ -343,6 +343,22 @@ def test_angles_of_qualisys_are_turned_about_x_then_y_then_z(tmp_path):
     np.testing.assert_allclose(axes[0, 0], [[0, 0, 1], [-1, 0, 0]], atol=1e-12)
 
 
+def test_bodies_of_motive_without_markers_have_their_poses(tmp_path):
+    lines = motive('Meters').split('\n')
+    for k, turn in enumerate(TURNS):
+        pose = [0, 0, np.sin(turn / 2), np.cos(turn / 2), *SEEN[k, 0]]
+        lines[7 + k] = f'{k},{k / 120:.6f},{cells(np.array(pose))},0.001'
+    # Only the body is exported.
+    lines[2:7] = [','.join(line.split(',')[:10]) for line in lines[2:7]]
+    done, _, got = bring(tmp_path, '\n'.join(lines) + '\n')
+    assert done.markers == ('rod',)
+    np.testing.assert_allclose(got[:, 0], SEEN[:, 0])
+    points, axes = poses_in(tmp_path / 'out.mcap', ('rod',))
+    np.testing.assert_allclose(points[:, 0], SEEN[:, 0])
+    expected = np.stack([np.cos(TURNS), np.sin(TURNS)], axis=-1)
+    np.testing.assert_allclose(axes[:, 0, 0, :2], expected, atol=3e-6)
+
+
 @pytest.mark.parametrize(('unit', 'factor'), [('', 1.0), (' (rad)', np.pi / 180)])
 def test_angles_of_kinovea_are_poses(tmp_path, unit, factor):
     rows = ''.join(f'{40 * k};{v * factor}\n' for k, v in enumerate([10.0, 20.5, 200.0]))

@@ -4,7 +4,7 @@ Motive, of OptiTrack: takes exported as CSV.
 The first line has pairs of keys and values, rates and unit among them. Then rows that name each
 column by type, name and more, Position or Rotation, and the axis, below which frames begin. Only
 columns of type Marker are measured: those of rigid bodies and their markers are where Motive's
-model has them.
+model has them. Poses of rigid bodies are read where there are no markers.
 """
 
 from collections.abc import Sequence
@@ -55,13 +55,17 @@ def _read(file: File, wanted: Wanted) -> Points:
         for column in range(2, len(sheet.head(axes)))
         if sheet.cell(types, column) == 'Marker' and sheet.cell(axes - 1, column) == 'Position'
     ]
-    if not places:
+    bodies = {} if places else _body_columns(sheet, types, titles, axes)
+    if not (places or bodies):
         kinds = shown(', '.join(filter(None, dict.fromkeys(sheet.head(types)[2:]))) or 'none')
         raise BagError(
             f'{path} has no columns of type Marker, only {kinds}, which are not measured; '
             'fix: export the take again, with markers'
         )
-    columns = sheet.markers(titles, axes, places)
+    # What a body's rotation is in stands before its position.
+    columns = (
+        sheet.markers(titles, axes, places) if places else {k: c[4:] for k, c in bodies.items()}
+    )
     names, points, frames, lines = sheet.frames(columns, axes + 1)
     claim = about.get('Total Exported Frames') or about.get('Total Frames in Take', '')
     file.notes += claimed(path, claim, len(frames))
@@ -73,7 +77,32 @@ def _read(file: File, wanted: Wanted) -> Points:
         about.get('Length Units', ''),
         lines=lines,
         time_column='Time (Seconds)',
+        bodies=list(bodies),
+        poses=_poses(sheet, bodies, axes + 1) if bodies else None,
     )
+
+
+def _body_columns(sheet: Sheet, types: int, titles: int, axes: int) -> dict[str, list[int]]:
+    """Columns X, Y, Z, W of the rotation and X, Y, Z of the position of each rigid body."""
+    found: dict[str, dict[str, list[int]]] = {}
+    for column in range(2, len(sheet.head(axes))):
+        if sheet.cell(types, column) == 'Rigid Body':
+            of_body = found.setdefault(sheet.cell(titles, column), {})
+            of_body.setdefault(sheet.cell(axes - 1, column), []).append(column)
+    rows = {
+        name: [*of_body.get('Rotation', []), *of_body.get('Position', [])]
+        for name, of_body in found.items()
+    }
+    return {name: row for name, row in rows.items() if len(row) == 7}
+
+
+def _poses(sheet: Sheet, bodies: dict[str, list[int]], first: int) -> np.ndarray:
+    """Poses (T, B, 7); what was not seen has no numbers, or only zeros."""
+    columns = [column for row in bodies.values() for column in (*row[4:], *row[:4])]
+    titles = [f'{name} {number}' for name in bodies for number in range(1, 8)]
+    poses = sheet.numbers(columns, titles, first).reshape(-1, len(bodies), 7)
+    poses[~poses[..., 3:].any(axis=-1) | np.isnan(poses).any(axis=-1)] = np.nan
+    return poses
 
 
 def _times(sheet: Sheet, axes: int, frames: np.ndarray, about: dict[str, str]) -> np.ndarray | None:

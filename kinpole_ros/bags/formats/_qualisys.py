@@ -77,14 +77,11 @@ def _read(file: File, wanted: Wanted) -> Points:
     )
     if width == 3:
         return found
-    check_cells(path, 10 * len(points) * len(names))
-    poses = np.full((len(points), len(names), 7), np.nan)
-    done = 0
+    check_cells(path, 20 * len(points) * len(names))
     places = range(begin, begin + width * len(names))
     titles = [f'{name} {number}' for name in names for number in range(1, width + 1)]
-    for block in sheet.blocks(places, titles, first):
-        rows = slice(done, done := done + len(block))
-        poses[rows] = _poses(block.reshape(len(block), len(names), width))
+    values = sheet.numbers(places, titles, first).reshape(len(points), len(names), width)
+    poses = _poses(values)
     points[np.isnan(poses[..., 0])] = np.nan
     return replace(found, bodies=names, poses=poses)
 

@@ -223,14 +223,20 @@ class Sheet:
             yield numbers.reshape(len(block), len(columns))
             done += len(block)
 
-    def column(self, index: int, first: int, name: str) -> np.ndarray:
-        """Numbers of a column from row `first` on, float64, NaN where a cell is empty."""
-        numbers = np.empty(max(0, len(self) - first))
+    def numbers(self, columns: Sequence[int], names: Sequence[str], first: int) -> np.ndarray:
+        """Numbers (T, columns) from row `first` on, as `blocks` has them."""
+        count = max(0, len(self) - first)
+        check_cells(self.path, count * len(columns))
+        numbers = np.empty((count, len(columns)))
         done = 0
-        for block in self.blocks([index], [name], first):
-            numbers[done : done + len(block)] = block[:, 0]
+        for block in self.blocks(columns, names, first):
+            numbers[done : done + len(block)] = block
             done += len(block)
         return numbers
+
+    def column(self, index: int, first: int, name: str) -> np.ndarray:
+        """Numbers of a column from row `first` on, float64, NaN where a cell is empty."""
+        return self.numbers([index], [name], first)[:, 0]
 
     def points(
         self,

@@ -7,6 +7,8 @@ above the first of the three columns of its marker; some programs write two tabs
 one, and then markers are in the order of the names.
 """
 
+import math
+
 import numpy as np
 
 from kinpole_ros.bags._files import BagError
@@ -19,7 +21,7 @@ from kinpole_ros.bags.formats._file import (
     decimals_of,
     frame_times,
 )
-from kinpole_ros.bags.formats._sheet import Sheet, number_in, number_names
+from kinpole_ros.bags.formats._sheet import Sheet, number_in, number_names, number_or_inf
 
 _FIX = 'export it again as .trc'
 
@@ -35,7 +37,7 @@ def _read(file: File, wanted: Wanted) -> Points:
     if titles is None:
         raise BagError(f'{path} has no line with Frame# and names of markers; fix: {_FIX}')
     first = titles + 1
-    while first < len(sheet) and not sheet.cell(first, 0).isdecimal():
+    while first < len(sheet) and not math.isfinite(number_or_inf(sheet.cell(first, 0))):
         first += 1
         if first > titles + 3:
             raise BagError(f'{path}, line {sheet.lines[first - 1]}: no frames; fix: {_FIX}')
