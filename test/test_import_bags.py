@@ -277,6 +277,13 @@ def test_a_ros1_bag_that_is_cut_gives_what_comes_before(tmp_path):
 
 
 @pytest.mark.parametrize('command', ['replay', 'discover'])
+def test_messages_of_trackers_in_place_of_markers_are_sent_to_import(tmp_path, capsys, command):
+    path = write_bag(tmp_path, 'mocap4r2 markers', 'mcap')
+    assert main([command, str(path), '--topic', '/m']) == 2
+    assert f'`kinpole import {path} --output ' in capsys.readouterr().err
+
+
+@pytest.mark.parametrize('command', ['replay', 'discover'])
 def test_a_ros1_bag_in_place_of_a_bag_is_sent_to_import(tmp_path, capsys, command):
     path = write_bag(tmp_path, 'pose array', 'bag')
     assert main([command, str(path)]) == 2
