@@ -39,6 +39,8 @@ def captures(folder: Path) -> dict[str, bytes]:
         path = test_import_bags.write_bag(place, kind, storage)
         files = sorted(path.glob('bag.*')) or [path]
         found[f'{kind}, {storage}'] = files[0].read_bytes()
+    frames = test_layouts_of_trackers.openpose(folder / 'openpose', people=2).iterdir()
+    found['openpose'] = next(frames).read_bytes()
     for path in sorted(EXPORTS.rglob('*.*')):
         if path.suffix != '.md':
             found[path.name] = path.read_bytes()

@@ -1,6 +1,7 @@
 """Layouts of trackers' files, written from the documentation of each, are read exactly."""
 
 import json
+import re
 import struct
 from collections.abc import Callable
 from pathlib import Path
@@ -8,7 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from test_formats import NAN, SEEN, bring, c3d_file, cells, motive, trc
+from test_formats import NAN, SEEN, bring, c3d_file, cells, motive, peak_memory, trc
 
 from kinpole_ros.bags import BagError, read_messages
 from kinpole_ros.bags.formats import read_points
@@ -407,6 +408,25 @@ def test_a_folder_of_openpose_is_one_capture(tmp_path, in_space):
     assert np.isnan(np.delete(read.points, columns, axis=1)).all()
 
 
+@pytest.mark.parametrize('content', ['{},', '{"a":1},', '[],', '1,', '"\U0001f600aaaaaaaa",'])
+def test_json_of_many_parts_is_bounded(tmp_path, content):
+    count = ((32 << 20) - 100) // len(content.encode())
+    (tmp_path / 'points.json').write_text('[{"keypoints":1},' + content * count + '1]')
+    peak, complaint = peak_memory(tmp_path / 'points.json')
+    assert re.search('File too large; fix: cut|is not JSON of keypoints; fix', complaint)
+    assert peak < 512
+
+
+@pytest.mark.parametrize('content', ['<a/>', '<a b="1" c="2"/>', '<a>text</a>', 'x' * 1000])
+def test_xml_of_many_parts_is_bounded(tmp_path, content):
+    count = (47 << 20) // len(content)
+    text = kinovea_xml().replace('<Table>', '<Table>' + content * count)
+    (tmp_path / 'points.xml').write_text(text)
+    peak, complaint = peak_memory(tmp_path / 'points.xml')
+    assert ('is not XML that can be read' in complaint) == ('<' in content)
+    assert peak < 512
+
+
 def test_people_of_openpose_have_numbers_and_a_note(tmp_path):
     _, read = read_points(openpose(tmp_path / 'json', people=2))
     assert 'in any order' in str(read.notes)
@@ -432,7 +452,7 @@ def test_people_of_openpose_have_numbers_and_a_note(tmp_path):
         (lambda: kinovea_xml().replace('<W', '<!DOCTYPE a [<!ENTITY b "c">]><W', 1), {},
          'it defines entities'),
         (lambda: kinovea_xml().replace('<Row>', '<a/>' * 400_000 + '<Row>', 2), {},
-         'more than 500000 elements'),
+         'more than 400000 elements'),
         (lambda: kinovea_text(True), {}, 'in a unit that the file does not say; fix: give --scale'),
         (lambda: 'Time;Angle 1\n0;10\n40;20\n', {}, 'times that go on by 40 .*fix: give --rate'),
     ],

@@ -33,7 +33,8 @@ UNITS = {
 }
 _MARKUP = re.compile(rb'(?:\xef\xbb\xbf)?\s*(?:<|\{|\[\s*\{)')
 _HEAD = 4096  # bytes by which a file is recognized
-_MOST_ELEMENTS = 500_000  # of XML, at up to 600 bytes each
+_MOST_XML = 48 << 20  # bytes
+_MOST_ELEMENTS = 400_000  # of XML, at some 200 bytes each, and as much for each attribute
 _MOST_DECIMALS = 17  # no number in float64 needs more digits
 
 
@@ -128,6 +129,8 @@ class File:
             # Entities can multiply, and no program that tracks points writes them.
             if b'<!DOCTYPE' in self.data:
                 raise ValueError('it defines entities')
+            if len(self.data) > _MOST_XML or self.data.count(b'=') > 2 * _MOST_ELEMENTS:
+                raise ValueError('it is too large')
             elements = ElementTree.iterparse(BytesIO(self.data), ['start'])
             root: ElementTree.Element = next(elements)[1]
             if sum(1 for _ in islice(elements, _MOST_ELEMENTS)) == _MOST_ELEMENTS:

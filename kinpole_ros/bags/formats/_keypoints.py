@@ -7,6 +7,7 @@ visibility; results of other programs are such a list alone, with scores in plac
 Zeros are points that were not seen. Pixels, y down; no times.
 """
 
+import errno
 import json
 import re
 from collections.abc import Iterable, Iterator
@@ -20,7 +21,10 @@ from kinpole_ros.bags.formats._file import File, Format, Points, Wanted
 from kinpole_ros.bags.formats._sheet import MOST_COLUMNS, check_cells, check_names, shown
 from kinpole_ros.files import read_limited
 
-_MOST_JSON = 20 << 20  # bytes of a file; as objects they take up to 25 times as much
+_MOST_JSON = 32 << 20  # bytes of a file
+# Bytes of memory that what begins with a mark takes at most, and of all of these in a file.
+_OBJECT_BYTES = {b'{': 240, b'[': 88, b',': 64}
+_MOST_BYTES = 250 << 20
 _SCANNED = 10_000  # files of a folder that are looked at until one is of a frame
 _ARMS = 'RShoulder RElbow RWrist LShoulder LElbow LWrist'
 _LEGS = 'RHip RKnee RAnkle LHip LKnee LAnkle'
@@ -138,11 +142,13 @@ def _all_found(file: File) -> Iterable[_Found]:
 
 def _parsed(path: Path) -> Any:
     try:
-        return json.loads(read_limited(path, _MOST_JSON))
+        data = read_limited(path, _MOST_JSON)
+        if sum(size * data.count(mark) for mark, size in _OBJECT_BYTES.items()) > _MOST_BYTES:
+            raise OSError(errno.EFBIG, 'File too large')
+        return json.loads(data)
     except OSError as error:
         raise BagError(
-            f'{path} cannot be read ({error.strerror}), or is larger than {_MOST_JSON >> 20} MiB; '
-            'fix: cut it into parts'
+            f'{path} cannot be read: {error.strerror}; fix: cut it into parts'
         ) from error
     except _MALFORMED as error:
         raise _malformed(path) from error
