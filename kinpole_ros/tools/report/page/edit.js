@@ -47,7 +47,8 @@ function makeEditor({ data, page, stage, redraw, play }) {
       const rims = rimsOf(body).flatMap(([u, v, r]) => [[u, v], [u + r, v]]);
       body.outlines = [[0, [...own.map(([, , u, v]) => [u, v]), ...rims]]];
       body.missing = data.lost.map((k) => [k, k + 1, 'the loops do not close']);
-      body.withheld = {};
+      const pinned = body.icr_velocity.value.includes(0);
+      body.withheld = pinned ? { centrode_curvature: [[0, data.n, 'the ICR stands still']] } : {};
     });
     data.joints = edit.joints.filter(({ terms }) => !terms.length).map(({ a, b }) => {
       const ends = [a, b].map((point) => edit.points[point]);
