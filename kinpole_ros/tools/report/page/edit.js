@@ -13,7 +13,7 @@ function makeEditor({ data, page, stage, redraw, play }) {
   const ground = edit.size;
   const original = edit.points.map((point) => [...point]);
   const history = [];
-  let [dragged, moves] = [null, 0];
+  let [dragged, undone, moves] = [null, null, 0];
   const [button, undoing] = [by('edit'), by('undo')];
   const element = by('stage');
   document.documentElement.dataset.edit = 'yes';
@@ -35,11 +35,11 @@ function makeEditor({ data, page, stage, redraw, play }) {
     }
   }
 
-  // Solves all instants; false, and nothing changed, where the loops do not close at the cursor.
-  function solveAgain() {
+  // Solves all instants from one on; false, and nothing changed, where the loops do not close there.
+  function solveAgain(from = page.k) {
     data.lost = [];
     const every = page.dragging ? CLOSED_EACH : 1;
-    if (!solver.solveAll(page.k, (k) => fill(data, solver, k), (k) => lose(data, k), every)) return false;
+    if (!solver.solveAll(from, (k) => fill(data, solver, k), (k) => lose(data, k), every)) return false;
     data.edited = true;
     data.bodies.forEach((body, b) => {
       const own = edit.points.filter(([of]) => of === b);
@@ -92,7 +92,7 @@ function makeEditor({ data, page, stage, redraw, play }) {
     event.stopImmediatePropagation();
     element.setPointerCapture(event.pointerId);
     page.dragging = true;
-    history.push(copy());
+    undone = copy();
   }
 
   function onMove(event) {
@@ -103,6 +103,7 @@ function makeEditor({ data, page, stage, redraw, play }) {
     movePoint(dragged, stage.plane(event.clientX - box.left, event.clientY - box.top));
     const closes = solveAgain();
     if (!closes) restore(before);
+    else if (history.at(-1) !== undone) history.push(undone);
     tell(closes ? '' : 'the loops do not close there');
   }
 
@@ -110,7 +111,7 @@ function makeEditor({ data, page, stage, redraw, play }) {
     if (!dragged) return;
     page.dragging = false;
     dragged = null;
-    undoing.disabled = false;
+    undoing.disabled = !history.length;
     moves = 0;
     solveAgain();
     stage.learn();
@@ -122,7 +123,8 @@ function makeEditor({ data, page, stage, redraw, play }) {
     undoing.disabled = !history.length;
     tell('');
     moves = 0;
-    if (isFinite(solver.values[page.k][0])) solveAgain();
+    const closed = (k) => isFinite(solver.values[k][0]);
+    solveAgain(closed(page.k) ? page.k : solver.values.findIndex((row, k) => closed(k)));
   }
 
   function save() {
