@@ -35,6 +35,16 @@ function makeEditor({ data, page, stage, redraw, play }) {
     }
   }
 
+  // The scene's own pins; a report has only those that it sees.
+  const pins = () => edit.joints.filter(({ terms }) => !terms.length).map(({ a, b }) => {
+    const ends = [a, b].map((point) => edit.points[point]);
+    const still = ends.find(([body]) => body === ground);
+    const moving = ends.filter(([body]) => body !== ground);
+    const at = (still ? [still] : ends).map((point) => point.slice(2, 4));
+    return { bodies: moving.map(([body]) => data.bodies[body].name), at };
+  });
+  data.joints = pins();
+
   // Solves all instants from one on; false, and nothing changed, where the loops do not close there.
   function solveAgain(from = page.k) {
     data.lost = [];
@@ -50,13 +60,7 @@ function makeEditor({ data, page, stage, redraw, play }) {
       const pinned = body.icr_velocity.value.includes(0);
       body.withheld = pinned ? { centrode_curvature: [[0, data.n, 'the ICR stands still']] } : {};
     });
-    data.joints = edit.joints.filter(({ terms }) => !terms.length).map(({ a, b }) => {
-      const ends = [a, b].map((point) => edit.points[point]);
-      const still = ends.find(([body]) => body === ground);
-      const moving = ends.filter(([body]) => body !== ground);
-      const at = (still ? [still] : ends).map((point) => point.slice(2, 4));
-      return { bodies: moving.map(([body]) => data.bodies[body].name), at };
-    });
+    data.joints = pins();
     stage.view.held = true;
     stage.reshape();
     redraw(moves % READ_EACH ? (moves % LINES_EACH ? 'pose' : 'shape') : 'rest');
