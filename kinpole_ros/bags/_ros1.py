@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import BinaryIO, NamedTuple
 
-from kinpole_ros.bags._files import BagError
+from kinpole_ros.bags._files import BagError, Truncated
 from kinpole_ros.bags._layout import unpack_lz4
 from kinpole_ros.files import open_regular, printable
 
@@ -31,7 +31,7 @@ def ros1_messages(path: Path) -> Iterator[Ros1Message]:
     """
     Yield the messages of a bag in file order.
 
-    Raises BagError at the place where the bag is cut or damaged.
+    Raises Truncated at the place where the bag is cut or damaged.
     """
     connections: dict[bytes, tuple[str, str, str]] = {}
     with open_regular(path) as file:
@@ -47,7 +47,7 @@ def ros1_messages(path: Path) -> Iterator[Ros1Message]:
                     yield from _messages(inner[b'op'][0], inner, content, connections)
         except (struct.error, LookupError, ValueError, OSError, EOFError, RuntimeError) as error:
             why = printable(str(error)[:80]) or type(error).__name__
-            raise BagError(
+            raise Truncated(
                 f'{path} is cut off or damaged before byte {file.tell()} ({why}); '
                 f'fix: `rosbag reindex {path}`'
             ) from error
