@@ -43,7 +43,7 @@ def captures(folder: Path) -> dict[str, bytes]:
     found['openpose'] = next(frames).read_bytes()
     for path in sorted(EXPORTS.rglob('*.*')):
         # Larger ones take seconds to write as bags.
-        if path.suffix != '.md' and path.stat().st_size < 300_000:
+        if path.suffix != '.md' and path.stat().st_size < 100_000:
             found[path.name] = path.read_bytes()
     return found
 

@@ -57,7 +57,7 @@ _MESSAGES = {
 }
 
 
-class _Part(NamedTuple):
+class _Observation(NamedTuple):
     """Markers or poses of one source in a message."""
 
     source: str  # topic, or body
@@ -66,7 +66,7 @@ class _Part(NamedTuple):
     values: list[float]  # 3 for each marker, or 7 for each body
 
 
-class _Seen(NamedTuple):
+class _Series(NamedTuple):
     """Markers or poses in T messages of one layout, of one source."""
 
     source: str
@@ -90,20 +90,20 @@ def _read(file: File, wanted: Wanted) -> Points:
     topics = _chosen(file, types)
     if not is_ros1 and _kind(types[topics[0]]) == 'markers':
         parts, _ = read_frames(file.path, topics[0], report=lambda e: file.notes.append(str(e)))
-        seen = [_Seen('', one.identities, one.stamps, one.stamps, one.points) for one in parts]
+        series = [_Series('', one.identities, one.stamps, one.stamps, one.points) for one in parts]
     else:
-        seen = _collected(file, topics, _decoder(file, types, topics, definitions, is_ros1))
-    if not any(part.stamps.any() for part in seen):
+        series = _collected(file, topics, _decoder(file, types, topics, definitions, is_ros1))
+    if not any(part.stamps.any() for part in series):
         file.notes.append(f'{file.path} has no stamps in its messages: log times are taken')
-        seen = [part._replace(stamps=part.log_times) for part in seen]
-    stamps, rows = _frames(seen)
-    markers, bodies = (_columns(seen, width) for width in (3, 7))
+        series = [part._replace(stamps=part.log_times) for part in series]
+    stamps, rows = _frames(series)
+    markers, bodies = (_columns(series, width) for width in (3, 7))
     names = list(markers or bodies)
     check_names(file.path, names)
     check_cells(file.path, len(stamps) * (3 * len(names) + 7 * len(bodies)))
     points = np.full((len(stamps), len(names), 3), np.nan)
     poses = np.full((len(stamps), len(bodies), 7), np.nan)
-    for part, row in zip(seen, rows, strict=True):
+    for part, row in zip(series, rows, strict=True):
         if not markers or part.values.shape[-1] == 3:
             columns = [(markers or bodies)[name] for name in part.names]
             points[row[:, None], columns] = part.values[..., :3]
@@ -123,25 +123,27 @@ def _read(file: File, wanted: Wanted) -> Points:
     )
 
 
-def _columns(seen: list[_Seen], width: int) -> dict[str, int]:
+def _columns(series: list[_Series], width: int) -> dict[str, int]:
     """The column of each marker, or of each body, by how many numbers it has."""
-    parts = (part.names for part in seen if part.values.shape[-1] == width)
+    parts = (part.names for part in series if part.values.shape[-1] == width)
     names = dict.fromkeys(name for part in dict.fromkeys(parts) for name in part)
     return {name: column for column, name in enumerate(names)}
 
 
-def _frames(seen: list[_Seen]) -> tuple[np.ndarray, list[np.ndarray]]:
+def _frames(series: list[_Series]) -> tuple[np.ndarray, list[np.ndarray]]:
     """
     Stamps of frames, and the frame of each message of each part.
 
     A frame has one message of each source, none later than a share of the shortest interval.
     """
-    stamps = np.concatenate([part.stamps for part in seen])
-    sources = list(dict.fromkeys(part.source for part in seen))
+    stamps = np.concatenate([part.stamps for part in series])
+    sources = list(dict.fromkeys(part.source for part in series))
     if len(sources) == 1:
         found, rows = np.unique(stamps, return_inverse=True)
     else:
-        number = np.repeat([sources.index(p.source) for p in seen], [len(p.stamps) for p in seen])
+        number = np.repeat(
+            [sources.index(p.source) for p in series], [len(p.stamps) for p in series]
+        )
         steps = [np.diff(np.unique(stamps[number == k])) for k in range(len(sources))]
         most = _SAME_FRAME * min((float(np.median(step)) for step in steps if len(step)), default=0)
         starts: list[int] = []
@@ -155,7 +157,7 @@ def _frames(seen: list[_Seen]) -> tuple[np.ndarray, list[np.ndarray]]:
             members.add(int(number[event]))
             rows[event] = len(starts) - 1
         found = np.array(starts, np.int64)
-    return found, np.split(rows, np.cumsum([len(part.stamps) for part in seen])[:-1])
+    return found, np.split(rows, np.cumsum([len(part.stamps) for part in series])[:-1])
 
 
 def _kind(type_name: str) -> str | None:
@@ -261,7 +263,7 @@ def _decoder(
 
 def _collected(
     file: File, topics: list[str], decode: Callable[[Ros1Message | BagMessage], Any]
-) -> list[_Seen]:
+) -> list[_Series]:
     """What the messages of these topics have; those that cannot be read are left out, and noted."""
     names = _topic_names(topics)
     found: dict[tuple[Any, ...], tuple[array[int], array[int], array[float]]] = {}
@@ -276,7 +278,7 @@ def _collected(
             if message.topic not in names:
                 continue
             try:
-                parts = list(_parts(file, decode(message), message, names[message.topic]))
+                parts = list(_observations(file, decode(message), message, names[message.topic]))
             except Exception as error:  # of the bytes, and where a type is not as its name says
                 fault_count += 1
                 why = shown(' '.join(str(error).split()))
@@ -299,7 +301,7 @@ def _collected(
     if fault:
         file.notes.append(f'{file.path}: {left_out}')
     return [
-        _Seen(
+        _Series(
             source,
             markers,
             np.frombuffer(stamps, np.int64),
@@ -326,9 +328,9 @@ def _topic_names(topics: list[str]) -> dict[str, str]:
     return {topic: '/'.join(row[first : len(row) - last]) for topic, row in parts.items()}
 
 
-def _parts(
+def _observations(
     file: File, content: Any, message: Ros1Message | BagMessage, topic: str
-) -> Iterator[_Part]:
+) -> Iterator[_Observation]:
     """Markers or poses in the decoded content of a message."""
     kind = _kind(message.type_name)
     if kind == 'markers':
@@ -336,7 +338,7 @@ def _parts(
             frames = read_markers(_converted(content, MARKER_TYPES[_MARKERS[message.type_name]]))
             if frames.identities:
                 stamp, values = int(frames.stamps[0]), frames.points.ravel().tolist()
-                yield _Part('', frames.identities, stamp, values)
+                yield _Observation('', frames.identities, stamp, values)
         return
     items = [content]
     if kind != 'pose':
@@ -351,8 +353,10 @@ def _parts(
         names = [topic if kind == 'pose' else _name(one, k) for k, one in enumerate(group)]
         names = number_names(file.path, names, notes)
         file.notes += [note for note in notes if note not in file.notes]
-        values = [float(number) for one in group for number in _place(one)]
-        yield _Part(topic if kind == 'tracker' else names[0], tuple(names), nanoseconds, values)
+        values = [float(number) for one in group for number in _coordinates(one)]
+        yield _Observation(
+            topic if kind == 'tracker' else names[0], tuple(names), nanoseconds, values
+        )
 
 
 def _name(item: Any, index: int) -> str:
@@ -365,7 +369,7 @@ def _name(item: Any, index: int) -> str:
     return next(named, next(numbers, str(index)))
 
 
-def _place(item: Any) -> list[float]:
+def _coordinates(item: Any) -> list[float]:
     """The point of a marker, or the point and quaternion of a body."""
     if hasattr(item, 'translation') and not hasattr(item, 'rotation'):
         return [item.translation.x, item.translation.y, item.translation.z]
