@@ -43,7 +43,7 @@ def ros1_messages(path: Path) -> Iterator[Ros1Message]:
                 if kind != _CHUNK:
                     yield from _messages(kind, fields, data, connections)
                     continue
-                for inner, content in _records(io.BytesIO(_unpacked(fields, data))):
+                for inner, content in _records(io.BytesIO(_unpack(fields, data))):
                     yield from _messages(inner[b'op'][0], inner, content, connections)
         except (struct.error, LookupError, ValueError, OSError, EOFError, RuntimeError) as error:
             why = printable(str(error)[:80]) or type(error).__name__
@@ -54,7 +54,7 @@ def ros1_messages(path: Path) -> Iterator[Ros1Message]:
 
 
 def _records(file: BinaryIO) -> Iterator[tuple[dict[bytes, bytes], bytes]]:
-    """Fields of the header and the data of each record."""
+    """Yield the fields of the header and the data of each record."""
     while start := file.read(_SIZE.size):
         header = _read(file, *_SIZE.unpack(start))
         yield _fields(header), _read(file, *_SIZE.unpack(file.read(_SIZE.size)))
@@ -79,7 +79,7 @@ def _fields(header: bytes) -> dict[bytes, bytes]:
     return fields
 
 
-def _unpacked(fields: dict[bytes, bytes], data: bytes) -> bytes:
+def _unpack(fields: dict[bytes, bytes], data: bytes) -> bytes:
     how = fields[b'compression']
     if how == b'bz2':
         return bz2.BZ2Decompressor().decompress(data, _LARGEST)

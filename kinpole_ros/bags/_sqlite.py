@@ -18,14 +18,14 @@ _TABLES = {'topics', 'messages'}
 
 
 def is_sqlite(file: BinaryIO) -> bool:
-    """Whether an open file is one of SQLite; it is at its beginning then."""
+    """Return whether an open file is one of SQLite, and go to its beginning."""
     magic = file.read(len(SQLITE_MAGIC))
     file.seek(0)
     return magic == SQLITE_MAGIC
 
 
 @contextmanager
-def _opened(path: Path) -> Iterator[sqlite3.Connection]:
+def _open(path: Path) -> Iterator[sqlite3.Connection]:
     """Open a file to read it only, whatever its folder allows; errors of SQLite become BagError."""
     try:
         with closing(sqlite3.connect(f'{path.absolute().as_uri()}?immutable=1', uri=True)) as file:
@@ -43,8 +43,8 @@ def _opened(path: Path) -> Iterator[sqlite3.Connection]:
 
 
 def sqlite_topics(path: Path) -> tuple[dict[str, str], dict[str, str]]:
-    """Types by topic, and definitions by type, which files before ROS 2 Iron do not have."""
-    with _opened(path) as file:
+    """Read types by topic, and definitions by type, which files before ROS 2 Iron do not have."""
+    with _open(path) as file:
         topics = dict(file.execute('SELECT CAST(name AS TEXT), CAST(type AS TEXT) FROM topics'))
         tables = {name for (name,) in file.execute('SELECT name FROM sqlite_master')}
         definitions = {}
@@ -62,8 +62,8 @@ def sqlite_topics(path: Path) -> tuple[dict[str, str], dict[str, str]]:
 
 
 def sqlite_blocks(path: Path, wanted: frozenset[str] | None) -> Iterator[list[BagMessage]]:
-    """Messages on the `wanted` topics, or all that are CDR, in order of log time."""
-    with _opened(path) as file:
+    """Yield messages on the `wanted` topics, or all that are CDR, in order of log time."""
+    with _open(path) as file:
         found = file.execute("SELECT id, name, type FROM topics WHERE serialization_format = 'cdr'")
         topics = {number: (str(name), str(kind)) for number, name, kind in found}
         chosen = [k for k, (name, _) in topics.items() if wanted is None or name in wanted]

@@ -86,18 +86,20 @@ def _recognizes(file: File) -> bool:
 
 def _read(file: File, wanted: Wanted) -> Points:
     is_ros1 = file.head.startswith(ROS1_MAGIC)
-    types, definitions = (_described_ros1 if is_ros1 else described)(file.path)
-    topics = _chosen(file, types)
+    types, definitions = (_describe_ros1 if is_ros1 else described)(file.path)
+    topics = _choose_topics(file, types)
     if not is_ros1 and _kind(types[topics[0]]) == 'markers':
         parts, _ = read_frames(file.path, topics[0], report=lambda e: file.notes.append(str(e)))
         series = [_Series('', one.identities, one.stamps, one.stamps, one.points) for one in parts]
     else:
-        series = _collected(file, topics, _decoder(file, types, topics, definitions, is_ros1))
+        series = _read_series(
+            file, topics, _make_decoder(file, types, topics, definitions, is_ros1)
+        )
     if not any(part.stamps.any() for part in series):
         file.notes.append(f'{file.path} has no stamps in its messages: log times are taken')
         series = [part._replace(stamps=part.log_times) for part in series]
-    stamps, rows = _frames(series)
-    markers, bodies = (_columns(series, width) for width in (3, 7))
+    stamps, rows = _group_into_frames(series)
+    markers, bodies = (_number_columns(series, width) for width in (3, 7))
     names = list(markers or bodies)
     check_names(file.path, names)
     check_cells(file.path, len(stamps) * (3 * len(names) + 7 * len(bodies)))
@@ -123,16 +125,16 @@ def _read(file: File, wanted: Wanted) -> Points:
     )
 
 
-def _columns(series: list[_Series], width: int) -> dict[str, int]:
-    """The column of each marker, or of each body, by how many numbers it has."""
+def _number_columns(series: list[_Series], width: int) -> dict[str, int]:
+    """Number the markers, which have 3 values each, or the bodies, which have 7."""
     parts = (part.names for part in series if part.values.shape[-1] == width)
     names = dict.fromkeys(name for part in dict.fromkeys(parts) for name in part)
     return {name: column for column, name in enumerate(names)}
 
 
-def _frames(series: list[_Series]) -> tuple[np.ndarray, list[np.ndarray]]:
+def _group_into_frames(series: list[_Series]) -> tuple[np.ndarray, list[np.ndarray]]:
     """
-    Stamps of frames, and the frame of each message of each part.
+    Put messages into frames: the stamps of these, and the frame of each message of each series.
 
     A frame has one message of each source, none later than a share of the shortest interval.
     """
@@ -161,21 +163,21 @@ def _frames(series: list[_Series]) -> tuple[np.ndarray, list[np.ndarray]]:
 
 
 def _kind(type_name: str) -> str | None:
-    """What messages of a type hold, None where that is nothing for us."""
-    short = _short(type_name)
+    """Return what messages of a type hold, None where that is neither markers nor poses."""
+    short = _short_type(type_name)
     if short in _MARKERS:
         return 'markers'
     return None if short in _IN_MM else _KINDS.get(short.rpartition('/')[2])
 
 
-def _short(type_name: str) -> str:
-    """Package and name of a type, without what stands between them in ROS 2."""
+def _short_type(type_name: str) -> str:
+    """Return package and name of a type, without the msg between them of ROS 2."""
     return f'{type_name.partition("/")[0]}/{type_name.rpartition("/")[2]}'
 
 
-def _chosen(file: File, types: dict[str, str]) -> list[str]:
+def _choose_topics(file: File, types: dict[str, str]) -> list[str]:
     """
-    The topics to be read: those of trackers, else the one of markers, else those of poses.
+    Choose the topics to read: those of trackers, else the one of markers, else those of poses.
 
     Notes what is left out, and raises BagError where there is nothing or no telling.
     """
@@ -204,8 +206,8 @@ def _chosen(file: File, types: dict[str, str]) -> list[str]:
     )
 
 
-def _store(types: set[str], definitions: dict[str, str], is_ros1: bool) -> Any:
-    """A store of message types, as defined in the bag, or else as known here."""
+def _make_store(types: set[str], definitions: dict[str, str], is_ros1: bool) -> Any:
+    """Make a store of message types as the bag defines them, or else as known here."""
     # Only bags need it.
     from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_typestore
 
@@ -226,8 +228,8 @@ def _store(types: set[str], definitions: dict[str, str], is_ros1: bool) -> Any:
     return store
 
 
-def _described_ros1(path: Path) -> tuple[dict[str, str], dict[str, str]]:
-    """The types of topics, and their definitions, as far as a bag of ROS 1 goes."""
+def _describe_ros1(path: Path) -> tuple[dict[str, str], dict[str, str]]:
+    """Collect the types of topics, and their definitions, as far as a bag of ROS 1 goes."""
     types: dict[str, str] = {}
     definitions: dict[str, str] = {}
     try:
@@ -240,17 +242,17 @@ def _described_ros1(path: Path) -> tuple[dict[str, str], dict[str, str]]:
     return types, definitions
 
 
-def _decoder(
+def _make_decoder(
     file: File,
     types: dict[str, str],
     topics: list[str],
     definitions: dict[str, str],
     is_ros1: bool,
 ) -> Callable[[Ros1Message | BagMessage], Any]:
-    """What decodes the messages on some topics."""
+    """Return a function that decodes the messages on these topics."""
     names = {types[topic] for topic in topics}
     try:
-        store = _store(names, definitions, is_ros1)
+        store = _make_store(names, definitions, is_ros1)
     except Exception as error:  # of the parser, and of names that are none
         raise BagError(
             f'{file.path}: the definition of {shown(", ".join(sorted(names)))} cannot be read '
@@ -261,11 +263,11 @@ def _decoder(
     return lambda one: store.deserialize_cdr(one.data, one.type_name)
 
 
-def _collected(
+def _read_series(
     file: File, topics: list[str], decode: Callable[[Ros1Message | BagMessage], Any]
 ) -> list[_Series]:
-    """What the messages of these topics have; those that cannot be read are left out, and noted."""
-    names = _topic_names(topics)
+    """Read the messages of these topics; those that cannot be read are left out, and noted."""
+    names = _shorten_topics(topics)
     found: dict[tuple[Any, ...], tuple[array[int], array[int], array[float]]] = {}
     fault, fault_count, size = '', 0, 0
     messages: Iterable[Ros1Message | BagMessage] = (
@@ -312,8 +314,8 @@ def _collected(
     ]
 
 
-def _topic_names(topics: list[str]) -> dict[str, str]:
-    """Short names of topics: what differs of /vrpn/arm/pose and /vrpn/rod/pose."""
+def _shorten_topics(topics: list[str]) -> dict[str, str]:
+    """Shorten topics to the part that differs: arm and rod of /vrpn/arm/pose and /vrpn/rod/pose."""
     parts = {topic: topic.strip('/').split('/') for topic in topics}
     rows = list(parts.values())
     if len(rows) == 1:
@@ -331,11 +333,11 @@ def _topic_names(topics: list[str]) -> dict[str, str]:
 def _observations(
     file: File, content: Any, message: Ros1Message | BagMessage, topic: str
 ) -> Iterator[_Observation]:
-    """Markers or poses in the decoded content of a message."""
+    """Yield the markers or poses in the decoded content of a message."""
     kind = _kind(message.type_name)
     if kind == 'markers':
         with suppress(MessageError):
-            frames = read_markers(_converted(content, MARKER_TYPES[_MARKERS[message.type_name]]))
+            frames = read_markers(_convert(content, MARKER_TYPES[_MARKERS[message.type_name]]))
             if frames.identities:
                 stamp, values = int(frames.stamps[0]), frames.points.ravel().tolist()
                 yield _Observation('', frames.identities, stamp, values)
@@ -360,7 +362,7 @@ def _observations(
 
 
 def _name(item: Any, index: int) -> str:
-    """The name that a marker or body says, else its number, else its place."""
+    """Return the name in the message of a marker or body, else its number, else its place."""
     values = {k: value for k, value in vars(item).items() if not k.startswith('__')}
     if values.get('id_type') == 1:  # of mocap4r2: the number is meant
         return str(item.marker_index)
@@ -370,7 +372,7 @@ def _name(item: Any, index: int) -> str:
 
 
 def _coordinates(item: Any) -> list[float]:
-    """The point of a marker, or the point and quaternion of a body."""
+    """Return the point of a marker, or the point and quaternion of a body."""
     if hasattr(item, 'translation') and not hasattr(item, 'rotation'):
         return [item.translation.x, item.translation.y, item.translation.z]
     pose = getattr(item, 'pose', None) or item.transform
@@ -380,8 +382,8 @@ def _coordinates(item: Any) -> list[float]:
     return [point.x, point.y, point.z, turn.x, turn.y, turn.z, turn.w]
 
 
-def _converted(message: Any, cls: type) -> Any:
-    """The message in a class of ours, field by field; the fields that it lacks have defaults."""
+def _convert(message: Any, cls: type) -> Any:
+    """Convert a message to a class of ours; the fields that it lacks have defaults."""
     values = {}
     for name, kind in fields(cls).items():
         value = getattr(message, name, None)
@@ -389,7 +391,7 @@ def _converted(message: Any, cls: type) -> Any:
             continue
         base = kind.partition('[')[0]
         if '/' in base:
-            convert = partial(_converted, cls=message_class(base))
+            convert = partial(_convert, cls=message_class(base))
             value = [convert(one) for one in value] if '[' in kind else convert(value)
         elif kind == 'uint8[]':
             value = octets(bytes(value))

@@ -63,7 +63,7 @@ def _recognizes(file: File) -> bool:
 
 
 def _frame_files(folder: Path, most: int | None = None) -> Iterator[tuple[int, Path]]:
-    """The files of a folder whose names end in a number, or one and _keypoints, and .json."""
+    """Yield the files of a folder named ...NUMBER.json or ...NUMBER_keypoints.json."""
     for count, path in enumerate(folder.iterdir()):
         if count == most:
             return
@@ -118,7 +118,7 @@ def _read(file: File, wanted: Wanted) -> Points:
 
 def _persons(file: File) -> Iterable[_Person]:
     if not file.is_folder:
-        content = _parsed(file.path)
+        content = _parse(file.path)
         try:
             if isinstance(content, dict) and 'people' in content:
                 yield from _of_openpose(0, content)
@@ -136,12 +136,12 @@ def _persons(file: File) -> Iterable[_Person]:
             raise BagError(f'{path}: frame {number} is there twice; fix: a folder for each video')
         before = number
         try:
-            yield from _of_openpose(number, _parsed(path))
+            yield from _of_openpose(number, _parse(path))
         except _MALFORMED as error:
             raise _malformed(path) from error
 
 
-def _parsed(path: Path) -> Any:
+def _parse(path: Path) -> Any:
     try:
         data = read_limited(path, _MOST_JSON)
         if sum(size * data.count(mark) for mark, size in _OBJECT_BYTES.items()) > _MOST_BYTES:
@@ -198,7 +198,7 @@ def _of_coco(content: Any) -> Iterator[_Person]:
 
 
 def _number_in(name: str, key: Any) -> int:
-    """The last number in the name of an image, or the number of the image itself."""
+    """Return the last number in the name of an image, or the number of the image itself."""
     match = re.search(r'([0-9]{1,15})[^0-9]*$', name.rpartition('.')[0] or name)
     return int(match[1]) if match else int(key)
 
@@ -214,7 +214,7 @@ def _person(number: int, who: str, prefix: str, names: Any, values: np.ndarray) 
 
 @lru_cache(maxsize=64)
 def _point_names(prefix: str, known: tuple[str, ...] | None, count: int) -> tuple[str, ...]:
-    """Names of the points of a part of a person, one tuple for all frames."""
+    """Name the points of a part of a person, by one tuple for all frames."""
     if known is None:
         known = () if prefix else tuple(_NAMES.get(count, '').split())
     if len(known) != count or len(set(known)) < count:
