@@ -13,7 +13,7 @@ from kinpole_ros.files import open_regular, printable
 
 _MAGIC = b'#ROSBAG V2.0\n'
 _MESSAGE, _CHUNK, _CONNECTION = 2, 5, 7  # kinds of records
-_LARGEST = 1 << 27  # bytes of a record, and of a chunk unpacked
+_LARGEST = 1 << 26  # bytes of a record, and of a chunk unpacked
 _SIZE = struct.Struct('<I')
 
 

@@ -33,6 +33,7 @@ from kinpole_ros.messages import (
 )
 
 _SECOND = 1_000_000_000  # ns
+_LARGEST_MESSAGE = 1 << 22  # bytes; as objects these take 20 times as much
 _SAME_FRAME = 0.25  # share of the interval of a topic within which stamps are of one frame
 # Names of types by what they hold: a list of markers or bodies, a body, frames that bodies may be.
 _KINDS = {
@@ -280,6 +281,8 @@ def _read_series(
             if message.topic not in names:
                 continue
             try:
+                if len(message.data) > _LARGEST_MESSAGE:
+                    raise ValueError(f'{len(message.data)} bytes')
                 parts = list(_observations(file, decode(message), message, names[message.topic]))
             except Exception as error:  # of the bytes, and where a type is not as its name says
                 fault_count += 1
