@@ -107,8 +107,8 @@ def correct_markers(
         found = corrected(leave_out(1))
         if found is None and len(seen) > 3:
             found = corrected(ways[(ways >= 0).sum(axis=1) == len(seen) - 1])
-        # At least two markers have to remain that agree on the distance between them.
-        if found is None and len(seen) > 3:
+        # Of two markers that remain nothing would tell whether they are right.
+        if found is None and len(seen) > 4:
             found = corrected(leave_out(2))
         if found is not None:
             return found

@@ -1,0 +1,226 @@
+"""
+The point that a body turns about: a pin, fixed to the ground, or a hub, on a simple path.
+
+With the arm c in the axes of the body, its point p is where the origin is at z = p - c exp(i angle).
+Regressing z on exp(i angle) gives c where the path of p is a polynomial of time: of degree 0 over
+all poses for a pin, of a low degree over each window for a hub. A hub is followed by longer windows
+than a point on the rim, so it stands for the position of the body.
+"""
+
+import numpy as np
+
+from kinpole_ros.planar._plane import Complex, Real
+from kinpole_ros.rigid._pin import (
+    _BEND,
+    _DOUBTED,
+    _KEPT,
+    _MISFIT,
+    _STEP,
+    _WANDER,
+    _arm,
+    _spaced,
+)
+from kinpole_ros.rigid._reference import _CLEAR, _DEGREES, _PRESENT, _SHARE, _WHETHER, _WINDOWS, _rests
+from kinpole_ros.rigid._soft import chi_square, student
+from kinpole_ros.rigid.levels import FEW, KEPT, RUNNING, SURE
+from kinpole_ros.tracking.bodies import Bodies
+from kinpole_ros.tracking.fit import fit_markers
+from kinpole_ros.tracking.history import History
+
+# The newest frames may turn out to have been at other times, where stamps are late.
+UNSETTLED = 20
+
+
+class Pins:
+    """
+    Pins of B bodies: `center` (B,), complex, m, NaN for none, its `arm` in the axes of the body,
+    the `variance` of a coordinate, m^2, and `since` when the body was seen to turn about it, ns.
+
+    Poses are kept by the angle turned, not by time: a body at rest stays what it was.
+    """
+
+    def __init__(self, bodies: Bodies) -> None:
+        count = bodies.count
+        self.center = np.full(count, complex(np.nan, np.nan))
+        self.arm = np.zeros(count, complex)
+        self.variance = np.full(count, np.nan)
+        self.since = np.zeros(count, np.int64)
+        self._markers = np.full((_KEPT, count, bodies.width), complex(np.nan, np.nan))
+        self._number = np.zeros(count, int)
+        self._wanted = np.full(count, _KEPT // 2)
+        self._last = np.full(count, np.nan)
+
+    def widen(self, width: int) -> None:
+        """Make room for up to `width` markers per body."""
+        more = (0, 0), (0, 0), (0, width - self._markers.shape[2])
+        self._markers = np.pad(self._markers, more, constant_values=np.nan)
+
+    def forget(self, which: np.ndarray) -> None:
+        """Forget the poses and pins of the bodies `which` (B,)."""
+        self.center[which] = complex(np.nan, np.nan)
+        self.variance[which] = np.nan
+        self._number[which] = 0
+
+    def off(self, position: Complex, angle: Real, variance: Real) -> np.ndarray:
+        """Where (N, B) a body is off its pin beyond its noise; `variance` (N, 2, B) of angle and position."""
+        with np.errstate(invalid='ignore'):
+            off = np.abs(position + np.exp(1j * angle) * self.arm - self.center) ** 2
+            spread = variance[:, 1] + np.abs(self.arm) ** 2 * variance[:, 0]
+            return np.asarray(off > SURE**2 * spread)
+
+    def update(self, bodies: Bodies, history: History, new: int) -> None:
+        """Take the `new` newest frames, and fit pins to the poses that are kept."""
+        rows = slice(len(history) - new, None)
+        angle, position = history['angle'][rows], history['position'][rows]
+        information = history['information'][rows]
+        known = (information > 0).all(axis=1)
+        with np.errstate(divide='ignore', invalid='ignore'):
+            variance = bodies.misfit / information
+        off = known & self.off(position, angle, variance)
+        self._leave(_any_run(off, RUNNING))
+        usable = known & ~off
+        with np.errstate(invalid='ignore'):
+            far = np.abs((angle - self._last + np.pi) % (2 * np.pi) - np.pi) > _STEP
+        fresh = usable & (far | (self._number == 0))
+        for b in np.flatnonzero(fresh.any(axis=0)).tolist():
+            at = np.flatnonzero(usable[:, b] & (np.arange(new) >= fresh[:, b].argmax()))
+            at = at[_spaced(angle[at, b].tolist())]
+            if not self._number[b]:
+                self.since[b] = history['time'][rows][at[0]]
+            place = (self._number[b] + np.arange(len(at))) % _KEPT
+            used = history['used'][rows][at, b]
+            self._markers[place, b] = np.where(used, history['markers'][rows][at, b], np.nan)
+            self._last[b] = angle[at[-1], b]
+            self._number[b] += len(at)
+        self._fit(bodies, self._number >= FEW)
+
+    def _fit(self, bodies: Bodies, which: np.ndarray) -> None:
+        """Fit pins to the poses kept of the bodies `which` (B,)."""
+        if not which.any():
+            return
+        which = np.flatnonzero(which)
+        count = np.minimum(self._number, _KEPT)
+        held = np.arange(_KEPT)[:, None] < count
+        fit = fit_markers(bodies, np.where(held[..., None], self._markers, np.nan))
+        held = (held & np.isfinite(fit.angle))[:, which]
+        count = np.maximum(held.sum(axis=0), 3)
+        z = np.where(held, fit.position[:, which], 0)
+        e = np.where(held, np.exp(1j * fit.angle[:, which]), 0)
+        misfit = bodies.misfit[which]
+        with np.errstate(divide='ignore', invalid='ignore'):
+            even, of_angle = (
+                np.where(held, misfit / part[:, which], 0.0) for part in (fit.weight, fit.spread)
+            )
+            left = np.nan_to_num(fit.residual[:, which]) / np.sqrt(misfit * bodies.relative[which].T.mean(0))[:, None]
+        left = np.where(held[..., None], left, 0)
+        arm = _arm(z, e, held / count)[0]
+        weights = np.where(held, 1 / np.where(held, even + np.abs(arm) ** 2 * of_angle, 1), 0)
+        weights /= weights.sum(axis=0)
+        arm, z_mean, e_mean, spread = _arm(z, e, weights)
+        around = np.where(held, e - e_mean, 0)
+        off = (np.where(held, z - z_mean, 0) + arm * around) * e.conj()
+        along = np.where(arm == 0, 1, arm / np.maximum(np.abs(arm), np.finfo(float).tiny))
+        off = off * along.conj()
+        across = even + np.abs(arm) ** 2 * of_angle
+        squares = off.real**2 / np.where(held, even, 1) + off.imag**2 / np.where(held, across, 1)
+        square = squares.sum(axis=0) / np.maximum(2 * count - 4, 1)
+        shares = weights * (1 - e_mean * around.conj() / spread)
+        each = np.maximum(square, 1) * np.where(held, even + across, 0) / 2
+        off *= np.sqrt(weights)
+        similar = (off * np.roll(off, 1, axis=0).conj()).real.sum(axis=0)
+        total = (np.abs(off) ** 2).sum(axis=0)
+        bent = np.maximum(similar - _DOUBTED * total / np.sqrt(count), 0) / 2
+        found = (np.abs(shares) ** 2 * each).sum(axis=0) + _BEND * bent / spread
+        slow = np.einsum('kb,kbn->bn', shares * e * np.sqrt((even + across) / 2), left)
+        freedom = np.maximum(2 * left.any(axis=0).sum(axis=-1) - 3, 1)
+        slow = (np.abs(slow) ** 2).sum(axis=-1) / freedom
+        surely = slow > chi_square(freedom, _DOUBTED) * found
+        found = np.where(surely, slow * student(freedom), found)
+        contradicted = square > _MISFIT
+        noise = (weights * even).sum(axis=0)
+        size = bodies.size[which]
+        seen = np.sqrt(noise) < _WANDER * 0.45 * size * spread
+        seen &= found < (_WANDER * size) ** 2
+        taken = (self._number[which] >= self._wanted[which]) & seen
+        taken |= np.isfinite(self.center[which])
+        taken &= ~contradicted
+        pinned = which[taken]
+        self.center[pinned] = (z_mean + arm * e_mean)[taken]
+        self.arm[pinned] = arm[taken]
+        self.variance[pinned] = found[taken]
+        gone = np.zeros(bodies.count, bool)
+        gone[which[contradicted]] = True
+        self._leave(gone)
+
+    def _leave(self, which: np.ndarray) -> None:
+        """Take the bodies `which` (B,) off their pins; twice as much is wanted the next time."""
+        left = which & np.isfinite(self.center)
+        self._wanted[left] = np.minimum(2 * self._wanted[left], KEPT)
+        self.forget(which)
+
+
+def _any_run(values: np.ndarray, length: int) -> np.ndarray:
+    """Where (B,) so many values (N, B) in a row are true."""
+    if len(values) < length:
+        return np.zeros(values.shape[1], bool)
+    runs = np.lib.stride_tricks.sliding_window_view(values, length, axis=0)
+    return np.asarray(runs.all(axis=-1).any(axis=0))
+
+
+def find_hubs(bodies: Bodies, history: History, window: int, before: Complex) -> Complex:
+    """
+    The hubs (B,) of bodies in their frames, complex, m, 0 for a body that has none.
+
+    `window`, ns, is as long as that of the derivatives; `before` (B,) are the hubs up to now.
+    """
+    time = history['time'][: len(history) - UNSETTLED]
+    found = np.zeros(bodies.count, complex)
+    if not len(time):
+        return found
+    angle, position = history['angle'], history['position']
+    information = history['information']
+    both = np.zeros((len(_DEGREES), bodies.count), complex)
+    sums = np.zeros((5, len(_DEGREES), bodies.count))
+    squares = np.zeros(bodies.count)
+    wrong = np.zeros(bodies.count, bool)
+    end, latest = len(time), True
+    while end:
+        first = int(time.searchsorted(time[end - 1] - window))
+        if first == 0 and time[end - 1] - time[0] < window:
+            break
+        rows = slice(first, end)
+        seen = (information[rows] > 0).all(axis=1)
+        number = seen.sum(axis=0)
+        known = number > np.maximum(_DEGREES[-1] + 1, _PRESENT * len(seen))
+        seen &= known
+        if known.any():
+            start = position[rows][seen.argmax(axis=0), np.arange(bodies.count)]
+            values = np.where(seen, (position[rows] - start, np.exp(1j * angle[rows])), 0.0)
+            moves, turns, product = _rests((time[rows] - time[first]) / window, values, seen)
+            count = number - 1 - _DEGREES
+            with np.errstate(divide='ignore', invalid='ignore'):
+                variance = np.where(seen[:, None], bodies.misfit / information[rows], 0.0)
+            mean = variance.sum(axis=0) / np.maximum(number, 1)
+            new = np.stack(
+                (moves, turns, 2 * count * mean[1], count * mean[0], np.where(known, count, 0))
+            )
+            if latest:
+                wrong = np.abs(product + before * turns) ** 2 > np.abs(product) ** 2
+                wrong = (wrong & (turns > _CLEAR * new[3]))[_WHETHER] & known & (before != 0)
+                latest = False
+            both[:, known] += product[:, known]
+            sums[..., known] += new[..., known]
+            squares[known] += turns[_WHETHER, known] ** 2
+        end = first
+    moves, turns, even, still, counts = sums
+    counts = np.maximum(counts, 1.0)
+    clear = turns > _CLEAR * still
+    turns = np.where(clear, turns - still, 1.0)
+    best = np.where(clear, -both / turns, 0.0)
+    gained = np.abs(both * best)
+    left = np.maximum(moves - gained, 0.0) / counts
+    enough = np.maximum(_SHARE * (moves - even), _CLEAR * even / counts)
+    taken = (gained > enough) & (turns**2 > _WINDOWS * squares)
+    degree = np.where(clear, left / turns, np.inf).argmin(axis=0), np.arange(bodies.count)
+    moved = clear[degree] & taken[_WHETHER] & ~wrong
+    return np.where(moved, best[degree], 0.0)

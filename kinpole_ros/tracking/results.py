@@ -1,0 +1,214 @@
+"""What the window of frames says of one instant: derivatives, with covariance, of all bodies."""
+
+from typing import Any
+
+import numpy as np
+
+from kinpole_ros.derivatives import Poses, Windows, derive_poses
+from kinpole_ros.pipeline.estimate import Estimate, FramePoses
+from kinpole_ros.planar._plane import Complex, Real
+from kinpole_ros.rigid._reference import seen_at
+from kinpole_ros.rigid.plane import Plane
+from kinpole_ros.tracking.bodies import Bodies
+from kinpole_ros.tracking.center import Pins
+from kinpole_ros.tracking.deformation import deformation_covariance, hold_hidden
+from kinpole_ros.tracking.history import History
+from kinpole_ros.tracking.learn import UNSTEADY
+from kinpole_ros.tracking.outliers import doubtful_newest
+
+TOO_FEW, NO_POSE = 'too few markers seen, or all at one place', 'no pose of it came'
+TOO_CLOSE = 'markers too close together for their noise'
+NOISY_POSES = 'the noise of its angle is too large'
+
+
+def result_at(
+    bodies: Bodies,
+    pins: Pins,
+    history: History,
+    now: int,
+    oldest: int,
+    interval: float,
+    window: float,
+    order: int,
+    effort: str,
+) -> dict[str, Any]:
+    """
+    Compute what the frames from `oldest` on say of the frame `now`.
+
+    `interval` and `window` are in s, `order` is the highest derivative. Returns fields of
+    `Estimate` for one instant, derivatives with an axis of one instant.
+    """
+    newest = len(history) - 1
+    rows = slice(oldest, newest + 1)
+    doubtful = doubtful_newest(history, bodies)
+    pin, variance = pins_of_window(bodies, pins, history, oldest)
+    hub = np.where(np.isfinite(pin), 0.0, bodies.hub)
+    position, information = poses_of_hubs(bodies, history, rows, hub)
+    noise = np.where(bodies.noise > 0, bodies.noise, 1.0)
+    found = derive_poses(
+        Poses(
+            history['time'][rows],
+            np.nan_to_num(history['angle'][rows]),
+            history['turns'][rows],
+            np.nan_to_num(position),
+            information[:, 0],
+            information[:, 1],
+        ),
+        Windows(np.array([now - oldest]), np.array([0]), np.array([newest - oldest])),
+        doubtful[None],
+        noise[None],
+        window,
+        order,
+        effort,
+    )
+    seen = (history['information'][now] > 0).all(axis=0) & (now <= newest - doubtful)
+    measured = np.isfinite(bodies.noise)
+    observable = bodies.noise**2 < UNSTEADY**2 * bodies.spread
+    usable = seen & measured & observable
+    for b in np.flatnonzero(usable & (bodies.freedom > 0)).tolist():
+        slow = _deformation(bodies, history, b, now, oldest, interval, found, order)
+        found.angle_covariance[:, :, 0, b] += slow / information[now - oldest, 0, b]
+        found.position_covariance[:, :, 0, b] += slow / information[now - oldest, 1, b]
+    missing = np.full(bodies.count, '', object)
+    enough = np.isfinite(found.angle[1, 0]) & np.isfinite(found.position[1, 0])
+    missing[~enough] = 'window not full'
+    missing[~observable] = TOO_CLOSE
+    missing[~measured] = 'noise not known yet'
+    missing[~seen] = TOO_FEW
+    for part in found:
+        part[..., 0, ~usable] = np.nan
+    return {
+        'stamp': history['stamp'][now],
+        'found': found,
+        'size': bodies.size.copy(),
+        'height': history['height'][now].copy(),
+        'missing': missing,
+        'pin': pin,
+        'pin_variance': variance,
+        'shape': bodies.markers(),
+        'reference': hub,
+        'angle': history['angle'][now] + 2 * np.pi * history['turns'][now],
+        'position': history['position'][now].copy(),
+        'information': np.where(seen, history['information'][now], 0.0),
+        'middle': middle_of_seen(bodies, history['used'][now]),
+        'noise': noise,
+    }
+
+
+def middle_of_seen(bodies: Bodies, used: np.ndarray) -> Complex:
+    """Weighted means (B,) of the markers that are `used` (B, n), in the axes of the bodies."""
+    if used.all():
+        return bodies.grip.mean
+    weights = np.where(used, bodies.weights, 0.0)
+    with np.errstate(divide='ignore', invalid='ignore'):
+        return np.asarray((weights * bodies.shape).sum(axis=-1) / weights.sum(axis=-1))
+
+
+def pins_of_window(
+    bodies: Bodies, pins: Pins, history: History, oldest: int
+) -> tuple[Complex, Real]:
+    """Pins (B,) that hold for the window from `oldest` on, NaN for none, and their variances."""
+    held = np.isfinite(pins.center)
+    if held.any():
+        rows = slice(oldest, None)
+        held &= pins.since <= history['time'][oldest]
+        information = history['information'][rows]
+        with np.errstate(divide='ignore', invalid='ignore'):
+            off = pins.off(
+                history['position'][rows], history['angle'][rows], bodies.misfit / information
+            )
+        held &= (off & (information > 0).all(axis=1)).sum(axis=0) < 3
+    return np.where(held, pins.center, np.nan), np.where(held, pins.variance, np.nan)
+
+
+def poses_of_hubs(
+    bodies: Bodies, history: History, rows: slice, hub: Complex
+) -> tuple[Complex, Real]:
+    """Positions (N, B) of the hubs in some frames, and the information (N, 2, B) of the poses."""
+    position, information = history['position'][rows], history['information'][rows]
+    if not hub.any():
+        return position, information
+    count = bodies.count
+    poses = np.zeros((len(position), 2 * count, 2))
+    poses[:, :count, 0] = history['angle'][rows]
+    poses[:, count:] = position[..., None].view(float)
+    flat = information.reshape(len(position), -1)
+    poses, flat = seen_at(hub, bodies.grip.mean, poses, flat)
+    return poses[:, count:].view(complex)[..., 0], flat.reshape(information.shape)
+
+
+def _deformation(
+    bodies: Bodies,
+    history: History,
+    b: int,
+    now: int,
+    oldest: int,
+    interval: float,
+    found: Any,
+    order: int,
+) -> Real:
+    """Covariance of what the deformation of one body adds, over its information."""
+    first = max(0, oldest - (len(history) - oldest))
+    residual = hold_hidden(history['residual'][first:, b : b + 1])[:, 0]
+    return deformation_covariance(
+        residual,
+        now - first,
+        oldest - first,
+        interval,
+        float(found.span[0, b]),
+        float(found.freedom[0, b]) - 1,
+        float(bodies.noise[b] * np.sqrt(bodies.held[b])),
+        float(bodies.freedom[b]),
+        order,
+    )
+
+
+def estimate_of(
+    results: list[dict[str, Any]],
+    frame_id: str,
+    bodies: tuple[str, ...],
+    run: int,
+    plane: Plane | None,
+) -> Estimate:
+    """Results of several instants as one estimate."""
+
+    def stacked(name: str) -> np.ndarray:
+        return np.stack([each[name] for each in results])
+
+    position, angle, position_covariance, angle_covariance, span, freedom = (
+        np.concatenate([each['found'][k] for each in results], axis=-2) for k in range(6)
+    )
+
+    def frame_poses() -> FramePoses:
+        information = stacked('information')
+        return FramePoses(
+            stacked('angle'),
+            stacked('position'),
+            information[:, 0],
+            information[:, 1],
+            stacked('middle'),
+            stacked('noise'),
+        )
+
+    return Estimate(
+        stacked('stamp'),
+        frame_id,
+        bodies,
+        position,
+        angle,
+        position_covariance,
+        angle_covariance,
+        stacked('size'),
+        stacked('height'),
+        span,
+        freedom - 1,
+        stacked('missing'),
+        run,
+        stacked('pin'),
+        stacked('pin_variance'),
+        stacked('shape'),
+        np.array([each['due'] for each in results]),
+        stacked('reference'),
+        plane,
+        frame_poses,
+    )
