@@ -8,13 +8,13 @@
 
 FROM ros:jazzy-ros-base AS ros
 RUN apt-get update && apt-get install --yes --no-install-recommends \
-      gcc libc6-dev python3-dev python3-venv \
+      gcc libc6-dev python3-venv \
       ros-jazzy-common-interfaces ros-jazzy-launch-ros ros-jazzy-tf2-msgs \
     && rm -rf /var/lib/apt/lists/*
 COPY . /src
 # The packages of that ROS are those of the system's Python.
 RUN python3 -m venv --system-site-packages /opt/kinpole \
-    && KINPOLE_KERNELS=required /opt/kinpole/bin/pip install --no-cache-dir '/src[plot]' \
+    && /opt/kinpole/bin/pip install --no-cache-dir '/src[plot]' \
     && rm -rf /src
 ENV PATH="/opt/kinpole/bin:$PATH"
 WORKDIR /data
@@ -29,8 +29,7 @@ COPY requirements/demo.txt /src/requirements/demo.txt
 RUN /opt/kinpole/bin/pip install --no-cache-dir --require-hashes --no-deps \
       --requirement /src/requirements/demo.txt
 COPY . /src
-RUN KINPOLE_KERNELS=required \
-    /opt/kinpole/bin/pip install --no-cache-dir --no-deps --no-build-isolation /src
+RUN /opt/kinpole/bin/pip install --no-cache-dir --no-deps --no-build-isolation /src
 
 FROM python:3.12-slim AS python
 COPY --from=wheels /opt/kinpole /opt/kinpole

@@ -47,8 +47,10 @@ ROS := ,ros
 # Another Python's ROS must not leak in, and the wheels bring one middleware only.
 unexport RMW_IMPLEMENTATION $(if $(AMENT_PREFIX_PATH),AMENT_PREFIX_PATH PYTHONPATH LD_LIBRARY_PATH)
 endif
+COMPILER := $(shell for c in $(CC) gcc clang; do command -v $$c && break; done 2>/dev/null)
 # A lock file lists every package, so pip resolves nothing, and later releases change nothing.
-INSTALL = $(if $(LOCK),$(PIP) --require-hashes --no-deps --requirement $(LOCK)/$*.txt && \
+LOCKED = $(LOCK)/$*.txt $(if $(COMPILER),,--requirement $(LOCK)/compiler.txt)
+INSTALL = $(if $(LOCK),$(PIP) --require-hashes --no-deps --requirement $(LOCKED) && \
   $(PIP) --no-deps --no-build-isolation --editable .,$(PIP) --editable '.[$($*_EXTRAS)$(ROS)]')
 READY := $(VERSION)-$(KIND)
 endif
@@ -104,16 +106,16 @@ lock: .venv/test-$(READY)  ## choose the newest versions for requirements/, with
 	    --output-file requirements/$$file.txt --extra ros $$(printf -- '--extra %s ' "$$@") \
 	    || exit 1; \
 	done
+	@echo ziglang | $(subst setup.py -,-,$(UV)) --upgrade --output-file requirements/compiler.txt
 
 clean:  ## remove .venv and all else that can be made again
 	rm -rf .venv .venv-oldest .venv-newest build *.egg-info
 	rm -rf .hypothesis .mypy_cache .pytest_cache .ruff_cache out/docs
-	rm -f out/demo.mcap out/demo.png kinpole_ros/derivatives/*.so
+	rm -f out/demo.mcap out/demo.png kinpole_ros/*.so
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +
 
-# Made anew for another Python, and when ROS 2 has come or gone. Building includes the kernels where
-# there is a compiler.
-.venv/%-$(READY): setup.py $(if $(LOCK),$(LOCK)/%.txt) $(wildcard kinpole_ros/*/_kernel*.[ch])
+# Made anew for another Python, and when ROS 2 has come or gone.
+.venv/%-$(READY): setup.py $(if $(LOCK),$(LOCK)/%.txt) $(wildcard kinpole_ros/*/*.[ch])
 	@"$(BASE)" -c 'import ensurepip, venv' 2>/dev/null || { echo '$(BASE) has no venv: install it' \
 	  '(Debian and Ubuntu: sudo apt install python3-venv), then make again' >&2; exit 1; }
 	@echo 'Setting up .venv: a minute or two ...'

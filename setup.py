@@ -1,18 +1,47 @@
 """The package as pip and colcon build it; its version is also in package.xml and __init__.py."""
 
 import os
+import shlex
+import shutil
+import sys
+import sysconfig
 from glob import glob
+from importlib.util import find_spec
 from pathlib import Path
 
 from setuptools import Extension, find_packages, setup
+from setuptools.command.build_ext import build_ext
 
 NAME = 'kinpole_ros'
 SHARE = f'share/{NAME}'
-# Without a compiler there are no kernels, and numpy does their work in more time. Wheels must have
-# them.
-OPTIONAL = os.environ.get('KINPOLE_KERNELS') != 'required'
 # rclpy and its messages as wheels, for Linux on x86-64.
 ROS = ['ros-jazzy-rclpy', 'ros-jazzy-common-interfaces', 'ros-jazzy-rmw-fastrtps-cpp']
+
+
+def find_compiler() -> str | None:
+    """The command of a C compiler: CC, the one that built this Python, or a usual one."""
+    for command in (os.environ.get('CC'), sysconfig.get_config_var('CC'), 'cc', 'gcc', 'clang'):
+        if command and shutil.which(shlex.split(command)[0]):
+            return command
+    return None
+
+
+class BuildExt(build_ext):
+    """Compiles with the wheel `ziglang`, which is a C compiler, where there is no other one."""
+
+    def run(self) -> None:
+        compiler = find_compiler()
+        if not compiler and find_spec('ziglang'):
+            # For any processor, as other compilers do it.
+            compiler = f'{shlex.quote(sys.executable)} -m ziglang cc -mcpu=baseline'
+        if not compiler:
+            sys.exit(
+                f'{NAME} has a part in C, and there is no C compiler (cc, gcc or clang) on the '
+                f'PATH: install one with `{sys.executable} -m pip install ziglang`'
+            )
+        os.environ['CC'] = compiler
+        super().run()
+
 
 setup(
     name=NAME,
@@ -21,14 +50,17 @@ setup(
     package_data={NAME: ['py.typed'], f'{NAME}.tools.report': ['page/*']},
     ext_modules=[
         Extension(
-            f'{NAME}.derivatives._kernel',
-            [f'{NAME}/derivatives/_kernel.c'],
+            f'{NAME}._compiled',
+            [f'{NAME}/derivatives/_kernel.c', f'{NAME}/planar/_kernel.c'],
             depends=[f'{NAME}/derivatives/_kernel_sums.h'],
             extra_compile_args=['-O3'],
-            optional=OPTIONAL,
-        ),
-        Extension(f'{NAME}.planar._kernel', [f'{NAME}/planar/_kernel.c'], optional=OPTIONAL),
+        )
     ],
+    cmdclass={'build_ext': BuildExt},
+    # pip installs these to build with; `python setup.py`, as of colcon, would not find them.
+    setup_requires=['ziglang']
+    if 'setuptools.build_meta' in sys.modules and not find_compiler()
+    else [],
     data_files=[
         ('share/ament_index/resource_index/packages', [f'resource/{NAME}']),
         (SHARE, ['package.xml']),

@@ -3,10 +3,10 @@
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from kinpole_ros.api import BodyMotion, PairMotion, Tracked, replay, track
+    from kinpole_ros.api import BodyMotion, PairMotion, Tracked, UnknownNameError, replay, track
 
 __version__ = '0.1.0'
-__all__ = ['BodyMotion', 'PairMotion', 'Tracked', 'replay', 'track']
+__all__ = ['BodyMotion', 'PairMotion', 'Tracked', 'UnknownNameError', 'replay', 'track']
 
 
 def __getattr__(name: str) -> Any:

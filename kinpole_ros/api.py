@@ -35,7 +35,7 @@ _Record = TypeVar('_Record')
 
 
 class UnknownNameError(KeyError):
-    """A body, or a pair of bodies, that a result does not have."""
+    """A body, or a pair of bodies, that a result does not have; its message lists those it has."""
 
     def __str__(self) -> str:
         # A KeyError shows its message in quotes.
@@ -134,7 +134,8 @@ class Tracked:
     The motion of bodies at M instants: `tracked['crank'].angular_velocity` (M,), and so on.
 
     `stamp` (M,) int64, ns, and the same as `t` (M,), s. `pairs` are relative motions by names
-    (j, i), i before j in `bodies`. A name that is missing raises a KeyError that lists the names.
+    (j, i), i before j in `bodies`. A name that is missing raises an
+    `UnknownNameError`, a KeyError that lists the names.
     """
 
     t: np.ndarray

@@ -10,8 +10,7 @@ import pytest
 from conftest import bodies_of, write_config
 
 import kinpole_ros
-from kinpole_ros import replay, track
-from kinpole_ros.api import UnknownNameError
+from kinpole_ros import UnknownNameError, replay, track
 from kinpole_ros.bags import read_frames
 from kinpole_ros.bags import replay as replay_bag
 from kinpole_ros.pipeline.parameters import ParameterError, Settings

@@ -102,6 +102,34 @@ def link(bag: Path, *places: Path) -> list[Path]:
     return list(places)
 
 
+def test_bags_without_parameters_are_said_to_be_of_one_body(
+    simulated: Simulated, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    bag = simulated('cardan', rate=100, duration=0.6)
+    bags = link(bag, tmp_path / 'monday.mcap', tmp_path / 'tuesday.mcap')
+    words = ['batch', *map(str, bags), '--output', str(tmp_path / 'out'), '--workers', '1']
+    for _ in range(2):  # made, and found again
+        main(words)
+        said = capsys.readouterr().out
+        assert 'markers are taken as one rigid body, "body"' in said
+        assert f'kinpole discover {bags[0]} --output rig.yaml' in said
+        assert '; so it is for 1 other bag\n' in said
+    config = write_config(tmp_path / 'rig.yaml', replace(SETTINGS, bodies=bodies_of('cardan')))
+    main([*words, '--config', str(config)])
+    assert 'one rigid body' not in capsys.readouterr().out
+
+
+def test_a_missing_package_for_tables_is_told_before_any_replay(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr('kinpole_ros.tools.commands.batch.find_spec', lambda name: None)
+    out = tmp_path / 'out'
+    assert main(['batch', 'a.mcap', 'b.mcap', '--parquet', '--output', str(out)]) == 2
+    line = 'kinpole batch: --parquet needs pyarrow; fix: pip install pyarrow, or use --csv\n'
+    assert capsys.readouterr().err == line
+    assert not out.exists()
+
+
 def test_each_bag_has_its_result_and_a_failed_one_costs_only_itself(
     simulated: Simulated, tmp_path: Path
 ) -> None:

@@ -21,7 +21,6 @@ from geometry_msgs.msg import PoseArray
 from mcap.writer import Writer
 
 from kinpole_ros.bags import RECORDER, BagWriter, Truncated, read_messages
-from kinpole_ros.derivatives import _fast
 from kinpole_ros.mechanism import scene_names, scenes_folder
 from kinpole_ros.messages import to_message
 from kinpole_ros.packages import EXTRAS
@@ -791,8 +790,7 @@ def test_a_bag_cut_off_gives_the_results_of_all_before_the_cut(
             kept = [m for m in listed if stamp_of(m) <= last]
             same = found.get(topic, [])
             assert [*map(stamp_of, same)] == [*map(stamp_of, kept)], topic
-            # Numpy's matrix products round by how many frames there are at once; the kernel's not.
-            assert same == kept or _fast._kernel is None, topic
+            assert same == kept, topic
     assert_same_but_for_rounding(*tables)
     assert found['/diagnostics'] == expected['/diagnostics'][: len(found['/diagnostics'])]
 

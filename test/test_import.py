@@ -147,18 +147,19 @@ def test_a_column_that_may_not_be_the_times_is_asked_for(tmp_path):
     assert [stamp for stamp, _ in import_text(tmp_path, text)] == [1_000_000_000]
 
 
-@pytest.mark.parametrize('command', ['discover', 'replay', 'report', 'plot', 'batch'])
+@pytest.mark.parametrize('command', ['discover', 'fit', 'replay', 'report', 'plot', 'batch'])
 def test_a_table_in_place_of_a_bag_is_sent_to_import(tmp_path, capsys, monkeypatch, command):
     monkeypatch.chdir(tmp_path)
     Path('film.csv').write_text('t,a_x,a_y\n1,0,0\n')
     Path('config.yaml').write_text('/**:\n  ros__parameters:\n    window: 0.3\n')
+    scene = ['no_such_scene'] if command == 'fit' else []
     words = {
         'replay': ['--csv', 'o.csv'],
         'report': ['--output', 'o.html'],
         'plot': ['--output', 'o.png'],
         'batch': ['--config', 'config.yaml', '--output', 'o'],
     }
-    assert main([command, 'film.csv', *words.get(command, [])]) == 2
+    assert main([command, *scene, 'film.csv', *words.get(command, [])]) == 2
     out, err = capsys.readouterr()
     assert re.search(
         'film.csv is a file of points.*`kinpole import .*film.csv --output .*film.mcap`', out + err

@@ -1,22 +1,17 @@
-"""The compiled `derive` is the same as numpy's, and the package does without it."""
+"""The compiled kernel gives what numpy does."""
 
-import sys
-from importlib import import_module, reload
 from typing import Any
 
+import derivatives_reference as reference
 import numpy as np
 import pytest
 
-from kinpole_ros.derivatives import _evidence, _fast, _samples
-from kinpole_ros.derivatives._evidence import Found
-from kinpole_ros.derivatives._lacking import Lacking
+from kinpole_ros.derivatives import _fast, _samples
+from kinpole_ros.derivatives._fast import Found, Lacking
 from kinpole_ros.derivatives._models import Modes, Stencils, modes_of, slopes_of, stencils_of
 from kinpole_ros.derivatives._parts import derive_parts
 from kinpole_ros.derivatives._samples import lacking_of
 
-built = pytest.mark.skipif(
-    _fast._kernel is None, reason='the kernel is not built: setup.py build_ext --inplace'
-)
 pytestmark = pytest.mark.filterwarnings('error')
 
 COUNTS = (7, 8, 9, 20, 33, 64, 100, 127, 128)
@@ -64,7 +59,6 @@ def same(found: Found, expected: Found, tolerance: float = 1e-9) -> None:
     assert (evidence <= tolerance * (1 + np.abs(expected.evidence))).all()
 
 
-@built
 @pytest.mark.parametrize('exact', [False, True])
 @pytest.mark.parametrize('count', COUNTS)
 def test_all_samples(count: int, exact: bool) -> None:
@@ -74,11 +68,10 @@ def test_all_samples(count: int, exact: bool) -> None:
         samples = signals(rng, count, bodies)
         if exact:
             samples *= 1e5
-        expected = _evidence.derive(*window, samples, float(count))
+        expected = reference.derive(*window, samples, float(count))
         same(_fast.derive(*window, samples, float(count)), expected)
 
 
-@built
 @pytest.mark.parametrize('exact', [False, True])
 @pytest.mark.parametrize('count', COUNTS)
 def test_lacking_samples(count: int, exact: bool) -> None:
@@ -88,11 +81,10 @@ def test_lacking_samples(count: int, exact: bool) -> None:
         weights = missing(rng, count, bodies, min(most, count // 3))
         lacking, samples = lacking_of(weights), signals(rng, count, bodies)
         seen = weights.sum(axis=0)
-        expected = _evidence.derive(*window, samples, seen, lacking)
+        expected = reference.derive(*window, samples, seen, lacking)
         same(_fast.derive(*window, samples, seen, lacking), expected, 1e-8)
 
 
-@built
 @pytest.mark.parametrize('exact', [False, True])
 @pytest.mark.parametrize('count', COUNTS)
 def test_samples_that_are_moved(count: int, exact: bool) -> None:
@@ -105,29 +97,26 @@ def test_samples_that_are_moved(count: int, exact: bool) -> None:
         off = rng.uniform(-0.5, 0.5, (count, bodies))
         arrays = given, samples, off, weights.sum(axis=0), lacking_of(weights)
         found, expected = (
-            f(modes, slopes, *arrays, _samples._KNOWN) for f in (_fast.move, _evidence.move)
+            f(modes, slopes, *arrays, _samples._KNOWN) for f in (_fast.move, reference.move)
         )
         assert np.abs(found - expected).max() < 1e-9
 
 
-@built
-def test_more_than_a_kernel_takes() -> None:
-    """As many cells as the kernel takes, and one more, which numpy does."""
+def test_many_lacking_samples() -> None:
     rng = np.random.default_rng(0)
     window = models(60, 1, 3, False)
-    for number in (_fast._MOST_LACKING, _fast._MOST_LACKING + 1):
+    for number in (32, 33):
         weights = np.ones((60, 2, 2))
         weights[rng.permutation(60)[:number]] = 0.0
         lacking, samples = lacking_of(weights), signals(rng, 60, 2)
         seen = weights.sum(axis=0)
-        expected = _evidence.derive(*window, samples, seen, lacking)
+        expected = reference.derive(*window, samples, seen, lacking)
         same(_fast.derive(*window, samples, seen, lacking), expected, 1e-8)
         off = rng.uniform(-0.5, 0.5, (60, 2))
         arrays = window[0], slopes_of(60), samples, samples, off, seen, lacking, _samples._KNOWN
-        assert np.abs(_fast.move(*arrays) - _evidence.move(*arrays)).max() < 1e-8
+        assert np.abs(_fast.move(*arrays) - reference.move(*arrays)).max() < 1e-8
 
 
-@built
 def test_motion_as_large_as_there_is() -> None:
     """To what rounding of numpy leaves of it."""
     rng = np.random.default_rng(0)
@@ -135,30 +124,24 @@ def test_motion_as_large_as_there_is() -> None:
     for exact, large, tolerance in ((False, 1e4, 1e-2), (True, 1e10, 1e-6)):
         window = models(100, 1, 4, exact)
         wave = samples * large
-        same(_fast.derive(*window, wave, 100.0), _evidence.derive(*window, wave, 100.0), tolerance)
+        same(_fast.derive(*window, wave, 100.0), reference.derive(*window, wave, 100.0), tolerance)
 
 
-@built
 def test_bodies_at_rest_and_signals_alone() -> None:
     rng = np.random.default_rng(0)
     window = models(50, 1, 4, False)
     samples = signals(rng, 50, 3)
     samples[..., 1] = 0.0
     found = _fast.derive(*window, samples, 50.0)
-    same(found, _evidence.derive(*window, samples, 50.0))
+    same(found, reference.derive(*window, samples, 50.0))
     for k in range(3):
         alone = _fast.derive(*window, samples[..., k : k + 1], 50.0)
         for part, whole in zip(alone, found, strict=True):
             assert (part[..., 0] == whole[..., k]).all()
 
 
-@pytest.mark.parametrize('compiled', [pytest.param(True, marks=built), False])
-def test_a_part_of_few_samples_leaves_the_window_whole(
-    compiled: bool, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_part_of_few_samples_leaves_the_window_whole() -> None:
     """Six samples after a gap are too few for a motion of their own, and no model has a figure."""
-    if not compiled:
-        monkeypatch.setattr(_fast, '_kernel', None)
     time = np.arange(101)[:, None, None]
     phase = np.array([0.0, 1.0, 2.0])[:, None]
     samples = 1e5 * np.sin(np.pi / 50 * time + phase)
@@ -174,7 +157,6 @@ def test_a_part_of_few_samples_leaves_the_window_whole(
     assert (np.abs(found.mean[1] - rate) < 4 * deviation).all()
 
 
-@built
 def test_what_is_not_a_number_stays_apart() -> None:
     window = models(50, 1, 4, False)
     samples = signals(np.random.default_rng(0), 50, 3)
@@ -186,7 +168,6 @@ def test_what_is_not_a_number_stays_apart() -> None:
         assert (part[..., ::2] == whole[..., ::2]).all()
 
 
-@built
 def test_arrays_that_do_not_fit() -> None:
     """Are refused: the kernel never reads beyond what it is given."""
     modes, stencils = models(50, 1, 4, False)
@@ -209,19 +190,3 @@ def test_arrays_that_do_not_fit() -> None:
     other = stencils_of(60, 0.0, 1, 4)
     with pytest.raises(ValueError, match=r'do not fit|index|size'):
         _fast.derive(modes, other, samples, 50.0)
-
-
-def test_without_the_kernel(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Numpy does it, to the last digit, where the extension cannot be imported."""
-    window = models(50, 1, 4, False)
-    samples = signals(np.random.default_rng(0), 50, 3)
-    try:
-        with monkeypatch.context() as without:
-            without.setitem(sys.modules, 'kinpole_ros.derivatives._kernel', None)
-            module = reload(import_module('kinpole_ros.derivatives._fast'))
-            assert module._kernel is None
-            found, expected = (f(*window, samples, 50.0) for f in (module.derive, _evidence.derive))
-    finally:
-        reload(import_module('kinpole_ros.derivatives._fast'))
-    for part, whole in zip(found, expected, strict=True):
-        assert (part == whole).all()

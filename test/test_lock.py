@@ -106,7 +106,7 @@ def test_a_lock_that_lacks_a_package_is_seen(tmp_path: Path, line: str) -> None:
     assert pins(resolved(lacking, name, '3.12'), '3.12') != pins(lacking.read_text(), '3.12')
 
 
-@pytest.mark.parametrize('name', EXTRAS)
+@pytest.mark.parametrize('name', [*EXTRAS, 'compiler'])
 def test_every_pin_has_a_hash(name: str) -> None:
     entries = lock(name).replace('\\\n', ' ').splitlines()
     assert [entry for entry in entries if not re.search('--hash=sha256:[0-9a-f]{64}', entry)] == []

@@ -9,6 +9,7 @@ import subprocess
 import sys
 import tarfile
 import xml.etree.ElementTree as ET
+from importlib.util import find_spec
 from pathlib import Path, PurePath
 from types import ModuleType
 from typing import Any
@@ -173,8 +174,29 @@ def test_arrows_between_rooms_point_one_way():
                 ):
                     names = [alias.name for alias in node.names]
                     used |= {*(node.module or '').split('.')[1:2]} or set(names)
-        # packages.py knows which optional packages there are, and imports nothing of ours.
-        assert used - {room, '__version__', 'packages'} <= below, room
+        # packages.py and compiled.py import nothing of ours.
+        assert used - {room, '__version__', 'packages', 'compiled'} <= below, room
+
+
+@pytest.mark.parametrize(
+    ('module', 'others'),
+    [
+        ('kinpole_ros.ros.node', ['kinpole_ros.bags', 'mcap', 'rosbags', 'lz4', 'zstandard']),
+        ('kinpole_ros.bags', ['rosbags', 'matplotlib']),
+        ('kinpole_ros.api', ['kinpole_ros.bags', 'kinpole_ros.messages', 'mcap', 'rclpy']),
+    ],
+)
+def test_linkage_and_mechanism_are_imported_with_a_scene_only(
+    module: str, others: list[str]
+) -> None:
+    """They took half of the start of a node; neither does the start need the `others`."""
+    program = f'import kinpole_ros, {module}, sys; print(*sys.modules)'
+    done = subprocess.run(
+        [sys.executable, '-c', program], capture_output=True, text=True, timeout=60, check=True
+    )
+    loaded = set(done.stdout.split())
+    assert module in loaded
+    assert not loaded & {'kinpole_ros.linkage', 'kinpole_ros.mechanism', *others}
 
 
 def test_the_source_distribution_holds_all_that_is_tracked(tmp_path):
@@ -205,16 +227,63 @@ def tracked() -> list[Path]:
     return [path for path in paths if (ROOT / path).is_file()]
 
 
-def test_kernels_that_are_required_are_compiled_or_the_build_fails(tmp_path):
-    for path in ('setup.py', 'README.md', *(ROOT / 'kinpole_ros').rglob('*.[ch]')):
-        target = tmp_path / (ROOT / path).relative_to(ROOT)
+def build_library(folder: Path, path: str, **variables: str) -> subprocess.CompletedProcess[str]:
+    """Run setup.py as colcon does, with the programs of one folder only."""
+    for name in ('setup.py', 'README.md', *(ROOT / 'kinpole_ros').rglob('*.[ch]')):
+        target = folder / (ROOT / name).relative_to(ROOT)
         target.parent.mkdir(parents=True, exist_ok=True)
-        shutil.copy(ROOT / path, target)
-    build = [sys.executable, 'setup.py', '-q', 'build_ext', '--build-lib', str(tmp_path / 'lib')]
-    no_compiler = {**os.environ, 'CC': 'false', 'KINPOLE_KERNELS': ''}
-    assert subprocess.run(build, cwd=tmp_path, env=no_compiler, capture_output=True).returncode == 0
-    required = {**no_compiler, 'KINPOLE_KERNELS': 'required'}
-    assert subprocess.run(build, cwd=tmp_path, env=required, capture_output=True).returncode != 0
+        shutil.copy(ROOT / name, target)
+    build = [sys.executable, 'setup.py', '-q', 'build_ext', '--build-lib', str(folder / 'lib')]
+    environment = {'PATH': path, 'PYTHONPATH': str(folder), **variables}
+    return subprocess.run(build, cwd=folder, env=environment, capture_output=True, text=True)
+
+
+def test_a_compiler_that_fails_is_reported(tmp_path):
+    assert build_library(tmp_path, os.environ['PATH'], CC='false').returncode != 0
+
+
+def test_without_a_compiler_the_message_names_the_wheel_that_is_one(tmp_path):
+    if find_spec('ziglang'):
+        pytest.skip('ziglang is installed, so there is a compiler')
+    done = build_library(tmp_path, str(tmp_path))
+    assert done.returncode != 0
+    assert done.stderr.endswith(f'install one with `{sys.executable} -m pip install ziglang`\n')
+
+
+def test_without_a_compiler_the_wheel_ziglang_compiles(tmp_path):
+    """A package in place of the wheel passes its words on to the compiler of this machine."""
+    compiler = shutil.which('cc')
+    if not compiler:
+        pytest.skip('there is no cc')
+    (tmp_path / 'ziglang').mkdir()
+    (tmp_path / 'ziglang' / '__main__.py').write_text(
+        'import subprocess, sys\n'
+        'assert sys.argv[1:3] == ["cc", "-mcpu=baseline"]\n'
+        f'sys.exit(subprocess.call(["{compiler}", "-B/usr/bin", *sys.argv[3:]]))\n'
+    )
+    done = build_library(tmp_path, str(tmp_path))
+    assert done.returncode == 0, done.stderr
+    assert list((tmp_path / 'lib' / 'kinpole_ros').glob('_compiled*'))
+
+
+def test_pip_is_asked_for_the_wheel_where_there_is_no_compiler(tmp_path):
+    code = 'from setuptools.build_meta import get_requires_for_build_wheel as r; print(r())'
+    for path, asked in ((os.environ['PATH'], False), (str(tmp_path), True)):
+        folder = tmp_path / str(asked)
+        folder.mkdir()
+        shutil.copy(ROOT / 'setup.py', folder)
+        shutil.copy(ROOT / 'README.md', folder)
+        (folder / 'kinpole_ros').mkdir()
+        environment = {'PATH': path, 'CC': 'cc'}
+        done = subprocess.run(
+            [sys.executable, '-c', code],
+            cwd=folder,
+            env=environment,
+            capture_output=True,
+            text=True,
+        )
+        assert done.returncode == 0, done.stderr
+        assert ('ziglang' in done.stdout.splitlines()[-1]) == asked
 
 
 def test_the_images_are_made_of_files_that_are_there():

@@ -11,8 +11,15 @@ import pytest
 from rclpy.serialization import deserialize_message
 from rclpy.serialization import serialize_message as serialize_with_rclpy
 
-from kinpole_ros.bags import read_messages
-from kinpole_ros.messages import _rosbags, fields, message_class, serialize_message, type_name
+from kinpole_ros.bags import BagWriter, read_messages
+from kinpole_ros.messages import (
+    _rosbags,
+    fields,
+    message_class,
+    serialize_message,
+    type_name,
+    with_zero_padding,
+)
 from kinpole_ros.tools.cli import main
 
 ROOT = Path(__file__).parents[1]
@@ -84,6 +91,44 @@ def test_a_message_is_serialized_as_rclpy_reads_it_with_zeros_in_the_padding(cls
             continue
         # That of rosbags has zeros there.
         assert _rosbags.serialize_message(_rosbags.deserialize_message(data, other)) == data
+
+
+@pytest.mark.parametrize('cls', CLASSES, ids=type_name)
+def test_padding_of_a_message_from_elsewhere_becomes_zero(cls: type) -> None:
+    generator = random.Random(type_name(cls))
+    for message in [cls(), *(filled(cls, generator) for _ in range(10))]:
+        data = serialize_message(message)
+        assert with_zero_padding(data, cls) == data
+        sent = bytearray(serialize_with_rclpy(message))
+        # Where a field differs from what it was made of, it is padding.
+        places = [k for k in range(4, len(data)) if sent[k] != data[k]]
+        for place in places:
+            sent[place] = 0xA5
+        assert with_zero_padding(bytes(sent) + b'\xa5' * 5, cls) == data
+        try:
+            other: Any = _rosbags.message_class(type_name(cls))
+        except LookupError:
+            continue
+        read = _rosbags.deserialize_message(data, other)
+        store = _rosbags._STORE  # the only writer of the other byte order here
+        big = bytes(store.serialize_cdr(read, other.__msgtype__, little_endian=False))
+        assert with_zero_padding(big, cls) == big
+
+
+def test_what_is_no_message_is_written_as_it_is(tmp_path: Path) -> None:
+    cls: Any = message_class('geometry_msgs/msg/PointStamped')
+    message = cls()
+    message.header.frame_id = 'abcdef'
+    whole = serialize_message(message)
+    place = whole.index(b'abcdef\0') + 7
+    assert whole[place] == 0
+    dirty = whole[:place] + b'\xa5' + whole[place + 1 :]
+    kept = [whole[:-1], dirty[:-1], b'', b'\0\1', b'\0\x0b' + whole[2:], whole[:12] + b'\xff' * 30]
+    with BagWriter(tmp_path / 'raw.mcap') as bag:
+        for data in [dirty, dirty + b'more', *kept]:
+            bag.write_raw('/point', cls, data, 0)
+    written = [one.data for one in read_messages(tmp_path / 'raw.mcap')]
+    assert written == [whole, whole, *kept]
 
 
 @pytest.mark.parametrize('message', ['marker_array', 'marker', 'point_cloud2', 'pose_array'])

@@ -13,10 +13,20 @@ import numpy as np
 import pytest
 from conftest import title_of
 
-from kinpole_ros.mechanism import SceneError, load_scene, poles, scene_names, scenes_folder
+from kinpole_ros.mechanism import (
+    SceneError,
+    efforts,
+    holding,
+    load_scene,
+    poles,
+    reactions,
+    scene_names,
+    scenes_folder,
+)
 from kinpole_ros.tools import cli
 from kinpole_ros.tools.solve import _picture, solve_scene
-from kinpole_ros.tools.solve._solved import over_range, over_time
+from kinpole_ros.tools.solve._solved import acting, over_range, over_time
+from kinpole_ros.tools.solve._work import work_lines
 
 
 def told(capsys: pytest.CaptureFixture[str], *words: str) -> list[str]:
@@ -555,16 +565,23 @@ def test_pitch_curves_are_drawn(capsys: pytest.CaptureFixture[str], tmp_path: Pa
         (('six_bar', '--statics'), 'no loads'),
         (('loader_cylinder', '--at', '5 m'), 'to r5.length = 5 m, it turns back at 2.35533988 m: '),
         (('loader', '--at', '500 deg'), 'to arm = 500 deg, it turns back at 71.333396 deg: '),
-        (('four_bar', '--pitch', 'crank', 'wheel', 'x.svg'), 'no body wheel'),
+        (('four_bar', '--csv', 'x.csv', '--pitch', 'crank', 'wheel', 'x.svg'), 'no body wheel'),
+        (('four_bar', '--csv', 'x.csv', '--pitch', 'crank', 'rocker', 'x.pdf'), 'or .dxf'),
         (('four_bar', '--plot', '/dev/null/x.png'), 'x.png'),
         (('four_bar', '--plot', 'x.foo'), 'no picture'),
         (('four_bar', '--plot', 'x'), 'no picture'),
     ],
 )
 def test_what_cannot_be_solved_is_said_in_one_line(
-    words: tuple[str, ...], says: str, capsys: pytest.CaptureFixture[str]
+    words: tuple[str, ...],
+    says: str,
+    capsys: pytest.CaptureFixture[str],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
+    monkeypatch.chdir(tmp_path)
     assert cli.main(['solve', *words]) == 2
+    assert not [*tmp_path.iterdir()]
     err = capsys.readouterr().err
     assert says in err
     assert len(err.splitlines()) == 1
@@ -615,7 +632,80 @@ def test_the_bodies_after_centrodes_may_stand_before_or_after_the_scene(
     monkeypatch: pytest.MonkeyPatch, words: str
 ) -> None:
     taken: list[tuple[Any, ...]] = []
-    monkeypatch.setattr('kinpole_ros.tools.solve.solve_scene', lambda *a: taken.append(a) or [])
+    monkeypatch.setattr(
+        'kinpole_ros.tools.solve.solve_scene', lambda *a, **_: taken.append(a) or []
+    )
     assert cli.main(['solve', *words.split()]) == 0
     scene, *_, bodies = taken[0]
     assert (scene, list(bodies)) == ('four_bar', ['coupler', 'rocker'])
+
+
+@pytest.mark.parametrize('name', scene_names())
+def test_virtual_work_step_by_step_gives_the_statics(name: str) -> None:
+    """Each number that `--work` comes to is that of `--statics`."""
+    scene = load_scene(name)
+    here = over_time(scene, np.zeros(1))
+    loads = acting(here).all
+    if not loads:
+        with pytest.raises(SceneError, match='has no loads'):
+            solve_scene(name, work=True)
+        return
+    lines = work_lines(here)
+    if scene.held_by:
+        size, holder = holding(scene.mechanism, here.values, loads, scene.held_by)
+        loads = [*loads, holder]
+        truth = size
+    else:
+        truth = efforts(scene.mechanism, here.values, loads).effort[:, 0]
+    found = [re.search(r'= (-?[\d.e+-]+) N( m)?$', line) for line in lines]
+    assert [float(one[1]) for one in found if one] == pytest.approx(truth, rel=1e-8)
+    # The shares add up to it, and it does the power that the loads do not.
+    sums = [float(line.split()[1]) for line in lines if line.startswith('sum ')]
+    assert sums == pytest.approx(truth, rel=1e-5)
+    for power, rate, size in zip(
+        *(re.findall(words, '\n'.join(lines)) for words in (r'(\S+) W \+', r'· (\S+) \S+ = 0')),
+        truth,
+        strict=True,
+    ):
+        assert float(power) + float(rate) * size == pytest.approx(0, abs=1e-8 * abs(float(power)))
+    if not scene.mechanism.assembly.joints:
+        assert lines[-1].startswith('vectors have no joints')
+        return
+    borne = reactions(scene.mechanism, here.values, loads)
+    rows = [line.split() for line in lines if re.search(r' (deg|turning) .* N( m)?$', line)]
+    assert rows
+    least = 1e-5 * float(np.abs(borne.force).max())
+    for joint, *cells in rows:
+        j = borne.joints.index(joint)
+        if cells[0] == 'turning':
+            assert float(cells[-3]) == pytest.approx(borne.moment[j, 0], abs=least)
+            continue
+        way = np.exp(1j * np.radians(float(cells[0])))
+        along = float((borne.force[j, 0] * way.conjugate()).real)
+        assert float(cells[-2]) == pytest.approx(along, rel=1e-5, abs=least)
+        powers = np.array(cells[2:-2], float)
+        assert -powers.sum() == pytest.approx(float(cells[-2]), rel=1e-4, abs=least)
+
+
+def test_advantages_of_the_work_are_loads_over_their_shares() -> None:
+    """Seed 003: the loader lifts 9806.65 N with 21300 N m; the advantage is their ratio."""
+    lines = solve_scene('loader', at='45 deg', work=True)
+    row = next(line for line in reversed(lines) if line.startswith('1 load, force at lift.P'))
+    share, gain = map(float, row.split()[-2:])
+    assert share == pytest.approx(1000 * 9.80665 * 1.08601 / 0.5, rel=1e-5)
+    assert gain == pytest.approx(1000 * 9.80665 / share, rel=1e-5)
+    # A toggle: the load stands still, so no effort holds it.
+    lines = solve_scene('slider_crank', work=True)
+    (row,) = [
+        line for line in lines if line.startswith('2 inertia, force at crank  ') and 'inf' in line
+    ]
+    assert row.split()[-2:] == ['0', 'infinite']
+
+
+def test_the_page_has_the_virtual_work(tmp_path: Path) -> None:
+    for name in ('loader', 'four_bar'):
+        page = tmp_path / f'{name}.html'
+        lines = solve_scene(name, page=page, work=name == 'loader')
+        text = re.search(r'octet-stream">([^<]*)<', page.read_text())
+        work = json.loads(zlib.decompress(base64.b64decode(text[1])))['work']
+        assert set(work) <= set(lines) and bool(work) == (name == 'loader')

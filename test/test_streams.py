@@ -19,7 +19,6 @@ from recordings import (
 )
 from stretches import instants, one_frame
 
-from kinpole_ros.derivatives import _fast
 from kinpole_ros.pipeline.estimate import Estimate
 from kinpole_ros.pipeline.frame import MarkerFrames, part_of
 from kinpole_ros.pipeline.parameters import settings_from
@@ -723,12 +722,7 @@ QUANTITIES: tuple[Callable[[Estimate], Any], ...] = (
 
 
 def alike(one: np.ndarray, other: np.ndarray) -> None:
-    """
-    To 1e-9 of what each figure (T, ...) is like over time; to 2e-8 where the kernel is not built.
-
-    Numpy's matrix products round by how many instants there are at once: 5e-9 was measured.
-    """
-    least = 1e-9 if _fast._kernel is not None else 2e-8
+    """To 1e-9 of what each figure (T, ...) is like over time."""
     scale = np.nanmedian(np.where(np.isnan(one).all(axis=0), 0.0, np.abs(one)), axis=0)
     scale = np.where(scale > 0, scale, 1.0)
     one, other = one / scale, other / scale
@@ -736,7 +730,7 @@ def alike(one: np.ndarray, other: np.ndarray) -> None:
     same = (one == other) | (np.isnan(one) & np.isnan(other))
     # In one go: one by one, as approx does it, numbers by the million take longer than trackers.
     with np.errstate(invalid='ignore'):
-        close = np.abs(one - other) <= least * np.maximum(1.0, np.abs(other))
+        close = np.abs(one - other) <= 1e-9 * np.maximum(1.0, np.abs(other))
     assert (same | (close & np.isfinite(other))).all()
 
 

@@ -152,7 +152,9 @@ def _stamps(path: Path, read: Points, rate: float | None) -> tuple[np.ndarray, l
         frames = read.frames - read.frames[0]
         if not 1.001 * (int(frames[-1]) + 1) / _LONGEST < rate <= 1e9:
             raise BagError(f'rate is {rate:g} for {len(frames)} frames; fix: give it in Hz')
-        return np.rint(frames * 1e9 / rate).astype(np.int64), []
+        stamps = frames * 1e9
+        stamps /= rate
+        return np.rint(stamps, out=stamps).astype(np.int64), []
     assert read.times is not None
     seconds, notes = read.times, []
     if seconds[0] < 0:

@@ -13,7 +13,6 @@ from kinpole_ros.bags._replayed import Replayed
 from kinpole_ros.bags._stretch import Stretch
 from kinpole_ros.bags._table import CsvTable, ParquetTable
 from kinpole_ros.bags._writer import BagWriter, in_place_of
-from kinpole_ros.linkage.theory import Comparison, load_theory
 from kinpole_ros.messages import (
     INPUT_TYPE_NAMES,
     DiagnosticArray,
@@ -26,6 +25,7 @@ from kinpole_ros.messages import (
     kind_of,
     outputs_of,
     reader_of,
+    theory_of,
 )
 from kinpole_ros.pipeline.estimate import MOST_PAIRED_BODIES, POLE_NAMES, Estimate
 from kinpole_ros.pipeline.frame import MarkerFrames
@@ -94,13 +94,17 @@ def replay(
         if progress is not None:
             progress(share)
 
-    theory = load_theory(settings)
+    theory = theory_of(settings)
     tracker = Tracker(settings)
     reader = reader_of(kind, settings)
     order = settings.derivative_order or 4
     outputs = outputs_of(settings, theory)
     periodic = PeriodicDiagnostics(DiagnosticsMaker(NODE_NAME, theory, name))
-    comparison = Comparison(theory) if theory is not None else None
+    comparison = None
+    if theory is not None:
+        from kinpole_ros.linkage.theory import Comparison
+
+        comparison = Comparison(theory)
     found = {body: dict.fromkeys(POLE_NAMES[:order], 0) for body in tracker.bodies}
     unknown = dict.fromkeys(tracker.bodies, '')
     space, looked = tracker.space(), 0

@@ -1,13 +1,15 @@
 """What a replay came to, for whoever reports of it: the command line, a batch, Python."""
 
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 from kinpole_ros.bags._reader import Truncated
-from kinpole_ros.linkage.positions import PositionsFound
-from kinpole_ros.linkage.theory import DeviationSummary
 from kinpole_ros.pipeline.bodies import Outage
 from kinpole_ros.pipeline.ticks import StampState
 from kinpole_ros.rigid.space import SpaceReport
+
+if TYPE_CHECKING:
+    from kinpole_ros.linkage.positions import PositionsFound
+    from kinpole_ros.linkage.theory import DeviationSummary
 
 
 class Replayed(NamedTuple):
@@ -54,8 +56,8 @@ class Replayed(NamedTuple):
     identities: tuple[str, ...]
     unknown: dict[str, str]
     concatenated: list[str]
-    scene_deviations: list[DeviationSummary]
-    scene_positions: PositionsFound | None
+    scene_deviations: 'list[DeviationSummary]'
+    scene_positions: 'PositionsFound | None'
     space: SpaceReport
     lost: int
     stamps: StampState | None

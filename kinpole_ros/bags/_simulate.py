@@ -7,14 +7,13 @@ without names in no order.
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from kinpole_ros.bags._reader import BagError
 from kinpole_ros.bags._replay import NODE_NAME, result_columns
 from kinpole_ros.bags._writer import BagWriter, in_place_of
-from kinpole_ros.mechanism import Scene, marker_positions
 from kinpole_ros.messages import (
     INPUT_TYPES,
     message_class,
@@ -26,6 +25,9 @@ from kinpole_ros.messages import (
 from kinpole_ros.pipeline.estimate import Estimate
 from kinpole_ros.pipeline.parameters import POSE_TYPES
 from kinpole_ros.planar import fit_pose
+
+if TYPE_CHECKING:
+    from kinpole_ros.mechanism import Scene
 
 # Exact to so many digits: below it the answers themselves are noise (a pinned body's centrode).
 _EXACT = 1e-12
@@ -45,7 +47,7 @@ _DOUBLES = {
 
 
 def simulate(
-    scene: Scene,
+    scene: 'Scene',
     output: str | Path,
     rate: float = 200.0,
     duration: float = 5.0,
@@ -85,6 +87,8 @@ def simulate(
     normal, and a body's own z axis too. Returns the number of frames. Raises BagError for a value
     out of range or an output that cannot be written.
     """
+    from kinpole_ros.mechanism import marker_positions
+
     _check(rate, duration, noise, seed, dropout, jitter, message, arrival, tilt, scale)
     if unlabeled and message in POSE_TYPES:
         raise BagError(
@@ -228,7 +232,7 @@ def _markers(kind: str, stamp: int, names: list[str] | None, points: np.ndarray)
 
 
 def _poses(
-    scene: Scene, points: np.ndarray, tilt: float, turn: np.ndarray, scale: float
+    scene: 'Scene', points: np.ndarray, tilt: float, turn: np.ndarray, scale: float
 ) -> np.ndarray:
     """
     Poses (T, B, 7) fitted to the markers (T, n, 3) of each body: points and quaternions.

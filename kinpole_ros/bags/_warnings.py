@@ -90,30 +90,30 @@ def warnings_of(result: Replayed, settings: Settings) -> list[str]:
     return lines
 
 
-def assumed_body(result: Replayed, settings: Settings, bag: str | Path) -> str:
+def assumed_body(markers: int, settings: Settings, bag: str | Path) -> str:
     """
     Tell that all markers were taken as one body, where no parameters name bodies.
 
     Parameters
     ----------
-    result : Replayed
-        The replay of the bag.
+    markers : int
+        How many markers or poses its messages have.
     settings : Settings
-        The settings that it was replayed with.
+        The settings that the bag was replayed with.
     bag : str or Path
         The bag, for the command that finds its bodies.
 
     Returns
     -------
     str
-        The assumption and how to change it, in one line; '' where bodies are named, or a message
-        has a single marker or pose.
+        The assumption and how to change it, in one line; '' where bodies are named, or there is
+        no more than one marker or pose.
     """
-    if settings.bodies != Settings().bodies or len(result.identities) < 2:
+    if settings.bodies != Settings().bodies or markers < 2:
         return ''
     (name,) = settings.bodies
     return (
-        f'all {len(result.identities)} markers are taken as one rigid body, "{name}", since no '
+        f'all {markers} markers are taken as one rigid body, "{name}", since no '
         f'parameters name bodies; to track several: kinpole discover {shlex.quote(str(bag))} '
         '--output rig.yaml, then the same command with --config rig.yaml'
     )

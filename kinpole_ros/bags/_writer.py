@@ -31,7 +31,7 @@ from kinpole_ros.bags._chunk import CHUNK_SIZE, COUNTED, HEADS, MESSAGE_HEAD, Pe
 from kinpole_ros.bags._files import LIBRARY, BagError, unwritable
 from kinpole_ros.bags._schema import definition, message_class
 from kinpole_ros.files import whole
-from kinpole_ros.messages import serialize_message, type_name
+from kinpole_ros.messages import serialize_message, type_name, with_zero_padding
 
 _PIECE = 1 << 20
 _FOOTER = struct.Struct('<BQQQ')  # all that the checksum in it covers
@@ -61,7 +61,7 @@ class BagWriter:
     The file is written under its own name from the start, replacing one that was there, and folders
     above it are made. A program that dies leaves all finished chunks (256 KiB of messages) to be
     read; `flush` finishes the present one. Equal messages make equal files, for nothing of the
-    clock, the machine or its memory goes in: padding is zero, but for that of `write_raw`.
+    clock, the machine or its memory goes in: padding is zero, also in what `write_raw` is given.
 
     `library` is what the file says made it, and `name` what messages call the file, where that is
     not its path.
@@ -110,11 +110,22 @@ class BagWriter:
 
     def write(self, topic: str, message: Any, log_time: int) -> None:
         """Write a message object; `log_time` in ns."""
-        self.write_raw(topic, type(message), serialize_message(message), log_time)
+        self._write(
+            self._channel(topic, type(message), log_time), serialize_message(message), log_time
+        )
 
     def write_raw(self, topic: str, message_type: type | str, data: bytes, log_time: int) -> None:
-        """Write a message that is CDR already; its type is a class or 'package/msg/Name'."""
+        """
+        Write a message that is CDR already; its type is a class or 'package/msg/Name'.
+
+        Its padding becomes zero, and what is behind its last field is left out. Data that are no
+        such message are written as they are.
+        """
         channel = self._channel(topic, message_type, log_time)
+        data = with_zero_padding(data, channel.message_type)
+        self._write(channel, data, log_time)
+
+    def _write(self, channel: _Channel, data: bytes, log_time: int) -> None:
         number, sequence = channel.record.id, channel.messages & 0xFFFFFFFF
         length = COUNTED + len(data)
         head = MESSAGE_HEAD.pack(Opcode.MESSAGE, length, number, sequence, log_time, log_time)

@@ -1,32 +1,51 @@
-"""
-`derive` as the package uses it: compiled if that could be built, of numpy otherwise.
+"""The compiled kernel, and models and stencils as it takes them."""
 
-Both do the same: _evidence.py says what, and _kernel.c why it is there twice.
-"""
-
-from importlib import import_module
-from typing import Any
+from ctypes import c_double, c_longlong, c_void_p
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from kinpole_ros.derivatives import _evidence
-from kinpole_ros.derivatives._evidence import Found
-from kinpole_ros.derivatives._lacking import Lacking
+from kinpole_ros.compiled import library, pass_array
 from kinpole_ros.derivatives._models import Modes, Stencils
 from kinpole_ros.planar._plane import Real
 
-_kernel: Any
-try:
-    _kernel = import_module('kinpole_ros.derivatives._kernel')
-except ImportError:
-    _kernel = None
-
+# The noise as it was measured counts for so many samples.
+KNOWN = 300.0
+# Models with less weight than this do not count.
+_LEAST = 1e-5
 # Models of the kernel that are side by side, as many as LANES.
 _LANES = 8
-# With more cells lacking than this numpy does it: no window of 64 has more of them missing.
-_MOST_LACKING = 32
 # How many stay packed, no more than are kept of the originals.
 _MODES, _STENCILS, _SLOPES = 64, 256, 24
+
+_COMMON: list[Any] = [c_double, c_double, *[c_void_p] * 7, c_longlong, c_longlong]
+library.kinpole_derive.argtypes = [*_COMMON, c_longlong, *[c_void_p] * 3]
+library.kinpole_move.argtypes = [*_COMMON, *[c_void_p] * 3]
+
+
+class Found(NamedTuple):
+    """
+    Of S bodies: derivatives `mean` (K, 3, S) of angle and both coordinates.
+
+    `covariance` (K, K, 2, S) is that of the angle and of one coordinate, `freedom` (2, S) how many
+    parameters their motions have, and `evidence` (2, S) the logarithm of how probable the samples
+    are by all models, up to a constant for so many samples.
+    """
+
+    mean: Real
+    covariance: Real
+    freedom: Real
+    evidence: Real
+
+
+class Lacking(NamedTuple):
+    """
+    X `cells` (X, S) of the samples of S bodies that count only for `weight` (X, 2, S), 0 to 1, of
+    angle and position. Those of weight 1 are as good as others.
+    """
+
+    cells: np.ndarray
+    weight: Real
 
 
 def derive(
@@ -36,27 +55,22 @@ def derive(
     seen: Real | float,
     lacking: Lacking | None = None,
 ) -> Found:
-    """The same as `derive` of _evidence.py."""
-    if _kernel is None or (lacking is not None and len(lacking.cells) > _MOST_LACKING):
-        return _evidence.derive(modes, stencils, samples, seen, lacking)
+    """
+    Differentiate `samples` (n, 3, S) of angle and coordinates, in deviations of their noise.
+
+    So many of them are `seen` (2, S), some cells are `lacking`. Angle and position have
+    models of their own; a position's two coordinates have one model. Time is in samples.
+    """
     orders, bodies = len(stencils.modes), samples.shape[2]
-    if not isinstance(seen, np.ndarray):
-        seen = np.full((2, bodies), float(seen))
     mean = np.empty((orders, 3, bodies))
     covariance = np.empty((orders, orders, 2, bodies))
     summary = np.empty((2, 2, bodies))
-    _kernel.derive(
-        _evidence.KNOWN,
-        _evidence._LEAST,
-        *_packed_modes(modes),
-        _packed_stencils(modes, stencils),
-        np.ascontiguousarray(samples, float),
-        np.ascontiguousarray(seen, float),
-        *_cells(lacking),
-        mean,
-        covariance,
-        summary,
-    )
+    tables = _packed_stencils(modes, stencils)
+    arguments = _common(KNOWN, modes, tables, samples, seen, lacking)
+    if not library.kinpole_derive(
+        *arguments, orders, *map(pass_array, (mean, covariance, summary))
+    ):
+        raise MemoryError
     return Found(mean, covariance, *summary)
 
 
@@ -70,30 +84,48 @@ def move(
     lacking: Lacking | None,
     known: float,
 ) -> Real:
-    """The same as `move` of _evidence.py."""
-    if _kernel is None or (lacking is not None and len(lacking.cells) > _MOST_LACKING):
-        return _evidence.move(modes, slopes, given, samples, off, seen, lacking, known)
+    """
+    The `given` samples (n, 3, S) moved from where they are `off` (n, S) their places.
+
+    Along what is found from the `samples`, moved before, by the `slopes` of the modes; the noise as
+    measured counts for so many samples as are `known`.
+    """
+    if given.shape != samples.shape or off.shape != samples[:, 0].shape:
+        raise ValueError('arrays do not fit to each other')
     moved = np.empty(samples.shape)
-    _kernel.move(
-        known,
-        _evidence._LEAST,
-        *_packed_modes(modes),
-        _packed_slopes(modes, slopes),
-        np.ascontiguousarray(samples, float),
-        np.ascontiguousarray(seen, float),
-        *_cells(lacking),
-        moved,
-        np.ascontiguousarray(given, float),
-        np.ascontiguousarray(off, float),
-    )
+    arguments = _common(known, modes, _packed_slopes(modes, slopes), samples, seen, lacking)
+    if not library.kinpole_move(*arguments, *map(pass_array, (given, off, moved))):
+        raise MemoryError
     return moved
 
 
-def _cells(lacking: Lacking | None) -> tuple[np.ndarray | None, Real | None]:
-    if lacking is None:
-        return None, None
-    cells, weight = lacking
-    return np.ascontiguousarray(cells, np.int64), np.ascontiguousarray(weight, float)
+def _common(
+    known: float,
+    modes: Modes,
+    tables: Real,
+    samples: Real,
+    seen: Real | float,
+    lacking: Lacking | None,
+) -> list[Any]:
+    """The arguments that both functions of the kernel begin with, if they fit to each other."""
+    count, three, bodies = samples.shape
+    seen = np.full((2, bodies), seen) if np.ndim(seen) == 0 else np.asarray(seen)
+    cells, weight = lacking or (np.empty((0, bodies), int), np.empty((0, 2, bodies)))
+    fit = (count, three) == (modes.vectors.shape[1], 3) and seen.shape == (2, bodies)
+    fit = fit and cells.shape == weight[:, 0].shape and weight.shape[1:] == seen.shape
+    if not fit or (cells < 0).any() or (cells >= count).any():
+        raise ValueError('arrays do not fit to each other')
+    counts, numbers = _packed_modes(modes)
+    return [
+        known,
+        _LEAST,
+        pass_array(counts, np.int64),
+        *map(pass_array, (numbers, tables, samples, seen)),
+        pass_array(cells, np.int64),
+        pass_array(weight),
+        len(cells),
+        bodies,
+    ]
 
 
 _Packed = tuple[np.ndarray, Real]

@@ -8,10 +8,8 @@
  * group is rest, in the first of its lanes. Lanes that are no models have no chance: -infinity.
  */
 
-#define PY_SSIZE_T_CLEAN
-#include <Python.h>
-
 #include <math.h>
+#include <stdlib.h>
 #include <string.h>
 
 #define LANES 8
@@ -20,19 +18,17 @@
 /* Spectra there may be, and by how much evidence is too little to count. */
 #define MOST_KINDS 8
 #define FAR 80.0
-/* Otherwise it is not built. */
-_Static_assert(sizeof(long) == 8, "arrays have integers of 8 bytes");
 
 /* Models of a window of `count` samples, as _fast.py packs them: see there for the arrays. */
 typedef struct {
-    long count, half, processes, chunks, groups, kinds, exact, even, rows;
-    const long *first, *kind;
+    long long count, half, processes, chunks, groups, kinds, exact, even, rows;
+    const long long *first, *kind;
     const double *panels, *left, *share, *chances, *freedom;
     double known, least;
 } Models;
 
 typedef struct {
-    long orders;
+    long long orders;
     const double *modes, *spread;
 } Stencils;
 
@@ -45,8 +41,8 @@ typedef struct {
    (parts, X) and the roots of what these lack. There are two parts, angle and position, if their
    weights differ. */
 typedef struct {
-    long number, parts;
-    long *at;
+    long long number, parts;
+    long long *at;
     double *modes, *weight, *root;
 } Cells;
 
@@ -54,7 +50,7 @@ typedef struct {
     double total[3], whole[2];
     double *modes, *squares, *terms, *evidence, *variance, *likely, *weight, *apart, *mean, *spread;
     double *base, *off, *factors, *errors, *reach, *scaled, *along;
-    long *counts;
+    long long *counts;
 } Work;
 
 static double
@@ -69,20 +65,20 @@ sum_of(const double *lanes)
 /* The modes of cells, and what is off at them (pairs + 3 X), of all but rest, and of rest, without
    the modes that are not mean and slope. */
 static void
-gather(const Models *m, const double *samples, long bodies, const Cells *cells, Work *w)
+gather(const Models *m, const double *samples, long long bodies, const Cells *cells, Work *w)
 {
-    long number = cells->number, k = 0, columns = number * (number + 1) / 2 + 3 * number;
-    for (long x = 0; x < number; x++) {
-        long at = cells->at[x], opposite = m->count - 1 - at;
-        long near = at < opposite ? at : opposite;
-        for (long r = 0; r < m->rows; r++) {
+    long long number = cells->number, k = 0, columns = number * (number + 1) / 2 + 3 * number;
+    for (long long x = 0; x < number; x++) {
+        long long at = cells->at[x], opposite = m->count - 1 - at;
+        long long near = at < opposite ? at : opposite;
+        for (long long r = 0; r < m->rows; r++) {
             double sign = r < m->even ? (at == opposite ? 2.0 : 1.0) : (at > opposite ? -1.0 : 1.0);
             const double *panel = m->panels + r / LANES * LANES * m->half;
             cells->modes[x * m->rows + r] = sign * panel[near * LANES + r % LANES];
         }
     }
-    for (long i = 0; i < number + 3; i++)
-        for (long j = 0; j < (i < number ? i + 1 : number); j++, k++) {
+    for (long long i = 0; i < number + 3; i++)
+        for (long long j = 0; j < (i < number ? i + 1 : number); j++, k++) {
             const double *a = i < number ? cells->modes + i * m->rows
                                          : w->modes + (i - number) * m->rows;
             const double *b = cells->modes + j * m->rows;
@@ -95,11 +91,11 @@ gather(const Models *m, const double *samples, long bodies, const Cells *cells, 
 /* What mean and slope, and of rest the mean, make of rows (number, rows) by stencils (orders,
    rows): (number, orders, LANES), or (orders, number, LANES) unless rows are outside. */
 static void
-line(const Models *m, const double *stencils, long orders, const double *rows, long number,
-     long group, double *out, int outside)
+line(const Models *m, const double *stencils, long long orders, const double *rows, long long number,
+     long long group, double *out, int outside)
 {
-    for (long j = 0; j < number; j++)
-        for (long k = 0; k < orders; k++) {
+    for (long long j = 0; j < number; j++)
+        for (long long k = 0; k < orders; k++) {
             const double *a = stencils + k * m->rows, *b = rows + j * m->rows;
             double value = a[0] * b[0] + (group < m->groups - 1 ? a[m->even] * b[m->even] : 0.0);
             for (int i = 0; i < LANES; i++)
@@ -112,42 +108,42 @@ line(const Models *m, const double *stencils, long orders, const double *rows, l
 static double
 weigh(const Models *m, const double *evidence, double *likely, double *weight)
 {
-    long models = m->groups * LANES;
+    long long models = m->groups * LANES;
     double best = -INFINITY, least = INFINITY, top[MOST_KINDS + 1], total[MOST_KINDS + 1] = {0};
-    for (long k = 0; k <= m->kinds; k++)
+    for (long long k = 0; k <= m->kinds; k++)
         top[k] = -INFINITY;
-    for (long i = 0; i < models; i++)
+    for (long long i = 0; i < models; i++)
         if (evidence[i] > top[m->kind[i]])
             top[m->kind[i]] = evidence[i];
     /* The last kind is part of all others. */
-    for (long k = 0; k <= m->kinds; k++) {
+    for (long long k = 0; k <= m->kinds; k++) {
         best = top[k] > best ? top[k] : best;
         top[k] = top[k] > top[m->kinds] ? top[k] : top[m->kinds];
         least = top[k] < least ? top[k] : least;
     }
     top[m->kinds] = least;
     /* NaN is to be seen, and not to be taken for models that do not count. */
-    for (long i = 0; i < models; i++) {
+    for (long long i = 0; i < models; i++) {
         weight[i] = evidence[i] < top[m->kind[i]] - FAR ? 0.0 : exp((evidence[i] - best) / 2);
         likely[i] = weight[i] * weight[i];
         total[m->kind[i]] += weight[i];
     }
     double common = 0.0, sum = 0.0, sure = 0.0;
-    for (long k = 0; k < m->kinds; k++) {
+    for (long long k = 0; k < m->kinds; k++) {
         total[k] += total[m->kinds];
         total[k] = total[k] > 1e-300 ? 1.0 / total[k] : 0.0;
         common += total[k];
     }
     total[m->kinds] = common;
-    for (long i = 0; i < models; i++)
+    for (long long i = 0; i < models; i++)
         sum += weight[i] *= total[m->kind[i]];
-    for (long i = 0; i < models; i++) {
+    for (long long i = 0; i < models; i++) {
         weight[i] /= sum;
         if (weight[i] < m->least)
             weight[i] = likely[i] = 0.0;
         sure += likely[i];
     }
-    for (long i = 0; i < models; i++)
+    for (long long i = 0; i < models; i++)
         likely[i] /= sure;
     return best + log(sure);
 }
@@ -190,48 +186,28 @@ is_wide(void)
 #endif
 }
 
-/* The next numbers of a buffer, which has `left` of them. */
-static const void *
-take(const void **from, Py_ssize_t *left, long number)
+/* Models of packed arrays. */
+static void
+unpack(const long long *head, const double *numbers, double known, double least, Models *m)
 {
-    const void *taken = *from;
-    *from = (const char *)taken + 8 * number;
-    *left -= number;
-    return taken;
-}
-
-/* Models of packed arrays: 0 if these are not as long as they say. */
-static int
-unpack(const Py_buffer *counts, const Py_buffer *numbers, Models *m)
-{
-    const void *from = counts->buf;
-    Py_ssize_t left = counts->len / 8;
-    if (left < 8)
-        return 0;
-    const long *head = take(&from, &left, 8);
     m->count = head[0], m->processes = head[1], m->chunks = head[2], m->kinds = head[3];
     m->exact = head[4], m->even = head[5], m->rows = head[6];
     m->half = (m->count + 1) / 2, m->groups = m->processes * m->chunks + 1;
-    m->first = take(&from, &left, 2 * (m->processes + 1));
-    m->kind = take(&from, &left, m->groups * LANES);
-    if (left || m->kinds > MOST_KINDS)
-        return 0;
-    from = numbers->buf, left = numbers->len / 8;
-    m->panels = take(&from, &left, m->rows * m->half);
-    m->share = m->left = take(&from, &left, m->chunks * m->rows * LANES);
+    m->known = known, m->least = least;
+    m->first = head + 8, m->kind = m->first + 2 * (m->processes + 1);
+    m->panels = numbers, numbers += m->rows * m->half;
+    m->share = m->left = numbers, numbers += m->chunks * m->rows * LANES;
     if (m->exact)
-        m->left = take(&from, &left, m->chunks * m->rows * LANES);
-    m->chances = take(&from, &left, 2 * m->groups * LANES);
-    m->freedom = take(&from, &left, m->groups * LANES);
-    return !left;
+        m->left = numbers, numbers += m->chunks * m->rows * LANES;
+    m->chances = numbers, m->freedom = numbers + 2 * m->groups * LANES;
 }
 
 /* Arrays of the scratch, or how many numbers these are if there is none. */
 static size_t
-lay_out(const Models *m, long orders, long number, double *scratch, Work *w, Cells *cells)
+lay_out(const Models *m, long long orders, long long number, double *scratch, Work *w, Cells *cells)
 {
-    long pairs = number * (number + 1) / 2, lanes = m->groups * LANES;
-    long columns = 3 * orders > 6 ? 3 * orders : 6;
+    long long pairs = number * (number + 1) / 2, lanes = m->groups * LANES;
+    long long columns = 3 * orders > 6 ? 3 * orders : 6;
     columns = pairs > columns ? pairs : columns;
     columns = (3 + orders) * number > columns ? (3 + orders) * number : columns;
     struct {
@@ -270,20 +246,20 @@ lay_out(const Models *m, long orders, long number, double *scratch, Work *w, Cel
 
 /* The cells (X,) of a signal that count for less than 1, and their weights (X, 2). */
 static void
-choose(const long *at, const double *weight, long number, long bodies, Cells *cells)
+choose(const long long *at, const double *weight, long long number, long long bodies, Cells *cells)
 {
     cells->number = 0, cells->parts = 1;
-    for (long x = 0; x < number; x++) {
+    for (long long x = 0; x < number; x++) {
         const double *own = weight + 2 * x * bodies;
         cells->number += own[0] < 1.0 || own[bodies] < 1.0;
         cells->parts += cells->parts == 1 && own[0] != own[bodies];
     }
-    for (long x = 0, k = 0; x < number; x++) {
+    for (long long x = 0, k = 0; x < number; x++) {
         const double *own = weight + 2 * x * bodies;
         if (!(own[0] < 1.0 || own[bodies] < 1.0))
             continue;
         cells->at[k] = at[x * bodies];
-        for (long part = 0; part < cells->parts; part++) {
+        for (long long part = 0; part < cells->parts; part++) {
             cells->weight[part * cells->number + k] = own[part * bodies];
             cells->root[part * cells->number + k] = sqrt(1.0 - own[part * bodies]);
         }
@@ -291,97 +267,50 @@ choose(const long *at, const double *weight, long number, long bodies, Cells *ce
     }
 }
 
-/* Both get arrays: of models, of stencils or slopes, samples (n, 3, S), what of them is seen
-   (2, S), cells (X, S) and weights (X, 2, S) or None. Then come for derive those of Result, and for
-   move what is moved and what is given, (n, 3, S), and `off` (n, S). */
-static PyObject *
-run(PyObject *args, int moving)
+/* Both get models, stencils or slopes, samples (n, 3, S), how many of them are seen (2, S), and cells
+   (X, S) with weights (X, 2, S). Returns 0 if there is no memory for it. */
+#define COMMON \
+    double known, double least, const long long *counts, const double *numbers, \
+    const double *tables, const double *samples, const double *seen, const long long *at, \
+    const double *weight, long long number, long long bodies
+
+int
+kinpole_derive(COMMON, long long orders, double *mean, double *covariance, double *summary)
 {
-    enum { COUNTS, NUMBERS, TABLES, SAMPLES, SEEN, AT, WEIGHT, FIRST, SECOND, THIRD, ALL };
-    Py_buffer b[ALL] = {{0}};
     Models m;
     Work w;
     Cells cells = {0};
-    double *scratch = NULL;
-    if (!PyArg_ParseTuple(args, moving ? "ddy*y*y*y*y*z*z*w*y*y*" : "ddy*y*y*y*y*z*z*w*w*w*",
-                          &m.known, &m.least, &b[COUNTS], &b[NUMBERS], &b[TABLES], &b[SAMPLES],
-                          &b[SEEN], &b[AT], &b[WEIGHT], &b[FIRST], &b[SECOND], &b[THIRD]))
-        return NULL;
-    const double *tables = b[TABLES].buf, *samples = b[SAMPLES].buf, *seen = b[SEEN].buf;
-    const double *weight = b[WEIGHT].buf;
-    double *first = b[FIRST].buf, *second = b[SECOND].buf, *third = b[THIRD].buf;
-    const long *at = b[AT].buf;
-    long bodies = b[SEEN].len / 16, number = bodies ? b[AT].len / 8 / bodies : 0;
-    int good = unpack(&b[COUNTS], &b[NUMBERS], &m) && bodies;
-    long orders = good && !moving ? b[FIRST].len / 24 / bodies : 1;
-    good = good && b[SAMPLES].len == 24 * m.count * bodies;
-    good = good && b[AT].len == 8 * number * bodies && b[WEIGHT].len == 16 * number * bodies;
-    if (good && moving) {
-        good = b[FIRST].len == b[SAMPLES].len && b[SECOND].len == b[SAMPLES].len;
-        good = good && b[THIRD].len == 8 * m.count * bodies;
-        long panels = (m.half + LANES - 1) / LANES;
-        good = good && b[TABLES].len == 8 * SLOPES * panels * m.rows * LANES;
-    } else if (good) {
-        good = b[FIRST].len == 24 * orders * bodies && b[THIRD].len == 32 * bodies;
-        good = good && b[SECOND].len == 16 * orders * orders * bodies;
-        good = good && b[TABLES].len == 8 * orders * (m.rows + m.groups * orders * LANES);
-    }
-    for (long k = 0; good && k < number * bodies; k++)
-        good = at[k] >= 0 && at[k] < m.count;
-    if (!good)
-        PyErr_SetString(PyExc_ValueError, "arrays do not fit to each other");
-    else if (!(scratch = PyMem_RawMalloc(8 * lay_out(&m, orders, number, NULL, &w, &cells))))
-        PyErr_NoMemory();
-    else {
-        Stencils s = {orders, tables, tables + orders * m.rows};
-        int wide = is_wide();
+    unpack(counts, numbers, known, least, &m);
+    double *scratch = malloc(8 * lay_out(&m, orders, number, NULL, &w, &cells));
+    Stencils s = {orders, tables, tables + orders * m.rows};
+    int wide = is_wide();
+    for (long long k = 0; scratch && k < bodies; k++) {
+        Result out = {mean + k, covariance + k, summary + k};
         lay_out(&m, orders, number, scratch, &w, &cells);
-        Py_BEGIN_ALLOW_THREADS
-        for (long k = 0; k < bodies; k++) {
-            Result out = {first + k, second + k, third + k};
-            if (number)
-                choose(at + k, weight + k, number, bodies, &cells);
-            if (moving)
-                (wide ? move_wide : move_anywhere)(&m, tables, second + k, samples + k, third + k,
-                                                   bodies, seen + k, &cells, &w, first + k);
-            else
-                (wide ? differentiate_wide : differentiate_anywhere)(
-                    &m, &s, samples + k, bodies, seen + k, &cells, &w, &out);
-        }
-        Py_END_ALLOW_THREADS
+        choose(at + k, weight + k, number, bodies, &cells);
+        (wide ? differentiate_wide : differentiate_anywhere)(&m, &s, samples + k, bodies, seen + k,
+                                                             &cells, &w, &out);
     }
-    PyMem_RawFree(scratch);
-    for (int k = 0; k < ALL; k++)
-        PyBuffer_Release(&b[k]);
-    if (PyErr_Occurred())
-        return NULL;
-    Py_RETURN_NONE;
+    free(scratch);
+    return scratch != NULL;
 }
 
-static PyObject *
-derive(PyObject *self, PyObject *args)
+/* Samples that are moved from those `given`, which are `off` (n, S). */
+int
+kinpole_move(COMMON, const double *given, const double *off, double *moved)
 {
-    return run(args, 0);
-}
-
-static PyObject *
-move(PyObject *self, PyObject *args)
-{
-    return run(args, 1);
-}
-
-static PyMethodDef methods[] = {
-    {"derive", derive, METH_VARARGS, "See derive in _fast.py, which packs its arguments."},
-    {"move", move, METH_VARARGS, "See move in _fast.py, which packs its arguments."},
-    {NULL, NULL, 0, NULL},
-};
-
-static struct PyModuleDef module = {
-    PyModuleDef_HEAD_INIT, "_kernel", "derive of _evidence.py, compiled.", 0, methods,
-};
-
-PyMODINIT_FUNC
-PyInit__kernel(void)
-{
-    return PyModule_Create(&module);
+    Models m;
+    Work w;
+    Cells cells = {0};
+    unpack(counts, numbers, known, least, &m);
+    double *scratch = malloc(8 * lay_out(&m, 1, number, NULL, &w, &cells));
+    int wide = is_wide();
+    for (long long k = 0; scratch && k < bodies; k++) {
+        lay_out(&m, 1, number, scratch, &w, &cells);
+        choose(at + k, weight + k, number, bodies, &cells);
+        (wide ? move_wide : move_anywhere)(&m, tables, given + k, samples + k, off + k, bodies,
+                                           seen + k, &cells, &w, moved + k);
+    }
+    free(scratch);
+    return scratch != NULL;
 }

@@ -12,8 +12,8 @@ typedef double NAME(Vector) __attribute__((vector_size(8 * WIDTH), aligned(8), m
 /* out (columns, LANES), `step` apart, += values (columns, depth), `stride` apart, times table
    (depth, LANES). Three columns are done at once, so that sums need not wait for each other. */
 static inline void
-NAME(add)(const double *table, long depth, const double *values, long stride, long columns,
-          double *out, long step)
+NAME(add)(const double *table, long long depth, const double *values, long long stride, long long columns,
+          double *out, long long step)
 {
     for (; columns >= 3; columns -= 3, values += 3 * stride, out += 3 * step) {
         Vector x[PARTS], y[PARTS], z[PARTS];
@@ -22,7 +22,7 @@ NAME(add)(const double *table, long depth, const double *values, long stride, lo
             y[h] = ((Vector *)(out + step))[h];
             z[h] = ((Vector *)(out + 2 * step))[h];
         }
-        for (long k = 0; k < depth; k++)
+        for (long long k = 0; k < depth; k++)
             for (int h = 0; h < PARTS; h++) {
                 Vector by = ((const Vector *)(table + k * LANES))[h];
                 x[h] += by * values[k];
@@ -39,7 +39,7 @@ NAME(add)(const double *table, long depth, const double *values, long stride, lo
         Vector x[PARTS];
         for (int h = 0; h < PARTS; h++)
             x[h] = ((Vector *)out)[h];
-        for (long k = 0; k < depth; k++)
+        for (long long k = 0; k < depth; k++)
             for (int h = 0; h < PARTS; h++)
                 x[h] += ((const Vector *)(table + k * LANES))[h] * values[k];
         for (int h = 0; h < PARTS; h++)
@@ -65,20 +65,20 @@ NAME(fill)(double *out, double value)
 /* out (LANES) are sums of the products of left (a, rows) and right (b, rows), of each row by each,
    or of each two of left if there is no right, over the modes of a group's process. */
 static inline void
-NAME(products)(const Models *m, const double *table, long group, const double *left, long a,
-               const double *right, long b, double *terms, double *out)
+NAME(products)(const Models *m, const double *table, long long group, const double *left, long long a,
+               const double *right, long long b, double *terms, double *out)
 {
     if (group == m->groups - 1)
         return; /* rest has no modes beside the mean */
-    const long *first = m->first + group / m->chunks;
+    const long long *first = m->first + group / m->chunks;
     table += group % m->chunks * m->rows * LANES;
     for (int parity = 0; parity < 2; parity++, first += m->processes + 1) {
-        long begin = first[0], depth = first[1] - begin, columns = 0;
-        for (long i = 0; i < a; i++)
-            for (long j = 0; j < (right ? b : i + 1); j++, columns++) {
+        long long begin = first[0], depth = first[1] - begin, columns = 0;
+        for (long long i = 0; i < a; i++)
+            for (long long j = 0; j < (right ? b : i + 1); j++, columns++) {
                 const double *x = left + i * m->rows + begin;
                 const double *y = (right ? right : left) + j * m->rows + begin;
-                for (long k = 0; k < depth; k++)
+                for (long long k = 0; k < depth; k++)
                     terms[columns * depth + k] = x[k] * y[k];
             }
         NAME(add)(table + begin * LANES, depth, terms, depth, columns, out, LANES);
@@ -87,13 +87,13 @@ NAME(products)(const Models *m, const double *table, long group, const double *l
 
 /* The modes (3, rows) of samples, and how large these are beside the mean (3,). */
 static inline void
-NAME(project)(const Models *m, const double *samples, long bodies, Work *w)
+NAME(project)(const Models *m, const double *samples, long long bodies, Work *w)
 {
-    long n = m->count, half = m->half;
+    long long n = m->count, half = m->half;
     double *fold = w->terms; /* (2, 3, half) */
     for (int c = 0; c < 3; c++) {
         double total = 0.0;
-        for (long t = 0; t < half; t++) {
+        for (long long t = 0; t < half; t++) {
             double a = samples[(3 * t + c) * bodies], b = samples[(3 * (n - 1 - t) + c) * bodies];
             fold[c * half + t] = a + b;
             fold[(3 + c) * half + t] = a - b;
@@ -102,7 +102,7 @@ NAME(project)(const Models *m, const double *samples, long bodies, Work *w)
         w->total[c] = total;
     }
     memset(w->modes, 0, 3 * m->rows * sizeof(double));
-    for (long r = 0; r < m->rows; r += LANES)
+    for (long long r = 0; r < m->rows; r += LANES)
         NAME(add)(m->panels + r * half, half, fold + (r < m->even ? 0 : 3 * half), half, 3,
                   w->modes + r, m->rows);
     for (int c = 0; c < 3; c++)
@@ -112,13 +112,13 @@ NAME(project)(const Models *m, const double *samples, long bodies, Work *w)
 /* What is off at cells, `values` (X, LANES), by the factors L D L' of its covariance: these times
    `root` are divided by L, and `scaled` are the same over D. */
 static inline void
-NAME(solve)(const double *factor, const double *root, long number, double *values, double *scaled)
+NAME(solve)(const double *factor, const double *root, long long number, double *values, double *scaled)
 {
-    for (long x = 0; x < number; x++) {
+    for (long long x = 0; x < number; x++) {
         const double *row = factor + x * (x + 1) / 2 * LANES;
         for (int h = 0; h < PARTS; h++) {
             Vector sum = ((Vector *)(values + x * LANES))[h] * root[x];
-            for (long k = 0; k < x; k++)
+            for (long long k = 0; k < x; k++)
                 sum -= ((const Vector *)row)[PARTS * k + h] * ((Vector *)values)[PARTS * k + h];
             ((Vector *)values)[PARTS * x + h] = sum;
             ((Vector *)scaled)[PARTS * x + h] = sum * ((const Vector *)row)[PARTS * x + h];
@@ -129,9 +129,9 @@ NAME(solve)(const double *factor, const double *root, long number, double *value
 /* By how much the squares of what models leave are smaller for what is lacking, `rest` (3, LANES),
    and half of the logarithm of their determinant larger, `log` (2, LANES), of a group. */
 static inline void
-NAME(lack)(const Models *m, const Cells *cells, long group, Work *w, double *rest, double *logs)
+NAME(lack)(const Models *m, const Cells *cells, long long group, Work *w, double *rest, double *logs)
 {
-    long number = cells->number, pairs = number * (number + 1) / 2, columns = pairs + 3 * number;
+    long long number = cells->number, pairs = number * (number + 1) / 2, columns = pairs + 3 * number;
     int isrest = group == m->groups - 1;
     /* What is off at the cells if all are as good: its covariance (pairs), and itself (3 X). */
     double *off = w->off;
@@ -140,10 +140,10 @@ NAME(lack)(const Models *m, const Cells *cells, long group, Work *w, double *res
     NAME(products)(m, m->left, group, w->modes, 3, cells->modes, number, w->terms,
                    off + pairs * LANES);
     if (!m->exact || isrest)
-        for (long k = 0; k < columns; k++)
+        for (long long k = 0; k < columns; k++)
             for (int i = 0; i < LANES; i++)
                 off[k * LANES + i] = w->base[isrest * columns + k] - off[k * LANES + i];
-    for (long part = 0; part < cells->parts; part++) {
+    for (long long part = 0; part < cells->parts; part++) {
         const double *weight = cells->weight + part * number, *root = cells->root + part * number;
         double *factor = w->factors + (group * cells->parts + part) * pairs * LANES;
         /* L D L', with the inverse of D on the diagonal. */
@@ -151,9 +151,9 @@ NAME(lack)(const Models *m, const Cells *cells, long group, Work *w, double *res
         memset(logs + part * LANES, 0, LANES * sizeof(double));
         for (int h = 0; h < PARTS; h++)
             product[h] = (Vector){0} + 1.0;
-        for (long i = 0; i < number; i++) {
+        for (long long i = 0; i < number; i++) {
             Vector *row = (Vector *)(factor + i * (i + 1) / 2 * LANES);
-            for (long j = 0; j <= i; j++) {
+            for (long long j = 0; j <= i; j++) {
                 Vector *other = (Vector *)(factor + j * (j + 1) / 2 * LANES);
                 for (int h = 0; h < PARTS; h++) {
                     sum[h] = ((Vector *)(off + (i * (i + 1) / 2 + j) * LANES))[h];
@@ -161,7 +161,7 @@ NAME(lack)(const Models *m, const Cells *cells, long group, Work *w, double *res
                     if (i == j) {
                         sum[h] += weight[i];
                         /* Until now it is L times D. */
-                        for (long k = 0; k < i; k++) {
+                        for (long long k = 0; k < i; k++) {
                             Vector before = row[PARTS * k + h];
                             row[PARTS * k + h] *= ((Vector *)(factor + k * (k + 3) / 2 * LANES))[h];
                             sum[h] -= before * row[PARTS * k + h];
@@ -169,7 +169,7 @@ NAME(lack)(const Models *m, const Cells *cells, long group, Work *w, double *res
                         product[h] *= sum[h];
                         row[PARTS * i + h] = 1.0 / sum[h];
                     } else {
-                        for (long k = 0; k < j; k++)
+                        for (long long k = 0; k < j; k++)
                             sum[h] -= row[PARTS * k + h] * other[PARTS * k + h];
                         row[PARTS * j + h] = sum[h];
                     }
@@ -186,12 +186,12 @@ NAME(lack)(const Models *m, const Cells *cells, long group, Work *w, double *res
     if (cells->parts == 1)
         memcpy(logs + LANES, logs, LANES * sizeof(double));
     for (int c = 0; c < 3; c++) {
-        long part = cells->parts > 1 && c > 0;
+        long long part = cells->parts > 1 && c > 0;
         double *error = w->errors + (group * 3 + c) * number * LANES;
         memcpy(error, off + (pairs + c * number) * LANES, number * LANES * sizeof(double));
         NAME(solve)(w->factors + (group * cells->parts + part) * pairs * LANES,
                     cells->root + part * number, number, error, w->scaled);
-        for (long x = 0; x < number; x++)
+        for (long long x = 0; x < number; x++)
             NAME(multiply)(rest + c * LANES, error + x * LANES, w->scaled + x * LANES);
     }
 }
@@ -199,21 +199,21 @@ NAME(lack)(const Models *m, const Cells *cells, long group, Work *w, double *res
 /* How probable models are by one signal: evidence, the variance of the noise, probabilities, and
    weights, (2, groups, LANES) each. */
 static inline void
-NAME(judge)(const Models *m, const double *samples, long bodies, const double *seen,
+NAME(judge)(const Models *m, const double *samples, long long bodies, const double *seen,
             const Cells *cells, Work *w)
 {
-    long lanes = m->groups * LANES, rows = m->rows, number = cells->number;
+    long long lanes = m->groups * LANES, rows = m->rows, number = cells->number;
     NAME(project)(m, samples, bodies, w);
-    for (long i = 0; i < 3 * rows; i++)
+    for (long long i = 0; i < 3 * rows; i++)
         w->squares[i] = w->modes[i] * w->modes[i];
     if (number)
         gather(m, samples, bodies, cells, w);
-    for (long g = 0; g < m->groups; g++) {
+    for (long long g = 0; g < m->groups; g++) {
         double rest[3 * LANES] = {0}, less[3 * LANES] = {0}, logs[2 * LANES] = {0};
         int isrest = g == m->groups - 1;
         if (!isrest) {
             const double *table = m->left + g % m->chunks * rows * LANES;
-            const long *first = m->first + g / m->chunks;
+            const long long *first = m->first + g / m->chunks;
             for (int parity = 0; parity < 2; parity++, first += m->processes + 1)
                 NAME(add)(table + first[0] * LANES, first[1] - first[0], w->squares + first[0],
                           rows, 3, rest, LANES);
@@ -231,7 +231,7 @@ NAME(judge)(const Models *m, const double *samples, long bodies, const double *s
             rest[LANES + i] += rest[2 * LANES + i];
         for (int c = 0; c < 2; c++)
             for (int i = 0; i < LANES; i++) {
-                long k = c * lanes + g * LANES + i;
+                long long k = c * lanes + g * LANES + i;
                 double total = m->known + seen[c * bodies] * (c + 1);
                 w->variance[k] = (rest[c * LANES + i] + m->known) / total;
                 w->evidence[k] = m->chances[k] - total / 2 * log(w->variance[k]);
@@ -245,22 +245,22 @@ NAME(judge)(const Models *m, const double *samples, long bodies, const double *s
 
 /* What models say of one signal: derive of _evidence.py. */
 static void
-NAME(differentiate)(const Models *m, const Stencils *s, const double *samples, long bodies,
+NAME(differentiate)(const Models *m, const Stencils *s, const double *samples, long long bodies,
                     const double *seen, const Cells *cells, Work *w, const Result *out)
 {
-    long lanes = m->groups * LANES, orders = s->orders, number = cells->number;
-    long pairs = number * (number + 1) / 2;
+    long long lanes = m->groups * LANES, orders = s->orders, number = cells->number;
+    long long pairs = number * (number + 1) / 2;
     NAME(judge)(m, samples, bodies, seen, cells, w);
     /* What models that count make of the signal, (groups, 3, orders, LANES), and its mean. */
     memset(w->mean, 0, 3 * orders * LANES * sizeof(double));
     memset(w->spread, 0, 2 * orders * orders * LANES * sizeof(double));
     double parameters[2 * LANES] = {0};
-    for (long g = 0; g < m->groups; g++) {
+    for (long long g = 0; g < m->groups; g++) {
         double noisy[2 * LANES], *apart = w->apart + g * 3 * orders * LANES;
         double any = 0.0;
         for (int c = 0; c < 2; c++)
             for (int i = 0; i < LANES; i++) {
-                long k = c * lanes + g * LANES + i;
+                long long k = c * lanes + g * LANES + i;
                 any += w->weight[k];
                 noisy[c * LANES + i] = w->weight[k] > 0.0 ? w->weight[k] * w->variance[k] : 0.0;
             }
@@ -274,26 +274,26 @@ NAME(differentiate)(const Models *m, const Stencils *s, const double *samples, l
         NAME(products)(m, m->share, g, w->modes, 3, s->modes, orders, w->terms, apart);
         /* Covariances (2, orders, orders, LANES), of angle and position. */
         for (int c = 0; c < 2; c++)
-            for (long k = 0; k < orders * orders; k++)
+            for (long long k = 0; k < orders * orders; k++)
                 NAME(multiply)(w->spread + (c * orders * orders + k) * LANES, noisy + c * LANES,
                                s->spread + (g * orders * orders + k) * LANES);
-        for (long part = 0; part < (number ? cells->parts : 0); part++) {
+        for (long long part = 0; part < (number ? cells->parts : 0); part++) {
             const double *factor = w->factors + (g * cells->parts + part) * pairs * LANES;
             line(m, s->modes, orders, cells->modes, number, g, w->reach, 0);
             NAME(products)(m, m->share, g, s->modes, orders, cells->modes, number, w->terms,
                            w->reach);
-            for (long k = 0; k < orders; k++) {
+            for (long long k = 0; k < orders; k++) {
                 double *reach = w->reach + k * number * LANES;
                 double *scaled = w->scaled + k * number * LANES;
                 NAME(solve)(factor, cells->root + part * number, number, reach, scaled);
                 for (int c = 0; c < 3; c++)
-                    for (long x = 0; x < number && (cells->parts == 1 || part == (c > 0)); x++)
+                    for (long long x = 0; x < number && (cells->parts == 1 || part == (c > 0)); x++)
                         for (int i = 0; i < LANES; i++)
                             apart[(c * orders + k) * LANES + i] -= scaled[x * LANES + i] *
                                 w->errors[((g * 3 + c) * number + x) * LANES + i];
-                for (long j = 0; j <= k; j++) {
+                for (long long j = 0; j <= k; j++) {
                     double more[LANES] = {0};
-                    for (long x = 0; x < number; x++)
+                    for (long long x = 0; x < number; x++)
                         NAME(multiply)(more, reach + x * LANES,
                                        w->scaled + (j * number + x) * LANES);
                     for (int c = 0; c < 2; c++)
@@ -304,35 +304,35 @@ NAME(differentiate)(const Models *m, const Stencils *s, const double *samples, l
             }
         }
         for (int c = 0; c < 3; c++)
-            for (long k = 0; k < orders; k++)
+            for (long long k = 0; k < orders; k++)
                 NAME(multiply)(w->mean + (c * orders + k) * LANES,
                                w->likely + (c > 0) * lanes + g * LANES,
                                apart + (c * orders + k) * LANES);
     }
-    for (long k = 0; k < 3 * orders; k++) {
+    for (long long k = 0; k < 3 * orders; k++) {
         double mean = sum_of(w->mean + k * LANES);
         out->mean[(k % orders * 3 + k / orders) * bodies] = mean;
-        for (long g = 0; g < m->groups; g++)
+        for (long long g = 0; g < m->groups; g++)
             for (int i = 0; i < (w->counts[g] ? LANES : 0); i++)
                 w->apart[(g * 3 * orders + k) * LANES + i] -= mean;
     }
     /* What the models disagree about. */
-    for (long g = 0; g < m->groups; g++)
+    for (long long g = 0; g < m->groups; g++)
         for (int c = 0; c < (w->counts[g] ? 3 : 0); c++)
-            for (long k = 0; k < orders; k++) {
+            for (long long k = 0; k < orders; k++) {
                 double by[LANES], *apart = w->apart + (g * 3 + c) * orders * LANES;
                 for (int i = 0; i < LANES; i++)
                     by[i] = w->weight[(c > 0) * lanes + g * LANES + i] * apart[k * LANES + i] /
                         (c > 0 ? 2 : 1);
-                for (long j = 0; j <= k; j++)
+                for (long long j = 0; j <= k; j++)
                     NAME(multiply)(w->spread + (((c > 0) * orders + k) * orders + j) * LANES, by,
                                    apart + j * LANES);
             }
     for (int c = 0; c < 2; c++) {
         out->summary[c * bodies] = sum_of(parameters + c * LANES);
         out->summary[(2 + c) * bodies] = w->whole[c];
-        for (long k = 0; k < orders; k++)
-            for (long j = 0; j <= k; j++) {
+        for (long long k = 0; k < orders; k++)
+            for (long long j = 0; j <= k; j++) {
                 double sum = sum_of(w->spread + ((c * orders + k) * orders + j) * LANES);
                 out->covariance[((k * orders + j) * 2 + c) * bodies] = sum;
                 out->covariance[((j * orders + k) * 2 + c) * bodies] = sum;
@@ -344,19 +344,19 @@ NAME(differentiate)(const Models *m, const Stencils *s, const double *samples, l
 static inline void
 NAME(restore)(const Models *m, const Cells *cells, Work *w, double *wrong)
 {
-    long number = cells->number, pairs = number * (number + 1) / 2;
-    for (long g = 0; g < m->groups; g++)
+    long long number = cells->number, pairs = number * (number + 1) / 2;
+    for (long long g = 0; g < m->groups; g++)
         for (int c = 0; c < (w->counts[g] ? 3 : 0); c++) {
-            long part = cells->parts > 1 && c > 0;
+            long long part = cells->parts > 1 && c > 0;
             const double *factor = w->factors + (g * cells->parts + part) * pairs * LANES;
             const double *error = w->errors + (g * 3 + c) * number * LANES;
             double *own = w->scaled;
-            for (long x = number - 1; x >= 0; x--) {
+            for (long long x = number - 1; x >= 0; x--) {
                 double sum[LANES] = {0};
                 for (int h = 0; h < PARTS; h++) {
                     Vector left = ((const Vector *)(error + x * LANES))[h] *
                                 ((const Vector *)(factor + x * (x + 3) / 2 * LANES))[h];
-                    for (long k = x + 1; k < number; k++)
+                    for (long long k = x + 1; k < number; k++)
                         left -= ((const Vector *)(factor + (k * (k + 1) / 2 + x) * LANES))[h] *
                                 ((Vector *)own)[PARTS * k + h];
                     ((Vector *)own)[PARTS * x + h] = left;
@@ -372,16 +372,16 @@ NAME(restore)(const Models *m, const Cells *cells, Work *w, double *wrong)
    (SLOPES, panels, rows, LANES) are derivatives of the modes at the first half of all samples. */
 static void
 NAME(move)(const Models *m, const double *slopes, const double *given, const double *samples,
-           const double *off, long bodies, const double *seen, const Cells *cells, Work *w,
+           const double *off, long long bodies, const double *seen, const Cells *cells, Work *w,
            double *moved)
 {
-    long rows = m->rows, n = m->count;
-    long panels = (m->half + LANES - 1) / LANES, half = panels * LANES;
+    long long rows = m->rows, n = m->count;
+    long long panels = (m->half + LANES - 1) / LANES, half = panels * LANES;
     NAME(judge)(m, samples, bodies, seen, cells, w);
     /* Derivatives (2, SLOPES, 3, half) of even and of odd modes. */
     double *motion = w->squares, *along = w->along, moving[2] = {0};
     memset(along, 0, 2 * SLOPES * 3 * half * sizeof(double));
-    for (long g = 0; g < m->groups; g++) {
+    for (long long g = 0; g < m->groups; g++) {
         double sum[2];
         for (int c = 0; c < 2; c++) {
             sum[c] = sum_of(w->likely + (c * m->groups + g) * LANES);
@@ -392,13 +392,13 @@ NAME(move)(const Models *m, const double *slopes, const double *given, const dou
     for (int c = 0; c < 3; c++)
         motion[c * rows + m->even] = moving[c > 0] * w->modes[c * rows + m->even];
     /* The slope, and then all groups. */
-    for (long g = -1; g < m->groups - 1; g++) {
+    for (long long g = -1; g < m->groups - 1; g++) {
         if (g >= 0 && !w->counts[g])
             continue;
         for (int parity = g < 0; parity < 2; parity++) {
-            const long *first = m->first + parity * (m->processes + 1) + g / m->chunks;
-            long begin = g < 0 ? m->even : first[0], depth = g < 0 ? 1 : first[1] - begin;
-            for (long r = begin; g >= 0 && r < begin + depth; r++) {
+            const long long *first = m->first + parity * (m->processes + 1) + g / m->chunks;
+            long long begin = g < 0 ? m->even : first[0], depth = g < 0 ? 1 : first[1] - begin;
+            for (long long r = begin; g >= 0 && r < begin + depth; r++) {
                 const double *share = m->share + (g % m->chunks * rows + r) * LANES;
                 double part[2 * LANES] = {0};
                 for (int c = 0; c < 2; c++)
@@ -407,15 +407,15 @@ NAME(move)(const Models *m, const double *slopes, const double *given, const dou
                 for (int c = 0; c < 3; c++)
                     motion[c * rows + r] = sum_of(part + (c > 0) * LANES) * w->modes[c * rows + r];
             }
-            for (long k = 0; k < SLOPES * panels; k++)
+            for (long long k = 0; k < SLOPES * panels; k++)
                 NAME(add)(slopes + (k * rows + begin) * LANES, depth, motion + begin, rows, 3,
                           along + (parity * SLOPES + k / panels) * 3 * half + k % panels * LANES,
                           half);
         }
     }
-    for (long t = 0; t < n; t++)
+    for (long long t = 0; t < n; t++)
         for (int c = 0; c < 3; c++) {
-            long near = t < m->half ? t : n - 1 - t;
+            long long near = t < m->half ? t : n - 1 - t;
             double power = 1.0, by = off[t * bodies], sum = 0.0;
             for (int k = 0; k < SLOPES; k++) {
                 double even = along[(k * 3 + c) * half + near];
@@ -427,15 +427,15 @@ NAME(move)(const Models *m, const double *slopes, const double *given, const dou
             moved[(3 * t + c) * bodies] = given[(3 * t + c) * bodies] - sum;
         }
     /* What is missing is where the others have it. */
-    long number = cells->number;
+    long long number = cells->number;
     if (number) {
         double *wrong = w->reach;
         memset(wrong, 0, 3 * number * sizeof(double));
         NAME(restore)(m, cells, w, wrong);
-        for (long x = 0; x < number; x++)
+        for (long long x = 0; x < number; x++)
             for (int c = 0; c < 3; c++) {
-                long at = (3 * cells->at[x] + c) * bodies;
-                long last = (cells->parts - 1) * number + x;
+                long long at = (3 * cells->at[x] + c) * bodies;
+                long long last = (cells->parts - 1) * number + x;
                 if (cells->weight[x] <= 0.0 && cells->weight[last] <= 0.0)
                     moved[at] = samples[at] - wrong[x * 3 + c];
             }

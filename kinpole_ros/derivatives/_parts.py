@@ -8,8 +8,7 @@ those of the part that the instant is in.
 
 import numpy as np
 
-from kinpole_ros.derivatives._evidence import KNOWN, Found
-from kinpole_ros.derivatives._fast import derive
+from kinpole_ros.derivatives._fast import KNOWN, Found, derive
 from kinpole_ros.derivatives._models import FEWEST_SAMPLES, FLAT, modes_of, stencils_of
 from kinpole_ros.derivatives._samples import Window, seen_of, total
 from kinpole_ros.planar._plane import Real

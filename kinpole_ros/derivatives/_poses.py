@@ -19,7 +19,7 @@ from kinpole_ros.derivatives._cells import (
     cells_of,
     usual_of,
 )
-from kinpole_ros.derivatives._evidence import Found
+from kinpole_ros.derivatives._fast import Found
 from kinpole_ros.derivatives._parts import derive_parts
 from kinpole_ros.derivatives._samples import Window, place, total
 from kinpole_ros.derivatives._sizes import LACKING, Group, groups_of

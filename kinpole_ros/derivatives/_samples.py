@@ -9,9 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from kinpole_ros.derivatives._evidence import KNOWN
-from kinpole_ros.derivatives._fast import move
-from kinpole_ros.derivatives._lacking import Lacking
+from kinpole_ros.derivatives._fast import KNOWN, Lacking, move
 from kinpole_ros.derivatives._models import Modes, modes_of, slopes_of
 from kinpole_ros.planar._plane import Real
 

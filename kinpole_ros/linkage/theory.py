@@ -92,14 +92,12 @@ class Theory(NamedTuple):
         return {body: Lie(b, here, known) for body, (b, _, here, known) in self.places.items()}
 
 
-def load_theory(settings: Settings) -> Theory | None:
+def load_theory(settings: Settings) -> Theory:
     """
-    The theory that the parameter `scene` names, None for none.
+    Load the scene that the parameter `scene` names, and find the tracked bodies in it.
 
     Raises ParameterError where the scene cannot be used, or does not go with the bodies.
     """
-    if not settings.scene:
-        return None
     try:
         scene = load_scene(settings.scene)
     except SceneError as error:

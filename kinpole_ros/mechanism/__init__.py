@@ -5,20 +5,21 @@ from kinpole_ros.mechanism._centers import Centers, instant_centers
 from kinpole_ros.mechanism._centrodes import Centrodes, centrodes
 from kinpole_ros.mechanism._equations import Dimension, Equation, Equations, Part
 from kinpole_ros.mechanism._forces import Mass, Spring, Torsion, inertial_loads, spring_loads
-from kinpole_ros.mechanism._freed import freed_reactions
+from kinpole_ros.mechanism._freed import Release, freed_reactions, releases
 from kinpole_ros.mechanism._kennedy import center_name, explain
 from kinpole_ros.mechanism._loops import LinkageError
 from kinpole_ros.mechanism._mechanism import Mechanism, Motion
 from kinpole_ros.mechanism._motions import BodyMotion, marker_positions, rotation_derivatives
 from kinpole_ros.mechanism._pitch import write_pitch_curves
 from kinpole_ros.mechanism._poles import Poles, poles
+from kinpole_ros.mechanism._polygon import Polygon, polygon
 from kinpole_ros.mechanism._reactions import reactions, undetermined
 from kinpole_ros.mechanism._rewrite import rewritten
 from kinpole_ros.mechanism._scene import Scene, load_scene
 from kinpole_ros.mechanism._scene_file import scene_names, scene_text, scenes_folder
 from kinpole_ros.mechanism._share import share_folder
 from kinpole_ros.mechanism._start import mobility
-from kinpole_ros.mechanism._statics import Force, Holder, Load, Torque, efforts, holding
+from kinpole_ros.mechanism._statics import Force, Holder, Load, Torque, efforts, holding, load_rates
 from kinpole_ros.mechanism._transmission import Port, advantage, transmission_angles
 from kinpole_ros.mechanism._units import SceneError, quantity
 
@@ -39,7 +40,9 @@ __all__ = [
     'Motion',
     'Part',
     'Poles',
+    'Polygon',
     'Port',
+    'Release',
     'Revolute',
     'Rolling',
     'Scene',
@@ -56,12 +59,15 @@ __all__ = [
     'holding',
     'inertial_loads',
     'instant_centers',
+    'load_rates',
     'load_scene',
     'marker_positions',
     'mobility',
     'poles',
+    'polygon',
     'quantity',
     'reactions',
+    'releases',
     'rewritten',
     'rotation_derivatives',
     'scene_names',

@@ -5,6 +5,7 @@ Shares the position only with `_reactions`, and so is its proof.
 """
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 
@@ -29,6 +30,55 @@ from kinpole_ros.mechanism._statics import (
     power_of,
 )
 from kinpole_ros.planar._plane import Complex, Real
+
+
+class Release(NamedTuple):
+    """
+    A joint let go in one direction at 1 m/s, or 1 rad/s, all drivers held.
+
+    `way` (T,), complex of length 1, is that of its body `other` as seen from `one`, None for a
+    turn. `powers` (loads, T), W, are those of the loads then: minus their sum is what it bears.
+    """
+
+    joint: str
+    way: Complex | None
+    powers: Real
+
+
+def releases(
+    mechanism: Mechanism, values: Real, loads: Sequence[Load]
+) -> tuple[list[Release], list[Load]]:
+    """
+    Let go of each constraint of each joint, one at a time.
+
+    Parameters
+    ----------
+    mechanism
+        The linkage.
+    values
+        Its variables (n, T), m and rad.
+    loads
+        Forces, N, and torques, N m.
+
+    Returns
+    -------
+    released : list of Release
+        In the order of the joints.
+    loads : list of Force or Torque
+        The loads with those by which teeth with a pressure angle separate each other.
+
+    Raises
+    ------
+    LinkageError
+        As `freed_reactions`.
+
+    Notes
+    -----
+    The method of Lagrange multipliers as seed 003 has it.
+
+    """
+    released, loads, _, _ = _released(mechanism, values, loads)
+    return [release for _, release in released], loads
 
 
 def freed_reactions(mechanism: Mechanism, values: Real, loads: Sequence[Load]) -> Reactions:
@@ -60,24 +110,38 @@ def freed_reactions(mechanism: Mechanism, values: Real, loads: Sequence[Load]) -
     003). The motion is that of the loops of the linkage so changed.
 
     """
-    check_loads(mechanism, loads)
-    if values.shape[1] > 1 and any(map(has_teeth, mechanism.assembly.joints)):
-        raise LinkageError('teeth with a pressure angle are freed at one position at a time')
-    system = constraints(mechanism, values)
+    released, loads, system, teeth = _released(mechanism, values, loads)
     total = efforts(mechanism, values, loads)
     parts = np.zeros((3, len(system.at), values.shape[1]))
-    teeth = parts[0].copy()
-    for k, joint in enumerate(mechanism.assembly.joints):
-        if has_teeth(joint):
-            teeth[k] = _freed(mechanism, values, loads, system, k, system.axis[k])
-    loads = [*loads, *separating_forces(mechanism, system, teeth)]
-    for k, part in system.rows:
-        way = None if part == 2 else 1j**part * system.axis[k]
-        parts[part, k] = _freed(mechanism, values, loads, system, k, way)
+    for (k, part), release in released:
+        parts[part, k] = -release.powers.sum(axis=0)
     add_teeth(mechanism, parts, teeth)
     held = at_rest(mechanism, values).known
     parts[:, :, ~held] = np.nan
     return assembled(mechanism, values, system, parts, total.effort, held)
+
+
+def _released(
+    mechanism: Mechanism, values: Real, loads: Sequence[Load]
+) -> tuple[list[tuple[tuple[int, int], Release]], list[Load], Constraints, Real]:
+    """Releases by joint and part, all loads, the constraints, and what teeth transmit (J, T)."""
+    check_loads(mechanism, loads)
+    joints = mechanism.assembly.joints
+    if values.shape[1] > 1 and any(map(has_teeth, joints)):
+        raise LinkageError('teeth with a pressure angle are freed at one position at a time')
+    system = constraints(mechanism, values)
+    teeth = np.zeros((len(joints), values.shape[1]))
+    for k, joint in enumerate(joints):
+        if has_teeth(joint):
+            powers = _freed(mechanism, values, loads, system, k, system.axis[k])
+            teeth[k] = -powers.sum(axis=0)
+    loads = [*loads, *separating_forces(mechanism, system, teeth)]
+    found = []
+    for k, part in system.rows:
+        way = None if part == 2 else 1j**part * system.axis[k]
+        powers = _freed(mechanism, values, loads, system, k, way)
+        found.append(((k, part), Release(joints[k].name, way, powers)))
+    return found, loads, system, teeth
 
 
 def _freed(
@@ -88,7 +152,7 @@ def _freed(
     k: int,
     way: Complex | None,
 ) -> Real:
-    """What joint k bears (T,) along `way` (T,), in the ground's axes, or as a moment for None."""
+    """Powers (loads, T) with joint k let go along `way` (T,), in the ground's axes, or to turn."""
     old, count, drivers = mechanism.assembly, values.shape[1], len(mechanism.drivers)
     joint, joints, bodies = old.joints[k], list(old.joints), list(old.bodies)
     # What is driven besides the drivers: at which rate, and variables with their weights.
@@ -140,4 +204,4 @@ def _freed(
     moving = let_move(reduce(new.loops._replace(drives=rows)), new, here, rates)
     # The carriages come last, and bear no load.
     powers = [power_of(mechanism, load, moving) for load in loads]
-    return np.where(moving.known, -np.asarray(sum(powers, start=np.zeros(count))), np.nan)
+    return np.where(moving.known, np.reshape(powers, (len(loads), count)), np.nan)

@@ -249,17 +249,53 @@ def at_rest(mechanism: Mechanism, values: Real) -> Moving:
     return let_move(mechanism.linkage, mechanism.assembly, values, rates)
 
 
-def power_of(mechanism: Mechanism, load: Load, moving: Moving) -> Real:
-    """Power (T,) of a load on bodies that move so."""
+def rate_of(mechanism: Mechanism, load: Load, moving: Moving) -> Complex | Real:
+    """The velocity (T,), complex, of a force's point, or the angular one of a torque's body."""
     if load.body == GROUND:
         return np.zeros(moving.omega.shape[1:])
     b = mechanism.bodies.index(load.body)
     if isinstance(load, Torque):
-        return np.asarray(load.torque * moving.omega[b])
+        return np.asarray(moving.omega[b])
     arm = load.point * np.exp(1j * moving.angle[b])
-    return np.asarray(
-        (np.conj(load.force) * (moving.velocity[b] + 1j * moving.omega[b] * arm)).real
-    )
+    return np.asarray(moving.velocity[b] + 1j * moving.omega[b] * arm)
+
+
+def power_of(mechanism: Mechanism, load: Load, moving: Moving) -> Real:
+    """Power (T,) of a load on bodies that move so."""
+    effort = load.torque if isinstance(load, Torque) else load.force
+    return np.asarray((np.conj(effort) * rate_of(mechanism, load, moving)).real)
+
+
+def load_rates(
+    mechanism: Mechanism, values: Real, loads: Sequence[Load], driver: int = 0
+) -> list[Complex | Real]:
+    """
+    How fast what loads act on moves per unit rate of a driver, the others held.
+
+    Parameters
+    ----------
+    mechanism
+        The linkage.
+    values
+        Its variables (n, T), m and rad.
+    loads
+        Forces, N, and torques, N m.
+    driver
+        Which driver.
+
+    Returns
+    -------
+    list of ndarray
+        Of each load (T,): the velocity of the force's point, complex, in the ground's axes, or the
+        angular velocity of the torque's body. NaN at dead points.
+
+    Notes
+    -----
+    What the virtual work Σ F·v + Σ T ω = 0 of seed 003 is made of.
+
+    """
+    moving = let_drive(mechanism, values, driver)
+    return [np.where(moving.known, rate_of(mechanism, load, moving), np.nan) for load in loads]
 
 
 def stacked_svd(matrix: Real) -> tuple[Real, Real, Real]:

@@ -24,9 +24,10 @@ from kinpole_ros.messages._markers import (
     stamp_to_ns,
     to_message,
 )
+from kinpole_ros.messages._padding import with_zero_padding
 from kinpole_ros.messages._poses import AUTO_TYPES, PoseReader, kind_of, poses_data, reader_of
 from kinpole_ros.messages._reader import MarkerReader
-from kinpole_ros.messages._results import DRAWING, Output, outputs_of, result_outputs
+from kinpole_ros.messages._results import DRAWING, Output, outputs_of, result_outputs, theory_of
 from kinpole_ros.messages._space import (
     plane_words,
     shape_fault,
@@ -94,10 +95,12 @@ __all__ = [
     'serialize_message',
     'shape_fault',
     'stamp_to_ns',
+    'theory_of',
     'tilt_fault',
     'to_message',
     'type_name',
     'unit_fault',
     'unseen',
     'view_of',
+    'with_zero_padding',
 ]

@@ -1,5 +1,6 @@
 """Fields of a message, written one after the other as plain CDR."""
 
+import re
 import struct
 
 import numpy as np
@@ -8,6 +9,23 @@ import numpy as np
 HEAD = 4
 LITTLE = b'\x00\x01'
 SECOND = 1_000_000_000  # ns
+# Formats, as `struct` and numpy name them, of the types that .msg files call so.
+FORMATS = {
+    'bool': '?',
+    'char': 'B',
+    'int8': 'b',
+    'uint8': 'B',
+    'int16': 'h',
+    'uint16': 'H',
+    'int32': 'i',
+    'uint32': 'I',
+    'int64': 'q',
+    'uint64': 'Q',
+    'float32': 'f',
+    'float64': 'd',
+}
+ALIGNMENT = 8  # bytes: no field is aligned to more
+ARRAY = re.compile(r'(.+?)\[(<=)?(\d*)\]')  # its items, and how many, if not any number
 TIME = struct.Struct('<iI')  # a stamp: s and ns
 
 

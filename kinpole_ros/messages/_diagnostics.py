@@ -2,12 +2,11 @@
 
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from kinpole_ros.derivatives import FEWEST_SAMPLES
-from kinpole_ros.linkage.positions import LivePositions
-from kinpole_ros.linkage.theory import Theory, joint_offsets, rate_differences
 from kinpole_ros.messages._identities import identity_lines
 from kinpole_ros.messages._markers import ns_to_stamp
 from kinpole_ros.messages._space import (
@@ -22,6 +21,10 @@ from kinpole_ros.messages._types import DiagnosticArray, DiagnosticStatus, KeyVa
 from kinpole_ros.pipeline.bodies import Outage
 from kinpole_ros.pipeline.estimate import Estimate
 from kinpole_ros.pipeline.tracker import Tracker
+
+if TYPE_CHECKING:
+    from kinpole_ros.linkage.positions import LivePositions
+    from kinpole_ros.linkage.theory import Theory
 
 # Of the names of markers in a message, which may be anything.
 _MOST_NAMES, _MOST_SHOWN = 12, 80
@@ -67,12 +70,16 @@ class DiagnosticsMaker:
     awaited, and is named when none come.
     """
 
-    def __init__(self, name: str, theory: Theory | None = None, topic: str = '') -> None:
+    def __init__(self, name: str, theory: 'Theory | None' = None, topic: str = '') -> None:
         self._name = name
         self._nothing = f'no markers received on {topic}' if topic else 'no markers received'
         self._topic = topic
         self._theory = theory
-        self._positions = theory and LivePositions(theory.scene, theory.lies)
+        self._positions: LivePositions | None = None
+        if theory is not None:
+            from kinpole_ros.linkage import positions
+
+            self._positions = positions.LivePositions(theory.scene, theory.lies)
         self._before: Counter[str] = Counter()
         self._outages: dict[str, int] = {}
         self._wrong: np.ndarray | None = None
@@ -200,6 +207,8 @@ class DiagnosticsMaker:
                 values[f'{pair}: the same in deviations'] = float(deviations)
         if self._theory is None:
             return _status(f'{self._name}: linkage', DiagnosticStatus.OK, 'no scene given', values)
+        from kinpole_ros.linkage.theory import joint_offsets, rate_differences
+
         message = f'compared with the scene {self._theory.scene.name}'
         level = DiagnosticStatus.OK
         for off in (*rate_differences(self._theory, now), *joint_offsets(self._theory, now)):

@@ -7,12 +7,10 @@ nobody reads, of any body, is not built.
 
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from kinpole_ros.linkage.points import PointOfInterest, measured_point, points_of_interest
-from kinpole_ros.linkage.theory import Theory, balance, balance_direction
 from kinpole_ros.messages._drawing import scene
 from kinpole_ros.messages._loci import Build, Trail, centrode
 from kinpole_ros.messages._rows import At, Figures, Found, both, each
@@ -38,6 +36,9 @@ from kinpole_ros.pipeline.estimate import (
 )
 from kinpole_ros.pipeline.parameters import Settings
 from kinpole_ros.rigid.plane import XY, Plane, PlaneSetting, plane_of
+
+if TYPE_CHECKING:
+    from kinpole_ros.linkage.theory import Theory
 
 # The topic of what is drawn.
 DRAWING = 'visualization'
@@ -74,7 +75,7 @@ class Output(NamedTuple):
 def result_outputs(
     bodies: Sequence[str],
     plane: PlaneSetting,
-    theory: Theory | None = None,
+    theory: 'Theory | None' = None,
     joints: Mapping[str, tuple[str, str]] | None = None,
     frame_prefix: str = '',
     highest: int = 4,
@@ -129,13 +130,17 @@ def result_outputs(
         name = f'{bodies[j]}/wrt/{bodies[i]}'
         add(f'{name}/icr', PointStamped, 1, center, k)
         add(f'{name}/angular_velocity', Vector3Stamped, 1, rate, k)
-    for spot in points_of_interest(theory) if theory else []:
-        b = bodies.index(spot.body)
-        for order, name in enumerate(('', '/velocity', '/acceleration', '/jerk')):
-            kind, heights = (Vector3Stamped, None) if order else (PointStamped, own[[b]])
-            motion = partial(_points, partial(_of_point, theory, spot, order), given, heights)
-            topic = f'{spot.body}/points/{spot.name}{name}'
-            add(topic, kind, max(order, 1), both(1, motion), 0)
+    if theory is not None:
+        from kinpole_ros.linkage.points import measured_point, points_of_interest
+
+        for spot in points_of_interest(theory):
+            b = bodies.index(spot.body)
+            for order, name in enumerate(('', '/velocity', '/acceleration', '/jerk')):
+                kind, heights = (Vector3Stamped, None) if order else (PointStamped, own[[b]])
+                motion = partial(_of_one, partial(measured_point, theory, spot, order))
+                topic = f'{spot.body}/points/{spot.name}{name}'
+                builds = both(1, partial(_points, motion, given, heights))
+                add(topic, kind, max(order, 1), builds, 0)
     drawing = scene(tuple(bodies), given, trails, highest)
     outputs.append(Output(DRAWING, MarkerArray, highest, drawing))
     if joints:
@@ -148,7 +153,23 @@ def result_outputs(
     return [output for output in outputs if output.order <= highest]
 
 
-def outputs_of(settings: Settings, theory: Theory | None) -> list[Output]:
+def theory_of(settings: Settings) -> 'Theory | None':
+    """
+    Load the theory that the parameter `scene` names; None for no scene.
+
+    `linkage` and `mechanism` are imported here and no earlier. They take as long as the rest of
+    the start of a node, and are of use only with a scene.
+
+    Raises ParameterError where the scene cannot be used, or does not go with the bodies.
+    """
+    if not settings.scene:
+        return None
+    from kinpole_ros.linkage.theory import load_theory
+
+    return load_theory(settings)
+
+
+def outputs_of(settings: Settings, theory: 'Theory | None') -> list[Output]:
     """All topics with these settings."""
     return result_outputs(
         tuple(settings.bodies),
@@ -161,8 +182,9 @@ def outputs_of(settings: Settings, theory: Theory | None) -> list[Output]:
     )
 
 
-def _balance(theory: Theory, given: Plane, deviation: bool) -> Figures:
+def _balance(theory: 'Theory', given: Plane, deviation: bool) -> Figures:
     """What balances the loads, a torque or a force, or its standard deviation."""
+    from kinpole_ros.linkage.theory import balance, balance_direction
 
     def figures(estimate: Estimate, which: int | slice) -> Found:
         value, variance, known = (part[:, None] for part in balance(theory, estimate))
@@ -184,12 +206,9 @@ def _balance(theory: Theory, given: Plane, deviation: bool) -> Figures:
     return figures
 
 
-def _of_point(
-    theory: Theory | None, point: PointOfInterest, order: int, estimate: Estimate
-) -> Vectors:
-    """The motion of a point, as that of the only one of its kind."""
-    assert theory is not None
-    return Vectors(*(part[:, None] for part in measured_point(theory, point, order, estimate)))
+def _of_one(motion: Callable[[Estimate], Vectors], estimate: Estimate) -> Vectors:
+    """The motion (T,) of one point as an array (T, 1) of points."""
+    return Vectors(*(part[:, None] for part in motion(estimate)))
 
 
 def _rate(order: int) -> Callable[[Estimate], Numbers]:

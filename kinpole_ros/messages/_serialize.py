@@ -6,7 +6,6 @@ was in the memory of the process. So equal messages give different bytes, and wh
 gets some of that memory.
 """
 
-import re
 import struct
 from collections.abc import Callable
 from functools import cache
@@ -15,29 +14,11 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
-from kinpole_ros.messages._cdr_writer import HEAD, Writer
+from kinpole_ros.messages._cdr_writer import ALIGNMENT, ARRAY, FORMATS, HEAD, Writer
 from kinpole_ros.messages._rosidl import fields, message_class
 
 # What appends one field, or several in a row, of a message to the bytes so far.
 _Step: TypeAlias = Callable[[Writer, Any], None]
-
-# Formats, as `struct` and numpy name them, of the types that .msg files call so.
-_FORMATS = {
-    'bool': '?',
-    'char': 'B',
-    'int8': 'b',
-    'uint8': 'B',
-    'int16': 'h',
-    'uint16': 'H',
-    'int32': 'i',
-    'uint32': 'I',
-    'int64': 'q',
-    'uint64': 'Q',
-    'float32': 'f',
-    'float64': 'd',
-}
-_ALIGNMENT = 8  # bytes: no field is aligned to more
-_ARRAY = re.compile(r'(.+?)\[(<=)?(\d*)\]')
 
 
 def serialize_message(message: Any) -> bytes:
@@ -65,8 +46,8 @@ def _steps(cls: Any) -> tuple[_Step, ...]:
             row.clear()
 
     for path, kind in _flat_fields(cls, ''):
-        if kind in _FORMATS:
-            row.append((path, _FORMATS[kind]))
+        if kind in FORMATS:
+            row.append((path, FORMATS[kind]))
         else:
             end_row()
             steps.append(_field(attrgetter(path), kind))
@@ -91,7 +72,7 @@ def _numbers(paths: tuple[str, ...], formats: tuple[str, ...]) -> _Step:
     values = attrgetter(*paths)
     # Where padding is depends on the place, modulo 8 bytes, at which the row begins.
     layouts = []
-    for start in range(_ALIGNMENT):
+    for start in range(ALIGNMENT):
         place, layout = start, '<'
         for one in formats:
             size = struct.calcsize(f'<{one}')
@@ -101,14 +82,14 @@ def _numbers(paths: tuple[str, ...], formats: tuple[str, ...]) -> _Step:
 
     def append(writer: Writer, message: Any) -> None:
         found = values(message) if len(paths) > 1 else (values(message),)
-        writer.data += layouts[(len(writer.data) - HEAD) % _ALIGNMENT](*found)
+        writer.data += layouts[(len(writer.data) - HEAD) % ALIGNMENT](*found)
 
     return append
 
 
 def _field(value: Callable[[Any], Any], kind: str) -> _Step:
     """Append one field that is no number."""
-    if array := _ARRAY.fullmatch(kind):
+    if array := ARRAY.fullmatch(kind):
         item, bound, size = array.groups()
         return _array(value, item, is_counted=bool(bound or not size))
     if kind.startswith('string'):
@@ -128,8 +109,8 @@ def _field(value: Callable[[Any], Any], kind: str) -> _Step:
 
 def _array(value: Callable[[Any], Any], item: str, is_counted: bool) -> _Step:
     """Append an array or sequence of items of this type; of a sequence first how many."""
-    if item in _FORMATS:
-        kind = np.dtype(f'<{_FORMATS[item]}')
+    if item in FORMATS:
+        kind = np.dtype(f'<{FORMATS[item]}')
 
         def append(writer: Writer, message: Any) -> None:
             found = np.asarray(value(message), kind)

@@ -13,11 +13,10 @@ for pages: programs take the topics of the figures, each of its own type.
 import json
 import math
 from collections.abc import Iterable, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from kinpole_ros.linkage.theory import Theory
 from kinpole_ros.messages._cdr import Writer
 from kinpole_ros.messages._loci import Build, Built
 from kinpole_ros.messages._results import Output, outputs_of
@@ -26,13 +25,16 @@ from kinpole_ros.pipeline.estimate import POLE_NAMES, RATE_NAMES, Estimate, Numb
 from kinpole_ros.pipeline.parameters import Settings
 from kinpole_ros.rigid.plane import XY, Plane, as_parameter, plane_of
 
+if TYPE_CHECKING:
+    from kinpole_ros.linkage.theory import Theory
+
 # The topic, and how often there is something on it (s).
 VIEW, _EVERY = 'view', 1 / 30
 # Beyond, relative centers are of bodies that follow each other alone.
 _MOST_PAIRS = 6
 
 
-def live_outputs(settings: Settings, theory: Theory | None) -> list[Output]:
+def live_outputs(settings: Settings, theory: 'Theory | None') -> list[Output]:
     """All topics of a live node with these settings: also the one for pages."""
     view = _view(plane_of(settings.plane) or XY)
     highest = settings.derivative_order or 4

@@ -1,36 +1,28 @@
 """
-Figures with their covariances as the pipeline uses them: compiled if that could be built.
+Poles, velocity and curvature of centrodes with their covariances, compiled, as the pipeline needs.
 
-Else they are of numpy, by `pole`, `icr_velocity` and `centrode_curvature`. Both do the same:
-_kernel.c says why it is there twice.
+`pole`, `icr_velocity` and `centrode_curvature` give the same with all their derivatives.
 """
 
-from importlib import import_module
-from typing import Any
+from ctypes import c_int, c_longlong, c_void_p
 
 import numpy as np
 
-from kinpole_ros.planar._centrode import centrode_curvature, icr_velocity
-from kinpole_ros.planar._linear import covariance, mean_square, variance
+from kinpole_ros.compiled import library, pass_array
 from kinpole_ros.planar._plane import Complex, Real
-from kinpole_ros.planar._poles import pole, rotation
 
-_kernel: Any
-try:
-    _kernel = import_module('kinpole_ros.planar._kernel')
-except ImportError:
-    _kernel = None
-
+_kinpole_figures = library.kinpole_figures
+_kinpole_figures.argtypes = [c_int, c_longlong, c_longlong, *[c_void_p] * 7]
+_kinpole_figures.restype = None
 # As _kernel.c numbers what it makes; poles have their order.
 _VELOCITY, _CURVATURE = 5, 6
 
 
-@np.errstate(divide='ignore', invalid='ignore', over='ignore')
 def pole_figures(
     order: int, position: Complex, angle: Real, position_covariance: Real, angle_covariance: Real
 ) -> tuple[Complex, Real, Real]:
     """
-    The pole of a body and how well it is known, compiled if that could be built.
+    The pole of a body and how well it is known.
 
     Parameters
     ----------
@@ -47,20 +39,14 @@ def pole_figures(
         The pole (...), complex, m, its covariance (..., 2, 2), and how many standard deviations the
         body's turn of that order is (...): see `rotation`.
     """
-    covariances = position_covariance, angle_covariance
-    if _kernel is not None:
-        return _compiled(order, position, angle, *covariances)
-    turn = a, by_angle = rotation(order, angle)
-    found = pole(order, position, angle, turn)
-    noise = mean_square(by_angle, angle_covariance[1 : order + 1, 1 : order + 1])
-    return found.value, covariance(found, *covariances), np.abs(a) / np.sqrt(noise)
+    return _compiled(order, position, angle, position_covariance, angle_covariance)
 
 
 def velocity_figures(
     position: Complex, angle: Real, position_covariance: Real, angle_covariance: Real
 ) -> tuple[Complex, Real]:
     """
-    The velocity of the ICR and how well it is known, compiled if that could be built.
+    The velocity of the ICR and how well it is known.
 
     Parameters
     ----------
@@ -72,19 +58,14 @@ def velocity_figures(
     tuple
         The velocity (...), complex, m/s, and its covariance (..., 2, 2).
     """
-    covariances = position_covariance, angle_covariance
-    if _kernel is not None:
-        return _compiled(_VELOCITY, position, angle, *covariances)[:2]
-    found = icr_velocity(position, angle)
-    with np.errstate(invalid='ignore', over='ignore'):
-        return found.value, covariance(found, *covariances)
+    return _compiled(_VELOCITY, position, angle, position_covariance, angle_covariance)[:2]
 
 
 def curvature_figures(
     position: Complex, angle: Real, position_covariance: Real, angle_covariance: Real
 ) -> tuple[Real, Real]:
     """
-    The curvature of the fixed centrode and how well it is known, compiled if that could be built.
+    The curvature of the fixed centrode and how well it is known.
 
     Parameters
     ----------
@@ -96,28 +77,32 @@ def curvature_figures(
     tuple
         The curvature (...), 1/m, and its variance (...).
     """
-    covariances = position_covariance, angle_covariance
-    if _kernel is not None:
-        value, spread, _ = _compiled(_CURVATURE, position, angle, *covariances)
-        return value.real, spread[..., 0, 0]
-    found = centrode_curvature(position, angle)
-    with np.errstate(invalid='ignore', over='ignore'):
-        return found.value.real, variance(found, *covariances)
+    value, spread, _ = _compiled(_CURVATURE, position, angle, position_covariance, angle_covariance)
+    return value.real, spread[..., 0, 0]
 
 
 def _compiled(
     what: int, position: Complex, angle: Real, of_position: Real, of_angle: Real
 ) -> tuple[Complex, Real, Real]:
-    shape = angle.shape[1:]
+    orders, *shape = angle.shape
+    needed = {_VELOCITY: 2, _CURVATURE: 3}.get(what, what)
+    covariances = (orders, *angle.shape)
+    if not 1 <= needed < orders <= 5 or not (
+        position.shape == angle.shape and of_position.shape == of_angle.shape == covariances
+    ):
+        raise ValueError(
+            f'orders 0 to {needed} of position and angle and their covariances, of one shape, are '
+            f'needed; shapes are {position.shape}, {angle.shape}, {of_position.shape}, '
+            f'{of_angle.shape}'
+        )
     value, spread, sure = np.empty(shape, complex), np.empty((*shape, 2, 2)), np.empty(shape)
-    _kernel.figure(
+    _kinpole_figures(
         what,
-        np.ascontiguousarray(position, complex),
-        np.ascontiguousarray(angle, float),
-        np.ascontiguousarray(of_position, float),
-        np.ascontiguousarray(of_angle, float),
-        value,
-        spread,
-        sure,
+        sure.size,
+        orders,
+        pass_array(position, complex),
+        *map(pass_array, (angle, of_position, of_angle)),
+        pass_array(value, complex),
+        *map(pass_array, (spread, sure)),
     )
     return value, spread, sure

@@ -5,9 +5,6 @@
  * those of _poles.py, _centrode.py and _linear.py.
  */
 
-#define PY_SSIZE_T_CLEAN
-#include <Python.h>
-
 #include <complex.h>
 #include <math.h>
 
@@ -26,7 +23,7 @@ typedef struct {
 /* Mean products of the parts x and y of the sum of factors times errors: xx, xy and yy. Covariances
    of the errors (K, K) are `step` apart, and the last factor is that of `highest`. */
 static void
-products(const double *errors, long orders, long step, int highest, const Number *by, double *mean)
+products(const double *errors, long long orders, long long step, int highest, const Number *by, double *mean)
 {
     mean[0] = mean[1] = mean[2] = 0.0;
     for (int k = 0; k <= highest; k++) {
@@ -93,57 +90,35 @@ curvature(const Number *z, const double *rate, Linear *out)
     out->value = cimag(g) * slowness;
 }
 
-/* Gets 1 to 4 for a pole, 5 or 6; position and angle (K, N) with covariances (K, K, N); and arrays
-   for values (N,), complex, covariances (N, 2, 2) and, of poles, how sure the turn is (N,). */
-static PyObject *
-figure(PyObject *self, PyObject *args)
+/* A pole of the order `what`, 1 to 4, or 5 or 6 of the enum above, at `count` instants. Position and
+   angle are (orders, count) with covariances (orders, orders, count); `values` (count,) are complex,
+   `spreads` (count, 2, 2) their covariances, and `sure` (count,) is how sure the turn is. */
+void
+kinpole_figures(int what, long long count, long long orders, const Number *position,
+                const double *angle, const double *of_position, const double *of_angle,
+                Number *values, double *spreads, double *sure)
 {
-    enum { POSITION, ANGLE, OF_POSITION, OF_ANGLE, VALUE, SPREAD, SURE, ALL };
-    Py_buffer b[ALL] = {{0}};
-    int what;
-    if (!PyArg_ParseTuple(args, "iy*y*y*y*w*w*w*", &what, &b[POSITION], &b[ANGLE], &b[OF_POSITION],
-                          &b[OF_ANGLE], &b[VALUE], &b[SPREAD], &b[SURE]))
-        return NULL;
-    long count = b[SURE].len / 8, orders = count ? b[ANGLE].len / 8 / count : HIGHEST + 1;
-    int highest = what > HIGHEST ? what - 3 : what, good = what >= 1 && what <= CURVATURE;
-    good = good && orders > highest && orders <= HIGHEST + 1;
-    good = good && b[ANGLE].len == 8 * orders * count && b[POSITION].len == 16 * orders * count;
-    good = good && b[OF_ANGLE].len == orders * b[ANGLE].len && b[VALUE].len == 16 * count;
-    good = good && b[OF_POSITION].len == b[OF_ANGLE].len && b[SPREAD].len == 32 * count;
-    if (!good)
-        PyErr_SetString(PyExc_ValueError, "arrays do not fit to each other");
-    for (long t = 0; good && t < count; t++) {
-        const double *p = (double *)b[OF_POSITION].buf + t, *a = (double *)b[OF_ANGLE].buf + t;
-        double rate[HIGHEST + 1], mean[3], *spread = (double *)b[SPREAD].buf + 4 * t;
+    int highest = what > HIGHEST ? what - 3 : what;
+    for (long long t = 0; t < count; t++) {
+        double rate[HIGHEST + 1], mean[3], *spread = spreads + 4 * t;
         Number z[HIGHEST + 1];
         Linear found = {0}, turn = {0};
         for (int k = 0; k <= highest; k++) {
-            z[k] = ((Number *)b[POSITION].buf)[k * count + t];
-            rate[k] = ((double *)b[ANGLE].buf)[k * count + t];
+            z[k] = position[k * count + t];
+            rate[k] = angle[k * count + t];
         }
         if (what > HIGHEST)
             (what == VELOCITY ? velocity : curvature)(z, rate, &found);
         else {
             pole(what, z, rate, &turn, &found);
-            products(a, orders, count, highest, turn.by_angle, mean);
+            products(of_angle + t, orders, count, highest, turn.by_angle, mean);
             double square = creal(turn.value * conj(turn.value));
-            ((double *)b[SURE].buf)[t] = sqrt(square / (mean[0] + mean[2]));
+            sure[t] = sqrt(square / (mean[0] + mean[2]));
         }
-        products(a, orders, count, highest, found.by_angle, mean);
+        products(of_angle + t, orders, count, highest, found.by_angle, mean);
         spread[0] = mean[0], spread[1] = spread[2] = mean[1], spread[3] = mean[2];
-        products(p, orders, count, highest, found.by_position, mean);
+        products(of_position + t, orders, count, highest, found.by_position, mean);
         spread[0] += mean[0] + mean[2], spread[3] += mean[0] + mean[2];
-        ((Number *)b[VALUE].buf)[t] = found.value;
+        values[t] = found.value;
     }
-    for (int k = 0; k < ALL; k++)
-        PyBuffer_Release(&b[k]);
-    return good ? Py_NewRef(Py_None) : NULL;
-}
-
-static PyMethodDef methods[] = {{"figure", figure, METH_VARARGS, NULL}, {0}};
-static struct PyModuleDef module = {PyModuleDef_HEAD_INIT, "_kernel", NULL, 0, methods};
-PyMODINIT_FUNC
-PyInit__kernel(void)
-{
-    return PyModule_Create(&module);
 }

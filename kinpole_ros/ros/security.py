@@ -9,8 +9,7 @@ from collections.abc import Iterable
 from dataclasses import replace
 from xml.sax.saxutils import escape, quoteattr
 
-from kinpole_ros.linkage.theory import load_theory
-from kinpole_ros.messages import TF, live_outputs
+from kinpole_ros.messages import TF, live_outputs, theory_of
 from kinpole_ros.pipeline.parameters import ParameterError, Settings, load_settings
 
 # Of every node, or every managed one, by rclpy; and one of its own.
@@ -37,10 +36,10 @@ def permitted(settings: Settings) -> dict[str, list[str]]:
     Names the node uses with these parameters, by what it does with them, as a policy writes them.
 
     '~/' stands for the node's own name and a name without '/' for one in its namespace. The keys
-    are publish, subscribe and reply. Raises ParameterError as load_theory does.
+    are publish, subscribe and reply. Raises ParameterError as theory_of does.
     """
     # Of all orders, since derivative_order may be set while the node runs.
-    outputs = live_outputs(replace(settings, derivative_order=4), load_theory(settings))
+    outputs = live_outputs(replace(settings, derivative_order=4), theory_of(settings))
     results = [o.under('~') for o in outputs if o.topic != TF or settings.publish_tf]
     return {
         'publish': sorted([*_PUBLISHED, *results]),

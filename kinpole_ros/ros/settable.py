@@ -9,15 +9,14 @@ activated.
 from abc import ABC, abstractmethod
 from array import array
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from rcl_interfaces.msg import SetParametersResult
 from rcl_interfaces.srv import SetParameters, SetParametersAtomically
 from rclpy.lifecycle import LifecycleNode
 from rclpy.parameter import Parameter as RosParameter
 
-from kinpole_ros.linkage.theory import Theory, load_theory
-from kinpole_ros.messages import WITH_TF
+from kinpole_ros.messages import WITH_TF, theory_of
 from kinpole_ros.pipeline.parameters import (
     PARAMETERS,
     ParameterError,
@@ -29,6 +28,9 @@ from kinpole_ros.pipeline.parameters import (
 )
 from kinpole_ros.ros.declare import declare, declare_own, given_to, values_of
 from kinpole_ros.ros.private import wrap_service
+
+if TYPE_CHECKING:
+    from kinpole_ros.linkage.theory import Theory
 
 # Parameters that others depend on being there.
 _FIRST = ('bodies', 'joints')
@@ -206,8 +208,8 @@ class SettableNode(LifecycleNode, ABC):
         self.use_settings()
 
 
-def _theory_of(settings: Settings) -> Theory | None:
-    """As `load_theory`, for settings that the node can do; raises ParameterError for others."""
+def _theory_of(settings: Settings) -> 'Theory | None':
+    """As `theory_of`, for settings that the node can do; raises ParameterError for others."""
     for name, value, wants in (
         ('publish_tf', 'true', settings.publish_tf),
         ('marker_type', 'tf', settings.marker_type == 'tf'),
@@ -217,4 +219,4 @@ def _theory_of(settings: Settings) -> Theory | None:
                 f'parameter {name} is {value}, and tf2_msgs is not installed; install '
                 'ros-jazzy-tf2-msgs, or set it otherwise'
             )
-    return load_theory(settings)
+    return theory_of(settings)

@@ -4,7 +4,7 @@ from collections.abc import Callable, Iterator, Sequence
 from itertools import chain
 from pathlib import Path
 
-from kinpole_ros.bags import Truncated, in_place_of, read_frames
+from kinpole_ros.bags import Truncated, bag_files, in_place_of, read_frames
 from kinpole_ros.linkage.fit import fit_scene, fitted_lines, free_dimensions
 from kinpole_ros.linkage.theory import load_theory
 from kinpole_ros.mechanism import Scene, SceneError, load_scene, rewritten, scene_text
@@ -36,13 +36,13 @@ def fit_bag(
 
     Raises SceneError, ParameterError or BagError for what cannot be used, with the fix.
     """
+    bag_files(bag)  # a table is refused before its scene is read
     loaded = load_scene(scene)
     numbers = free_dimensions(loaded, list(chain(*free)) or loaded.free)
     if not numbers:
         raise SceneError(f'{scene}: its joints have no dimensions to be fitted: add joints')
     settings = _settings(loaded, scene, config)
     theory = load_theory(settings)
-    assert theory is not None
 
     def part(first: float, share: float) -> Callable[[float], None] | None:
         return None if progress is None else (lambda done: progress(first + share * done))

@@ -13,8 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from kinpole_ros.bags import NODE_NAME, BagError, in_place_of, read_messages, topics
-from kinpole_ros.linkage.theory import load_theory
-from kinpole_ros.messages import COLORS, DRAWING, outputs_of, type_name
+from kinpole_ros.messages import COLORS, DRAWING, outputs_of, theory_of, type_name
 from kinpole_ros.pipeline.estimate import POLE_NAMES, RATE_NAMES, measured_pairs
 from kinpole_ros.pipeline.parameters import Settings, load_settings
 from kinpole_ros.rigid.plane import XY, plane_of
@@ -83,7 +82,7 @@ def shown_of(config: str | None) -> Shown:
     node = f'/{NODE_NAME}'
     kinds = {
         output.under(node): type_name(output.message_type)
-        for output in outputs_of(settings, load_theory(settings))
+        for output in outputs_of(settings, theory_of(settings))
     }
     normal = (plane_of(settings.plane) or XY).normal
     bodies, joints = tuple(settings.bodies), tuple(settings.joints)

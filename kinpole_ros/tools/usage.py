@@ -51,6 +51,7 @@ def parse_words(words: Sequence[str]) -> argparse.Namespace:
     if words[:1] == ['fit']:
         words = ['fit', *files_first(words[1:], 2, '--free', {'--help': 0})]
     if words[:1] == ['solve']:
-        sizes = {'--help': 0, '--sweep': 0, '--centers': 0, '--statics': 0, '--pitch': 3}
+        sizes = dict.fromkeys(('--help', '--sweep', '--centers', '--statics', '--work'), 0)
+        sizes |= {'--pitch': 3, '--decompose': 2}
         words = ['solve', *files_first(words[1:], 1, '--centrodes', sizes)]
     return make_parser().parse_args(words)

@@ -111,6 +111,7 @@ def name_results(
         'results': ' '.join(f'{name}.{kind}' for kind in there),
         'frames': result.frames,
         'estimates': result.estimates,
+        'markers': len(result.identities),
         'start': result.first / 1e9,
         'end': result.last / 1e9,
         'seconds': (result.last - result.first) / 1e9,

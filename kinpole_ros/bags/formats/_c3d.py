@@ -15,7 +15,6 @@ from kinpole_ros.bags._files import BagError
 from kinpole_ros.bags.formats._file import File, Format, Points, Wanted, check_names, frame_times
 from kinpole_ros.packages import install_command
 
-_BLOCK = 512  # bytes that files are padded to
 # Parameters that name points which are none.
 _NO_POINTS = ('ANGLES', 'FORCES', 'MOMENTS', 'POWERS', 'SCALARS')
 
@@ -64,15 +63,16 @@ def _read(file: File, wanted: Wanted) -> Points:
             'cut off; fix: export it again'
         )
     seen = np.array(rows, dtype=np.float64)
-    bytes_per_point = 16 if reader.point_scale < 0 else 8
-    padded = _padded_frames(seen, bytes_per_point)
+    whole, is_amid = _frames_before_zeros(seen)
     notes = []
-    if padded:
+    if whole < len(seen):
+        amid = 'amid ' if is_amid else ''
         notes = [
-            f'{file.path} ends with {padded} frames of zeros out of {len(seen)}, as padding is: '
-            'they are left out'
+            f'{file.path} is zeros from {amid}frame {numbers[whole]} on, as padding of a file is: '
+            f'{len(seen) - whole} of its {len(seen)} frames are left out; fix: export it again if '
+            'it should have them'
         ]
-        seen, numbers = seen[:-padded], numbers[:-padded]
+        seen, numbers = seen[:whole], numbers[:whole]
     seen[seen[..., 3] < 0] = np.nan
     names = [label or f'point {index + 1}' for index, label in enumerate(labels)]
     names += [f'point {index + 1}' for index in range(len(names), seen.shape[1])]
@@ -84,11 +84,21 @@ def _read(file: File, wanted: Wanted) -> Points:
     return Points(names, seen[:, kept, :3], frames, times, unit_name, notes=notes)
 
 
-def _padded_frames(values: np.ndarray, bytes_per_point: int) -> int:
-    """Count the frames of zeros (T, n, 4) at the end that the padding of a block can supply."""
-    most = (_BLOCK - 1) // max(1, values.shape[1] * bytes_per_point)
-    content = np.flatnonzero(values.any(axis=(1, 2)))
-    return min(most, len(values) - 1 - int(content[-1])) if len(content) else 0
+def _frames_before_zeros(values: np.ndarray) -> tuple[int, bool]:
+    """
+    Count the frames (T, n, 4) before the zeros that a file is filled up with at its end.
+
+    The zeros may begin amid the frame behind these, which the second result says. A marker that
+    rests at the origin is zeros in the frame before that, too.
+    """
+    frames, points = values.any(axis=(1, 2)), values.any(axis=2)
+    if not frames.any():
+        return len(values), False
+    whole = len(values) - int(frames[::-1].argmax())
+    behind = points.shape[1] - int(points[whole - 1, ::-1].argmax())
+    if whole > 1 and points[whole - 2, behind:].any():
+        return whole - 1, True
+    return whole, False
 
 
 def _labels(reader: Any, parameter: str) -> list[str]:

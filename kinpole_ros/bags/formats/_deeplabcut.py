@@ -69,7 +69,8 @@ def _read(file: File, wanted: Wanted) -> Points:
     for name, letter in product(names, 'xy'):
         if (name, letter) not in columns:
             raise BagError(f"{file.path}: '{shown(name)}' has no {letter}; fix: {_FIX}")
-    check_cells(file.path, 3 * len(lines) * len(names))
+    # The number and the stamp of each frame are held, too.
+    check_cells(file.path, (3 * len(names) + 2) * len(lines))
     points, numbers = np.zeros((len(lines), len(names), 3)), np.empty(len(lines))
     places = {name: index for index, name in enumerate(names)}
     done = 0

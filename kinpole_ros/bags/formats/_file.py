@@ -422,16 +422,20 @@ def check_names(path: Path, names: Sequence[str]) -> None:
 
 def whole_numbers(path: Path, numbers: np.ndarray, lines: Sequence[int], name: str) -> np.ndarray:
     """Numbers of frames as int64; raises BagError when they are not, or do not rise."""
-    whole = np.rint(np.nan_to_num(numbers, nan=-1.0)).astype(np.int64)
-    bad = ~(np.abs(whole - numbers) < 1e-6)
-    if not bad.any() and len(whole) > 1:
-        bad[1:] = np.diff(whole) <= 0
-    if bad.any():
-        row = int(bad.argmax())
-        raise BagError(
-            f'{path}, line {lines[row]}, column {name}: {numbers[row]:.10g} is not the number of a '
-            'frame after the one before; fix: a number for each frame, in order'
-        )
+    whole = np.empty(len(numbers), np.int64)
+    # Some at a time, since there can be millions.
+    for first in range(0, len(numbers), _BLOCK_CELLS):
+        part = slice(first, first + _BLOCK_CELLS)
+        whole[part] = np.rint(np.nan_to_num(numbers[part], nan=-1.0))
+        bad = ~(np.abs(whole[part] - numbers[part]) < 1e-6)
+        before = whole[max(0, first - 1) : part.stop]
+        bad[len(bad) - len(before) + 1 :] |= np.diff(before) <= 0
+        if bad.any():
+            row = first + int(bad.argmax())
+            raise BagError(
+                f'{path}, line {lines[row]}, column {name}: {numbers[row]:.10g} is not the number '
+                'of a frame after the one before; fix: a number for each frame, in order'
+            )
     return whole
 
 

@@ -27,7 +27,10 @@ _ENDINGS = {
     'a Foxglove layout': ('.json',),
     'a PlotJuggler layout': ('.xml',),
     'a picture': ('.png', '.pdf', '.svg', '.jpg', '.jpeg'),
+    'a pair of pitch curves': ('.csv', '.svg', '.dxf'),
 }
+# Browsers go by the ending of a page, and the ending says what pitch curves are written as.
+_STRICT = ('an HTML page', 'a pair of pitch curves')
 
 
 class UsageError(Exception):
@@ -141,8 +144,8 @@ def check_ending(option: str, output: str | None, kind: str) -> None:
     output : str or None
         The file; None if it is not asked for.
     kind : str
-        What is written: a key of `_ENDINGS`. A page needs one of its endings, since browsers go
-        by them; the others may have any ending that is not another kind's.
+        What is written: a key of `_ENDINGS`. Those of `_STRICT` need one of their endings; the
+        others may have any ending that is not another kind's.
 
     Raises
     ------
@@ -152,9 +155,9 @@ def check_ending(option: str, output: str | None, kind: str) -> None:
     ending = os.path.splitext(output or '')[1].lower()
     own = _ENDINGS[kind]
     others = {other for endings in _ENDINGS.values() for other in endings}
-    if output is None or ending in own or (kind != 'an HTML page' and ending not in others):
+    if output is None or ending in own or (kind not in _STRICT and ending not in others):
         return
-    raise UsageError(f'{option} {output}: the output is {kind}; end its name in {own[0]}')
+    raise UsageError(f'{option} {output}: the output is {kind}; end its name in {" or ".join(own)}')
 
 
 def _files_of(path: str) -> list[str]:

@@ -2,8 +2,10 @@
 
 import argparse
 import sys
+from importlib.util import find_spec
 from typing import Any
 
+from kinpole_ros.files import printable
 from kinpole_ros.packages import install_command
 from kinpole_ros.tools.commands._shared import (
     add_set,
@@ -86,7 +88,7 @@ def add(commands: Any) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Do it, and print the outcome; the exit status."""
-    from kinpole_ros.bags import BagError
+    from kinpole_ros.bags import BagError, assumed_body
     from kinpole_ros.bags.batch import KINDS, TlsFiles, batch, is_open_to_all, listed_bags
 
     if options.workers is not None and options.workers < 1:
@@ -96,6 +98,8 @@ def run(options: argparse.Namespace) -> int:
     tls = TlsFiles(options.tls_ca, options.tls_cert, options.tls_key)
     if options.scheduler is None and tls != TlsFiles():
         raise BagError('--tls-ca, --tls-cert and --tls-key are for a cluster; give --scheduler too')
+    if options.parquet and options.scheduler is None and find_spec('pyarrow') is None:
+        raise BagError(f'--parquet needs pyarrow; fix: {install_command("parquet")}, or use --csv')
     bags = [*options.bags, *(listed_bags(options.list) if options.list else [])]
     if not bags:
         raise BagError('no bags are named; give some, or a file that names them by --list')
@@ -134,7 +138,12 @@ def run(options: argparse.Namespace) -> int:
     cut = sum(bool(row.get('truncated')) for row in rows)
     lacking = sum(bool(row.get('unknown')) for row in rows)
     frames = sum(row.get('frames', 0) for row in rows)
+    assumptions = [assumed_body(row.get('markers', 0), settings, row['bag']) for row in rows]
     lack = f', {lacking} never estimated a body' if lacking else ''
     print(f'{len(rows)} bags, {failed} failed, {cut} cut off{lack}; {frames} frames in')
+    if first := next(filter(None, assumptions), ''):
+        others = sum(map(bool, assumptions)) - 1
+        more = f'; so it is for {others} other bag{"s"[others == 1 :]}' if others else ''
+        print(f'{printable(first)}{more}')
     print(f'written to {options.output}, with a table over all in {options.output}/summary.csv')
     return 2 if failed or cut or lacking else 0

@@ -78,7 +78,7 @@ def run(options: argparse.Namespace) -> int:
             options.parquet,
         )
     print(f'{result.frames} frames in, {result.estimates} instants out')
-    if assumption := assumed_body(result, settings, options.bag):
+    if assumption := assumed_body(len(result.identities), settings, options.bag):
         print(printable(assumption))
     for what, count in (
         ('stamps repeated', result.repeated),

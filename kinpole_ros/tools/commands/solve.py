@@ -22,6 +22,7 @@ def add(commands: Any) -> None:
         '  kinpole solve slider_crank --sweep --csv crank.csv --plot crank.png\n'
         '  kinpole solve double_pendulum --time 5 --csv course.csv --html course.html\n'
         '  kinpole solve loader_cylinder --statics\n'
+        '  kinpole solve four_bar --at "60 deg" --polygon polygons.svg\n'
         '  kinpole solve antiparallelogram --pitch crank follower gears.svg\n',
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
@@ -43,6 +44,12 @@ def add(commands: Any) -> None:
     )
     solve.add_argument('--centers', action='store_true', help='instant centers, as deduced by hand')
     solve.add_argument('--statics', action='store_true', help='what drivers and joints bear')
+    solve.add_argument(
+        '--work',
+        action='store_true',
+        help='the statics step by step: virtual work line by line, the share of each load, each '
+        'bearing force by letting the bearing go, mechanical advantages',
+    )
     solve.add_argument('--csv', metavar='FILE', help='all figures as a table, SI units')
     solve.add_argument('--plot', metavar='FILE.png', help='the linkage, and rates over the range')
     solve.add_argument(
@@ -52,10 +59,25 @@ def add(commands: Any) -> None:
         metavar='BODY',
         help='draw the centrodes of these bodies into the picture of --plot',
     )
+    solve.add_argument(
+        '--polygon',
+        metavar='FILE.svg',
+        help='velocity and acceleration polygons to scale beside the linkage, .svg or .png: at '
+        '--at, at time 0, or at the end of --time',
+    )
+    solve.add_argument(
+        '--decompose',
+        nargs=2,
+        default=(),
+        metavar=('BODY:A,B', 'FILE.svg'),
+        help="Poisson's decomposition: translation with the point A and rotation about it against "
+        'the same with B, from time 0 to --at or the end of --time, and of the velocities there',
+    )
     solve.add_argument('--html', metavar='FILE.html', help='the linkage in motion, as in a report')
     solve.add_argument(
         '--pitch',
         nargs=3,
+        default=(),
         metavar=('BODY', 'BODY', 'FILE'),
         help='centrodes of two bodies as pitch curves: .csv, or .svg, .dxf true to scale',
     )
@@ -66,9 +88,11 @@ def run(options: argparse.Namespace) -> int:
     from kinpole_ros.tools.solve import solve_scene
 
     pitch = options.pitch[2] if options.pitch else None
-    check_outputs([options.scene], [options.csv, options.plot, pitch, options.html])
+    files = [options.csv, options.plot, options.html, options.polygon, pitch]
+    check_outputs([options.scene], [*files, *options.decompose[1:]])
     check_ending('--html', options.html, 'an HTML page')
     check_ending('--csv', options.csv, 'a CSV table')
+    check_ending('--pitch', pitch, 'a pair of pitch curves')
     lines = solve_scene(
         options.scene,
         options.at,
@@ -81,6 +105,9 @@ def run(options: argparse.Namespace) -> int:
         options.time,
         options.html,
         options.centrodes,
+        polygons=options.polygon,
+        decomposed=options.decompose,
+        work=options.work,
     )
     print('\n'.join(map(printable, lines)))
     return 0

@@ -14,8 +14,9 @@ from typing import Any
 from kinpole_ros import __version__
 from kinpole_ros.bags import BagError, assumed_body, in_place_of, replay, warnings_of
 from kinpole_ros.files import printable
-from kinpole_ros.linkage.theory import DeviationSummary, load_theory
+from kinpole_ros.linkage.theory import DeviationSummary
 from kinpole_ros.mechanism import load_scene
+from kinpole_ros.messages import theory_of
 from kinpole_ros.pipeline.parameters import Settings
 from kinpole_ros.rigid.plane import XY, as_parameter, plane_of
 from kinpole_ros.tools.report._pack import embedded, pack
@@ -109,10 +110,10 @@ def _replayed(
     progress: Callable[[float], None] | None,
     tell: Callable[[str], None] | None,
 ) -> tuple[Record, list[str], list[DeviationSummary]]:
-    collector = Collector(_most_instants(len(settings.bodies)), load_theory(settings))
+    collector = Collector(_most_instants(len(settings.bodies)), theory_of(settings))
     result = replay(bag, settings, topic=topic, progress=progress, take=collector.add)
     notes = warnings_of(result, settings)
-    if assumption := assumed_body(result, settings, bag):
+    if assumption := assumed_body(len(result.identities), settings, bag):
         notes.insert(0, assumption)
         if tell is not None:
             tell(assumption)

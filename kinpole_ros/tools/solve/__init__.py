@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from kinpole_ros import files
-from kinpole_ros.mechanism import SceneError, centrodes, load_scene, write_pitch_curves
+from kinpole_ros.mechanism import Scene, SceneError, centrodes, load_scene, write_pitch_curves
 from kinpole_ros.tools.solve._lines import (
     center_lines,
     course_lines,
@@ -30,6 +30,7 @@ from kinpole_ros.tools.solve._solved import (
     unit_note,
 )
 from kinpole_ros.tools.solve._spreadsheet import write_table
+from kinpole_ros.tools.solve._work import work_lines
 
 __all__ = ['solve_scene']
 
@@ -49,18 +50,23 @@ def solve_scene(
     time: str | None = None,
     page: str | Path | None = None,
     curves: Sequence[str] = (),
+    polygons: str | Path | None = None,
+    decomposed: Sequence[str] = (),
+    work: bool = False,
 ) -> list[str]:
     """
-    The analysis as lines to print; also writes the CSV `table`, the `picture`, the `pitch` curves
-    and the HTML `page`.
+    The analysis as lines to print; also writes the CSV `table`, the `picture`, the `pitch` curves,
+    the HTML `page` and the drawing of the `polygons`.
 
     `at` is a value of the one driver, with a unit or in SI; `sweep` takes all the way the linkage
     gives it; `time` all drivers as they move, from 0 to so long, with a unit or in s; none of them,
-    the position at time 0. `pitch` is two bodies and a file (.csv, .svg or .dxf),
-    `curves` are bodies whose centrodes the picture has. Raises SceneError and
-    LinkageError for what the scene cannot do, SceneError for files too.
+    the position at time 0. `pitch` is two bodies and a file (.csv, .svg or .dxf), `curves` are
+    bodies whose centrodes the picture has. The polygons are those of the position `at`, or at the
+    end of `time`. Raises SceneError and LinkageError for what the scene cannot do, SceneError for
+    files too.
     """
-    kind = _kind_of(Path(picture)) if picture else ''
+    drawings = (picture, polygons, decomposed[1] if decomposed else None)
+    kind, polygon_kind, decomposed_kind = (_kind_of(Path(p)) if p else '' for p in drawings)
     loaded = load_scene(scene)
     for body in curves:
         if body not in loaded.mechanism.bodies:
@@ -72,6 +78,7 @@ def solve_scene(
         asked = course(loaded, time, _SAMPLES)
     elif sweep:
         asked = over_range(loaded, _SAMPLES)
+    there = here if time is None else asked.at(-1)
     lines = head_lines(loaded)
     if at is not None and (note := unit_note(loaded, at)):
         lines.append(note)
@@ -85,15 +92,18 @@ def solve_scene(
         lines += center_lines(asked)
     if statics:
         lines += static_lines(asked)
+    if work:
+        lines += work_lines(there if time is not None else asked)
+    rolled = None
+    if pitch:  # before anything is written, since there may be no such bodies
+        one, other, file = pitch
+        way = _whole(asked).inputs[0]
+        rolled = centrodes(loaded.mechanism, one, other, float(way.min()), float(way.max()))
     if table:
         with _writing(table) as part:
             write_table(part, asked, centers, statics)
         lines.append(f'written to {table}')
-    if pitch:
-        one, other, file = pitch
-        way = _whole(asked).inputs[0]
-        low, high = float(way.min()), float(way.max())
-        rolled = centrodes(loaded.mechanism, one, other, low, high)
+    if rolled is not None:
         write_pitch_curves(file, rolled)
         lines.append(
             f'the curves of {one} and {other} roll on each other, arc lengths equal to '
@@ -103,7 +113,7 @@ def solve_scene(
         from kinpole_ros.tools.solve._page import write_page
 
         with _writing(page) as part:
-            write_page(part, _whole(asked))
+            write_page(part, _whole(asked), there)
         lines.append(f'written to {page}')
     if picture:
         from kinpole_ros.tools.solve._picture import draw
@@ -112,6 +122,27 @@ def solve_scene(
         with _writing(picture) as part:
             draw(part, kind, whole, drawn(whole, here), centers, curves)
         lines.append(f'written to {picture}')
+    if polygons:
+        from kinpole_ros.tools.solve._polygons import draw_polygons, polygon_lines
+
+        lines += polygon_lines(there)
+        with _writing(polygons) as part:
+            draw_polygons(part, polygon_kind, there)
+        lines.append(f'written to {polygons}')
+    if decomposed:
+        from kinpole_ros.tools.solve._decompose import (
+            decompose,
+            decomposition_lines,
+            draw_decomposition,
+        )
+
+        body, file = decomposed
+        whole = _whole(asked)
+        found = decompose(body, _former(loaded, there, whole), there, whole)
+        lines += decomposition_lines(found)
+        with _writing(file) as part:
+            draw_decomposition(part, decomposed_kind, found)
+        lines.append(f'written to {file}')
     return lines
 
 
@@ -124,6 +155,15 @@ def _whole(asked: Solved) -> Solved:
     except SceneError:
         # Several drivers, or one that nothing stops.
         return course(asked.scene, None, _SAMPLES)
+
+
+def _former(scene: Scene, there: Solved, whole: Solved) -> Solved:
+    """The position at time 0, or where that is `there` one an eighth of the range from it."""
+    start = over_time(scene, np.zeros(1))
+    if np.abs(start.values - there.values).max() > 1e-9:
+        return start
+    away = np.abs(whole.inputs[0] - there.inputs[0, 0])
+    return whole.at(int(np.abs(away - np.ptp(whole.inputs[0]) / 8).argmin()))
 
 
 @contextmanager
@@ -141,6 +181,8 @@ def _writing(path: str | Path) -> Iterator[Path]:
 
 def _kind_of(path: Path) -> str:
     """The kind of picture, by its suffix; raises SceneError for what matplotlib does not draw."""
+    if path.suffix.lower() == '.svg':
+        return 'svg'
     from matplotlib.backend_bases import FigureCanvasBase
 
     known = sorted(FigureCanvasBase.get_supported_filetypes())

@@ -66,12 +66,12 @@ def motion_lines(solved: Solved) -> list[str]:
         [body, np.rad2deg(motion.angle[0, b, 0]), *motion.angle[1:, b, 0]]
         for b, body in enumerate(scene.mechanism.bodies)
     ]
-    lines += _table(
+    lines += table_lines(
         ['body', 'angle deg', 'ω rad/s', 'α rad/s²', 'jerk rad/s³', 'snap rad/s⁴'], rows
     )
     slides = [[name, *motion.values[:, k, 0]] for name, k in lengths(scene).items()]
     if slides:
-        lines += ['', *_table(['length', 'm', 'm/s', 'm/s²', 'm/s³', 'm/s⁴'], slides)]
+        lines += ['', *table_lines(['length', 'm', 'm/s', 'm/s²', 'm/s³', 'm/s⁴'], slides)]
     rows = [
         [name, *(part for z in place[:, 0] for part in (z.real, z.imag))]
         for name, place in point_motions(solved).items()
@@ -83,7 +83,7 @@ def motion_lines(solved: Solved) -> list[str]:
             for d, unit in zip(('', 'v', 'a', 'j'), units, strict=True)
             for c in 'xy'
         ]
-        lines += ['', *_table(['point', *head], rows)]
+        lines += ['', *table_lines(['point', *head], rows)]
     return [*lines, *_pole_lines(solved), *_transmission_lines(solved)]
 
 
@@ -97,7 +97,7 @@ def _pole_lines(solved: Solved) -> list[str]:
         parts = [part for z in places for part in (z.real, z.imag)]
         rows.append([body, *parts, found.curvature[b, 0]])
     head = [f'{name} {c} m' for name in ('ICR', 'IAP', 'IJP') for c in 'xy']
-    return ['', *_table(['body', *head, 'u x m/s', 'u y m/s', 'κ 1/m'], rows)]
+    return ['', *table_lines(['body', *head, 'u x m/s', 'u y m/s', 'κ 1/m'], rows)]
 
 
 def _transmission_lines(solved: Solved) -> list[str]:
@@ -109,11 +109,11 @@ def _transmission_lines(solved: Solved) -> list[str]:
             [name, _ratio(values[0]), unit] for (name, unit), values in gains.items()
         ]
         driver = solved.scene.mechanism.drivers[0].name
-        lines += ['', *_table(['at', f'advantage over {driver}', ''], rows)]
+        lines += ['', *table_lines(['at', f'advantage over {driver}', ''], rows)]
     angles = transmission_angles(solved.scene.mechanism, solved.values)
     if angles:
         listed = [[', '.join(names), np.rad2deg(angle[0])] for names, angle in angles.items()]
-        lines += ['', *_table(['between', 'transmission angle deg'], listed)]
+        lines += ['', *table_lines(['between', 'transmission angle deg'], listed)]
     return lines
 
 
@@ -140,16 +140,16 @@ def range_lines(solved: Solved) -> list[str]:
                 f'dead point at {name} = {shown(scene, 0, dead.at, 12)} ({what}; {moving} can '
                 f'move, in the loop {loop})'
             )
-    return [*lines, *_motion_table(solved)]
+    return [*lines, *_motiontable_lines(solved)]
 
 
 def course_lines(solved: Solved) -> list[str]:
     """The motion over time."""
     assert solved.times is not None
-    return [f'from 0 to {solved.times[-1]:.9g} s', *_motion_table(solved)]
+    return [f'from 0 to {solved.times[-1]:.9g} s', *_motiontable_lines(solved)]
 
 
-def _motion_table(solved: Solved) -> list[str]:
+def _motiontable_lines(solved: Solved) -> list[str]:
     """Bodies and lengths at some of the positions."""
     scene, motion = solved.scene, solved.motion
     kept = np.linspace(0, solved.inputs.shape[1] - 1, _ROWS).astype(int)
@@ -170,7 +170,7 @@ def _motion_table(solved: Solved) -> list[str]:
         for n in slides.values():
             row += [motion.values[0, n, k], motion.values[1, n, k]]
         rows.append(row)
-    return _table(head, rows)
+    return table_lines(head, rows)
 
 
 def center_lines(solved: Solved) -> list[str]:
@@ -192,13 +192,13 @@ def center_lines(solved: Solved) -> list[str]:
         rows.append(
             [center_name(len(found.bodies), i, j), f'{found.bodies[i]}, {found.bodies[j]}', *where]
         )
-    lines += _table(['center', 'of', 'x m', 'y m'], rows)
+    lines += table_lines(['center', 'of', 'x m', 'y m'], rows)
     return [*lines, '', *explain(mechanism, found.steps)]
 
 
 def static_lines(solved: Solved) -> list[str]:
     """What the drivers and the joints bear, at the first position."""
-    scene, acts = solved.scene, acting(solved.first)
+    scene, acts = solved.scene, acting(solved.at(0))
     if not acts.all:
         raise SceneError(
             f'{scene.name} has no loads: add them, as loads: [{{weight: 10 kg, at: BODY.POINT}}]'
@@ -230,7 +230,7 @@ def static_lines(solved: Solved) -> list[str]:
         for j, name in enumerate(found.joints)
     ]
     if rows:
-        lines += ['', *_table(['joint', 'Fx N', 'Fy N', 'F N', 'moment N m'], rows)]
+        lines += ['', *table_lines(['joint', 'Fx N', 'Fy N', 'F N', 'moment N m'], rows)]
     for j, name in enumerate(found.joints):
         # Of a force that is not unique one part may be, as that of teeth along their wheel.
         for part, turn in ((found.along[j, 0], 1), (found.across[j, 0], 1j)):
@@ -279,7 +279,7 @@ def _number(value: float) -> str:
     return f'{value:.6g}' if np.isfinite(value) else '-'
 
 
-def _table(head: Sequence[str], rows: Sequence[Sequence[str | float]]) -> list[str]:
+def table_lines(head: Sequence[str], rows: Sequence[Sequence[str | float]]) -> list[str]:
     """Lines of a table, numbers to the right."""
     columns = []
     for column in zip(*rows, strict=True):

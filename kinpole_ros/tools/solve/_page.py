@@ -14,14 +14,19 @@ from kinpole_ros.files import printable
 from kinpole_ros.mechanism import Rolling, Scene, poles
 from kinpole_ros.pipeline.estimate import POLE_NAMES, RATE_NAMES
 from kinpole_ros.tools.report import Record, pack, page
-from kinpole_ros.tools.solve._solved import Solved, centers_of, rates_of
+from kinpole_ros.tools.solve._solved import Solved, acting, centers_of, rates_of
+from kinpole_ros.tools.solve._work import work_lines
 
 # In sizes of the bodies.
 _ZERO = 1e-9
 
 
-def write_page(path: Path, solved: Solved) -> None:
-    """Write the motion over time, or over a range at the rate it is driven at, as one HTML file."""
+def write_page(path: Path, solved: Solved, here: Solved) -> None:
+    """
+    Write the motion over time, or over a range at the rate it is driven at, as one HTML file.
+
+    The statics step by step, where there are loads, are those of the position `here`.
+    """
     record = _record(solved)
     scene = solved.scene
     seconds = (record.stamp[-1] - record.stamp[0]) * 1e-9
@@ -38,6 +43,7 @@ def write_page(path: Path, solved: Solved) -> None:
         'notes': [],
         'scene': printable(scene.name),
         'deviations': [],
+        'work': work_lines(here) if acting(here).all else [],
         'exact': True,
         'made': f'kinpole {__version__}',
     }

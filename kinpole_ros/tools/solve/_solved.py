@@ -49,12 +49,14 @@ class Solved(NamedTuple):
     limits: Limits = (None, None)
     times: np.ndarray | None = None
 
-    @property
-    def first(self) -> 'Solved':
-        """The same at the first position alone."""
-        motion = Motion(*(part[..., :1] for part in self.motion))
-        times = None if self.times is None else self.times[:1]
-        return Solved(self.scene, self.inputs[:, :1], self.rates[:, :1], motion, self.limits, times)
+    def at(self, k: int) -> 'Solved':
+        """The same at position `k` alone."""
+        one = [k]
+        motion = Motion(*(part[..., one] for part in self.motion))
+        times = None if self.times is None else self.times[one]
+        return self._replace(
+            inputs=self.inputs[:, one], rates=self.rates[:, one], motion=motion, times=times
+        )
 
     @property
     def values(self) -> np.ndarray:

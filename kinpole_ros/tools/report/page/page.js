@@ -253,6 +253,8 @@ function show(data) {
   drawLacking(by('lacking'), data);
   drawTheory(by('theory'), data);
   drawNotes(by('notes'), data);
+  by('work').hidden = !data.work?.length;
+  by('work').querySelector('pre').textContent = (data.work || []).join('\n').trim();
   const actions = makePage(data);
   actions.open();
   const still = matchMedia('(prefers-reduced-motion: reduce)').matches;

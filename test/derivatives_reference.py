@@ -1,5 +1,7 @@
 """
-Derivatives of poses within a window: the mean over all models, by how probable each is.
+What the compiled kernel does of even samples, with numpy: to read, and to test the kernel by.
+
+Derivatives of poses within a window are the mean over all models, by how probable each is.
 
 What the models disagree about is part of the covariance. There each spectrum counts as much as the
 others: how the harmonics of a motion fall below its noise is what the samples cannot tell.
@@ -9,12 +11,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from kinpole_ros.derivatives._lacking import Lacking, Lacks, lacks_of
+from kinpole_ros.derivatives._fast import KNOWN, Found, Lacking
 from kinpole_ros.derivatives._models import Modes, Stencils
 from kinpole_ros.planar._plane import Real
 
-# The noise as it was measured counts for so many samples.
-KNOWN = 300.0
 # Models with less weight than this do not count.
 _LEAST = 1e-5
 # Of angle and position: how many components, and which of both each component is of.
@@ -22,19 +22,30 @@ _COMPONENTS = np.array((1, 2))
 _SIGNAL = [0, 1, 1]
 
 
-class Found(NamedTuple):
+class Lacks(NamedTuple):
     """
-    Of S bodies: derivatives `mean` (K, 3, S) of angle and both coordinates.
+    What M models lack: `less` (M, 3, S) by which the squares of what is left are smaller, and
+    `log` (M, 2, S), half of the logarithm by which the determinant is larger.
 
-    `covariance` (K, K, 2, S) is that of the angle and of one coordinate, `freedom` (2, S) how many
-    parameters their motions have, and `evidence` (2, S) the logarithm of how probable the samples
-    are by all models, up to a constant for so many samples.
+    `gain` (X, X, M, 2, S) is the covariance of what is off at the cells, over that of the noise,
+    inverted, and `error` (X, M, 3, S) how far cells are off by it.
     """
 
-    mean: Real
-    covariance: Real
-    freedom: Real
-    evidence: Real
+    less: Real
+    log: Real
+    gain: Real
+    error: Real
+
+    def correct(self, models: np.ndarray, reach: Real) -> tuple[Real, Real]:
+        """
+        How much less (M, K, 3, S) derivatives are, and how much larger their covariances
+        (M, K, K, 2, S) over the variance of the noise.
+
+        Of some `models` (M,), that make so much of the cells, `reach` (M, K, X, S).
+        """
+        less = np.einsum('mkxs,xmcs->mkcs', reach, self.error[:, models])
+        half = np.einsum('mkxs,xymcs->mkycs', reach, self.gain[:, :, models])
+        return less, np.einsum('mkycs,mjys->mkjcs', half, reach)
 
 
 class Evidence(NamedTuple):
@@ -241,3 +252,56 @@ def _weights(evidence: Real, kinds: Real) -> tuple[Real, Real, Real]:
     weights[least] = likely[least] = 0.0
     total = likely.sum(axis=0)
     return likely / total, weights, best + np.log(total)
+
+
+def lacks_of(modes: Modes, rows: Real, samples: Real, lacking: Lacking) -> Lacks:
+    """What models lack of `samples` (n, 3, S), whose modes are `rows` (R, 3 S)."""
+    cells, weight = lacking
+    number, bodies = cells.shape
+    models = len(modes.freedom)
+    rows = rows.reshape(-1, 1, 3, bodies)
+    vectors = modes.vectors[:-1, cells]  # (R, X, S)
+    left = np.empty((models, number, number, bodies))
+    off = np.empty((models, number, 3, bodies))
+    # Of rest, and then of all, unless modes are as many as samples.
+    whole = np.eye(number)[..., None], np.moveaxis(samples[cells, :, np.arange(bodies)], 1, 2)
+    for k, end in ((0, models), (1, -1)):
+        parts = _terms(vectors[k : k + 1], rows[k : k + 1])
+        whole = whole[0] - parts[0][0], whole[1] - parts[1][0]
+        left[:end], off[:end] = whole
+    for begin, end, some, share, lost in modes.parts:
+        parts = _terms(vectors[begin:end], rows[begin:end])
+        for target, part, other in zip((left, off), parts, whole, strict=True):
+            part = part.reshape(len(share), share.shape[2], -1)
+            own = lost @ part if modes.exact else other.reshape(-1) - share @ part
+            target[some] = own.reshape(-1, *other.shape)
+    # (X, X, M, S) of what is off at the cells, in a window where all are as good.
+    left, off = left.transpose(1, 2, 0, 3), np.moveaxis(off, 1, 0)
+    weight = weight[:, None]
+    system = left[:, :, :, None] * (1 - weight)[:, None]
+    system[np.arange(number), np.arange(number)] += weight
+    log = _invert(system)
+    gain = system * (1 - weight)
+    error = np.einsum('xymcs,ymcs->xmcs', gain[:, :, :, _SIGNAL], off)
+    return Lacks(np.einsum('xmcs,xmcs->mcs', off, error), log / 2, gain, error)
+
+
+def _terms(vectors: Real, rows: Real) -> tuple[Real, Real]:
+    """What modes (R, ...) have of the products of cells (R, X, X, S), and at each (R, X, 3, S)."""
+    return vectors[:, :, None] * vectors[:, None], vectors[:, :, None] * rows
+
+
+def _invert(system: Real) -> Real:
+    """Invert positive definite matrices (X, X, ...) in place; logarithms of their determinants."""
+    log = np.zeros(system.shape[2:])
+    for k in range(len(system)):
+        pivot = system[k, k].copy()
+        log += np.log(pivot)
+        system[k, k] = 1.0
+        system[k] /= pivot
+        for i in range(len(system)):
+            if i != k:
+                factor = system[i, k].copy()
+                system[i, k] = 0.0
+                system[i] -= factor * system[k]
+    return log

@@ -1,0 +1,35 @@
+"""The compiled library of the package, C that needs no headers of Python, and arrays for it."""
+
+import ctypes
+import sysconfig
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+_FILE = Path(__file__).with_name(f'_compiled{sysconfig.get_config_var("EXT_SUFFIX")}')
+_Bytes = ctypes.c_char * 0
+
+
+def _load() -> ctypes.CDLL:
+    """Load the library that setup.py builds."""
+    if not _FILE.exists():
+        raise ImportError(
+            f'{_FILE} is not there: build it with `pip install --editable .` in the source folder'
+        )
+    return ctypes.CDLL(str(_FILE))
+
+
+library = _load()
+
+
+def pass_array(array: np.ndarray | None, dtype: Any = float) -> Any:
+    """
+    Return an argument of a function of `library` that points to the elements of an array.
+
+    An array of another type, layout, or that is read-only is copied.
+    """
+    if array is None:
+        return None
+    array = np.ascontiguousarray(array, dtype)
+    return _Bytes.from_buffer(array if array.flags.writeable else array.copy())
