@@ -51,7 +51,11 @@ setup(
     ext_modules=[
         Extension(
             f'{NAME}._compiled',
-            [f'{NAME}/derivatives/_kernel.c', f'{NAME}/planar/_kernel.c'],
+            [
+                f'{NAME}/derivatives/_kernel.c',
+                f'{NAME}/planar/_kernel.c',
+                f'{NAME}/tracking/_step.c',
+            ],
             depends=[f'{NAME}/derivatives/_kernel_sums.h'],
             extra_compile_args=['-O3'],
         )

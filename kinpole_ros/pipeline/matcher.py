@@ -86,6 +86,16 @@ class Matcher:
         """How many points a cloud without names has when it is whole, 0 while not known."""
         return self._whole
 
+    @property
+    def is_nameless(self) -> bool:
+        """Whether the names of the last frames may mean nothing."""
+        return self._nameless
+
+    @property
+    def has_extras(self) -> bool:
+        """Whether the last frames have points that are no markers."""
+        return len(self._layout.extras) > 0 and not self._by_shape
+
     def begin(self, stamps: np.ndarray, points: Complex, heights: Real) -> None:
         """Frames come, sorted by names: `points` and `heights` (T, B, n), corrected in place."""
         self._stamps, self._points, self._heights = stamps, points, heights

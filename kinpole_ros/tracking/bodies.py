@@ -5,12 +5,14 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from kinpole_ros.planar import grip_of
-from kinpole_ros.planar._plane import ROUNDING, Complex, Real
+from kinpole_ros.planar._plane import ROUNDING, Complex
 
 # A marker farther off than this is an outlier, in standard deviations of residuals.
 OUTLIER_SIGMAS = 6.0
 # The same while the residuals are not known, as a share of the diameter of the body.
 YOUNG_OUTLIER = 0.03
+# An angle noisier than this wanders, and its errors are no longer small, rad.
+UNSTEADY = 0.15
 # Fewer fits, or degrees of freedom, than these give no usable variance.
 MIN_FITS = 20
 # Residuals below this share of the diameter are rounding.
@@ -79,6 +81,8 @@ class Bodies:
         young = np.maximum(YOUNG_OUTLIER * self.size, 2 * usual)
         self.limit = np.where(self.mature, usual, young)
         self.largest = np.where(self.mature, usual**2, np.inf)[:, None] * self.relative
+        self.doubtful = (self.limit**2)[:, None] * self.relative
+        self.loosest = self.misfit / UNSTEADY**2
 
     def begin(self, markers: Complex) -> None:
         """Take shapes of bodies not seen before from a frame (B, n); origin at the mean."""

@@ -20,7 +20,15 @@ from kinpole_ros.rigid._pin import (
     _arm,
     _spaced,
 )
-from kinpole_ros.rigid._reference import _CLEAR, _DEGREES, _PRESENT, _SHARE, _WHETHER, _WINDOWS, _rests
+from kinpole_ros.rigid._reference import (
+    _CLEAR,
+    _DEGREES,
+    _PRESENT,
+    _SHARE,
+    _WHETHER,
+    _WINDOWS,
+    _rests,
+)
 from kinpole_ros.rigid._soft import chi_square, student
 from kinpole_ros.rigid.levels import FEW, KEPT, RUNNING, SURE
 from kinpole_ros.tracking.bodies import Bodies
@@ -111,7 +119,10 @@ class Pins:
             even, of_angle = (
                 np.where(held, misfit / part[:, which], 0.0) for part in (fit.weight, fit.spread)
             )
-            left = np.nan_to_num(fit.residual[:, which]) / np.sqrt(misfit * bodies.relative[which].T.mean(0))[:, None]
+            left = (
+                np.nan_to_num(fit.residual[:, which])
+                / np.sqrt(misfit * bodies.relative[which].T.mean(0))[:, None]
+            )
         left = np.where(held[..., None], left, 0)
         arm = _arm(z, e, held / count)[0]
         weights = np.where(held, 1 / np.where(held, even + np.abs(arm) ** 2 * of_angle, 1), 0)

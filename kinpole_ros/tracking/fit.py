@@ -7,13 +7,11 @@ import numpy as np
 from kinpole_ros.planar import Fit, fit_by_grip, fit_pose, grip_of
 from kinpole_ros.planar._plane import Complex, Real
 from kinpole_ros.rigid._noise import mean_square
-from kinpole_ros.rigid._untangle import EXCHANGED, correct_markers, half_turn
+from kinpole_ros.rigid._untangle import correct_markers, half_turn
 from kinpole_ros.tracking.bodies import Bodies
 from kinpole_ros.tracking.history import History
 
-# A body whose angle is this far from the last one may have markers exchanged symmetrically, rad.
-MAY_BE_REVERSED = 0.5 * np.pi
-# It has if it is this far from where it would have turned to, while it turns slowly, rad per frame.
+# Markers may be exchanged if a body is this far, rad, from where it would have turned to, while it turns slowly, rad per frame.
 REVERSED, SLOW = 0.75 * np.pi, 0.25 * np.pi
 # Mean square residual per degree of freedom, over the misfit, of a body that was corrected; 0.1% of
 # chi-squares of three degrees exceed it.
@@ -31,20 +29,11 @@ def fit_markers(bodies: Bodies, markers: Complex) -> Fit:
     return fit_by_grip(markers, grip)
 
 
-def odd_bodies(bodies: Bodies, history: History, fit: Fit, goes_on: bool) -> np.ndarray:
-    """Which bodies (B,) do not fit, or may be turned by half a turn by exchanged markers."""
-    square = fit.residual.real**2 + fit.residual.imag**2
-    odd = (square > bodies.largest).any(axis=-1)
-    if goes_on and len(history):
-        odd |= np.cos(fit.angle - history['angle'][-1]) < np.cos(MAY_BE_REVERSED)
-    return np.asarray(odd)
-
-
 def correct_frame(
     bodies: Bodies, history: History, markers: Complex, odd: np.ndarray, counts: Counter[str]
-) -> tuple[Fit, Complex]:
+) -> Complex:
     """
-    Fit the poses of one frame with the markers of the `odd` bodies (B,) corrected.
+    Correct the markers of the `odd` bodies (B,) of one frame.
 
     Markers that were exchanged are put in the order of their places, which following frames keep.
     Markers that do not fit are left out; a body that cannot be corrected has no pose.
@@ -62,20 +51,16 @@ def correct_frame(
 
     Returns
     -------
-    Fit
-        The poses.
     array, shape (B, n), complex, m
         The markers in the order of their places, with those that were left out.
 
     """
-    if bodies.exchanged:
-        markers[...] = np.take_along_axis(markers, bodies.order, axis=1)
-        counts[EXCHANGED] += int((bodies.order != np.arange(bodies.width)).sum())
-        odd = odd_bodies(bodies, history, fit_markers(bodies, markers), True)
     came = markers.copy()
     for b in np.flatnonzero(odd).tolist():
-        came[b] = _correct(bodies, history['angle'][-MIN_TURNS:, b], markers, came[b], b, counts)
-    return fit_markers(bodies, markers), came
+        came[b] = _correct(
+            bodies, history['angle'][-MIN_TURNS - 1 : -1, b], markers, came[b], b, counts
+        )
+    return came
 
 
 MIN_TURNS = 20
@@ -89,8 +74,10 @@ def _correct(
     ahead, slow = _angle_ahead(angles)
     angle = fit_pose(markers[b], bodies.shape[b], known).angle
     order = np.arange(bodies.width)
-    if slow and np.cos(angle - ahead) < np.cos(REVERSED) and (
-        bodies.limit[b] ** 2 < bodies.spread[b]
+    if (
+        slow
+        and np.cos(angle - ahead) < np.cos(REVERSED)
+        and (bodies.limit[b] ** 2 < bodies.spread[b])
     ):
         turned = half_turn(bodies.shape[b], known, float(bodies.limit[b]))
         if turned is not None:

@@ -8,7 +8,8 @@ class History:
     Frames of `bodies` bodies of up to `markers` markers, oldest first.
 
     `history['angle']` is the column of that name, a view of all rows, valid until the next
-    `append`. Rows are dropped from the start; `dropped` counts them.
+    `append`. Rows are dropped from the start; `dropped` counts them. Rows `first` to `end` of
+    `columns` are in use.
 
     stamp, time : int64, ns. As the message has it, and as the clock has it.
     goes_on : bool. False for a frame that follows a gap.
@@ -23,55 +24,50 @@ class History:
     """
 
     def __init__(self, bodies: int, markers: int) -> None:
-        self.dropped = 0
-        self._first = self._end = 0
-        shapes: dict[str, tuple[tuple[int, ...], type]] = {
-            'stamp': ((), np.int64),
-            'time': ((), np.int64),
-            'goes_on': ((), bool),
-            'markers': ((bodies, markers), complex),
-            'used': ((bodies, markers), bool),
-            'residual': ((bodies, markers), complex),
-            'angle': ((bodies,), float),
-            'turns': ((bodies,), float),
-            'position': ((bodies,), complex),
-            'information': ((2, bodies), float),
-            'height': ((bodies,), float),
-        }
-        self._columns = {
-            name: np.zeros((256, *shape), dtype) for name, (shape, dtype) in shapes.items()
+        self.dropped = self.first = self.end = 0
+        capacity = 256
+        each, both = (capacity, bodies), (capacity, bodies, markers)
+        self.columns: dict[str, np.ndarray] = {
+            'stamp': np.zeros(capacity, np.int64),
+            'time': np.zeros(capacity, np.int64),
+            'goes_on': np.zeros(capacity, bool),
+            'markers': np.zeros(both, complex),
+            'used': np.zeros(both, bool),
+            'residual': np.zeros(both, complex),
+            'angle': np.zeros(each),
+            'turns': np.zeros(each),
+            'position': np.zeros(each, complex),
+            'information': np.zeros((capacity, 2, bodies)),
+            'height': np.zeros(each),
         }
 
     def __len__(self) -> int:
-        return self._end - self._first
+        return self.end - self.first
 
     def __getitem__(self, name: str) -> np.ndarray:
-        return self._columns[name][self._first : self._end]
+        return self.columns[name][self.first : self.end]
 
-    def append(self) -> None:
-        """Add a row, to be filled through the views of the columns."""
-        capacity = len(self._columns['stamp'])
-        if self._end == capacity:
-            count = len(self)
-            if 2 * count > capacity:
-                capacity *= 2
-            for name, column in self._columns.items():
-                moved = column if len(column) == capacity else np.empty_like(
-                    column, shape=(capacity, *column.shape[1:])
-                )
-                moved[:count] = column[self._first : self._end].copy()
-                self._columns[name] = moved
-            self._first, self._end = 0, count
-        self._end += 1
+    def append(self) -> int:
+        """Add a row, and return its number in the columns; its values are those of some old row."""
+        capacity, count = len(self.columns['stamp']), len(self)
+        if self.end == capacity:
+            grown = 2 * capacity if 2 * count > capacity else capacity
+            for name, column in self.columns.items():
+                moved = np.empty((grown, *column.shape[1:]), column.dtype)
+                moved[:count] = column[self.first :]
+                self.columns[name] = moved
+            self.first, self.end = 0, count
+        self.end += 1
+        return self.end - 1
 
     def widen(self, markers: int) -> None:
         """Make room for up to `markers` markers per body, not seen up to now."""
         for name, missing in (('markers', np.nan), ('used', False), ('residual', np.nan)):
-            column = self._columns[name]
+            column = self.columns[name]
             more = (0, 0), (0, 0), (0, markers - column.shape[2])
-            self._columns[name] = np.pad(column, more, constant_values=missing)
+            self.columns[name] = np.pad(column, more, constant_values=missing)
 
     def drop(self, count: int) -> None:
         """Drop the `count` oldest rows."""
-        self._first += count
+        self.first += count
         self.dropped += count

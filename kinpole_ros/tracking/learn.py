@@ -4,7 +4,6 @@ from collections import Counter
 
 import numpy as np
 
-from kinpole_ros.planar import Fit
 from kinpole_ros.planar._plane import ROUNDING, Complex, Real
 from kinpole_ros.rigid._noise import mean_square, tame_part
 from kinpole_ros.rigid._untangle import agreed
@@ -21,32 +20,20 @@ MISFIT_RATIO = 1.15
 MOVED_FRAMES = 100
 # A settled place is moved where residuals are off it by this share of the misfit on average.
 CONTRADICTED = 0.25
-# rad. An angle noisier than this wanders, and its errors are no longer small.
-UNSTEADY = 0.15
-
-
-def record_fit(bodies: Bodies, history: History, fit: Fit, rows: slice) -> None:
-    """Fill rows of the history with fits (T, B); bodies held too loosely have no pose."""
-    least = bodies.misfit / UNSTEADY**2
-    loose = (bodies.spread > least) & (fit.spread < least)
-    angle = np.where(loose, np.nan, fit.angle)
-    known = np.isfinite(angle)
-    history['angle'][rows] = angle
-    history['position'][rows] = np.where(known, fit.position, np.nan)
-    history['residual'][rows] = fit.residual
-    information = history['information'][rows]
-    information[:, 0] = np.where(known, fit.spread, 0.0)
-    information[:, 1] = np.where(known, fit.weight, 0.0)
 
 
 def refit(bodies: Bodies, history: History) -> None:
     """Fit all frames of the history anew, as shapes or weights have changed."""
-    everything = slice(0, None)
     before = history['angle'].copy()
     wrong = (history['information'] == 0).all(axis=1) & np.isfinite(before)
     fit = fit_markers(bodies, np.where(history['used'], history['markers'], np.nan))
-    record_fit(bodies, history, fit, everything)
-    history['information'][np.stack((wrong, wrong), axis=1)] = 0.0
+    loose = (bodies.spread > bodies.loosest) & (fit.spread < bodies.loosest)
+    known = np.isfinite(fit.angle) & ~loose
+    history['angle'][...] = np.where(known, fit.angle, np.nan)
+    history['position'][...] = np.where(known, fit.position, np.nan)
+    history['residual'][...] = fit.residual
+    held = known & ~wrong
+    history['information'][...] = np.where(held, (fit.spread, fit.weight), 0.0).swapaxes(0, 1)
     with np.errstate(invalid='ignore'):
         turns = np.rint((before - history['angle']) / (2 * np.pi))
     history['turns'][...] += np.nan_to_num(turns)

@@ -10,7 +10,7 @@ blocks of frames (the Hadamard variance, Baugh 1971).
 import numpy as np
 
 from kinpole_ros.planar._plane import Complex, Real
-from kinpole_ros.rigid._noise import mean_square, tame_part, trimmed_mean, _share_of_lowest
+from kinpole_ros.rigid._noise import _share_of_lowest, mean_square, tame_part
 
 # Share of the largest squares that may be outliers.
 OUTLIER_SHARE = 0.1

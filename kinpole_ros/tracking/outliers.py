@@ -12,13 +12,6 @@ from kinpole_ros.planar._plane import Complex, Real
 from kinpole_ros.tracking.bodies import Bodies
 from kinpole_ros.tracking.history import History
 
-# A pose is wrong beyond this many standard deviations of what poses are off the cubic; the newest,
-# which no pose follows yet, beyond three times as many off every polynomial through those before.
-FAR, NEWEST_FAR = 7.0, 3.0
-# A pose is not wrong within this share of the diameter, or this angle, rad.
-NEAR = 0.01
-# Most wrong poses in a row.
-LONGEST = 3
 # Poses that are looked back on for the scale, and the fewest.
 SCALE_FRAMES, MIN_SCALE_FRAMES = 256, 20
 
@@ -51,79 +44,6 @@ def signals(history: History, rows: slice) -> tuple[Real, Complex]:
     known = history['information'][rows, 0] > 0
     angle = history['angle'][rows] + 2 * np.pi * history['turns'][rows]
     return np.where(known, angle, np.nan), np.where(known, history['position'][rows], np.nan)
-
-
-def leave_out_wrong_poses(history: History, bodies: Bodies) -> np.ndarray:
-    """
-    Leave out poses that the newest frame shows to be wrong; how many (B,) of each body were.
-
-    Those are one to three poses before the two newest of the body.
-    """
-    count = np.zeros(bodies.count, int)
-    rows = slice(-4 * LONGEST, None)
-    time = (history['time'][rows] - history['time'][-1]) * 1e-9
-    angles, positions = signals(history, rows)
-    for b in np.flatnonzero(np.isfinite(bodies.jump_scale).all(axis=0)).tolist():
-        frames = np.flatnonzero(np.isfinite(angles[:, b]))[-LONGEST - 4 :]
-        if len(frames) < 5 or frames[-1] != len(time) - 1:
-            continue
-        values = np.stack((angles[frames, b] + 0j, positions[frames, b]))
-        least = np.array((NEAR, NEAR * bodies.size[b]))
-        length = _wrong_before_last(time[frames], values, FAR * bodies.jump_scale[:, b], least)
-        if length:
-            wrong = frames[-2 - length : -2] - len(time)
-            history['information'][wrong, :, b] = 0.0
-            count[b] = length
-    return count
-
-
-def _wrong_before_last(time: Real, values: Complex, most: Real, least: Real) -> int:
-    """How many poses before the last two, at `time` (n,), with `values` (2, n), are wrong."""
-    for length in range(1, min(LONGEST, len(time) - 4) + 1):
-        gap = np.arange(len(time) - 2 - length, len(time) - 2)
-        nodes = np.array((gap[0] - 2, gap[0] - 1, len(time) - 2, len(time) - 1))
-        weights = lagrange_weights(np.broadcast_to(time[nodes], (length, 4)), time[gap])
-        gain = np.sqrt(1 + (weights**2).sum(axis=1))
-        off = np.abs(values[:, gap] - values[:, nodes] @ weights.T)
-        limit = np.maximum(most[:, None] * gain, least[:, None])
-        far = off > limit
-        if not far.any(axis=0).all():
-            continue
-        # After a jump that lasts, the poses after the gap do not go on from those before it.
-        first, second, *after = nodes
-        slope = (values[:, second] - values[:, first]) / (time[second] - time[first])
-        ahead = values[:, second, None] + slope[:, None] * (time[after] - time[second])
-        back = np.abs(values[:, after] - ahead).max(axis=1) < off.min(axis=1)
-        if (back | ~far.all(axis=1)).all():
-            return length
-    return 0
-
-
-def doubtful_newest(history: History, bodies: Bodies) -> np.ndarray:
-    """How many (B,) of the newest frames have poses that cannot be told from wrong ones yet."""
-    count = np.zeros(bodies.count, int)
-    rows = slice(-4 * LONGEST, None)
-    time = (history['time'][rows] - history['time'][-1]) * 1e-9
-    angles, positions = signals(history, rows)
-    for b in np.flatnonzero(np.isfinite(bodies.jump_scale).all(axis=0)).tolist():
-        frames = np.flatnonzero(np.isfinite(angles[:, b]))[-LONGEST - 4 :]
-        if len(frames) < 5 or frames[-1] != len(time) - 1:
-            continue
-        values = np.stack((angles[frames, b] + 0j, positions[frames, b]))
-        most = np.maximum(
-            NEWEST_FAR * FAR * bodies.jump_scale[:, b], (NEAR, NEAR * bodies.size[b])
-        )
-        for last in range(max(len(frames) - LONGEST, 4), len(frames)):
-            off = []
-            for used in range(1, 5):
-                nodes = time[last - used : last]
-                weights = lagrange_weights(nodes[None], time[last : last + 1])[0]
-                gain = np.sqrt(1 + (weights**2).sum())
-                off.append(np.abs(values[:, last] - values[:, last - used : last] @ weights) / gain)
-            if (np.min(off, axis=0) > most).any():
-                count[b] = len(time) - frames[last]
-                break
-    return count
 
 
 def lagrange_weights(nodes: Real, at: Real) -> Real:

@@ -9,12 +9,10 @@ from kinpole_ros.pipeline.estimate import Estimate, FramePoses
 from kinpole_ros.planar._plane import Complex, Real
 from kinpole_ros.rigid._reference import seen_at
 from kinpole_ros.rigid.plane import Plane
-from kinpole_ros.tracking.bodies import Bodies
+from kinpole_ros.tracking.bodies import UNSTEADY, Bodies
 from kinpole_ros.tracking.center import Pins
 from kinpole_ros.tracking.deformation import deformation_covariance, hold_hidden
 from kinpole_ros.tracking.history import History
-from kinpole_ros.tracking.learn import UNSTEADY
-from kinpole_ros.tracking.outliers import doubtful_newest
 
 TOO_FEW, NO_POSE = 'too few markers seen, or all at one place', 'no pose of it came'
 TOO_CLOSE = 'markers too close together for their noise'
@@ -31,16 +29,17 @@ def result_at(
     window: float,
     order: int,
     effort: str,
+    doubtful: np.ndarray,
 ) -> dict[str, Any]:
     """
     Compute what the frames from `oldest` on say of the frame `now`.
 
-    `interval` and `window` are in s, `order` is the highest derivative. Returns fields of
+    `interval` and `window` are in s, `order` is the highest derivative; `doubtful` (B,) is how many of
+    the newest poses do not count. Returns fields of
     `Estimate` for one instant, derivatives with an axis of one instant.
     """
     newest = len(history) - 1
     rows = slice(oldest, newest + 1)
-    doubtful = doubtful_newest(history, bodies)
     pin, variance = pins_of_window(bodies, pins, history, oldest)
     hub = np.where(np.isfinite(pin), 0.0, bodies.hub)
     position, information = poses_of_hubs(bodies, history, rows, hub)

@@ -18,18 +18,19 @@ from kinpole_ros.pipeline.frame import MarkerFrames
 from kinpole_ros.pipeline.matcher import Matcher
 from kinpole_ros.pipeline.parameters import Settings
 from kinpole_ros.pipeline.roster import Roster
-from kinpole_ros.planar._plane import Complex, Real
+from kinpole_ros.rigid._untangle import EXCHANGED
 from kinpole_ros.rigid.levels import LITTLE, SURE, TINY
 from kinpole_ros.rigid.plane import Plane
 from kinpole_ros.rigid.space import Space, SpaceReport
 from kinpole_ros.tracking.bodies import Bodies
 from kinpole_ros.tracking.center import Pins, find_hubs
 from kinpole_ros.tracking.deformation import deformed_freedom
-from kinpole_ros.tracking.fit import correct_frame, fit_markers, odd_bodies
+from kinpole_ros.tracking.fit import correct_frame, fit_markers
 from kinpole_ros.tracking.history import History
-from kinpole_ros.tracking.learn import NOISE_FRAMES, freedom_of, learn, record_fit
-from kinpole_ros.tracking.outliers import leave_out_wrong_poses, path_scale
+from kinpole_ros.tracking.learn import NOISE_FRAMES, freedom_of, learn
+from kinpole_ros.tracking.outliers import path_scale
 from kinpole_ros.tracking.results import estimate_of, result_at
+from kinpole_ros.tracking.step import NAME_DOUBTFUL, ODD, Step
 
 # Frames kept to learn from, and at least so many windows.
 LEARNED_FRAMES, LEARNED_WINDOWS = 1024, 4
@@ -86,6 +87,8 @@ class Tracker:
 
     def _start(self) -> None:
         count = len(self.bodies)
+        if hasattr(self, '_step'):
+            self._wrong = self.wrong()
         self._roster = Roster(self.settings, False)
         self._space = Space(self.settings.plane, count, self._roster.width)
         self._roster.plane = self._space.plane
@@ -105,8 +108,8 @@ class Tracker:
         self._history = History(len(self.bodies), self._roster.width)
         self._pins = Pins(self._known)
         self.matcher = Matcher(self.settings, self._roster, self._known, self.counts)
-        self._frames = 0
-        self._new = 0
+        self._step = Step(self._known, self._history)
+        self._frames = self._new = self._row = self._counted = self._newest = 0
         self._next_update = 1
 
     # What diagnostics ask for.
@@ -167,7 +170,7 @@ class Tracker:
 
     def wrong(self) -> np.ndarray:
         """In how many frames each body (B,) as a whole was wrong, and left out."""
-        return self._wrong
+        return self._wrong + self._step.wrong
 
     def outages(self) -> dict[str, Outage]:
         """For how long bodies, by name, were not seen, a window or more; all frames by ''."""
@@ -180,7 +183,7 @@ class Tracker:
 
     def stamp_state(self) -> None:
         """How the stamps lie on the clock found behind them; None while too few have come."""
-        return None
+        return
 
     # Frames.
 
@@ -231,6 +234,7 @@ class Tracker:
                         results.append(result)
                 number += 1
             self.counts['markers_unknown'] = self._roster.unknown
+            self._count_new()
             estimates += self._joined(results)
         return estimates
 
@@ -242,19 +246,24 @@ class Tracker:
     def _joined(self, results: list[dict[str, Any]]) -> list[Estimate]:
         if not results:
             return []
-        return [
-            estimate_of(results, self._frame_id, self.bodies, self._run_number, self.plane)
-        ]
+        return [estimate_of(results, self._frame_id, self.bodies, self._run_number, self.plane)]
 
     def _sort(self, frames: MarkerFrames) -> np.ndarray:
         """The markers (T, B, n, 3) of the bodies, m; hands them to the matcher in the plane."""
         solid = self._roster.sort(frames)
         if self._roster.width > self._known.width:
             self._widen()
-        points, heights = self._roster.flat(solid)
-        self._points, self._heights = points, heights
-        self.matcher.begin(np.asarray(frames.stamps), points, heights)
+        self._hand_over(np.asarray(frames.stamps), solid)
         return solid
+
+    def _hand_over(self, stamps: np.ndarray, solid: np.ndarray) -> None:
+        """Take frames of markers (T, B, n, 3), m, of which `_take` takes one after the other."""
+        self._points, heights = self._roster.flat(solid)
+        self._address, self._stride = self._points.ctypes.data, self._points.strides[0]
+        seen = ~np.isnan(self._points)
+        number = np.maximum(np.count_nonzero(seen, axis=-1), 1)
+        self._mean_heights = np.where(seen, heights, 0).sum(axis=-1) / number
+        self.matcher.begin(stamps, self._points, heights)
 
     def _widen(self) -> None:
         """A body of all markers has more of them: begin with those, as of the same frames."""
@@ -297,80 +306,71 @@ class Tracker:
     def _take(self, stamp: int, k: int, solid: np.ndarray) -> None:
         """Fit the poses of frame `k` of those sorted last, and append them to the history."""
         bodies, history, matcher = self._known, self._history, self.matcher
-        goes_on = not (
-            len(history) and self._interval > 0 and stamp - history['stamp'][-1] > GAP * self._interval
-        )
+        markers = self._points[k]
+        goes_on = self._interval == 0 or stamp - self._newest <= GAP * self._interval
+        self._newest = stamp
         if self._roster.plane is None:
             self._early.append((stamp, solid))
             if matcher.lacks_order(1):
                 solid = np.full_like(solid, np.nan)
-            self._append(stamp, goes_on, np.full(solid.shape[:2], complex(np.nan, np.nan)))
+            self._append(stamp, goes_on)
+            for name in ('markers', 'residual', 'angle', 'position', 'height'):
+                history[name][-1] = np.nan
+            history['used'][-1] = False
+            history['information'][-1] = history['turns'][-1] = 0.0
             self._space.add(solid[None])
             return
-        _, anew = matcher.arrange(k, 1)
-        if anew:
+        if matcher.is_nameless and matcher.arrange(k, 1)[1]:
             self._begin_anew(np.ones(bodies.count, bool))
         if len(bodies.unmet):
-            bodies.begin(self._points[k])
+            bodies.begin(markers)
+            self._step.bind(bodies, history)
+        if bodies.exchanged:
+            markers[...] = np.take_along_axis(markers, bodies.order, axis=1)
+            self.counts[EXCHANGED] += int((bodies.order != np.arange(bodies.width)).sum())
+        row = self._append(stamp, goes_on)
         matcher.fits_next(k, k + 1)
-        fit = fit_markers(bodies, self._points[k])
-        if self._name_in_doubt(fit, k) and matcher.correct(0, []):
-            fit = fit_markers(bodies, self._points[k])
-        odd = odd_bodies(bodies, history, fit, goes_on)
-        came = self._points[k].copy()
-        if bodies.exchanged or odd.any():
-            fit, came = correct_frame(bodies, history, self._points[k], odd, self.counts)
-        self._append(stamp, goes_on, came)
-        last = slice(len(history) - 1, None)
-        history['used'][-1] = ~np.isnan(fit.residual)
-        record_fit(bodies, history, type(fit)(*(part[None] for part in fit)), last)
-        matcher.follow(type(fit)(*(part[None] for part in fit)))
-        self._unwrap()
-        seen = ~np.isnan(came)
-        number = np.maximum(seen.sum(axis=1), 1)
-        history['height'][-1] = np.where(seen, self._heights[k], 0).sum(axis=1) / number
-        self._wrong += leave_out_wrong_poses(history, bodies)
+        address = self._address + k * self._stride
+        unusual = self._step.fit(address, goes_on)
+        if (unusual & NAME_DOUBTFUL or matcher.has_extras) and self._renamed(k, unusual):
+            unusual = self._step.fit(address, goes_on)
+        came = markers
+        if unusual & ODD:
+            odd = (self._step.unusual & ODD) > 0
+            came = correct_frame(bodies, history, markers, odd, self.counts)
+            self._step.fit(address, False)
+        columns = history.columns
+        columns['markers'][row] = came
+        columns['height'][row] = self._mean_heights[k]
+        self._step.follow()
         self._note_outages(stamp)
-        self._space.add(self._roster.plane.in_space(came, self._heights[k])[None])
-        self.counts['markers_not_seen'] += int(self._roster.wanted - seen.sum())
 
-    def _append(self, stamp: int, goes_on: bool, markers: Complex) -> None:
-        """Append a frame to the history, without poses."""
+    def _append(self, stamp: int, goes_on: bool) -> int:
+        """Append a frame to the history; returns its row, which has no poses yet."""
         history = self._history
-        history.append()
-        history['stamp'][-1] = history['time'][-1] = stamp
-        history['goes_on'][-1] = goes_on
-        history['markers'][-1] = markers
-        history['used'][-1] = False
-        for name in ('residual', 'angle', 'position', 'height'):
-            history[name][-1] = np.nan
-        history['information'][-1] = history['turns'][-1] = 0.0
+        capacity = len(history.columns['stamp'])
+        row = history.append()
+        if len(history.columns['stamp']) != capacity or row < self._row:
+            self._step.bind(self._known, history)
+        self._row = row
+        columns = history.columns
+        columns['stamp'][row] = columns['time'][row] = stamp
+        columns['goes_on'][row] = goes_on
         self._new += 1
         self._frames += 1
+        return row
 
-    def _name_in_doubt(self, fit: Any, k: int) -> bool:
-        """Whether markers of the frame may have wrong names."""
-        bodies = self._known
-        limit = (bodies.limit**2)[:, None] * bodies.relative
-        square = fit.residual.real**2 + fit.residual.imag**2
-        if (square > limit).any():
-            return True
-        unseen = np.isnan(self._points[k])
-        if not unseen.any():
-            return False
-        one = type(fit)(*(part[None] for part in fit))
-        doubtful = self.matcher.doubtful(one, unseen[None])
-        return doubtful is not None and bool(doubtful.any())
-
-    def _unwrap(self) -> None:
-        """Count the whole turns of the newest angles from the last ones known."""
-        angle, turns = self._history['angle'], self._history['turns']
-        now = np.where(np.isfinite(angle[-1]), angle[-1], self._known.last_angle)
-        before = np.where(np.isfinite(self._known.last_angle), self._known.last_angle, now)
-        count = turns[-2] if len(turns) > 1 else np.zeros_like(now)
-        with np.errstate(invalid='ignore'):
-            turns[-1] = count - np.nan_to_num(np.rint((now - before) / (2 * np.pi)))
-        self._known.last_angle = now
+    def _renamed(self, k: int, unusual: int) -> bool:
+        """Whether markers of the frame had wrong names, which are corrected then."""
+        if not unusual & NAME_DOUBTFUL:
+            unseen = np.isnan(self._points[k])
+            if not unseen.any():
+                return False
+            fit = fit_markers(self._known, self._points[k][None])
+            doubtful = self.matcher.doubtful(fit, unseen[None])
+            if doubtful is None or not doubtful.any():
+                return False
+        return self.matcher.correct(0, [])
 
     def _note_outages(self, stamp: int) -> None:
         """Note which bodies are seen again after a window or more."""
@@ -402,9 +402,7 @@ class Tracker:
         space, self._space = self._space, _NoSpace()
         for stamp, solid in early:
             self.settle()
-            points, heights = self._roster.flat(solid[None])
-            self._points, self._heights = points, heights
-            self.matcher.begin(np.array([stamp]), points, heights)
+            self._hand_over(np.array([stamp]), solid[None])
             self._take(stamp, 0, solid)
         self._space = space
         self._due = due - dropped
@@ -417,10 +415,11 @@ class Tracker:
         )
         if self._roster.plane is None:
             return
+        self._count_new()
         anew = learn(bodies, history, self._window, self.settings.noise, self.counts)
         self._pins.forget(anew)
         self._pins.update(bodies, history, min(self._new, len(history)))
-        self._new = 0
+        self._new = self._counted = 0
         bodies.hub = find_hubs(bodies, history, self._window, bodies.hub)
         bodies.jump_scale = path_scale(history, bodies)
         rows = slice(-NOISE_FRAMES - 2, None)
@@ -434,6 +433,18 @@ class Tracker:
             regrouped = self.matcher.regroup(self.rigidity_residual() > 0)
             if regrouped.any():
                 self._begin_anew(regrouped)
+        self._step.bind(bodies, history)
+
+    def _count_new(self) -> None:
+        """Count what the frames since the last update lack, and measure how they lie in space."""
+        new = min(self._new - self._counted, len(self._history))
+        self._counted = self._new
+        if not new or self._roster.plane is None:
+            return
+        markers, height = (self._history[name][-new:] for name in ('markers', 'height'))
+        lacking = self._roster.wanted * new - np.count_nonzero(~np.isnan(markers))
+        self.counts['markers_not_seen'] += int(lacking)
+        self._space.add(self._roster.plane.in_space(markers, height[..., None]))
 
     def _due_results(self, order: int | None) -> list[dict[str, Any]]:
         """Results of the instants that fall due with the newest frame."""
@@ -459,6 +470,7 @@ class Tracker:
                         self.settings.window,
                         order,
                         self.settings.effort,
+                        self._step.doubtful,
                     )
                 )
                 if self._roster.plane is None:
