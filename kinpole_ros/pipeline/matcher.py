@@ -7,7 +7,6 @@ goes on for all messages of that layout until it does not fit in its turn.
 """
 
 from collections import Counter, deque
-from collections.abc import Sequence
 
 import numpy as np
 
@@ -15,11 +14,12 @@ from kinpole_ros.pipeline.parameters import Settings
 from kinpole_ros.pipeline.roster import Layout, Roster
 from kinpole_ros.planar import Fit
 from kinpole_ros.planar._plane import Complex, Real
-from kinpole_ros.rigid import Shapes
 from kinpole_ros.rigid.ahead import ahead
 from kinpole_ros.rigid.grouping import group
 from kinpole_ros.rigid.identity import Expected, Match, fit_place, match, merge_names
 from kinpole_ros.rigid.levels import FEW, KEPT, LITTLE, RECENT, RUNNING, SURE
+from kinpole_ros.tracking.bodies import Bodies
+from kinpole_ros.tracking.history import History
 
 # Counted in `Tracker.counts`.
 OTHERS, RENAMED, REGROUPED = 'markers_of_others', 'markers_renamed', 'markers_regrouped'
@@ -38,9 +38,15 @@ class Matcher:
     """
 
     def __init__(
-        self, settings: Settings, roster: Roster, shapes: Shapes, counts: Counter[str]
+        self,
+        settings: Settings,
+        roster: Roster,
+        shapes: Bodies,
+        history: History,
+        counts: Counter[str],
     ) -> None:
-        bodies, width = shapes.points.shape
+        bodies, width = shapes.shape.shape
+        self._history = history
         self.notes: Counter[str] = Counter()
         # What the parameters have wrong: marker, the body it is named for, and its own.
         self.regrouped: list[tuple[str, str, str]] = []
@@ -69,13 +75,10 @@ class Matcher:
         self._whole = 0
         self._sizes: Counter[int] = Counter()
         self._out_of_order = 0
-        # Frames that were fitted, that were arranged by shape, and in which each body was found.
-        self._frames, self._arranged = 0, 0
+        # Frames that were arranged by shape, and in which each body was found.
+        self._arranged = 0
         self.found = np.zeros(bodies, int)
         self._next_look, self._groupings = FEW, 0
-        # The poses of late: stamps (T,), positions and angles (T, B); and the points they are of.
-        self._track: deque[tuple[np.ndarray, Complex, Real]] = deque(maxlen=RECENT)
-        self._late: deque[Complex] = deque(maxlen=KEPT)
         # Variances (m^2) of the ways that fit best, of bodies that were searched for of late.
         self._variances: deque[float] = deque(maxlen=KEPT)
         self._first = self._end = 0
@@ -151,18 +154,6 @@ class Matcher:
         """Frames from `first` up to `end` are fitted next."""
         self._first, self._end = first, end
 
-    def follow(self, fit: Fit) -> None:
-        """Take the poses of these frames."""
-        part = slice(self._first, self._end)
-        self._frames += self._end - self._first
-        self._late.append(self._points[part])
-        if not self._matched_here:
-            self._track.append((self._stamps[part], fit.position, fit.angle))
-
-    def forget_points(self) -> None:
-        """What bodies were made of of late is over."""
-        self._late.clear()
-
     def sort_again(self, first: int) -> None:
         """Sort the frames from `first` on anew, since names stand for others."""
         points, heights = self._roster.flat(self._roster.sorted(first))
@@ -189,19 +180,19 @@ class Matcher:
         enough = some.sum(axis=1)[:, None] + (~unseen).sum(axis=2) >= 2
         return np.asarray(near | ((lost & enough).any(axis=1) & some.any(axis=1)))
 
-    def correct(self, row: int, before: Sequence[Fit]) -> bool:
+    def correct(self) -> bool:
         """Correct the names in a frame, and in those that follow; whether anything was."""
         alone = len(self._names) == 1 and not len(self._layout.extras)
         if self._by_shape or self._matched_here or alone or self._roster.posed:
             return False
-        k, layout = self._first + row, self._layout
+        k, layout = self._first, self._layout
         points, _ = self._roster.all_points(k)
         kept = np.where(layout.place < len(points), layout.place, -1)
         hidden = (kept >= 0) & np.isnan(np.append(points, np.nan)[kept])
         named = np.where(hidden, -1, kept)
         named[self.withheld] = -1
         held = self._fits_by_name(points, named, self._shapes.markers())
-        found = self._match(k, points, named, held, before)
+        found = self._match(k, points, named, held)
         place = merge_names(found, named)
         if place is None:
             return False
@@ -213,6 +204,11 @@ class Matcher:
         self._note()
         self.sort_again(k)
         return True
+
+    @property
+    def _frames(self) -> int:
+        """How many frames there were."""
+        return self._history.dropped + len(self._history)
 
     def look_is_due(self) -> bool:
         """Whether it is time to see which markers bodies that are not rigid are made of."""
@@ -227,9 +223,9 @@ class Matcher:
         nothing = np.zeros(len(loose), bool)
         self._next_look = self._frames + min(self._frames // 2, KEPT)
         loose = loose & ~self.has_shape & ~self.withheld
-        if loose.sum() < 2 or self._groupings > 2 * len(loose) or self._by_shape or not self._late:
+        if loose.sum() < 2 or self._groupings > 2 * len(loose) or self._by_shape or not len(self._history):
             return nothing
-        order, confused = group(np.concatenate(self._late)[-KEPT:], loose)
+        order, confused = group(self._history['markers'][-KEPT:], loose)
         self.withheld[confused] = True
         self._withholds = bool(self.withheld.any())
         if order is None:
@@ -241,15 +237,13 @@ class Matcher:
             self.regrouped.append((self._roster.markers[c][other], self._names[c], self._names[b]))
             self._counts[REGROUPED] += 1
         self._roster.permute(order)
-        self.forget_points()
-        self._track.clear()
         return np.asarray((order != own).any(axis=1))
 
     def differ(self) -> dict[str, str]:
         """Bodies whose given shape is not what was seen: 'mirrored', 'other' or 'nowhere'."""
         found = {}
         for b in np.flatnonzero(self.has_shape & ~self.withheld).tolist():
-            given, now = self.given[b], self._shapes.points[b]
+            given, now = self.given[b], self._shapes.shape[b]
             here = np.flatnonzero(~np.isnan(given))
             size = np.abs(given[here] - given[here].mean()).max()
             most = max(SURE * float(np.nan_to_num(self._shapes.limit[b])), LITTLE * size)
@@ -318,7 +312,7 @@ class Matcher:
         held = np.zeros(len(known), bool)
         if learning:
             held = self._fits_by_name(points, names, shapes)
-        found = self._match(k, points, names, held, (), shapes)
+        found = self._match(k, points, names, held, shapes)
         place = np.where(known[:, None], found.place, named if whole else -1)
         if whole:
             same = ((place == named) | np.isnan(shapes)).all(axis=1)
@@ -330,8 +324,6 @@ class Matcher:
         self._heights[k] = np.where(seen, np.append(heights, np.nan)[place], np.nan)
         self.found += np.isfinite(found.turn)
         self._counts[UNCERTAIN] += int((found.uncertain & ~self.withheld).sum())
-        angle = np.angle(found.turn)
-        self._track.append((self._stamps[k : k + 1], found.position[None], angle[None]))
 
     def _fits_by_name(self, points: Complex, named: np.ndarray, shapes: Complex) -> np.ndarray:
         """Which bodies (B,) fit their shapes with all markers where they are `named`."""
@@ -355,14 +347,13 @@ class Matcher:
         points: Complex,
         named: np.ndarray,
         held: np.ndarray,
-        before: Sequence[Fit],
         shapes: Complex | None = None,
     ) -> Match:
         """Match the points of a frame by shape, and by where the bodies are to be expected."""
         shapes = self._shapes.markers() if shapes is None else shapes
         if self.withheld.any():
             shapes = np.where(self.withheld[:, None], np.nan, shapes)
-        position, turn = self._ahead(k, before)
+        position, turn = self._ahead(k)
         # Whichever way is right, most of the best ones err by no more than the noise.
         few = len(self._variances) < FEW
         variance = np.inf if few else float(np.median(self._variances))
@@ -371,14 +362,15 @@ class Matcher:
         self._variances.extend(found.variance[np.isfinite(found.variance)].tolist())
         return found
 
-    def _ahead(self, k: int, before: Sequence[Fit]) -> tuple[Complex, Complex]:
+    def _ahead(self, k: int) -> tuple[Complex, Complex]:
         """Where bodies (B,) are to be expected in a frame, by their last velocity."""
-        track, first = list(self._track), self._first
-        for fit in before:
-            end = first + len(fit.angle)
-            track.append((self._stamps[first:end], fit.position, fit.angle))
-            first = end
-        return ahead(track[-RECENT:], int(self._stamps[k]), len(self._names))
+        # Without the newest row, which is of this frame where it was appended already.
+        count = len(self._history)
+        if count and self._history['stamp'][-1] == self._stamps[k]:
+            count -= 1
+        rows = slice(max(count - RECENT, 0), count)
+        track = tuple(self._history[name][rows] for name in ('stamp', 'position', 'angle'))
+        return ahead([track] if count else [], int(self._stamps[k]), len(self._names))
 
     def _fits_mirrored(self, b: int) -> bool:
         """Whether the points of the last frame have a body's given shape mirrored."""

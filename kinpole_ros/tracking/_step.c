@@ -38,6 +38,13 @@ square_of(Number z)
     return creal(z) * creal(z) + cimag(z) * cimag(z);
 }
 
+/* An angle in [-pi, pi]. */
+static double
+wrapped(Number angle)
+{
+    return creal(angle) - TURN * rint(creal(angle) / TURN);
+}
+
 /* Fits the pose of body `b` to its markers (n,), and writes the newest row; what is unusual. */
 static int
 fit(const Frames *f, long long b, const Number *points, int goes_on)
@@ -165,17 +172,27 @@ path_of(const Frames *f, long long b, Path *path)
     return 1;
 }
 
-/* How many poses before the last two are off the cubic through the two before and the two after. */
+/* How many poses before the last two are off the cubic through the two before and the two after.
+   While they were followed, the angles after may have been taken for `turns` more. */
 static int
-wrong_before_last(const Path *p, const double *most, const double *least)
+wrong_before_last(Path *p, const double *most, const double *least, double *turns)
 {
-    for (int length = 1; length <= LONGEST && length + NODES <= p->count; length++) {
+    int last = p->count - 1;
+    *turns = 0.0;
+    for (int length = LONGEST; length > 0; length--) {
+        if (length + NODES > p->count)
+            continue;
         int gap = p->count - 2 - length;
         int node[NODES] = {gap - 2, gap - 1, p->count - 2, p->count - 1};
         double nodes[NODES], weights[NODES], smallest[2] = {INFINITY, INFINITY};
         int every = 1, all[2] = {1, 1};
         for (int k = 0; k < NODES; k++)
             nodes[k] = p->time[node[k]];
+        Number step = (p->value[0][node[1]] - p->value[0][node[0]]) / (nodes[1] - nodes[0]);
+        Number there = p->value[0][node[1]] + step * (nodes[2] - nodes[1]);
+        double more = rint(creal(p->value[0][last - 1] - there) / TURN);
+        p->value[0][last - 1] -= (more - *turns) * TURN, p->value[0][last] -= (more - *turns) * TURN;
+        *turns = more;
         for (int k = gap; k < gap + length; k++) {
             double gain = lagrange(nodes, NODES, p->time[k], weights);
             int any = 0;
@@ -183,7 +200,7 @@ wrong_before_last(const Path *p, const double *most, const double *least)
                 Number off = p->value[s][k];
                 for (int j = 0; j < NODES; j++)
                     off -= weights[j] * p->value[s][node[j]];
-                double distance = cabs(off), limit = most[s] * gain;
+                double limit = most[s] * gain, distance = s ? cabs(off) : fabs(wrapped(off));
                 int far = distance > (limit > least[s] ? limit : least[s]);
                 any |= far, all[s] &= far;
                 smallest[s] = distance < smallest[s] ? distance : smallest[s];
@@ -203,6 +220,8 @@ wrong_before_last(const Path *p, const double *most, const double *least)
         if (back)
             return length;
     }
+    p->value[0][last - 1] += *turns * TURN, p->value[0][last] += *turns * TURN;
+    *turns = 0.0;
     return 0;
 }
 
@@ -219,7 +238,7 @@ doubtful_newest(const Path *p, const double *most)
                 Number off = p->value[s][k];
                 for (int j = 0; j < used; j++)
                     off -= weights[j] * p->value[s][k - used + j];
-                double distance = cabs(off) / gain;
+                double distance = (s ? cabs(off) : fabs(wrapped(off))) / gain;
                 least[s] = distance < least[s] ? distance : least[s];
             }
         }
@@ -246,7 +265,10 @@ kinpole_follow_paths(const Frames *f, long long *wrong, long long *newest)
             most[s] = f->far * f->jump_scale[s * f->bodies + b];
             more[s] = f->newest_far * most[s] > least[s] ? f->newest_far * most[s] : least[s];
         }
-        int length = wrong_before_last(&path, most, least);
+        double turns;
+        int length = wrong_before_last(&path, most, least, &turns);
+        for (int k = path.count - 2; k < path.count; k++)
+            f->turns[path.row[k] * f->bodies + b] -= turns;
         for (int k = path.count - 2 - length; k < path.count - 2; k++) {
             double *information = f->information + 2 * path.row[k] * f->bodies + b;
             information[0] = information[f->bodies] = 0.0;

@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from kinpole_ros.planar import grip_of
-from kinpole_ros.planar._plane import ROUNDING, Complex
+from kinpole_ros.planar._plane import ROUNDING, Complex, Real
 
 # A marker farther off than this is an outlier, in standard deviations of residuals.
 OUTLIER_SIGMAS = 6.0
@@ -55,6 +55,10 @@ class Bodies:
         self.lasting = np.zeros(self.count, bool)
         self.jump_scale = np.full((2, self.count), np.inf)
         self.exchanged = False
+        self.least_noise = np.zeros(self.count)
+        self.angle_noise = np.full(self.count, np.nan)
+        self.scale = np.ones((2, self.count))
+        self.extra_turn = np.zeros(self.count)
         self.last_angle = np.full(self.count, np.nan)
         self.given = np.zeros(self.count, bool)
         self.white = np.full(self.count, np.nan)
@@ -68,6 +72,8 @@ class Bodies:
         """Compute what follows from shapes, weights and misfit, and every fit needs."""
         known = self.frames > 0
         self.known = known.sum(axis=1)
+        self.incomplete_places = ~known
+        self.incomplete = bool(self.incomplete_places.any())
         self.unmet = np.flatnonzero(self.known == 0)
         mean = np.where(known, self.shape, 0).sum(axis=1) / np.maximum(self.known, 1)
         arms = np.where(known, self.shape - mean[:, None], 0)
@@ -76,13 +82,19 @@ class Bodies:
         # A place known from N frames adds 1 / N to the variance of its marker.
         self.weights = self.frames / (self.frames + 1.0) / self.relative
         self.grip = grip_of(self.shape, self.weights)
+        self.middle = self.grip.mean
         self.mature = self.fits >= MIN_FITS
         usual = OUTLIER_SIGMAS * np.sqrt(np.maximum(self.misfit, TINY**2 * self.spread))
         young = np.maximum(YOUNG_OUTLIER * self.size, 2 * usual)
         self.limit = np.where(self.mature, usual, young)
         self.largest = np.where(self.mature, usual**2, np.inf)[:, None] * self.relative
         self.doubtful = (self.limit**2)[:, None] * self.relative
-        self.loosest = self.misfit / UNSTEADY**2
+        self.loosest = self.error / UNSTEADY**2
+
+    @property
+    def error(self) -> Real:
+        """Variance (B,) of a coordinate of a marker, m^2: the misfit, no less than rounding."""
+        return np.maximum(self.misfit, self.least_noise**2)
 
     def begin(self, markers: Complex) -> None:
         """Take shapes of bodies not seen before from a frame (B, n); origin at the mean."""
@@ -115,11 +127,6 @@ class Bodies:
         self.jump_scale[:, which] = np.inf
         self.given[which] = False
         self.update()
-
-    @property
-    def points(self) -> Complex:
-        """Places (B, n) of the markers, 0 for those not seen yet."""
-        return self.shape
 
     def widen(self, width: int) -> None:
         """Make room for up to `width` markers per body."""

@@ -76,14 +76,14 @@ class Pins:
             spread = variance[:, 1] + np.abs(self.arm) ** 2 * variance[:, 0]
             return np.asarray(off > SURE**2 * spread)
 
-    def update(self, bodies: Bodies, history: History, new: int) -> None:
+    def update(self, bodies: Bodies, history: History, new: int, posed: bool = False) -> None:
         """Take the `new` newest frames, and fit pins to the poses that are kept."""
         rows = slice(len(history) - new, None)
         angle, position = history['angle'][rows], history['position'][rows]
-        information = history['information'][rows]
+        information = history['information'][rows] * bodies.scale
         known = (information > 0).all(axis=1)
         with np.errstate(divide='ignore', invalid='ignore'):
-            variance = bodies.misfit / information
+            variance = bodies.error / information
         off = known & self.off(position, angle, variance)
         self._leave(_any_run(off, RUNNING))
         usable = known & ~off
@@ -100,9 +100,9 @@ class Pins:
             self._markers[place, b] = np.where(used, history['markers'][rows][at, b], np.nan)
             self._last[b] = angle[at[-1], b]
             self._number[b] += len(at)
-        self._fit(bodies, self._number >= FEW)
+        self._fit(bodies, self._number >= FEW, posed)
 
-    def _fit(self, bodies: Bodies, which: np.ndarray) -> None:
+    def _fit(self, bodies: Bodies, which: np.ndarray, posed: bool) -> None:
         """Fit pins to the poses kept of the bodies `which` (B,)."""
         if not which.any():
             return
@@ -114,16 +114,15 @@ class Pins:
         count = np.maximum(held.sum(axis=0), 3)
         z = np.where(held, fit.position[:, which], 0)
         e = np.where(held, np.exp(1j * fit.angle[:, which]), 0)
-        misfit = bodies.misfit[which]
+        misfit = bodies.error[which]
+        information = fit.weight[:, which], fit.spread[:, which]
+        if posed:
+            information = bodies.scale[1, which], bodies.scale[0, which]
         with np.errstate(divide='ignore', invalid='ignore'):
-            even, of_angle = (
-                np.where(held, misfit / part[:, which], 0.0) for part in (fit.weight, fit.spread)
-            )
-            left = (
-                np.nan_to_num(fit.residual[:, which])
-                / np.sqrt(misfit * bodies.relative[which].T.mean(0))[:, None]
-            )
-        left = np.where(held[..., None], left, 0)
+            even, of_angle = (np.where(held, misfit / part, 0.0) for part in information)
+            scale = np.sqrt(misfit[:, None] * bodies.relative[which])
+            left = fit.residual[:, which] / scale
+        left = np.where(held[..., None] & ~np.isnan(left), left, 0)
         arm = _arm(z, e, held / count)[0]
         weights = np.where(held, 1 / np.where(held, even + np.abs(arm) ** 2 * of_angle, 1), 0)
         weights /= weights.sum(axis=0)
@@ -189,7 +188,7 @@ def find_hubs(bodies: Bodies, history: History, window: int, before: Complex) ->
     if not len(time):
         return found
     angle, position = history['angle'], history['position']
-    information = history['information']
+    information = history['information'] * bodies.scale
     both = np.zeros((len(_DEGREES), bodies.count), complex)
     sums = np.zeros((5, len(_DEGREES), bodies.count))
     squares = np.zeros(bodies.count)
@@ -210,7 +209,7 @@ def find_hubs(bodies: Bodies, history: History, window: int, before: Complex) ->
             moves, turns, product = _rests((time[rows] - time[first]) / window, values, seen)
             count = number - 1 - _DEGREES
             with np.errstate(divide='ignore', invalid='ignore'):
-                variance = np.where(seen[:, None], bodies.misfit / information[rows], 0.0)
+                variance = np.where(seen[:, None], bodies.error / information[rows], 0.0)
             mean = variance.sum(axis=0) / np.maximum(number, 1)
             new = np.stack(
                 (moves, turns, 2 * count * mean[1], count * mean[0], np.where(known, count, 0))

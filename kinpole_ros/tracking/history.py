@@ -20,7 +20,8 @@ class History:
     position : complex (B,), m. The origin of the frame of the body.
     information : (2, B). Inverse variances of angle and position, over that of one coordinate of a
         marker; 0 where the pose is not known.
-    height : (B,), m. Mean height of the markers over the plane.
+    extra_turn : (B,), rad. Of poses of tilted bodies: see `posed.TiltedTurns`.
+    heights : (B, n), m. Heights of the markers over the plane.
     """
 
     def __init__(self, bodies: int, markers: int) -> None:
@@ -37,8 +38,9 @@ class History:
             'angle': np.zeros(each),
             'turns': np.zeros(each),
             'position': np.zeros(each, complex),
+            'extra_turn': np.zeros(each),
             'information': np.zeros((capacity, 2, bodies)),
-            'height': np.zeros(each),
+            'heights': np.zeros(both),
         }
 
     def __len__(self) -> int:
@@ -62,7 +64,12 @@ class History:
 
     def widen(self, markers: int) -> None:
         """Make room for up to `markers` markers per body, not seen up to now."""
-        for name, missing in (('markers', np.nan), ('used', False), ('residual', np.nan)):
+        for name, missing in (
+            ('markers', np.nan),
+            ('heights', np.nan),
+            ('used', False),
+            ('residual', np.nan),
+        ):
             column = self.columns[name]
             more = (0, 0), (0, 0), (0, markers - column.shape[2])
             self.columns[name] = np.pad(column, more, constant_values=missing)

@@ -186,8 +186,8 @@ def _update_noise(bodies: Bodies, history: History, window: int, given: float) -
     level = np.where(few, np.sqrt(np.where(bodies.mature, bodies.misfit, np.nan)), level)
     if given > 0:
         level = np.full(bodies.count, given)
-    farthest = np.abs(history['markers'][rows])
-    farthest = np.nan_to_num(farthest).max(axis=(0, 2))
+    farthest = np.nan_to_num(np.abs(history['markers'][rows])).max(axis=(0, 2))
+    bodies.least_noise = np.maximum(ROUNDING * farthest, given)
     bodies.noise = np.maximum(level, ROUNDING * farthest)
 
 
@@ -209,8 +209,11 @@ def _update_weights(bodies: Bodies, history: History) -> bool:
     total = np.where(seen, freedom_of(bodies, residual), 0).sum(axis=0)
     with np.errstate(divide='ignore', invalid='ignore'):
         left = np.where(seen, squares, 0).sum(axis=0) / np.where(total > 0, total, np.nan)
-        middle = np.nanmedian(left, axis=1)
-        loud = (np.nanmax(left, axis=1) > SUSPICIOUS * middle) & ((~np.isnan(left)).sum(axis=1) > 2)
+        ranked, number = np.sort(left, axis=1), (~np.isnan(left)).sum(axis=1)
+        # NaN come last; nanmedian takes ten times as long.
+        each, last = np.arange(len(left)), np.maximum(number - 1, 0)
+        middle = (ranked[each, last // 2] + ranked[each, np.minimum(number // 2, last)]) / 2
+        loud = (number > 2) & (ranked[each, last] > SUSPICIOUS * middle)
     loud |= (bodies.relative > 1).any(axis=1)
     for b in np.flatnonzero(loud).tolist():
         relative, bodies.deviation[b] = marker_variances(

@@ -32,6 +32,8 @@ MARKERS_PER_LOUD = 4
 MOST_MARKERS = 32
 # Weights are kept while the variance changes by less than this factor.
 SAME = 1.5
+# Variances below this share of the square of the size are rounding.
+TINY = 1e-12
 # Fewest frames for the noise of a single marker.
 MIN_FRAMES = 64
 
@@ -177,20 +179,19 @@ def marker_variances(
         found[seen] = np.maximum(found[seen], np.where(each > least, each, 1.0))
     loud = found > 1
     if loud.sum() > max(1, seen.sum() // MARKERS_PER_LOUD):
-        loud &= found == found.max()
-    found = np.where(loud, found, 1.0)
+        # They are of several links.
+        return np.ones(len(seen)), deviation
     same = (relative > 1) & loud & (np.abs(np.log(found / relative)) < np.log(SAME))
     found = np.where(same, relative, found)
-    rest = seen & ~loud
-    number = rest.sum()
-    square = np.nanmean(np.abs(residual[:, rest]) ** 2) / 2 * number * 2 / max(2 * number - 3, 1)
-    deviation[loud] = np.sqrt(found[loud] * square)
+    if loud.any():
+        components = variance_components(residual[:, seen], shape[seen])
+        deviation[seen] = np.sqrt(np.where(loud[seen], components, 0.0))
     return found, deviation
 
 
 def variance_components(values: Complex, shape: Complex, rounds: int = 8) -> Real:
     """
-    Variances (n,) of markers, over their median, by small displacements `values` (N, n), m.
+    Variances (n,) of markers, m^2 per axis, from small displacements `values` (N, n), m.
 
     Each round fits shift and turn with the weights of the round before and divides the squares of
     what is left by the redundancy of each marker (Foerstner 1979).
@@ -208,7 +209,9 @@ def variance_components(values: Complex, shape: Complex, rounds: int = 8) -> Rea
         left = np.where(seen, off - 1j * turn * arm, 0)
         redundancy = np.where(seen, 2 - weight * (2 / total + np.abs(arm) ** 2 / spread), 0)
         new = (np.abs(left) ** 2).sum(axis=0) / np.maximum(redundancy.sum(axis=0), 1e-9)
-        variance = np.clip(new / max(np.median(new), 1e-300), 1e-3, 1e8)
+        # Differences below rounding tell nothing.
+        new += TINY * np.abs(shape - shape.mean()).max() ** 2
+        variance = np.clip(new, 1e-3 * np.median(new), 1e8 * np.median(new))
     return variance
 
 

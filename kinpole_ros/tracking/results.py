@@ -30,39 +30,51 @@ def result_at(
     order: int,
     effort: str,
     doubtful: np.ndarray,
+    posed: bool,
 ) -> dict[str, Any]:
     """
     Compute what the frames from `oldest` on say of the frame `now`.
 
     `interval` and `window` are in s, `order` is the highest derivative; `doubtful` (B,) is how many of
-    the newest poses do not count. Returns fields of
+    the newest poses do not count; `posed` says whether poses came as such. Returns fields of
     `Estimate` for one instant, derivatives with an axis of one instant.
     """
     newest = len(history) - 1
     rows = slice(oldest, newest + 1)
     pin, variance = pins_of_window(bodies, pins, history, oldest)
-    hub = np.where(np.isfinite(pin), 0.0, bodies.hub)
-    position, information = poses_of_hubs(bodies, history, rows, hub)
+    hub = bodies.hub
+    if posed:
+        # The errors of its position and of the angle are independent, as they are taken to be.
+        hub = np.where(hub == 0, bodies.middle, hub)
+    hub = np.where(np.isfinite(pin), 0.0, hub)
     noise = np.where(bodies.noise > 0, bodies.noise, 1.0)
-    found = derive_poses(
-        Poses(
-            history['time'][rows],
-            np.nan_to_num(history['angle'][rows]),
-            history['turns'][rows],
-            np.nan_to_num(position),
-            information[:, 0],
-            information[:, 1],
-        ),
-        Windows(np.array([now - oldest]), np.array([0]), np.array([newest - oldest])),
-        doubtful[None],
-        noise[None],
-        window,
-        order,
-        effort,
+    angle = heading = np.nan_to_num(history['angle'][rows])
+    tilted = posed and bool(history['extra_turn'][rows].any())
+    if tilted:
+        # Rates are those of the rotation in space, and so is the motion of the hub.
+        angle = angle + history['extra_turn'][rows] - bodies.extra_turn
+    position, information = poses_of_hubs(bodies, history, rows, hub, angle)
+    poses = Poses(
+        history['time'][rows],
+        angle,
+        history['turns'][rows],
+        np.nan_to_num(position),
+        information[:, 0],
+        information[:, 1],
     )
+    windows = Windows(np.array([now - oldest]), np.array([0]), np.array([newest - oldest]))
+    how = windows, doubtful[None], noise[None], window, order, effort
+    found = derive_poses(poses, *how)
+    if tilted:
+        # The angle itself is the heading; the hub has turned by the angle.
+        of_heading = derive_poses(poses._replace(angle=heading), *how).angle[0]
+        hub = hub * np.exp(1j * np.nan_to_num(found.angle[0, 0] - of_heading[0]))
+        found.angle[0] = of_heading
     seen = (history['information'][now] > 0).all(axis=0) & (now <= newest - doubtful)
     measured = np.isfinite(bodies.noise)
     observable = bodies.noise**2 < UNSTEADY**2 * bodies.spread
+    if posed:
+        observable = bodies.angle_noise < UNSTEADY
     usable = seen & measured & observable
     for b in np.flatnonzero(usable & (bodies.freedom > 0)).tolist():
         slow = _deformation(bodies, history, b, now, oldest, interval, found, order)
@@ -71,16 +83,16 @@ def result_at(
     missing = np.full(bodies.count, '', object)
     enough = np.isfinite(found.angle[1, 0]) & np.isfinite(found.position[1, 0])
     missing[~enough] = 'window not full'
-    missing[~observable] = TOO_CLOSE
+    missing[~observable] = NOISY_POSES if posed else TOO_CLOSE
     missing[~measured] = 'noise not known yet'
-    missing[~seen] = TOO_FEW
+    missing[~seen] = NO_POSE if posed else TOO_FEW
     for part in found:
         part[..., 0, ~usable] = np.nan
     return {
         'stamp': history['stamp'][now],
         'found': found,
         'size': bodies.size.copy(),
-        'height': history['height'][now].copy(),
+        'height': mean_height(history['markers'][now], history['heights'][now]),
         'missing': missing,
         'pin': pin,
         'pin_variance': variance,
@@ -88,16 +100,23 @@ def result_at(
         'reference': hub,
         'angle': history['angle'][now] + 2 * np.pi * history['turns'][now],
         'position': history['position'][now].copy(),
-        'information': np.where(seen, history['information'][now], 0.0),
-        'middle': middle_of_seen(bodies, history['used'][now]),
+        'information': np.where(seen, history['information'][now] * bodies.scale, 0.0),
+        'middle': bodies.middle if posed else middle_of_seen(bodies, history['used'][now]),
         'noise': noise,
     }
+
+
+def mean_height(markers: Complex, heights: Real) -> Real:
+    """Mean heights (B,) of the markers (B, n) that are seen, NaN for none."""
+    seen = ~np.isnan(markers)
+    with np.errstate(invalid='ignore'):
+        return np.asarray(np.where(seen, heights, 0).sum(axis=1) / seen.sum(axis=1))
 
 
 def middle_of_seen(bodies: Bodies, used: np.ndarray) -> Complex:
     """Weighted means (B,) of the markers that are `used` (B, n), in the axes of the bodies."""
     if used.all():
-        return bodies.grip.mean
+        return bodies.middle
     weights = np.where(used, bodies.weights, 0.0)
     with np.errstate(divide='ignore', invalid='ignore'):
         return np.asarray((weights * bodies.shape).sum(axis=-1) / weights.sum(axis=-1))
@@ -111,28 +130,29 @@ def pins_of_window(
     if held.any():
         rows = slice(oldest, None)
         held &= pins.since <= history['time'][oldest]
-        information = history['information'][rows]
+        information = history['information'][rows] * bodies.scale
         with np.errstate(divide='ignore', invalid='ignore'):
             off = pins.off(
-                history['position'][rows], history['angle'][rows], bodies.misfit / information
+                history['position'][rows], history['angle'][rows], bodies.error / information
             )
         held &= (off & (information > 0).all(axis=1)).sum(axis=0) < 3
     return np.where(held, pins.center, np.nan), np.where(held, pins.variance, np.nan)
 
 
 def poses_of_hubs(
-    bodies: Bodies, history: History, rows: slice, hub: Complex
+    bodies: Bodies, history: History, rows: slice, hub: Complex, angle: Real
 ) -> tuple[Complex, Real]:
-    """Positions (N, B) of the hubs in some frames, and the information (N, 2, B) of the poses."""
-    position, information = history['position'][rows], history['information'][rows]
+    """Positions (N, B) of the hubs of bodies turned by `angle`, and the information (N, 2, B)."""
+    position = history['position'][rows]
+    information = history['information'][rows] * bodies.scale
     if not hub.any():
         return position, information
     count = bodies.count
     poses = np.zeros((len(position), 2 * count, 2))
-    poses[:, :count, 0] = history['angle'][rows]
+    poses[:, :count, 0] = angle
     poses[:, count:] = position[..., None].view(float)
     flat = information.reshape(len(position), -1)
-    poses, flat = seen_at(hub, bodies.grip.mean, poses, flat)
+    poses, flat = seen_at(hub, bodies.middle, poses, flat)
     return poses[:, count:].view(complex)[..., 0], flat.reshape(information.shape)
 
 

@@ -16,7 +16,7 @@ from kinpole_ros.derivatives import FEWEST_SAMPLES
 from kinpole_ros.pipeline.estimate import Estimate
 from kinpole_ros.pipeline.frame import MarkerFrames
 from kinpole_ros.pipeline.matcher import Matcher
-from kinpole_ros.pipeline.parameters import Settings
+from kinpole_ros.pipeline.parameters import Settings, of_poses
 from kinpole_ros.pipeline.roster import Roster
 from kinpole_ros.rigid._untangle import EXCHANGED
 from kinpole_ros.rigid.levels import LITTLE, SURE, TINY
@@ -29,6 +29,7 @@ from kinpole_ros.tracking.fit import correct_frame, fit_markers
 from kinpole_ros.tracking.history import History
 from kinpole_ros.tracking.learn import NOISE_FRAMES, freedom_of, learn
 from kinpole_ros.tracking.outliers import path_scale
+from kinpole_ros.tracking.posed import TiltedTurns, learn_poses
 from kinpole_ros.tracking.results import estimate_of, result_at
 from kinpole_ros.tracking.step import NAME_DOUBTFUL, ODD, Step
 
@@ -77,6 +78,8 @@ class Tracker:
         self._window = round(settings.window * 1e9)
         self._lag = settings.lag * 1e9
         self._frame_id = ''
+        # Whether poses come, and not markers.
+        self._posed = False
         self._outages: dict[str, Outage] = {}
         self._wrong = np.zeros(len(self.bodies), int)
         self._start()
@@ -89,7 +92,8 @@ class Tracker:
         count = len(self.bodies)
         if hasattr(self, '_step'):
             self._wrong = self.wrong()
-        self._roster = Roster(self.settings, False)
+        settings = of_poses(self.settings) if self._posed else self.settings
+        self._roster = Roster(settings, self._posed)
         self._space = Space(self.settings.plane, count, self._roster.width)
         self._roster.plane = self._space.plane
         # Frames before the plane is known: stamps and markers in space.
@@ -107,10 +111,13 @@ class Tracker:
         self._known = Bodies(len(self.bodies), self._roster.width)
         self._history = History(len(self.bodies), self._roster.width)
         self._pins = Pins(self._known)
-        self.matcher = Matcher(self.settings, self._roster, self._known, self.counts)
+        settings = of_poses(self.settings) if self._posed else self.settings
+        self._turns = TiltedTurns(len(self.bodies))
+        self.matcher = Matcher(settings, self._roster, self._known, self._history, self.counts)
         self._step = Step(self._known, self._history)
         self._frames = self._new = self._row = self._counted = self._newest = 0
         self._next_update = 1
+        self._names_changed = False
 
     # What diagnostics ask for.
 
@@ -139,7 +146,7 @@ class Tracker:
 
     def angle_noise(self) -> np.ndarray | None:
         """Noise (B,) of the angles of poses that come as such, rad; None where markers come."""
-        return None
+        return self._known.angle_noise if self._posed else None
 
     def rigidity_residual(self) -> np.ndarray:
         """How far (B,) markers are off one rigid body, m, per axis; 0 where they may be of one."""
@@ -201,49 +208,65 @@ class Tracker:
     def add_parts(self, parts: Iterable[MarkerFrames], order: int | None) -> list[Estimate]:
         """The same of frames in parts. Instants are `due` by the number of the frame in all."""
         estimates: list[Estimate] = []
+        self._results: list[dict[str, Any]] = []
         number = 0
         for frames in parts:
             stamps = np.asarray(frames.stamps).tolist()
             if not stamps:
                 continue
-            if frames.frame_id != self._frame_id:
-                if len(self._history):
-                    self.counts['frame_changes'] += 1
+            posed = frames.axes is not None
+            if frames.frame_id != self._frame_id or posed != self._posed:
+                estimates += self._joined_results()
+                used = len(self._history) > 0
+                self.counts['frame_changes'] += used
+                anew = used or posed != self._posed
+                self._frame_id, self._posed = frames.frame_id, posed
+                if anew:
                     self._start()
-                self._frame_id = frames.frame_id
-            results: list[dict[str, Any]] = []
+            width = self._known.width
             solid = self._sort(frames)
+            if self._known.width > width:
+                estimates += self._joined_results()
             for k, stamp in enumerate(stamps):
                 self.counts['frames'] += 1
                 accepted = self._accepts(stamp, frames.points[k])
                 if accepted is None:
-                    estimates += self._joined(results)
-                    results = []
+                    estimates += self._joined_results()
                     self._begin_again(stamp)
                     solid = self._sort(frames)
                 if accepted is not False:
-                    self.settle()
+                    if self._update_if_due():
+                        self.matcher.sort_again(k)
                     if self._roster.plane is not self._space.plane:
-                        estimates += self._joined(results)
-                        results = []
+                        estimates += self._joined_results()
                         self._catch_up()
                         solid = self._sort(frames)
                     self._take(stamp, k, solid[k])
                     for result in self._due_results(order):
                         result['due'] = number
-                        results.append(result)
+                        self._results.append(result)
                 number += 1
             self.counts['markers_unknown'] = self._roster.unknown
+            if posed and self._roster.plane is not None:
+                self._space.add(solid)
             self._count_new()
-            estimates += self._joined(results)
-        return estimates
+        return estimates + self._joined_results()
 
     def settle(self) -> None:
         """Learn from the frames of late if it is time for it; else the next `add` does."""
-        if self._frames >= self._next_update:
-            self._update()
+        if self._update_if_due():
+            self._names_changed = True
 
-    def _joined(self, results: list[dict[str, Any]]) -> list[Estimate]:
+    def _update_if_due(self) -> bool:
+        """Learn if it is time for it; whether names stand for other markers since the last frame."""
+        if self._frames >= self._next_update:
+            self._names_changed |= self._update()
+        changed, self._names_changed = self._names_changed, False
+        return changed
+
+    def _joined_results(self) -> list[Estimate]:
+        """The results so far as one estimate, if there are any, and begin with none."""
+        results, self._results = self._results, []
         if not results:
             return []
         return [estimate_of(results, self._frame_id, self.bodies, self._run_number, self.plane)]
@@ -258,12 +281,11 @@ class Tracker:
 
     def _hand_over(self, stamps: np.ndarray, solid: np.ndarray) -> None:
         """Take frames of markers (T, B, n, 3), m, of which `_take` takes one after the other."""
-        self._points, heights = self._roster.flat(solid)
+        self._points, self._heights = self._roster.flat(solid)
         self._address, self._stride = self._points.ctypes.data, self._points.strides[0]
-        seen = ~np.isnan(self._points)
-        number = np.maximum(np.count_nonzero(seen, axis=-1), 1)
-        self._mean_heights = np.where(seen, heights, 0).sum(axis=-1) / number
-        self.matcher.begin(stamps, self._points, heights)
+        if self._posed and self._roster.plane is not None:
+            self._tilts = self._roster.tilts(solid)
+        self.matcher.begin(stamps, self._points, self._heights)
 
     def _widen(self) -> None:
         """A body of all markers has more of them: begin with those, as of the same frames."""
@@ -272,7 +294,6 @@ class Tracker:
         self._history.widen(width)
         self._pins.widen(width)
         self._space.widen(width)
-        self.matcher.forget_points()
         self._early = []
 
     def _accepts(self, stamp: int, points: np.ndarray) -> bool | None:
@@ -314,7 +335,7 @@ class Tracker:
             if matcher.lacks_order(1):
                 solid = np.full_like(solid, np.nan)
             self._append(stamp, goes_on)
-            for name in ('markers', 'residual', 'angle', 'position', 'height'):
+            for name in ('markers', 'residual', 'angle', 'position', 'heights'):
                 history[name][-1] = np.nan
             history['used'][-1] = False
             history['information'][-1] = history['turns'][-1] = 0.0
@@ -325,6 +346,9 @@ class Tracker:
         if len(bodies.unmet):
             bodies.begin(markers)
             self._step.bind(bodies, history)
+        if bodies.incomplete and (bodies.incomplete_places & ~np.isnan(markers)).any():
+            # New markers are learned as soon as they are seen.
+            self._next_update = min(self._next_update, self._frames + 1)
         if bodies.exchanged:
             markers[...] = np.take_along_axis(markers, bodies.order, axis=1)
             self.counts[EXCHANGED] += int((bodies.order != np.arange(bodies.width)).sum())
@@ -341,8 +365,14 @@ class Tracker:
             self._step.fit(address, False)
         columns = history.columns
         columns['markers'][row] = came
-        columns['height'][row] = self._mean_heights[k]
+        columns['heights'][row] = self._heights[k]
         self._step.follow()
+        if self._posed:
+            known = np.isfinite(columns['angle'][row])
+            columns['information'][row] = known
+            sure = known & (self._step.doubtful == 0)
+            heading, tilt = columns['angle'][row], self._tilts[k]
+            columns['extra_turn'][row] = self._turns.follow(heading, tilt, sure)
         self._note_outages(stamp)
 
     def _append(self, stamp: int, goes_on: bool) -> int:
@@ -370,7 +400,7 @@ class Tracker:
             doubtful = self.matcher.doubtful(fit, unseen[None])
             if doubtful is None or not doubtful.any():
                 return False
-        return self.matcher.correct(0, [])
+        return self.matcher.correct()
 
     def _note_outages(self, stamp: int) -> None:
         """Note which bodies are seen again after a window or more."""
@@ -388,6 +418,7 @@ class Tracker:
             self._known.give(np.where(which[:, None], self.matcher.given, np.nan))
         self._history['information'][:, :, which] = 0.0
         self._history['used'][:, which] = False
+        self._history['markers'][:, which] = np.nan
         self._history['angle'][:, which] = np.nan
         self._pins.forget(which)
 
@@ -401,27 +432,45 @@ class Tracker:
         self._begin_bodies()
         space, self._space = self._space, _NoSpace()
         for stamp, solid in early:
-            self.settle()
+            self._update_if_due()
             self._hand_over(np.array([stamp]), solid[None])
             self._take(stamp, 0, solid)
         self._space = space
         self._due = due - dropped
 
-    def _update(self) -> None:
-        """Learn from the frames of late."""
+    def _update(self) -> bool:
+        """Learn from the frames of late; whether names stand for other markers since."""
         bodies, history = self._known, self._history
         self._next_update = self._frames + max(
             1, min(int(self._frames * UPDATE_SHARE), MOST_BETWEEN_UPDATES)
         )
         if self._roster.plane is None:
-            return
+            return False
         self._count_new()
-        anew = learn(bodies, history, self._window, self.settings.noise, self.counts)
-        self._pins.forget(anew)
-        self._pins.update(bodies, history, min(self._new, len(history)))
+        if self._posed:
+            learn_poses(bodies, history, self.settings.noise)
+            bodies.extra_turn = self._turns.total
+        else:
+            anew = learn(bodies, history, self._window, self.settings.noise, self.counts)
+            self._pins.forget(anew)
+        self._pins.update(bodies, history, min(self._new, len(history)), self._posed)
         self._new = self._counted = 0
         bodies.hub = find_hubs(bodies, history, self._window, bodies.hub)
         bodies.jump_scale = path_scale(history, bodies)
+        if not self._posed:
+            self._find_deformed()
+        changed = False
+        if self.matcher.look_is_due():
+            regrouped = self.matcher.regroup(self.rigidity_residual() > 0)
+            changed = bool(regrouped.any() or self.matcher.withheld.any())
+            if regrouped.any():
+                self._begin_anew(regrouped)
+        self._step.bind(bodies, history)
+        return changed
+
+    def _find_deformed(self) -> None:
+        """Find the bodies whose markers move against each other."""
+        bodies, history = self._known, self._history
         rows = slice(-NOISE_FRAMES - 2, None)
         time, residual = history['time'][rows], history['residual'][rows]
         interval = float(np.median(np.diff(time))) if len(time) > 1 else self._window / 2
@@ -429,11 +478,6 @@ class Tracker:
         noise = np.fmax(bodies.noise, bodies.white)
         half = round(self._window / 2 / max(interval, 1.0))
         bodies.freedom, bodies.held = deformed_freedom(residual, free, noise, bodies.degrees, half)
-        if self.matcher.look_is_due():
-            regrouped = self.matcher.regroup(self.rigidity_residual() > 0)
-            if regrouped.any():
-                self._begin_anew(regrouped)
-        self._step.bind(bodies, history)
 
     def _count_new(self) -> None:
         """Count what the frames since the last update lack, and measure how they lie in space."""
@@ -441,10 +485,12 @@ class Tracker:
         self._counted = self._new
         if not new or self._roster.plane is None:
             return
-        markers, height = (self._history[name][-new:] for name in ('markers', 'height'))
-        lacking = self._roster.wanted * new - np.count_nonzero(~np.isnan(markers))
+        markers, heights = (self._history[name][-new:] for name in ('markers', 'heights'))
+        seen = np.count_nonzero(~np.isnan(markers[..., 0] if self._posed else markers))
+        lacking = self._roster.wanted * new - seen
         self.counts['markers_not_seen'] += int(lacking)
-        self._space.add(self._roster.plane.in_space(markers, height[..., None]))
+        if not self._posed:
+            self._space.add(self._roster.plane.in_space(markers, heights))
 
     def _due_results(self, order: int | None) -> list[dict[str, Any]]:
         """Results of the instants that fall due with the newest frame."""
@@ -471,6 +517,7 @@ class Tracker:
                         order,
                         self.settings.effort,
                         self._step.doubtful,
+                        self._posed,
                     )
                 )
                 if self._roster.plane is None:
