@@ -4,7 +4,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from kinpole_ros.bags._reader import Truncated
 from kinpole_ros.pipeline.bodies import Outage
-from kinpole_ros.pipeline.ticks import StampState
+from kinpole_ros.pipeline.stamps import StampState
 from kinpole_ros.rigid.space import SpaceReport
 
 if TYPE_CHECKING:

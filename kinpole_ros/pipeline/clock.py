@@ -1,10 +1,10 @@
 """
-The even clock of a camera behind the stamps of its frames.
+The even clock of a camera, estimated from the stamps of its frames.
 
-Cameras run on an even clock, but drivers stamp frames when they arrive, round the stamps or lose
-frames. A frame arrives after it was captured, never before: its stamp is that of its tick and a
-lateness of 0 or more. Ticks are found by the lower edge of the stamps, and frames that are lost by
-all later ones being at least a tick later than without the loss.
+A camera captures frames at the ticks of an even clock. Its driver may stamp them when they arrive,
+round the stamps and lose frames. A stamp is never before its tick, so the ticks are the lower edge
+of the stamps, and a frame was lost where all later frames come at least one tick later than without
+the loss.
 """
 
 import math
@@ -15,43 +15,43 @@ import numpy as np
 from kinpole_ros.derivatives import FEWEST_SAMPLES
 from kinpole_ros.planar._plane import Real
 
-# Below these the interval is searched for, which takes as long as n^2; above it is known well
-# enough to go on from what it was. Fewer say nothing of a rate that has changed.
-SEARCHED = 64
-# Nats of a lost frame: one in fifty.
-LOSS = math.log(50)
-# Deviation of the slope of a line along the edge of n points, by the inverse of their density there
-# over n^2 (simulated); so many points nearest to the edge tell the density.
-_EDGE, _NEAREST = 8.0, 6
-# The edge is known from n frames and is gone by for a quarter of n more: it may be off by so many
-# deviations of its slope, by n, two on the far side of the middle (simulated: 0.96 are within).
-_AHEAD = 1.5
-# Nats by which the newest frames must be likelier at a rate of their own for it to have changed, or
-# another count for that of a frame to be wrong.
-SURE_NATS = 20.0
-# Stamps that are late by no more than this share of the interval leave no doubt of any count.
-_PLAIN = 1 / 4
-# One frame in so many may be as late as no other.
-_RARE = 512
-# Newest frames whose counts are not sure enough to find the clock by.
-UNSETTLED = 8
-# So many frames after a loss may have been captured before it.
-_AFTER = 4
+# All constants of the clock and of its use. The first three are frames.
+# The clock is estimated from so many: 10 s at 200 Hz.
+MEMORY = 2000
+# The interval is searched for in so many of the newest: fewer do not tell 2% of losses from none.
+SEARCHED = 128
+# So many of the newest, and after a loss, may have the count of another: the fit leaves them out.
+UNSETTLED = 4
+# Frames that wait for a sure count at most: the usual lag at 200 Hz.
+MAX_PENDING = 20
+# A count is used when it is wrong with this probability at most.
+UNSURE = 1e-3
+# Nats of a lost frame before any was seen to be lost: one in fifty.
+LOSS_NATS = math.log(50)
+# Nats by which another rate must be likelier for the rate to have changed.
+CHANGE_NATS = 20.0
+# Nats from which on the motion decides between stamps and ticks.
+DECISIVE_NATS = 6.0
+# Windows in which half of the evidence of the motion is forgotten: 1 s of 0.3 s each.
+HALF_LIFE = 3.3
+# Share of an interval, or of a step of rounding, by which an estimated edge may be off.
+TOLERANCE = 0.1
+# ns. Stamps in such steps or longer ones were rounded by the driver.
+COARSE = 10_000
 
 
 class Clock(NamedTuple):
     """
-    A clock with ticks of number n at `origin` + `phase` + n `interval`, ns.
+    A clock whose tick n is at `origin` + `phase` + n `interval`, ns.
 
-    `deviation` is that of the interval; `lateness` the mean by which stamps are later than their
-    ticks, `jitter` its standard deviation, `largest` the most of it and `margin` how much earlier
-    than its tick a stamp may be; stamps are multiples of `resolution`; all in ns.
+    Stamps are later than their ticks by `lateness` in the mean, with the standard deviation
+    `jitter`, by `largest` at most, and earlier by `margin` at most. They are multiples of
+    `resolution`. All in ns.
     """
 
     origin: int
     phase: float
     interval: float
-    deviation: float
     lateness: float
     jitter: float
     largest: float
@@ -63,275 +63,257 @@ class Clock(NamedTuple):
         """By how many ticks a frame may be later than another with the same count."""
         return (self.largest + self.margin) / self.interval
 
+    @property
+    def is_rounded(self) -> bool:
+        """Whether the rounding of the stamps explains how far they are off their ticks."""
+        explained = self.resolution / 2 < self.largest <= (1 + TOLERANCE) * self.resolution
+        return explained and COARSE <= self.resolution <= self.interval
+
+    @property
+    def is_even(self) -> bool:
+        """Whether the stamps are exactly at the ticks of a clock, in coarse steps."""
+        return self.largest <= 1.0 and self.resolution >= COARSE
+
     def ticks(self, stamps: np.ndarray) -> Real:
-        """At how many ticks (T,) the `stamps` (T,), ns, come: their whole part is the latest."""
+        """Ticks (T,) up to the `stamps` (T,), ns; their whole part is the latest possible count."""
         since = np.asarray(stamps) - self.origin
         return np.asarray((since - self.phase + self.margin) / self.interval)
 
+    def late_in_row(self, probability: float) -> int:
+        """How many frames running are late by a tick or more with less than this `probability`."""
+        if self.reach < 1:
+            return 1
+        # Lateness is taken to be exponential.
+        number = -math.log(probability) * self.lateness / self.interval
+        return min(math.ceil(number), MAX_PENDING)
 
-def find_clock(stamps: np.ndarray, before: Clock | None) -> tuple[Clock, np.ndarray]:
+
+def estimate_clock(stamps: np.ndarray) -> tuple[Clock, np.ndarray]:
     """
-    The clock behind `stamps` (N,), ns, of frames in order of capture, and the counts of the latest.
+    Estimate the clock of `stamps` (N,), ns, of frames in order of capture, and count the frames.
 
-    `before` is the clock as it was known from most of these. The counts (n,) are of the newest
-    frames, from which the clock is found; those before had another rate. There are at least
-    `FEWEST_SAMPLES`.
+    Intervals that are likely by the newest frames are refined with twice as many, and so on, as
+    long as one of them holds: frames before a change of the rate are left out. The counts (n,) are
+    of the newest frames that the clock holds for. N is at least `FEWEST_SAMPLES`.
     """
     origin = int(stamps[0])
     since = (stamps - origin).astype(float)
     resolution = float(max(np.gcd.reduce(np.diff(stamps)), 1))
-    if before is not None and before.largest <= _PLAIN * before.interval:
-        counts = counts_by(stamps, before)
-        clock, used = _fit(origin, since, counts, resolution)
-        # Where more are lost than come it is the pace within bunches, not that of the camera.
-        lost_most = counts[-1] - counts[0] > 2 * len(counts)
-        if clock.largest <= _PLAIN * clock.interval and not lost_most:
-            return clock, counts[-used:]
-    trials = [_afresh(since, resolution)]
-    if before is not None:
-        rates = np.array((before.interval, _edge_of(since, trials[0])))
-        trials += [counts_by(stamps, before), *_counts_of(since, rates)]
-    counts = _likeliest(since, trials, resolution)
-    clock, used = _fit(origin, since, counts, resolution)
-    # The rate found with some counts may show that others were meant.
-    for _ in range(3):
-        since, counts = since[-used:], counts[-used:]
-        again = counts_by(stamps[-used:], clock)
-        if (np.diff(again) == np.diff(counts)).all():
+    number = min(SEARCHED, len(since))
+    newest = since[-number:]
+    # Any share of the frames up to one half may have been lost.
+    lost = np.arange(-1, number, 0.5) / (number - 1)
+    mean = (newest[-1] - newest[0]) / (number - 1)
+    intervals = _likeliest(newest, np.maximum(mean / (1 + lost), 1.0), resolution, 0)[1]
+    counts, intervals = _likeliest(newest, intervals, resolution, 2)
+    while number < len(since):
+        longer = min(2 * number, len(since))
+        more, refined = _likeliest(since[-longer:], intervals, resolution, 2)
+        cost = _costs(newest, counts[:1], intervals[:1], resolution)[0]
+        costs = _costs(newest, more[:, -number:], refined, resolution)
+        best = int(costs.argmin())
+        off = abs(refined[best] - intervals[0]) * number
+        if costs[best] > cost + CHANGE_NATS and off > 2 * resolution:
             break
-        if _likeliest(since, [counts, again], resolution) is counts:
+        late = since[-longer:] - more[0] * refined[0]
+        late -= late.min()
+        if late[:-number].mean() > 2 * (late[-number:].mean() + resolution):
             break
-        counts = again
-        clock, used = _fit(origin, since, counts, resolution)
-    return clock, counts[-used:]
+        number, counts, intervals = longer, more, refined
+        newest = since[-number:]
+    clock = _fit_clock(origin, newest, counts[0], resolution)
+    return clock, count_frames(stamps[-number:], clock)
 
 
-def follow_clock(stamps: np.ndarray, counts: np.ndarray) -> tuple[Clock, np.ndarray, bool]:
+def count_frames(stamps: np.ndarray, clock: Clock) -> np.ndarray:
     """
-    The clock behind `stamps` (N,), ns, of frames with `counts` (N,), and the counts of the latest.
+    The latest counts (N,) of frames that neither their stamps nor later frames forbid.
 
-    Also whether those are as they were: where the newest are likelier at a rate of their own the
-    clock is found anew from them.
-    """
-    if len(stamps) <= 2 * UNSETTLED:
-        return *find_clock(stamps, None), False
-    origin = int(stamps[0])
-    since = (stamps - origin).astype(float)
-    resolution = float(max(np.gcd.reduce(np.diff(stamps)), 1))
-    clock, used = _fit(origin, since, counts, resolution, True)
-    newest = since[-SEARCHED:]
-    trials = np.stack((counts[-SEARCHED:], _search(newest, resolution)))
-    intervals = np.array([_edge_of(newest, c) for c in trials])
-    costs = _costs(newest, trials, intervals, resolution, _loss(counts))
-    lost = np.ptp(trials[:, : len(newest) - UNSETTLED], axis=1)
-    if lost[0] != lost[1] and costs[1] < costs[0] - SURE_NATS:
-        used = len(newest)
-    if used == len(counts):
-        return clock, counts, True
-    return *find_clock(stamps[-used:], None), False
-
-
-def _afresh(since: Real, resolution: float) -> np.ndarray:
-    """
-    Counts (N,) of frames `since` the first, ns, from the newest few on.
-
-    A rate that is wrong by a frame now and then is confirmed by the counts that it gives.
-    """
-    count = min(SEARCHED, len(since))
-    counts = _search(since[-count:], resolution)
-    while count < len(since):
-        interval = _edge_of(since[-count:], counts)
-        count = min(2 * count, len(since))
-        counts = _counts_of(since[-count:], np.array([interval]))[0]
-    return counts
-
-
-def _likeliest(since: Real, trials: list[np.ndarray], resolution: float) -> np.ndarray:
-    """The likeliest counts (N,) of some."""
-    intervals = np.array([_edge_of(since, counts) for counts in trials])
-    return trials[int(_costs(since, np.stack(trials), intervals, resolution).argmin())]
-
-
-def _loss(counts: np.ndarray) -> float:
-    """Nats of a lost frame where as many are lost as of those with `counts` (N,)."""
-    lost = max(int(counts[-1] - counts[0]) + 1 - len(counts), 0)
-    return math.log((len(counts) + lost + math.exp(LOSS)) / (lost + 1))
-
-
-def _costs(
-    since: Real, counts: np.ndarray, intervals: Real, resolution: float, loss: float = LOSS
-) -> Real:
-    """
-    Minus logs (I,) of how likely `counts` (I, N) and `intervals` (I,) are, up to a constant.
-
-    A lost frame costs so many nats: `loss`.
-    """
-    settled = max(FEWEST_SAMPLES, counts.shape[1] - UNSETTLED)
-    late = (since - counts * intervals[:, None])[:, :settled]
-    late = (late - late.min(axis=1, keepdims=True)).mean(axis=1)
-    lost = counts[:, settled - 1] - counts[:, 0] - (settled - 1)
-    cost = settled * np.log(late + resolution / 4 + 1.0) + loss * lost
-    # Bunches, as above.
-    return np.asarray(np.where(lost > settled, np.inf, cost))
-
-
-def _search(since: Real, resolution: float) -> np.ndarray:
-    """Counts (N,) of a few frames `since` the first, by the likeliest interval of many."""
-    number = np.arange(len(since))
-    steps = np.diff(since)
-    middle = _forward(float(np.median(steps)), since)
-    around = number - number.mean()
-    slope = _forward(float(around @ since / (around @ around)), since)
-    deviation = 2 * float(np.median(np.abs(steps - middle))) + resolution
-    most = min(3 * deviation / math.sqrt(len(steps)), 0.5 * middle)
-    # Also the mean rate if none, one, ... were lost.
-    most_lost = max(FEWEST_SAMPLES - 1, len(since) // 8)
-    trials = np.concatenate(
-        (
-            middle + most * np.linspace(-1, 1, SEARCHED + 1),
-            slope / (1 + np.linspace(-1, most_lost, 2 * (SEARCHED + 1)) / len(steps)),
-        )
-    )
-    counts = _counts_of(since, trials)
-    return np.asarray(counts[_costs(since, counts, trials, resolution).argmin()])
-
-
-def _counts_of(since: Real, intervals: Real) -> np.ndarray:
-    """Counts (I, N) of frames by each of the `intervals` (I,), the first of them in time."""
-    number = np.arange(len(since))
-    left = since - intervals[:, None] * number
-    least = np.minimum.accumulate(left[:, ::-1], axis=1)[:, ::-1]
-    lost = np.rint((least - least[:, :1]) / intervals[:, None])
-    return np.asarray(number + np.maximum.accumulate(lost, axis=1).astype(np.int64))
-
-
-def counts_by(stamps: np.ndarray, clock: Clock) -> np.ndarray:
-    """
-    Counts (N,) of frames by a clock: the latest that neither a stamp nor a later frame forbids.
-
-    No frame comes before its tick, and none has the count of the one after it.
+    No frame is stamped before its tick, and each has a count of its own.
     """
     number = np.arange(len(stamps))
     ahead = np.floor(clock.ticks(stamps)).astype(np.int64) - number
     return np.asarray(number + np.minimum.accumulate(ahead[::-1])[::-1])
 
 
-def _fit(
-    origin: int, since: Real, counts: np.ndarray, resolution: float, counted: bool = False
-) -> tuple[Clock, int]:
-    """
-    The clock of frames `since` `origin`, ns, with `counts` (N,).
+def ambiguous_frames(counts: np.ndarray, clock: Clock) -> np.ndarray:
+    """Which frames (N,) with `counts` (N,) may have come late, from before the loss before them."""
+    ambiguous = np.zeros(len(counts), bool)
+    gaps = (np.diff(counts) > 1).nonzero()[0]
+    for k in range(1, clock.late_in_row(UNSURE)):
+        ambiguous[np.minimum(gaps + k, len(counts) - 1)] = True
+    return ambiguous
 
-    Of all, or of as many of the newest as are returned too, if the rate has changed. Whether it has
-    is only looked at where counts cannot be wrong, or were `counted` one by one.
+
+def count_arrivals(
+    stamps: np.ndarray, clock: Clock, count: int, shift: int
+) -> tuple[np.ndarray, np.ndarray, int]:
     """
-    used = len(counts)
-    # A frame after a loss may have come before it, late, for all one knows, and spoil the edge.
-    sure = np.ones(used, bool)
-    after = (np.diff(counts) > 1).nonzero()[0][:, None] + np.arange(1, _AFTER + 1)
-    sure[np.minimum(after, used - 1)] = False
-    sure[-UNSETTLED:] = False
-    if 2 * np.count_nonzero(sure) < max(used, 4 * UNSETTLED):
-        sure[: max(FEWEST_SAMPLES, used - UNSETTLED)] = True
-    since, counts = since[sure], counts[sure]
-    interval, deviation = _slope(since, counts, resolution)
-    interval = _forward(interval, since)
-    part = len(counts) // 2
-    while part > SEARCHED and (counted or (since - interval * counts).std() < _PLAIN * interval):
-        newest = slice(len(counts) - part, None)
-        now, sure_now = _slope(since[newest], counts[newest], resolution)
-        left, own = (
-            float((since[newest] - one * counts[newest]).var()) + resolution**2 / 12
-            for one in (interval, now)
-        )
-        differs = abs(now - interval) * part > 2 * resolution
-        if differs and part / 2 * math.log(left / own) > SURE_NATS:
-            since, counts = since[newest], counts[newest]
-            interval, deviation = max(now, 1.0), sure_now
-            used = len(sure) - int(sure.nonzero()[0][-part])
-        part //= 2
+    Count frames with `stamps` (T,) in order of arrival, as far as the frames lost are sure.
+
+    `count` is that of the frame before them, and counts are ahead of the clock by `shift`. A frame
+    that comes a tick late was itself late, or frames were lost before it. It waits until a frame
+    comes that shows that none was, or until more have come since a frame that allows no more losses
+    than are ever late in a row.
+
+    Returns the sure counts (R,), with which of the frames (R,) each became sure, and the shift: it
+    grows where a frame comes before its tick.
+    """
+    ticks = clock.ticks(stamps)
+    confirmations = clock.late_in_row(UNSURE * math.exp(-LOSS_NATS))
+    counts, sure_with = [np.zeros(0, np.int64)], [np.zeros(0, np.int64)]
+    waiting: list[int] = []  # how many frames may have been lost in all before each
+    lost = frame = 0
+    while frame < len(ticks):
+        if not waiting:
+            later = np.arange(frame, len(ticks))
+            expected = count + lost + 1 + later
+            doubtful = np.floor(ticks[later] + shift) > expected
+            doubtful |= ticks[later] + shift + TOLERANCE < expected
+            plain = int(doubtful.argmax()) if doubtful.any() else len(later)
+            counts.append(expected[:plain])
+            sure_with.append(later[:plain])
+            frame += plain
+            if frame == len(ticks):
+                break
+        tick, expected_one = float(ticks[frame]) + shift, count + frame + 1
+        if tick + TOLERANCE < expected_one + lost:
+            # A loss before was none, or the edge was not known well: the counts go on all the same.
+            shift += expected_one + lost - math.floor(tick + TOLERANCE)
+        waiting.append(max(math.floor(tick) - expected_one, lost))
+        while waiting:
+            fewest = min(waiting)
+            confirmed = len(waiting) - 1 - waiting.index(fewest)
+            if fewest > lost and confirmed < confirmations and len(waiting) <= MAX_PENDING:
+                break
+            number = len(waiting) - waiting[::-1].index(fewest)
+            first = expected_one + 1 - len(waiting)
+            lost = fewest
+            counts.append(first + lost + np.arange(number))
+            sure_with.append(np.full(number, frame))
+            del waiting[:number]
+        frame += 1
+    return np.concatenate(counts), np.concatenate(sure_with), shift
+
+
+def _likeliest(
+    since: Real, intervals: Real, resolution: float, rounds: int
+) -> tuple[np.ndarray, Real]:
+    """
+    The likeliest intervals, best first, and the counts of frames `since` the first, ns, by them.
+
+    Each interval is refined by so many `rounds` of counting frames and fitting the edge to them. Of
+    intervals with equally many losses one is kept.
+    """
+    settled = max(FEWEST_SAMPLES, len(since) - UNSETTLED)
+    counts = _counts_by(since, intervals, resolution)
+    found = [(counts, intervals, _costs(since, counts, intervals, resolution))]
+    for _ in range(rounds):
+        intervals = _edge_intervals(since[:settled], counts[:, :settled])
+        counts = _counts_by(since, intervals, resolution)
+        found.append((counts, intervals, _costs(since, counts, intervals, resolution)))
+    counts, intervals, costs = (np.concatenate(part) for part in zip(*found, strict=True))
+    order = costs.argsort(kind='stable')
+    _, first = np.unique(counts[order, settled - 1] - counts[order, 0], return_index=True)
+    order = order[np.sort(first)]
+    if rounds:
+        order = order[costs[order] <= costs[order[0]] + 2 * CHANGE_NATS]
+    return counts[order], intervals[order]
+
+
+def _costs(since: Real, counts: np.ndarray, intervals: Real, resolution: float) -> Real:
+    """Minus the log likelihoods (I,) of `counts` (I, N) and `intervals` (I,), to a constant."""
+    settled = max(FEWEST_SAMPLES, len(since) - UNSETTLED)
+    late = (since - counts * intervals[:, None])[:, :settled]
+    late = (late - late.min(axis=1, keepdims=True)).mean(axis=1)
+    lost = counts[:, settled - 1] - counts[:, 0] - (settled - 1)
+    share = (lost.clip(0) + 1) / (settled + lost.clip(0) + math.exp(LOSS_NATS))
+    cost = settled * np.log(late + resolution / 4 + 1.0)
+    cost -= lost * np.log(share) + settled * np.log1p(-share)
+    # Where more are lost than come it is the pace within bunches, not that of the camera.
+    return np.asarray(np.where(lost > settled, np.inf, cost))
+
+
+def _counts_by(since: Real, intervals: Real, resolution: float) -> np.ndarray:
+    """The latest counts (I, N) of frames `since` the first, ns, by `intervals` (I,), from 0 on."""
+    number, steps = np.arange(len(since)), intervals[:, None]
+    left = since - steps * number
+    # The tick after which frames are late by the least time in the mean.
+    late = np.sort(left % steps, axis=1)
+    edge = (steps * number / len(since) - late).argmin(axis=1)
+    phase = late[np.arange(len(late)), edge][:, None]
+    least = np.minimum.accumulate(left[:, ::-1], axis=1)[:, ::-1]
+    early = np.minimum(TOLERANCE * steps + resolution, steps / 2)
+    lost = np.floor((least - phase + early) / steps)
+    lost = np.maximum.accumulate(lost, axis=1).astype(np.int64)
+    return np.asarray(number + lost - lost[:, :1])
+
+
+def _edge_intervals(since: Real, counts: np.ndarray) -> Real:
+    """
+    Slopes (I,) of the lower edge of stamps `since` the first (N,), ns, over their counts (I, N).
+
+    The edge of the lower hull at the middle frame is the most likely line where stamps are late by
+    an exponential time (Smith 1985).
+    """
+    middle, rows = len(since) // 2, np.arange(len(counts))
+    spoiled = _after_losses(counts)
+    spoiled &= np.count_nonzero(~spoiled, axis=1)[:, None] > len(since) // 4
+    slopes = (since[-1] - since[0]) / (counts[:, -1] - counts[:, 0])
+    for _ in range(10):
+        left = np.where(spoiled, np.inf, since - slopes[:, None] * counts)
+        one = left[:, :middle].argmin(axis=1)
+        other = middle + left[:, middle:].argmin(axis=1)
+        before = slopes
+        slopes = (since[other] - since[one]) / (counts[rows, other] - counts[rows, one])
+        if (slopes == before).all():
+            break
+    # Frames may be so late that by the edge they run backward.
+    mean = max(float(np.ptp(since)) / (len(since) - 1), 1.0)
+    return np.where(slopes >= 1.0, slopes, mean)
+
+
+def _interval(since: Real, counts: np.ndarray, resolution: float) -> float:
+    """The interval, ns, by the lower and the upper edge of stamps: the sharper one counts more."""
+    lower = float(_edge_intervals(since, counts[None])[0])
+    upper = float(_edge_intervals(-since[::-1], -counts[None, ::-1])[0])
+    late = np.sort(since - lower * counts)
+    few = min(UNSETTLED, len(late) - 1)
+    # An edge is known as well as the frames next to it are close.
+    below, above = late[few] - late[0] + resolution, late[-1] - late[-1 - few] + resolution
+    return float((lower / below**2 + upper / above**2) / (below**-2 + above**-2))
+
+
+def _after_losses(counts: np.ndarray) -> np.ndarray:
+    """Which frames (I, N) come soon after a loss by `counts` (I, N)."""
+    after = np.zeros(counts.shape, bool)
+    gaps = np.diff(counts) > 1
+    for k in range(min(UNSETTLED, gaps.shape[1])):
+        after[:, 1 + k :] |= gaps[:, : gaps.shape[1] - k]
+    return after
+
+
+def _fit_clock(origin: int, since: Real, counts: np.ndarray, resolution: float) -> Clock:
+    """The clock of frames `since` the `origin`, ns, with `counts` (N,)."""
+    settled = max(FEWEST_SAMPLES, len(since) - UNSETTLED)
+    since, counts = since[:settled], counts[:settled]
+    interval = _interval(since, counts, resolution)
     late = since - interval * counts
-    ranked = np.sort(late)
-    phase = float(ranked[0])
+    spoiled = _after_losses(counts[None])[0]
+    if np.count_nonzero(~spoiled) > settled // 4:
+        late = late[~spoiled]
+    phase = float(late.min())
     late -= phase
-    # A frame is too early by less than half of what no frame's lateness has left free before the
-    # next tick, and else by what the edge may be off.
-    edge = float(ranked[min(4, len(ranked) - 1)]) - phase + resolution
-    edge += _AHEAD * deviation * len(ranked)
-    parts = np.sort(late % interval)
-    free = interval - float(parts[-1 - len(parts) // _RARE])
-    clock = Clock(
+    # Half of what the lateness of no frame has left free before the next tick.
+    free = interval - float(np.quantile(late % interval, 1 - 1 / 512))
+    margin = min(max(free / 2, TOLERANCE * interval), interval / 2)
+    return Clock(
         origin,
         phase,
         interval,
-        deviation,
         float(late.mean()),
         float(late.std()),
         float(late.max()),
-        min(max(edge, free / 2), interval / 2),
+        margin,
         resolution,
     )
-    return clock, used
-
-
-def _forward(interval: float, since: Real) -> float:
-    """An interval, ns; the mean where frames are so late that by their stamps they run backward."""
-    return interval if interval >= 1.0 else max(float(np.ptp(since)) / max(len(since) - 1, 1), 1.0)
-
-
-def _slope(since: Real, counts: np.ndarray, resolution: float) -> tuple[float, float]:
-    """
-    The interval, ns, and its deviation, by what is known best of frames with `counts` (N,).
-
-    A line by least squares is best for lateness that has no edges; lines along the edges are where
-    it has them: exponential, even, rounded.
-    """
-    count = len(counts)
-    around = counts - counts.mean()
-    total = max(float(around @ around), 1.0)
-    line = float(around @ since) / total
-    off = since - line * around
-    rounding = resolution / math.sqrt(12)
-    spread = math.sqrt(float(off.var()) * count / max(count - 2, 1) + rounding**2)
-    found = [(line, spread / math.sqrt(total))]
-    for sign in (1.0, -1.0):
-        edge = _edge(sign * since, around, sign * line)
-        left = np.sort(sign * since - edge * around)
-        few = min(_NEAREST, count - 1)
-        inverse = (left[few] - left[0] + resolution) * count / few
-        reach = max(float(around[-1] - around[0]), 1.0)
-        found.append((sign * edge, _EDGE * inverse / (count * reach)))
-    values, deviations = np.array(found).T
-    if deviations[0] <= deviations[1:].min():
-        return line, float(deviations[0])
-    weights = deviations[1:] ** -2
-    mean = float((weights * values[1:]).sum() / weights.sum())
-    return mean, float(weights.sum() ** -0.5)
-
-
-def _edge_of(since: Real, counts: np.ndarray) -> float:
-    """The interval by the lower edge of frames with `counts` (N,)."""
-    around = counts - counts.mean()
-    total = max(float(around @ around), 1.0)
-    return max(_edge(since, around, float(around @ since) / total), 1.0)
-
-
-def _edge(values: Real, around: Real, slope: float) -> float:
-    """
-    Slope of the line below all `values` (N,), by `around` (N,), that is nearest to them on the sum.
-
-    That is the edge of their lower hull at the mean: the most likely line where values are late by
-    an exponential time (Smith 1985).
-    """
-    middle = int(np.searchsorted(around, 0.0))
-    middle = min(max(middle, 1), len(around) - 1)
-    pair = (-1, -1)
-    for _ in range(20):
-        left = values - slope * around
-        here = int(left[:middle].argmin()), middle + int(left[middle:].argmin())
-        if here == pair:
-            break
-        pair = here
-        distance = max(float(around[pair[1]] - around[pair[0]]), 1.0)
-        slope = float(values[pair[1]] - values[pair[0]]) / distance
-    return slope

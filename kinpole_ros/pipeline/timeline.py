@@ -7,18 +7,16 @@ the clock behind these: see `ticks`.
 
 from collections import Counter
 from collections.abc import Callable
-from functools import partial
 
 import numpy as np
 
 from kinpole_ros.derivatives import FEWEST_SAMPLES, Windows
 from kinpole_ros.pipeline.arrivals import Arrivals
 from kinpole_ros.pipeline.bodies import pose_columns
-from kinpole_ros.pipeline.clock import UNSETTLED, counts_by
-from kinpole_ros.pipeline.counter import FrameCounter
-from kinpole_ros.pipeline.course import correct_counts, course_costs
+from kinpole_ros.pipeline.clock import MAX_PENDING, Clock, ambiguous_frames, count_arrivals
+from kinpole_ros.pipeline.frame import MarkerFrames, part_of
 from kinpole_ros.pipeline.parameters import Settings
-from kinpole_ros.pipeline.ticks import StampState, Ticks
+from kinpole_ros.pipeline.stamps import StampHistory, StampState
 from kinpole_ros.rigid import Samples
 
 # Frames later than this many intervals of late come after a gap.
@@ -35,9 +33,8 @@ def _frame_type(bodies: int) -> np.dtype:
         ('stamp', np.int64),
         # When it was captured, ns: its stamp, or its tick of the clock.
         ('time', np.int64),
-        # Its number on the clock, and how many of the newest frames had none yet when it came.
+        # Its tick, if it is counted.
         ('count', np.int64),
-        ('behind', np.int64),
         # While it waits: its number among the frames that were given together, the oldest frame in
         # the window, and the mean interval, ns.
         ('number', np.int64),
@@ -71,17 +68,19 @@ class Timeline:
         # How many of the newest frames are not estimated yet.
         self._waiting = 0
         self._arrivals = Arrivals(self.window, counts)
-        self._ticks = Ticks(settings.stamps, self.window)
-        if before is not None:
-            self._ticks.regular = before._ticks.regular
-        # As the frames that are held are taken: what is decided counts when all that wait are
-        # estimated.
-        self._regular = self._ticks.regular
-        self._counter: FrameCounter | None = None
+        known = None if before is None else before._history
+        self._history: StampHistory = StampHistory(settings.stamps, self.window, known)
+        self._regular = self._history.regular
+        # What frames are counted by; None where they are at stamps, or it is not known yet.
+        self._clock: Clock | None = None
+        # Of the newest frame that is counted, and by how much counts are ahead of the clock.
+        self._count = self._shift = 0
+        # Frames that wait for their count, and counts of those to be entered.
+        self._uncounted: list[MarkerFrames] = []
+        self._counted = np.zeros(0, np.int64)
         # The time of a count, and from one to the next.
         self._anchor = 0, 0
         self._step = 0
-        self._slips = False
 
     def __len__(self) -> int:
         return len(self._frames)
@@ -100,217 +99,154 @@ class Timeline:
         """Whether frames are taken to be at ticks of the clock."""
         return self._regular
 
-    @property
-    def counts_are_sure(self) -> bool:
-        """Whether a frame's stamp alone tells its tick: none is later than the next."""
-        clock = self._ticks.clock
-        return not self.regular or (clock is not None and clock.reach < 1)
-
-    def until_doubt(self, stamps: np.ndarray) -> int:
-        """
-        How many of the next frames may be taken at once, by their `stamps` (T,), ns.
-
-        One whose count is in doubt has it by the poses up to it; those that follow go by that.
-        """
-        return len(stamps) if self._counter is None else self._counter.until_doubt(stamps)
-
     def stamp_state(self) -> StampState | None:
         """How the stamps are; None while too few have come."""
-        return self._ticks.state()
+        return self._history.state()
 
     def accept(self, stamps: np.ndarray, points: np.ndarray) -> tuple[np.ndarray, int, bool]:
         """
         Up to where frames of `stamps` (T,) go on, and whether the next starts anew.
 
         Also how far each is ahead of all before it, ns: it is one to take where that is positive.
-        Where nothing starts anew and not all go on, there is something to `look` at first. `points`
+        Where nothing starts anew and not all go on, the clock is to be updated first. `points`
         (T, ...) tell a frame that is repeated from one with the stamp of another.
         """
-        stamps = stamps[: self._ticks.room]
-        until = self._ticks.until_slip(stamps)
-        if not until:
-            self._slips = True
-            return stamps[:0], 0, False
-        stamps = stamps[:until]
+        stamps = stamps[: self._history.until_update]
+        stamps = stamps[: self._history.until_slip(stamps)]
+        if not len(stamps):
+            return stamps, 0, False
         ahead, end, came = self._arrivals.accept(stamps, points, self._regular, self._plausible())
         if end:
-            self._ticks.add(stamps[:end][came], (ahead > 0)[came])
+            self._history.append(stamps[:end][came], (ahead > 0)[came])
         return ahead, end, end < len(stamps)
 
     def _plausible(self) -> int:
         """By how much a frame may be late, ns."""
-        clock = self._ticks.clock
-        if not self._regular and self._ticks.mode == 'capture':
+        clock = self._history.clock
+        if not self._regular and self._history.mode == 'capture':
             return 0
         if clock is None:
             return round(_PLAUSIBLE * self.window) if self._regular else 0
         return round(clock.largest + clock.interval)
 
-    def enter(
-        self, stamps: np.ndarray, steps: np.ndarray, numbers: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray]:
+    def count(
+        self, frames: MarkerFrames, numbers: np.ndarray
+    ) -> list[tuple[MarkerFrames, np.ndarray]]:
         """
-        Rows for frames that go on by `steps` ns, which wait from now on, to be filled.
+        Frames whose times are sure now, to be entered: some from before, and some of `frames` (T,).
+
+        Also the `numbers` (T,) of the frames with which they became so. The others wait.
+        """
+        parts = [*self._uncounted, frames]
+        stamps = np.concatenate([part.stamps for part in parts])
+        if self._clock is None:
+            counts, sure_with = np.zeros(0, np.int64), np.arange(len(stamps))
+        else:
+            counts, sure_with, self._shift = count_arrivals(
+                stamps, self._clock, self._count, self._shift
+            )
+        self._counted = np.concatenate((self._counted, counts))
+        if len(counts):
+            self._count = int(counts[-1])
+        numbers = numbers[np.maximum(sure_with - (len(stamps) - len(frames.stamps)), 0)]
+        self._uncounted, sure = [], []
+        for part in parts:
+            number = min(len(part.stamps), len(numbers))
+            if number:
+                sure.append((part_of(part, slice(number)), numbers[:number]))
+            if number < len(part.stamps):
+                self._uncounted.append(part_of(part, slice(number, None)))
+            numbers = numbers[number:]
+        return sure
+
+    def enter(self, stamps: np.ndarray, numbers: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """
+        Rows for frames that wait to be estimated from now on, to be filled.
 
         Also which (T,) come much later than those before did. `numbers` (T,) are theirs.
         """
         rows = self._frames.room(len(stamps))
         rows['stamp'], rows['number'] = stamps, numbers
         self._waiting += len(stamps)
-        if self._regular:
-            return rows, self._enter_arrivals(rows, stamps)
-        rows['time'] = stamps
-        rows['count'] = rows['behind'] = 0
-        held = self._place(rows, stamps)
-        interval = rows['interval']
+        times = self._frames.view()['time']
+        first = len(times) - len(rows)
+        before = int(times[first - 1]) if first else int(stamps[0]) - _LEAST_STEP
+        if self._clock is not None:
+            rows['count'], self._counted = np.split(self._counted, [len(rows)])
+            rows['time'] = self._times(rows['count'])
+        elif self._regular or np.diff(stamps, prepend=before).min() <= 0:
+            rows['time'] = _rising(np.concatenate(((before,), stamps)))[1:]
+        else:
+            rows['time'] = stamps
+        newest = np.arange(first, len(times))
+        rows['oldest'] = times.searchsorted(rows['time'] - self.window)
+        held = newest - rows['oldest']
+        rows['interval'] = (rows['time'] - times[rows['oldest']]) / np.maximum(held, 1)
         # As the window was before the frame came.
-        before = np.concatenate(((self.interval,), interval[:-1]))
-        self.samples, self.interval = int(held[-1]) + 1, float(interval[-1])
-        return rows, (steps > _LATE * before) & (before > 0)
+        mean = np.concatenate(((self.interval,), rows['interval'][:-1]))
+        self.samples, self.interval = int(held[-1]) + 1, float(rows['interval'][-1])
+        return rows, (np.diff(rows['time'], prepend=before) > _LATE * mean) & (mean > 0)
 
-    def _enter_arrivals(self, rows: np.ndarray, stamps: np.ndarray) -> np.ndarray:
-        """Give frames times to go on with until they are counted; which (T,) come after a gap."""
-        every = self._frames.view()
-        rows['count'] = rows['behind'] = 0
-        if self._counter is None:
-            first = len(every) == len(rows)
-            last = int(stamps[0]) - _LEAST_STEP if first else int(every['time'][-len(rows) - 1])
-            rows['time'] = _rising(np.concatenate(((last,), stamps)))[1:]
-            return np.zeros(len(rows), bool)
-        counts = self._counter.expected(stamps)
-        gaps = np.diff(counts, prepend=self._counter.newest) > _LATE
-        rows['time'] = self._times(counts)
-        return gaps
+    def leave_out_ambiguous(self, number: int) -> None:
+        """Give no weight to those of the newest frames that may be from before or after a loss."""
+        if self._clock is None:
+            return
+        every = self._frames.view()[-number - MAX_PENDING :]
+        ambiguous = ambiguous_frames(every['count'], self._clock)
+        ambiguous[: len(every) - number] = False
+        every['information'][ambiguous] = 0.0
 
     def _times(self, counts: np.ndarray) -> np.ndarray:
+        """When frames with `counts` (T,) were, ns: in even steps."""
         time, count = self._anchor
         return np.asarray(time + (counts - count) * self._step)
 
-    def pose(self, rows: np.ndarray, noise: np.ndarray) -> np.ndarray:
-        """
-        Frames `rows` have poses now: what that says of when they, and those before, were.
-
-        `noise` (K, B) is that of a marker of each body, m, as it was known by the rows' `beat`. The
-        times (T,) are of the newest frames, as far as they are not those that they had.
-        """
-        self._ticks.add_poses(rows['poses'], rows['information'])
-        if not self._regular:
-            return rows['time'][:0]
-        every = self._frames.view()
-        pending = anew = 0
-        if self._counter is not None:
-            anew = len(rows) + self._counter.pending
-            self._count(self._counter, len(every) - len(rows), noise[rows['beat']])
-            pending = self._counter.pending
-        sure = len(every) - pending
-        if sure:
-            times = every['time'][:sure]
-            oldest = int(times.searchsorted(times[-1] - self.window))
-            self.samples = sure - oldest
-            self.interval = float(times[-1] - times[oldest]) / max(self.samples - 1, 1)
-        return every['time'][len(every) - anew :]
-
-    def _count(self, counter: FrameCounter, first: int, noise: np.ndarray) -> None:
-        """
-        Count the frames from the `first` on, as if each came alone.
-
-        `noise` (T, B) is that of a marker of each body, m, as it was known when they came.
-        """
-        every = self._frames.view()
-        here = begin = first - counter.pending
-
-        def motion(paths: np.ndarray) -> np.ndarray:
-            """Nats by what the poses up to now say."""
-            number = paths.shape[1]
-            frames = every[max(0, begin - UNSETTLED) : begin + number]
-            counts = counter.count + np.arange(1, number + 1) + paths
-            return course_costs(
-                frames, len(frames) - number, counts, noise[begin + number - 1 - first]
-            )
-
-        for k, sure in enumerate(counter.take(every['stamp'][first:], motion)):
-            every['count'][begin : begin + len(sure)] = sure
-            begin += len(sure)
-            every['behind'][first + k] = counter.pending
-            self._ticks.count(sure)
-        every['count'][begin:] = counter.likely
-        every['time'][here:] = self._times(every['count'][here:])
-
     @property
-    def look_due(self) -> bool:
-        """Whether `look` is to be called before more frames come."""
-        return self._ticks.room <= 0 or self._slips
+    def clock_update_is_due(self) -> bool:
+        """Whether `update_clock` is to be called before more frames come."""
+        return self._history.until_update <= 0
 
-    def look(self, noise: np.ndarray) -> Callable[[], bool] | None:
+    def update_clock(self, noise: np.ndarray) -> Callable[[], bool] | None:
         """
-        Look at the clock: what is to be done when all that waits is estimated, if anything.
+        Estimate the clock: what is to be done when all that waits is estimated, if anything.
 
         That says whether frames were not when they seemed to be.
         `noise` (B,), m, is that of a marker of each body.
         """
-        if self._slips:
-            self._slips = False
-            self._ticks.round()
-            if self._ticks.is_up_to_date:
-                return partial(self._count_anew, noise)
-        was = self._regular
-        lost = self._ticks.lost
-        newest = None if self._counter is None else self._counter.likely
-        same = self._ticks.look(noise, newest)
-        self._counts['lost'] += self._ticks.lost - lost
-        if self._ticks.regular:
-            return self._follow if was and same else partial(self._count_anew, noise)
-        return self._to_stamps if was else None
+        lost = self._history.lost
+        uncounted = sum(len(part.stamps) for part in self._uncounted)
+        # As many frames as are held where each is estimated when it comes.
+        frames = self._frames.view()[max(len(self) - self.samples, 0) :]
+        counts = self._history.update(frames, uncounted, noise)
+        self._counts['lost'] += self._history.lost - lost
+        if self._history.regular:
+            return lambda: self._to_ticks(counts)
+        return self._to_stamps if self._regular else None
 
-    def _follow(self) -> bool:
-        """Go on by the clock as it is known now."""
-        clock, every, counter = self._ticks.clock, self._frames.view(), self._counter
-        assert counter is not None and clock is not None
-        counter.follow(clock)
-        self._ticks.uncount(counter.pending)
-        sure = len(every) - counter.pending
-        if sure > 0:
-            self._anchor = int(every['time'][sure - 1]), int(every['count'][sure - 1])
-        self._step = max(round(clock.interval), 1)
-        # Those before had another rate; some may have been taken back.
-        first = max(sure - len(self._ticks.counts), 0)
-        every['count'][first:sure] = self._ticks.counts[len(self._ticks.counts) - sure + first :]
-        every['time'][first:] = self._times(every['count'][first:])
-        return False
-
-    def _count_anew(self, noise: np.ndarray) -> bool:
-        """Give all frames the counts that the clock has for them."""
-        clock, every = self._ticks.clock, self._frames.view()
+    def _to_ticks(self, counts: np.ndarray) -> bool:
+        """Take frames to be at ticks, of which the newest have these `counts` (n,)."""
+        clock, every = self._history.clock, self._frames.view()
         assert clock is not None
         other, self._regular = not self._regular, True
+        self._clock, self._shift = clock, 0
         self._step = max(round(clock.interval), 1)
-        number = min(len(every), len(self._ticks.counts))
-        if not number:
-            return other
-        here = len(every) - number
-        counts = counts_by(every['stamp'][here:], clock)
-        count = int(counts[0])
-        self._anchor = clock.origin + round(clock.phase + count * clock.interval), count
-        every['count'][here] = count
-        self._counter = FrameCounter(clock, count)
-        self._ticks.uncount(number)
-        self._ticks.count(counts[:1])
-        self._count(self._counter, here + 1, np.broadcast_to(noise, (number, len(noise))))
-        corrected, sure = every[here:], number - self._counter.pending
-        correct_counts(corrected['count'], corrected['poses'], corrected['information'], noise)
-        self._ticks.uncount(sure)
-        self._ticks.count(corrected['count'][:sure])
-        every['time'][here:] = self._times(corrected['count'])
+        number = min(len(every), len(counts))
+        self._count = int(counts[-1]) if number else -1
+        self._anchor = clock.origin + round(clock.phase + self._count * clock.interval), self._count
+        counted = every[len(every) - number :]
+        counted['count'] = counts[len(counts) - number :]
+        counted['time'] = self._times(counted['count'])
+        self.leave_out_ambiguous(number)
         # Frames of another rate.
-        every['time'][:here] = _rising(every['stamp'][:here] - round(clock.lateness))
+        before = every[: len(every) - number]
+        before['time'] = _rising(before['stamp'] - round(clock.lateness))
         return other
 
     def _to_stamps(self) -> bool:
         """Take frames to be at their stamps from now on."""
-        self._regular = False
+        self._regular, self._clock = False, None
         every = self._frames.view()
         every['time'] = _rising(every['stamp'])
-        self._counter = None
         return True
 
     def waiting(self) -> np.ndarray:
@@ -318,39 +254,16 @@ class Timeline:
         every = self._frames.view()
         return every[len(every) - self._waiting :]
 
-    def _place(self, rows: np.ndarray, times: np.ndarray) -> np.ndarray:
-        """Note what the windows of frames hold; how many (T,) frames before them."""
-        every = self._frames.view()['time']
-        newest = np.arange(len(every) - len(rows), len(every))
-        rows['oldest'], rows['interval'] = self._windows(every, times, newest)
-        return np.asarray(newest - rows['oldest'])
-
-    def _windows(
-        self, every: np.ndarray, times: np.ndarray, newest: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """The oldest frames (T,) of windows, and their mean interval, ns; `times` of the newest."""
-        oldest = every.searchsorted(times - self.window)
-        return oldest, (times - every[oldest]) / np.maximum(newest - oldest, 1)
-
     def falling_due(self, new: np.ndarray) -> tuple[np.ndarray, Windows, np.ndarray]:
         """
         What falls due with the newest frames (T,): up to where (T,), and which instants can be
         estimated of; with which of these frames each is due.
         """
-        frames = self._frames.view()
-        newest = np.arange(len(frames) - len(new), len(frames))
-        times = frames['time']
-        if self._regular:
-            # Frames without a sure count are as if they had not come.
-            newest = np.maximum(newest - new['behind'], 0)
-            times = times[: newest[-1] + 1]
-            here = times[newest]
-            new['oldest'], new['interval'] = self._windows(times, here, newest)
-        else:
-            here = new['time']
+        times = self._frames.view()['time']
+        newest = np.arange(len(times) - len(new), len(times))
         oldest = new['oldest']
         ahead = np.rint(self._lag - 0.75 * new['interval'])
-        last = here - ahead.astype(np.int64)
+        last = new['time'] - ahead.astype(np.int64)
         end = np.minimum(times.searchsorted(last, side='right'), newest + 1)
         end = np.maximum.accumulate(np.maximum(end, self._due))
         due = np.arange(self._due, end[-1])
