@@ -223,7 +223,12 @@ class Matcher:
         nothing = np.zeros(len(loose), bool)
         self._next_look = self._frames + min(self._frames // 2, KEPT)
         loose = loose & ~self.has_shape & ~self.withheld
-        if loose.sum() < 2 or self._groupings > 2 * len(loose) or self._by_shape or not len(self._history):
+        if (
+            loose.sum() < 2
+            or self._groupings > 2 * len(loose)
+            or self._by_shape
+            or not len(self._history)
+        ):
             return nothing
         order, confused = group(self._history['markers'][-KEPT:], loose)
         self.withheld[confused] = True

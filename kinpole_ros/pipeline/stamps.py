@@ -23,6 +23,7 @@ from kinpole_ros.pipeline.clock import (
 )
 from kinpole_ros.planar._plane import Real
 from kinpole_ros.rigid.levels import FEW, SURE
+from kinpole_ros.tracking.history import History
 
 # Neighbors on each side that predict a pose.
 _SIDE = 3
@@ -102,12 +103,12 @@ class StampHistory:
         self._new += len(stamps)
         self._unweighed += int(np.count_nonzero(taken))
 
-    def update(self, frames: np.ndarray, uncounted: int, noise: Real) -> np.ndarray:
+    def update(self, history: History, samples: int, uncounted: int, noise: Real) -> np.ndarray:
         """
-        Estimate the clock, and decide by the motion; the counts (n,) of the newest of `frames`.
+        Estimate the clock, and decide by the motion of the last `samples` frames of the `history`.
 
-        These are held, rows of a `Timeline`: all but so many `uncounted` of the newest that were
-        taken. `noise` (B,), m, is that of a marker of each body, NaN while not known.
+        Returns the counts (n,) of the newest frames of the history: all but so many `uncounted` of
+        the newest that were taken. `noise` (B,), m, is that of a marker of each body, NaN while not known.
         """
         stamps = self._stamps[-MEMORY:]
         clock, counts = estimate_clock(stamps)
@@ -117,7 +118,7 @@ class StampHistory:
         self.clock = clock
         counts = counts[self._taken]
         counts = counts[: len(counts) - uncounted]
-        self._weigh(frames, counts, noise)
+        self._weigh(history, samples, counts, noise)
         self.regular = self._decide()
         # After a quarter more frames each time, and in the end after a tenth of all that are kept.
         self.until_update = min(max(1, self._seen // 4), MEMORY // 20)
@@ -131,19 +132,19 @@ class StampHistory:
         if self.regular or clock.largest < clock.interval / 2:
             self.lost += int((steps - 1).clip(0).sum())
 
-    def _weigh(self, frames: np.ndarray, counts: np.ndarray, noise: Real) -> None:
+    def _weigh(self, history: History, samples: int, counts: np.ndarray, noise: Real) -> None:
         """Add what the motion of the frames that were not looked at yet says."""
         assert self.clock is not None
-        held = min(len(frames), len(counts), self._unweighed + _SIDE)
+        held = min(samples, len(counts), self._unweighed + _SIDE)
         centers = held - UNSETTLED - 2 * _SIDE
         if self._seen < FEW or centers < 1:
             return
         self._unweighed = UNSETTLED + _SIDE
-        rows = frames[len(frames) - held : len(frames) - UNSETTLED]
+        rows = slice(len(history) - held, len(history) - UNSETTLED)
         counts = counts[len(counts) - held : len(counts) - UNSETTLED]
-        interval, stamps = self.clock.interval, rows['stamp']
+        interval, stamps = self.clock.interval, history['stamp'][rows]
         times = np.stack(((stamps - stamps[0]) / interval, (counts - counts[0]) * 1.0))
-        signals, variance = _signals(rows['poses'], rows['information'], noise)
+        signals, variance = _signals(history, rows, noise)
         nats, speed = _evidence(times, signals, variance)
         fading = 0.5 ** (centers * interval / (HALF_LIFE * self._window))
         # No more are kept: a driver may be changed.
@@ -181,17 +182,18 @@ class StampHistory:
         )
 
 
-def _signals(poses: Real, information: Real, noise: Real) -> tuple[Real, Real]:
-    """Angles without turns, and coordinates (T, 3 B), with their variances."""
-    count = len(noise)
-    angle = poses[:, :count, 0] + 2 * np.pi * (poses[:, :count, 1] - poses[0, :count, 1])
-    signals = np.concatenate((angle, poses[:, count:, 0], poses[:, count:, 1]), axis=1)
+def _signals(history: History, rows: slice, noise: Real) -> tuple[Real, Real]:
+    """Angles, and coordinates (T, 3 B), of some frames, with their variances."""
+    turns, position = history['turns'][rows], history['position'][rows]
+    angle = history['angle'][rows] + 2 * np.pi * (turns - turns[0])
+    signals = np.concatenate((angle, position.real, position.imag), axis=1)
+    information = history['information'][rows]
     level = np.where(np.isfinite(noise), noise, 0.0)
     with np.errstate(divide='ignore'):
         inverse = np.where(information > 0, 1 / information, np.nan)
     # Where noise is not known yet it is what predictions leave.
     square = np.maximum(level, 1e-9) ** 2
-    of_angle, even = inverse[:, :count] * square, inverse[:, count:] * square
+    of_angle, even = inverse[:, 0] * square, inverse[:, 1] * square
     return signals, np.concatenate((of_angle, even, even), axis=1)
 
 

@@ -12,6 +12,7 @@ class History:
     `columns` are in use.
 
     stamp, time : int64, ns. As the message has it, and as the clock has it.
+    count : int64. The tick of the clock, where frames are counted.
     goes_on : bool. False for a frame that follows a gap.
     markers : complex (B, n), m. As they came, in the plane; NaN for those not seen.
     used : bool (B, n). Those that the pose is fitted to.
@@ -31,6 +32,7 @@ class History:
         self.columns: dict[str, np.ndarray] = {
             'stamp': np.zeros(capacity, np.int64),
             'time': np.zeros(capacity, np.int64),
+            'count': np.zeros(capacity, np.int64),
             'goes_on': np.zeros(capacity, bool),
             'markers': np.zeros(both, complex),
             'used': np.zeros(both, bool),

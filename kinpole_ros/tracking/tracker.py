@@ -14,10 +14,12 @@ import numpy as np
 
 from kinpole_ros.derivatives import FEWEST_SAMPLES
 from kinpole_ros.pipeline.estimate import Estimate
-from kinpole_ros.pipeline.frame import MarkerFrames
+from kinpole_ros.pipeline.frame import MarkerFrames, part_of
 from kinpole_ros.pipeline.matcher import Matcher
 from kinpole_ros.pipeline.parameters import Settings, of_poses
 from kinpole_ros.pipeline.roster import Roster
+from kinpole_ros.pipeline.stamps import StampState
+from kinpole_ros.pipeline.timeline import Timeline
 from kinpole_ros.rigid._untangle import EXCHANGED
 from kinpole_ros.rigid.levels import LITTLE, SURE, TINY
 from kinpole_ros.rigid.plane import Plane
@@ -88,7 +90,8 @@ class Tracker:
         """Forget all frames, and what was learned from them."""
         self._start()
 
-    def _start(self) -> None:
+    def _start(self, before: Timeline | None = None) -> None:
+        """Start anew; `before` a jump of the stamps frames were as in that timeline."""
         count = len(self.bodies)
         if hasattr(self, '_step'):
             self._wrong = self.wrong()
@@ -96,15 +99,15 @@ class Tracker:
         self._roster = Roster(settings, self._posed)
         self._space = Space(self.settings.plane, count, self._roster.width)
         self._roster.plane = self._space.plane
-        # Frames before the plane is known: stamps and markers in space.
-        self._early: list[tuple[int, np.ndarray]] = []
+        # Frames before the plane is known: stamps, times and markers in space.
+        self._early: list[tuple[int, int, np.ndarray]] = []
         self.samples = 0
         self._interval = 0.0
-        self._last: tuple[int, np.ndarray] | None = None
         self._due = 0
         self._seen_last = np.full(count, -1, np.int64)
         self._run_number = next(_run_numbers)
         self._begin_bodies()
+        self._timeline = Timeline(self.settings, self.counts, self._history, before)
 
     def _begin_bodies(self) -> None:
         """Begin with bodies of which nothing is known."""
@@ -188,9 +191,9 @@ class Tracker:
         lacks = zip(self.bodies, self._roster.lacking(), strict=False)
         return {body: names for body, names in lacks if names}
 
-    def stamp_state(self) -> None:
+    def stamp_state(self) -> StampState | None:
         """How the stamps lie on the clock found behind them; None while too few have come."""
-        return
+        return self._timeline.stamp_state()
 
     # Frames.
 
@@ -211,8 +214,8 @@ class Tracker:
         self._results: list[dict[str, Any]] = []
         number = 0
         for frames in parts:
-            stamps = np.asarray(frames.stamps).tolist()
-            if not stamps:
+            stamps = np.asarray(frames.stamps)
+            if not len(stamps):
                 continue
             posed = frames.axes is not None
             if frames.frame_id != self._frame_id or posed != self._posed:
@@ -223,34 +226,57 @@ class Tracker:
                 self._frame_id, self._posed = frames.frame_id, posed
                 if anew:
                     self._start()
-            width = self._known.width
-            solid = self._sort(frames)
-            if self._known.width > width:
-                estimates += self._joined_results()
-            for k, stamp in enumerate(stamps):
-                self.counts['frames'] += 1
-                accepted = self._accepts(stamp, frames.points[k])
-                if accepted is None:
+            self.counts['frames'] += len(stamps)
+            first = 0
+            while first < len(stamps):
+                if self._timeline.clock_update_is_due:
+                    # By the noise as it is known to whoever takes frames one by one.
+                    self._names_changed = self._update_if_due()
+                    self._timeline.update_clock(self.samples, self.noise())
+                some = slice(first, None)
+                steps, end, anew = self._timeline.accept(stamps[some], frames.points[some])
+                new = first + (steps > 0).nonzero()[0]
+                if len(new):
+                    taken = frames if len(new) == len(stamps) else part_of(frames, new)
+                    for part, numbers in self._timeline.count(taken, number + new):
+                        estimates += self._take_all(part, numbers.tolist(), order)
+                first += end
+                if anew:
                     estimates += self._joined_results()
-                    self._begin_again(stamp)
-                    solid = self._sort(frames)
-                if accepted is not False:
-                    if self._update_if_due():
-                        self.matcher.sort_again(k)
-                    if self._roster.plane is not self._space.plane:
-                        estimates += self._joined_results()
-                        self._catch_up()
-                        solid = self._sort(frames)
-                    self._take(stamp, k, solid[k])
-                    for result in self._due_results(order):
-                        result['due'] = number
-                        self._results.append(result)
-                number += 1
+                    self._begin_again(int(stamps[first]))
+            number += len(stamps)
             self.counts['markers_unknown'] = self._roster.unknown
-            if posed and self._roster.plane is not None:
-                self._space.add(solid)
             self._count_new()
         return estimates + self._joined_results()
+
+    def _take_all(
+        self, frames: MarkerFrames, numbers: list[int], order: int | None
+    ) -> list[Estimate]:
+        """Take frames whose times are sure; estimates that must not be joined with those to come."""
+        estimates: list[Estimate] = []
+        width = self._known.width
+        solid = self._sort(frames)
+        if self._known.width > width:
+            estimates += self._joined_results()
+        times, counts, ambiguous = (part.tolist() for part in self._timeline.enter(frames.stamps))
+        for k, stamp in enumerate(frames.stamps.tolist()):
+            if self._update_if_due():
+                self.matcher.sort_again(k)
+            if self._roster.plane is not self._space.plane:
+                estimates += self._joined_results()
+                self._catch_up()
+                solid = self._sort(frames)
+            self._take(stamp, times[k], k, solid[k])
+            row = self._row
+            self._history.columns['count'][row] = counts[k]
+            if ambiguous[k]:
+                self._history.columns['information'][row] = 0.0
+            for result in self._due_results(order):
+                result['due'] = numbers[k]
+                self._results.append(result)
+        if self._posed and self._roster.plane is not None:
+            self._space.add(solid)
+        return estimates
 
     def settle(self) -> None:
         """Learn from the frames of late if it is time for it; else the next `add` does."""
@@ -296,45 +322,25 @@ class Tracker:
         self._space.widen(width)
         self._early = []
 
-    def _accepts(self, stamp: int, points: np.ndarray) -> bool | None:
-        """Whether a frame goes on from those before; None if everything has to start anew."""
-        last, self._last = self._last, (stamp, points)
-        if not len(self._history):
-            return True
-        newest = int(self._history['stamp'][-1])
-        ahead = stamp - newest
-        if abs(ahead) > self._window:
-            return None
-        if ahead > 0:
-            return True
-        assert last is not None
-        if ahead < 0 and last[0] < newest and stamp > last[0]:
-            # Stamps go on from a late one: the clock has stepped back.
-            return None
-        self.counts['repeated' if ahead == 0 else 'late'] += 1
-        return False
-
     def _begin_again(self, stamp: int) -> None:
         """Start anew after a jump of the stamps."""
-        newest = int(self._history['stamp'][-1])
+        newest = int(self._history['stamp'][-1]) if len(self._history) else stamp
         if stamp > newest:
             self._outages[''] = one_more(self._outages.get(''), newest, stamp - newest)
         self.counts['resets'] += 1
-        last = self._last
-        self._start()
-        self._last = last
+        self._start(self._timeline)
 
-    def _take(self, stamp: int, k: int, solid: np.ndarray) -> None:
+    def _take(self, stamp: int, time: int, k: int, solid: np.ndarray) -> None:
         """Fit the poses of frame `k` of those sorted last, and append them to the history."""
         bodies, history, matcher = self._known, self._history, self.matcher
         markers = self._points[k]
-        goes_on = self._interval == 0 or stamp - self._newest <= GAP * self._interval
-        self._newest = stamp
+        goes_on = self._interval == 0 or time - self._newest <= GAP * self._interval
+        self._newest = time
         if self._roster.plane is None:
-            self._early.append((stamp, solid))
+            self._early.append((stamp, time, solid))
             if matcher.lacks_order(1):
                 solid = np.full_like(solid, np.nan)
-            self._append(stamp, goes_on)
+            self._append(stamp, time, goes_on)
             for name in ('markers', 'residual', 'angle', 'position', 'heights'):
                 history[name][-1] = np.nan
             history['used'][-1] = False
@@ -352,7 +358,7 @@ class Tracker:
         if bodies.exchanged:
             markers[...] = np.take_along_axis(markers, bodies.order, axis=1)
             self.counts[EXCHANGED] += int((bodies.order != np.arange(bodies.width)).sum())
-        row = self._append(stamp, goes_on)
+        row = self._append(stamp, time, goes_on)
         matcher.fits_next(k, k + 1)
         address = self._address + k * self._stride
         unusual = self._step.fit(address, goes_on)
@@ -375,7 +381,7 @@ class Tracker:
             columns['extra_turn'][row] = self._turns.follow(heading, tilt, sure)
         self._note_outages(stamp)
 
-    def _append(self, stamp: int, goes_on: bool) -> int:
+    def _append(self, stamp: int, time: int, goes_on: bool) -> int:
         """Append a frame to the history; returns its row, which has no poses yet."""
         history = self._history
         capacity = len(history.columns['stamp'])
@@ -384,7 +390,7 @@ class Tracker:
             self._step.bind(self._known, history)
         self._row = row
         columns = history.columns
-        columns['stamp'][row] = columns['time'][row] = stamp
+        columns['stamp'][row], columns['time'][row] = stamp, time
         columns['goes_on'][row] = goes_on
         self._new += 1
         self._frames += 1
@@ -430,11 +436,12 @@ class Tracker:
         self._roster.plane = self._space.plane
         assert self._roster.plane is not None
         self._begin_bodies()
+        self._timeline.history = self._history
         space, self._space = self._space, _NoSpace()
-        for stamp, solid in early:
+        for stamp, time, solid in early:
             self._update_if_due()
             self._hand_over(np.array([stamp]), solid[None])
-            self._take(stamp, 0, solid)
+            self._take(stamp, time, 0, solid)
         self._space = space
         self._due = due - dropped
 
