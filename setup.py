@@ -52,12 +52,14 @@ setup(
         Extension(
             f'{NAME}._compiled',
             [
-                f'{NAME}/derivatives/_kernel.c',
+                f'{NAME}/derivatives/_derive.c',
+                f'{NAME}/derivatives/_derive_avx2.c',
                 f'{NAME}/planar/_kernel.c',
                 f'{NAME}/tracking/_step.c',
             ],
-            depends=[f'{NAME}/derivatives/_kernel_sums.h'],
-            extra_compile_args=['-O3'],
+            depends=glob(f'{NAME}/*/*.[ch]'),
+            extra_compile_args=['-O3', '-fno-strict-aliasing'],
+            libraries=['m'],
         )
     ],
     cmdclass={'build_ext': BuildExt},

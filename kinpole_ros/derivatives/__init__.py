@@ -4,8 +4,7 @@ Poses on a clock to their derivatives with covariances, by Gaussian processes an
 Knows neither markers nor rigid bodies nor ROS: a pose is an angle and a point of the plane.
 """
 
-from kinpole_ros.derivatives._cells import Poses, Windows
 from kinpole_ros.derivatives._models import FEWEST_SAMPLES
-from kinpole_ros.derivatives._poses import Derivatives, derive_poses
+from kinpole_ros.derivatives._poses import Derivatives, Poses, Windows, derive_poses
 
 __all__ = ['FEWEST_SAMPLES', 'Derivatives', 'Poses', 'Windows', 'derive_poses']

@@ -8,7 +8,8 @@ process, its modes, make each of its amplitudes diagonal: evidence and derivativ
 are sums over modes (Rasmussen and Williams, Gaussian Processes for Machine Learning, 2006: 2.7 for
 the line with a flat prior, 5.4 for the evidence).
 
-Times are in samples from the middle of the window here, and signals in deviations of the noise.
+Times are in samples from the middle of the window here, and signals in deviations of the noise. All
+is made once for each kind of window, as arrays that _evidence.h reads.
 """
 
 from functools import lru_cache
@@ -20,8 +21,6 @@ from kinpole_ros.planar._plane import Real
 
 FEWEST_SAMPLES = 7
 """Samples of the shortest window there is."""
-MOST_EXACT = 1e13
-"""Samples differ by no more deviations of their noise, or the noise is taken for larger."""
 # Powers of the spectra, and the shortest length of each, samples.
 SPECTRA = ((2.0, 1.0), (1.4, 1.0), (1.0, 4.0))
 # The longest length, windows. The next one is half as long, or shorter by the root of 2 if lengths
@@ -40,8 +39,8 @@ _HIDDEN = 2
 _SEEN = 1e-2
 # The processes have this part of the prior; low polynomials, the line, and rest have the other.
 _PROCESSES = 0.5
-# Processes are stacked with those that have up to so many modes, windows.
-_WIDTHS = (1.0, 0.5, 0.2)
+# Models that the compiled library treats at once, its LANES.
+_LANES = 8
 # A function smaller than this part of the largest is rounding.
 _ROUNDING = 1e-13
 
@@ -52,68 +51,6 @@ class Process(NamedTuple):
     spectrum: int
     length: float
     prior: float
-
-
-class Part(NamedTuple):
-    """
-    P processes, each of which has as many of the rows `first` to `last` of all modes.
-
-    `models` are their models, P A, by A amplitudes, `share` (P, A, m) is how much of a mode is
-    motion, and `lost` (P, A, m) how much is not.
-    """
-
-    first: int
-    last: int
-    models: slice
-    share: Real
-    lost: Real
-
-
-class Modes(NamedTuple):
-    """
-    Models of a window of n samples, as modes in R rows, even and odd about its middle in turn.
-
-    `even` and `odd` (R / 2, (n + 1) // 2) make them of the sums and differences of samples that lie
-    opposite to each other. The first two are mean and slope, the others lie in `parts`; a row of
-    zeros is none. M models are the processes, each with its amplitudes, and then rest: `chances`
-    (M, 2, 1) are the logarithm of a model's prior less half of that of its determinant, for one and
-    for two components, `freedom` (M,) is how many parameters it has for the samples, and `kinds`
-    (spectra, M) is 1 for those of a spectrum, and for low polynomials and rest.
-
-    Model by model `place` (M, m) says which rows, of R and one more of zeros, it has, and `share`
-    (M, m) how much of them is motion; `vectors` (R + 1, n) are the modes on all samples.
-
-    `simple` (L,) are the models that are low polynomials and rest, and `slowest` (L, spectra) those
-    of the slowest process of each spectrum that they can hardly be told from.
-
-    If samples are `exact` each process has as many modes as there are samples.
-    """
-
-    even: Real
-    odd: Real
-    parts: tuple[Part, ...]
-    chances: Real
-    freedom: Real
-    kinds: Real
-    place: np.ndarray
-    share: Real
-    vectors: Real
-    simple: np.ndarray
-    slowest: np.ndarray
-    exact: bool
-
-
-class Stencils(NamedTuple):
-    """
-    What modes say of derivatives at an instant: `modes` (K, R), of K orders.
-
-    `products` (K K, R) are those of each two orders, and `unseen` (K K, M) is what models have
-    between the samples.
-    """
-
-    modes: Real
-    products: Real
-    unseen: Real
 
 
 class _Functions(NamedTuple):
@@ -233,184 +170,160 @@ def _functions(process: Process, count: int, block: int) -> tuple[_Functions, _F
 
 
 class _Member(NamedTuple):
-    """A process on a window: its functions, even and odd, and how many modes of each are seen."""
+    """A process on a window: its functions, even and odd, and sizes of their modes, 0 if unseen."""
 
     process: Process
     functions: tuple[_Functions, _Functions]
-    seen: tuple[int, int]
+    sizes: tuple[Real, Real]
+
+    def large(self, exact: bool) -> Real:
+        """How much larger (A, m) its modes are than the noise, squared, by amplitudes."""
+        return (_amplitudes(exact)[:, None] * np.concatenate(self.sizes)) ** 2
 
 
 @lru_cache(maxsize=64)
-def _layout(
-    count: int, block: int, exact: bool, dense: bool
-) -> tuple[tuple[int, list[_Member]], ...]:
-    """Processes by how many pairs of modes they have at most."""
-    whole = (count + 1) // 2 - 1
-    limits = [max(int(part * whole), 1) for part in _WIDTHS]
-    # Of these functions so much is seen.
+def _members(count: int, block: int, exact: bool, dense: bool) -> list[_Member]:
+    """All processes on a window, and what of them is seen; of exact samples there are all modes."""
     largest = _amplitudes(exact)[-1]
-    found: dict[int, list[_Member]] = {}
+    found = []
     for process in _processes(count, dense):
-        functions = even, odd = _functions(process, count, block)
-        seen = [
-            len(one.sizes) if exact else int(np.count_nonzero(one.sizes * largest > _SEEN))
+        even, odd = _functions(process, count, block)
+        sizes = [
+            np.pad(one.sizes, (0, one.vectors.shape[1] - len(one.sizes)))
+            if exact
+            else one.sizes[: np.count_nonzero(one.sizes * largest > _SEEN)]
             for one in (even, odd)
         ]
-        width = whole if exact else min(limit for limit in limits if limit >= max(seen))
-        found.setdefault(width, []).append(_Member(process, functions, (seen[0], seen[1])))
-    return tuple(found.items())
+        found.append(_Member(process, (even, odd), (sizes[0], sizes[1])))
+    return found
 
 
-@lru_cache(maxsize=64)
-def modes_of(count: int, block: int = 1, exact: bool = False, dense: bool = False) -> Modes:
+def _fill(values: Real, nothing: float = 0.0) -> Real:
+    """Fill the last axis up to whole lanes."""
+    width = [(0, 0)] * (values.ndim - 1) + [(0, -values.shape[-1] % _LANES)]
+    return np.pad(values, width, constant_values=nothing)
+
+
+def _join(parts: tuple[list[Real], list[Real]]) -> Real:
+    """Join what is so for the modes (..., m), even and odd, of all processes, to (..., rows)."""
+    return np.concatenate([_fill(np.concatenate(part, axis=-1)) for part in parts], axis=-1)
+
+
+def _grouped(models: Real, rest: float, nothing: float) -> Real:
+    """What is so for models (..., P, A) and for rest, by groups, (..., G _LANES)."""
+    own = _fill(models, nothing).reshape(*models.shape[:-2], -1)
+    last = np.full((*models.shape[:-2], _LANES), nothing)
+    last[..., 0] = rest
+    return np.concatenate((own, last), axis=-1)
+
+
+def models_of(count: int, block: int, exact: bool, dense: bool) -> tuple[np.ndarray, Real]:
     """
-    The models of a window of `count` samples, a few or more, each the mean of `block`.
+    Make the models of a window of `count` samples, each the mean of `block`.
 
-    The largest motion is 1e7 deviations of the noise, and `MOST_EXACT` if the samples are `exact`.
-    Lengths of processes are twice as many if they are `dense`.
+    The largest motion is 1e7 deviations of the noise, and 1e13 if the samples are `exact`: then
+    each process has as many modes as there are samples. Lengths of processes are twice as many if
+    they are `dense`. Returns the integers and the numbers of `Models` of _evidence.h.
     """
+    members, amplitudes = _members(count, block, exact, dense), _amplitudes(exact)
     _, root, lines = _half_window(count)
-    amplitudes = _amplitudes(exact)
-    rows: tuple[list[Real], list[Real]] = ([lines[0][None]], [lines[1][None]])
-    parts, priors, occam, freedom = [], [], [], []
-    by_model: list[Process] = []
-    first = models = 0
-    for width, members in _layout(count, block, exact, dense):
-        processes = [member.process for member in members]
-        sizes = np.zeros((len(members), width, 2))
-        for p, member in enumerate(members):
-            for parity, (functions, seen) in enumerate(
-                zip(member.functions, member.seen, strict=True)
-            ):
-                sizes[p, :seen, parity] = functions.sizes[:seen]
-                vectors = np.zeros((width, len(functions.vectors)))
-                kept = functions.vectors[:, : None if exact else seen].T
-                vectors[: len(kept)] = kept
-                rows[parity].append(vectors)
-        large = (amplitudes[:, None] * sizes.reshape(len(processes), 1, -1)) ** 2
-        share = large / (1 + large)
-        number = len(processes) * len(amplitudes)
-        begin = 2 + first
-        first += 2 * width * len(processes)
-        some = slice(models, models + number)
-        parts.append(Part(begin, 2 + first, some, share, 1 / (1 + large)))
-        models += number
-        own = [process for process in processes for _ in amplitudes]
-        by_model += own
-        priors += [process.prior / len(amplitudes) for process in own]
-        occam.append(-np.log1p(large).sum(axis=-1).ravel() / 2)
-        freedom.append(2 + share.sum(axis=-1).ravel())
-    even, odd = (np.concatenate(part) * root / 2 for part in rows)
+    vectors: tuple[list[Real], list[Real]] = [lines[0][:, None]], [lines[1][:, None]]
+    sizes = [np.zeros(1)], [np.zeros(1)]
+    for member in members:
+        for parity, (one, own) in enumerate(zip(member.functions, member.sizes, strict=True)):
+            vectors[parity].append(one.vectors[:, : len(own)])
+            sizes[parity].append(own)
+    each = [member.large(exact) for member in members]
+    occam = np.array([-np.log1p(own).sum(axis=1) / 2 for own in each])
+    freedom = np.array([2 + (own / (1 + own)).sum(axis=1) for own in each])
+    panels = _join(vectors) * root[:, None] / 2
+    large = (_join(sizes)[:, None] * amplitudes) ** 2
+    # What is no model leaves all there is, as if it were the line: it has to be invertible.
+    tables = [_fill(large / (1 + large))] + [_fill(1 / (1 + large), 1.0)] * exact
     # Rest has no slope, and is more probable by all that this might be.
-    occam.append(np.log([3 * amplitudes[-1]]))
-    prior, less = np.log([*priors, _simple()]), np.concatenate(occam)
-    kind = np.array([*(process.spectrum for process in by_model), -1])
-    return Modes(
-        even,
-        odd,
-        tuple(parts),
-        np.stack((prior + less, prior + 2 * less), axis=1)[..., None],
-        np.concatenate([*freedom, [1.0]]),
-        np.array([(kind == k) | (kind < 0) for k in range(len(SPECTRA))], float),
-        *_by_model(parts, len(kind), 2 * len(even)),
-        _whole(count, even, odd),
-        *_hardly_others(by_model, len(amplitudes)),
-        exact,
-    )
-
-
-def _hardly_others(models: list[Process], amplitudes: int) -> tuple[np.ndarray, np.ndarray]:
-    """
-    The models that are low polynomials, and rest, and which processes are hardly others.
-
-    Of parabolas these are the slowest of each spectrum, of the same amplitude up to the largest
-    that may look like one; of a line and rest it is the slowest and least of the first spectrum.
-    """
-    spectrum = np.array([*(process.spectrum for process in models), -1])
-    length = np.array([*(process.length for process in models), 1])
-    first = np.array([np.where(spectrum == k, length, 0).argmax() for k in range(len(SPECTRA))])
-    simple = (spectrum < 0).nonzero()[0]
-    curved = length[simple, None] > 1
-    amplitude = np.minimum(simple % amplitudes, _HIDDEN)[:, None]
-    return simple, np.where(curved, first + amplitude, first[0])
-
-
-def _by_model(parts: list[Part], models: int, rows: int) -> tuple[np.ndarray, Real]:
-    """Which rows models have, and how much of them is motion: `place` and `share` of `Modes`."""
-    place = np.full((models, 2 + max(part.share.shape[2] for part in parts)), rows)
-    share = np.zeros(place.shape)
-    place[:, :2], share[:-1, :2], share[-1, 0] = (0, 1), 1.0, 1.0
-    for part in parts:
-        processes, amplitudes, width = part.share.shape
-        own = np.arange(part.first, part.last).reshape(processes, width)
-        place[part.models, 2 : 2 + width] = np.repeat(own, amplitudes, axis=0)
-        share[part.models, 2 : 2 + width] = part.share.reshape(-1, width)
-    return place, share
-
-
-def _whole(count: int, even: Real, odd: Real) -> Real:
-    """Modes on all samples, and none: `vectors` of `Modes`."""
-    half, opposite = even.shape[1], slice(count // 2 - 1, None, -1)
-    vectors = np.zeros((2 * len(even) + 1, count))
-    vectors[:-1:2, :half], vectors[1:-1:2, :half] = even, odd
-    vectors[:-1:2, half:], vectors[1:-1:2, half:] = even[:, opposite], -odd[:, opposite]
-    if count % 2:
-        vectors[:-1:2, half - 1] *= 2
-    return vectors
+    at_rest = np.log(3 * amplitudes[-1])
+    prior = np.log([member.process.prior / len(amplitudes) for member in members])[:, None]
+    numbers = [
+        panels.reshape(len(panels), -1, _LANES).swapaxes(0, 1),
+        *(table.reshape(len(table), -1, _LANES).swapaxes(0, 1) for table in tables),
+        *(_grouped(prior + c * occam, np.log(_simple()) + c * at_rest, -np.inf) for c in (1, 2)),
+        _grouped(freedom, 1.0, 0.0),
+    ]
+    first = [np.cumsum([len(part) for part in own]) for own in sizes]
+    odd = -(-int(first[0][-1]) // _LANES) * _LANES
+    # The last kind is of all spectra.
+    kind = [one.process.spectrum % (len(SPECTRA) + 1) for one in members]
+    kinds = _grouped(np.tile(np.array(kind)[:, None], len(amplitudes)), *[len(SPECTRA)] * 2)
+    head = [len(members), tables[0].shape[1] // _LANES, len(SPECTRA), odd, len(large)]
+    integers = np.concatenate((head, first[0], first[1] + odd, kinds)).astype(np.int64)
+    return integers, np.concatenate([part.ravel() for part in numbers])
 
 
 def _derivatives(
     count: int, block: int, exact: bool, dense: bool, time: Real, orders: range
-) -> tuple[Real, list[tuple[Real, Real]]]:
+) -> tuple[tuple[list[Real], list[Real]], list[Real]]:
     """
-    Derivatives (T, K, R) of the modes at times (T,).
+    Derivatives (T, K, m) of the modes at times (T,): of mean or slope and then of each process.
 
-    And of each process' functions, even and odd, (T, K, J), those that no mode has.
+    And the covariances (T, K, K) of what no mode of each process has, of amplitude 1.
     """
     lines = np.stack([_lines(count, time, order) for order in orders], axis=1)  # (T, K, 2)
-    found, functions = [lines], []
-    for width, members in _layout(count, block, exact, dense):
-        for member in members:
-            values = _values(member.process, count, time, orders)
-            rows = np.zeros((len(time), len(orders), width, 2))
-            pair = []
-            for parity, (one, seen) in enumerate(zip(member.functions, member.seen, strict=True)):
-                left = np.stack([value[parity] for value in values], axis=1)
-                left -= lines[..., parity, None] * one.along
-                rows[..., :seen, parity] = left @ one.right[:seen].T / one.sizes[:seen]
-                pair.append(left)
-            found.append(rows.reshape(len(time), len(orders), -1))
-            functions.append((pair[0], pair[1]))
-    return np.concatenate(found, axis=2), functions
+    found, unseen = ([lines[..., :1]], [lines[..., 1:]]), []
+    for member in _members(count, block, exact, dense):
+        values = _values(member.process, count, time, orders)
+        more = np.zeros((len(time), len(orders), len(orders)))
+        for parity, (one, sizes) in enumerate(zip(member.functions, member.sizes, strict=True)):
+            left = np.stack([value[parity] for value in values], axis=1)
+            left -= lines[..., parity, None] * one.along
+            by = left @ one.right.T
+            own = np.zeros((*left.shape[:2], len(sizes)))
+            seen = np.count_nonzero(sizes)
+            own[..., :seen] = by[..., :seen] / sizes[:seen]
+            found[parity].append(own)
+            left -= by @ one.right
+            more += left @ left.swapaxes(1, 2)
+        unseen.append(more)
+    return found, unseen
 
 
-@lru_cache(maxsize=256)
-def stencils_of(
-    count: int, at: float, block: int, orders: int, exact: bool = False, dense: bool = False
-) -> Stencils:
-    """
-    Those of a window, as in `modes_of`, at an instant so many samples from its middle.
-
-    Of so many `orders`, from 0.
-    """
-    found, functions = _derivatives(count, block, exact, dense, np.array([at]), range(orders))
-    modes = found[0]
-    members = [member for _, some in _layout(count, block, exact, dense) for member in some]
-    unseen = []
-    for member, pair in zip(members, functions, strict=True):
-        total = np.zeros((orders, orders))
-        for one, (left,) in zip(member.functions, pair, strict=True):
-            left = left - (left @ one.right.T) @ one.right
-            total += left @ left.T
-        unseen.append(_amplitudes(exact)[:, None] ** 2 * total.ravel())
-    unseen.append(np.zeros((1, orders * orders)))
-    products = (modes[:, None] * modes).reshape(orders * orders, -1)
-    return Stencils(modes, products, np.concatenate(unseen).T)
-
-
-@lru_cache(maxsize=24)
-def slopes_of(count: int, block: int = 1, exact: bool = False, dense: bool = False) -> Real:
-    """Derivatives (orders, R, n) of the modes of a window at its samples, the first four."""
-    time = np.arange(count) - (count - 1) / 2
+def slopes_of(count: int, block: int, exact: bool, dense: bool) -> Real:
+    """Derivatives (orders, panels, rows, _LANES), 1 to 4, of the modes at the first samples."""
+    time, _, _ = _half_window(count)
     found, _ = _derivatives(count, block, exact, dense, time, range(1, 5))
-    return np.ascontiguousarray(np.moveaxis(found, 0, 2))
+    slopes = _fill(np.moveaxis(_join(found), 0, 2))  # (K, rows, half)
+    return slopes.reshape(*slopes.shape[:2], -1, _LANES).swapaxes(1, 2).ravel()
+
+
+def stencils_of(count: int, block: int, exact: bool, dense: bool, orders: int, at: float) -> Real:
+    """
+    Make the numbers of `Stencils` of _evidence.h, of an instant so many samples from the middle.
+
+    Of so many `orders`, from 0: what modes make of them, and the covariances of models over that of
+    the noise. That a motion is a low polynomial, or rests, is known no better than that it is a
+    process which looks like that: of a parabola the slowest of each spectrum, of the same amplitude
+    up to the largest that may look like one, of a line and rest the slowest and least of the first.
+    """
+    members, amplitudes = _members(count, block, exact, dense), _amplitudes(exact)
+    time = np.array([at])
+    found, unseen = _derivatives(count, block, exact, dense, time, range(orders))
+    lines = np.concatenate((found[0][0][0], found[1][0][0]), axis=1)  # (K, 2)
+    spread = np.empty((orders, orders, len(members), len(amplitudes)))
+    for p, member in enumerate(members):
+        own = np.concatenate((lines, found[0][p + 1][0], found[1][p + 1][0]), axis=1)
+        large = member.large(exact)
+        share = np.pad(large / (1 + large), ((0, 0), (2, 0)), constant_values=1.0)
+        spread[:, :, p] = (own[:, None] * own) @ share.T
+        spread[:, :, p] += unseen[p][0][..., None] * amplitudes**2
+    spectra = [member.process.spectrum for member in members]
+    slowest = [spectra.index(k) for k in range(len(SPECTRA))]
+    least = spread[:, :, slowest[0], :1]
+    for p, member in enumerate(members):
+        if member.process.spectrum < 0 and member.process.length > 1:
+            hidden = np.minimum(np.arange(len(amplitudes)), _HIDDEN)
+            spread[:, :, p] = spread[:, :, slowest].mean(axis=2)[..., hidden]
+        elif member.process.spectrum < 0:
+            spread[:, :, p] = least
+    groups = _grouped(spread, 0.0, 0.0)
+    groups[..., -_LANES] = least[..., 0]
+    groups = np.moveaxis(groups.reshape(orders, orders, -1, _LANES), 2, 0)
+    return np.concatenate((_join(found)[0].ravel(), groups.ravel()))

@@ -9,8 +9,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from kinpole_ros.derivatives._cells import Cells
-from kinpole_ros.derivatives._models import FEWEST_SAMPLES
+from derivatives_reference._cells import Cells
+from derivatives_reference._models import FEWEST_SAMPLES
 
 # More samples than this in a window are averaged in blocks.
 MOST = 128

@@ -9,8 +9,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from kinpole_ros.derivatives._fast import KNOWN, Lacking, move
-from kinpole_ros.derivatives._models import Modes, modes_of, slopes_of
+from derivatives_reference._evidence import KNOWN, Lacking, move
+from derivatives_reference._models import Modes, modes_of, slopes_of
 from kinpole_ros.planar._plane import Real
 
 # A sample that is missing is first put on a parabola through so many others.
@@ -144,7 +144,8 @@ def _filled(samples: Real, missing: np.ndarray, off: Real | None) -> Real:
         return samples
     distance = np.abs(np.arange(len(samples)) - cell[:, None]).astype(float)
     distance[missing.T[signal]] = np.inf
-    near = np.argpartition(distance, _NEAREST - 1, axis=1)[:, :_NEAREST]
+    # Of two that are as near the older one.
+    near = np.argsort(distance, axis=1, kind='stable')[:, :_NEAREST]
     place = (near - cell[:, None]) / _NEAREST
     if off is not None:
         place += off[near, signal[:, None]] / _NEAREST

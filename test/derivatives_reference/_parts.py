@@ -8,9 +8,9 @@ those of the part that the instant is in.
 
 import numpy as np
 
-from kinpole_ros.derivatives._fast import KNOWN, Found, derive
-from kinpole_ros.derivatives._models import FEWEST_SAMPLES, FLAT, modes_of, stencils_of
-from kinpole_ros.derivatives._samples import Window, seen_of, total
+from derivatives_reference._evidence import KNOWN, Found, derive
+from derivatives_reference._models import FEWEST_SAMPLES, FLAT, modes_of, stencils_of
+from derivatives_reference._samples import Window, seen_of, total
 from kinpole_ros.planar._plane import Real
 
 # How much of a window is the newer part, if there are two; and how probable that is.

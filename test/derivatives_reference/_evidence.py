@@ -11,15 +11,41 @@ from typing import NamedTuple
 
 import numpy as np
 
-from kinpole_ros.derivatives._fast import KNOWN, Found, Lacking
-from kinpole_ros.derivatives._models import Modes, Stencils
+from derivatives_reference._models import Modes, Stencils
 from kinpole_ros.planar._plane import Real
 
+# The noise as it was measured counts for so many samples.
+KNOWN = 300.0
 # Models with less weight than this do not count.
 _LEAST = 1e-5
 # Of angle and position: how many components, and which of both each component is of.
 _COMPONENTS = np.array((1, 2))
 _SIGNAL = [0, 1, 1]
+
+
+class Found(NamedTuple):
+    """
+    Of S bodies: derivatives `mean` (K, 3, S) of angle and both coordinates.
+
+    `covariance` (K, K, 2, S) is that of the angle and of one coordinate, `freedom` (2, S) how many
+    parameters their motions have, and `evidence` (2, S) the logarithm of how probable the samples
+    are by all models, up to a constant for so many samples.
+    """
+
+    mean: Real
+    covariance: Real
+    freedom: Real
+    evidence: Real
+
+
+class Lacking(NamedTuple):
+    """
+    X `cells` (X, S) of the samples of S bodies that count only for `weight` (X, 2, S), 0 to 1, of
+    angle and position. Those of weight 1 are as good as others.
+    """
+
+    cells: np.ndarray
+    weight: Real
 
 
 class Lacks(NamedTuple):

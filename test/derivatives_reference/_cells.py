@@ -10,8 +10,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from kinpole_ros.derivatives._models import MOST_EXACT
-from kinpole_ros.derivatives._samples import total
+from derivatives_reference._models import MOST_EXACT
+from derivatives_reference._samples import total
+from kinpole_ros.derivatives import Poses, Windows
 from kinpole_ros.planar._plane import Complex, Real
 
 # Samples that have this share of the information of the best count equally, by their mean.
@@ -26,33 +27,8 @@ _MOST_CELLS = 4096
 EXACT = 1e7
 
 
-class Poses(NamedTuple):
-    """
-    Poses of B bodies in N frames at `time` (N,), ns.
-
-    `angle` (N, B), rad, is that beyond so many whole `turns` (N, B): separate, since their sum
-    would be rounded by how many turns it is counted from. `position` (N, B) is complex, m.
-    `angle_information` and `position_information` (N, B) are inverse variances of angles and of
-    each coordinate, in units of the noise; 0 where a body is not known.
-    """
-
-    time: np.ndarray
-    angle: Real
-    turns: Real
-    position: Complex
-    angle_information: Real
-    position_information: Real
-
-
-class Windows(NamedTuple):
-    """Frames (T,) that are instants, and the oldest and newest frames of their windows."""
-
-    now: np.ndarray
-    oldest: np.ndarray
-    newest: np.ndarray
-
-    def part(self, which: slice) -> 'Windows':
-        return Windows(self.now[which], self.oldest[which], self.newest[which])
+def part_of(windows: Windows, which: slice | np.ndarray) -> Windows:
+    return Windows(*(frames[which] for frames in windows))
 
 
 class Cells(NamedTuple):
@@ -92,14 +68,14 @@ def cells_of(
         equal = possible & (count == count[first]) & (ahead == ahead[first])
         possible &= ~equal
         some = np.flatnonzero(equal)
-        complete, off = _complete(poses, windows.part(some))
+        complete, off = _complete(poses, part_of(windows, some))
         others.append(some[~complete])
         some = some[complete]
         if len(some):
-            yield some, _complete_cells(poses, windows.part(some), off, noise[some])
+            yield some, _complete_cells(poses, part_of(windows, some), off, noise[some])
     some = np.sort(np.concatenate(others))
     if len(some):
-        yield some, _any_cells(poses, windows.part(some), left_out[some], noise[some])
+        yield some, _any_cells(poses, part_of(windows, some), left_out[some], noise[some])
 
 
 def _complete(poses: Poses, windows: Windows) -> tuple[np.ndarray, Real | None]:

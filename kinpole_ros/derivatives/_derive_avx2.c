@@ -1,0 +1,15 @@
+/* _derive.c for processors with AVX2: compilers widen vectors for them badly, unless told so first. */
+
+#if defined(__x86_64__)
+#ifdef __clang__
+#pragma clang attribute push(__attribute__((target("avx2,fma"))), apply_to = function)
+#else
+#pragma GCC target("avx2,fma")
+#endif
+#define WIDTH 4
+#define KINPOLE_DERIVE kinpole_derive_avx2
+#include "_derive.c"
+#ifdef __clang__
+#pragma clang attribute pop
+#endif
+#endif
