@@ -83,7 +83,7 @@ def frames_kept(count, share=0.02, seed=2):
 def test_interval_and_frames_lost_are_found(kind, rate):
     numbers = frames_kept(6 * rate)
     stamps = late(numbers / rate, kind)
-    clock, counts = estimate_clock(stamps)
+    clock, counts = estimate_clock(stamps, None)
     assert clock.interval == pytest.approx(1e9 / rate * (1 + 1e-4), rel=2e-5)
     right = np.diff(counts) == np.diff(numbers[: len(counts)])
     # Whether a frame was late before another was lost, or came after it, nobody knows.
@@ -94,7 +94,7 @@ def test_interval_and_frames_lost_are_found(kind, rate):
 def test_counts_as_frames_come():
     numbers = frames_kept(1200)
     stamps = late(numbers / 200, '0.001')
-    clock, counts = estimate_clock(stamps[:400])
+    clock, counts = estimate_clock(stamps[:400], None)
     one, two = 391, 392
     count, shift, sure, waited = int(counts[one]), 0, [], []
     while two < len(stamps):
@@ -116,7 +116,7 @@ def test_counts_of_many_frames_are_those_of_one_after_the_other():
     rng = np.random.default_rng(0)
     for seed in range(20):
         stamps = late(frames_kept(300, 0.1, seed) / 200, '0.004', seed)
-        clock, counts = estimate_clock(stamps[:150])
+        clock, counts = estimate_clock(stamps[:150], None)
         start = int(counts[-1])
         every, with_which, _ = count_arrivals(stamps[150:], clock, start, 0)
         first, end, count, shift = 150, 150, start, 0
@@ -138,7 +138,7 @@ def test_frames_to_come_are_not_before_their_ticks():
         numbers = frames_kept(500, seed=seed)
         stamps = late(numbers / 200, '0.003', seed)
         known = int((numbers < 400).sum())
-        clock = estimate_clock(stamps[:known])[0]
+        clock = estimate_clock(stamps[:known], None)[0]
         # The ticks themselves are the stamps of frames that are not late.
         ticks = clock.ticks(late(numbers / 200, 'none'))
         first = round(float(np.median(ticks[:known] - numbers[:known])))

@@ -136,12 +136,6 @@ def test_no_link_without_a_fixed_center_is_called_pinned(name: str, noise: float
         assert body in fixed or PINNED_REASON not in reasons
 
 
-def test_landmarks_by_themselves_know_no_pins() -> None:
-    frames = seen(about(0.1j, 0.1 + 0j, lambda t: 3.0 * t), 400)
-    assert recognized(frames)[-1]
-    assert not recognized(frames, method='landmarks').any()
-
-
 @pytest.mark.parametrize('noise', [1e-5, 1e-3, 1e-2])
 @pytest.mark.parametrize('name', motions())
 def test_no_general_motion_is_taken_for_a_turn_about_a_pin(name: str, noise: float) -> None:

@@ -15,12 +15,14 @@ import numpy as np
 from kinpole_ros.derivatives import FEWEST_SAMPLES
 from kinpole_ros.planar._plane import Real
 
-# All constants of the clock and of its use. The first three are frames.
-# The clock is estimated from so many: 10 s at 200 Hz.
+# All constants of the clock and of its use.
+# Frames that the clock is estimated from: 10 s at 200 Hz.
 MEMORY = 2000
-# The interval is searched for in so many of the newest: fewer do not tell 2% of losses from none.
+# Newest frames that the interval is searched for in: fewer do not tell 2% of losses from none.
 SEARCHED = 128
-# So many of the newest, and after a loss, may have the count of another: the fit leaves them out.
+# Intervals that are refined: the likeliest of the search.
+KEPT = 16
+# Newest frames, and frames after a loss, that the fit leaves out: their counts may be wrong.
 UNSETTLED = 4
 # Frames that wait for a sure count at most: the usual lag at 200 Hz.
 MAX_PENDING = 20
@@ -88,33 +90,43 @@ class Clock(NamedTuple):
         return min(math.ceil(number), MAX_PENDING)
 
 
-def estimate_clock(stamps: np.ndarray) -> tuple[Clock, np.ndarray]:
+def estimate_clock(stamps: np.ndarray, before: Clock | None) -> tuple[Clock, np.ndarray]:
     """
     Estimate the clock of `stamps` (N,), ns, of frames in order of capture, and count the frames.
 
     Intervals that are likely by the newest frames are refined with twice as many, and so on, as
     long as one of them holds: frames before a change of the rate are left out. The counts (n,) are
     of the newest frames that the clock holds for. N is at least `FEWEST_SAMPLES`.
+
+    The clock `before`, by an earlier estimate, is kept if all stamps are near its ticks as they
+    were, within a quarter of the interval: another rate would show. Else its interval is tried too.
     """
+    resolution = float(max(np.gcd.reduce(np.diff(stamps)), 1))
+    if before is not None and len(stamps) > SEARCHED and before.resolution == resolution:
+        near = _counts_if_near(stamps, before)
+        if near is not None:
+            return before, near
     origin = int(stamps[0])
     since = (stamps - origin).astype(float)
-    resolution = float(max(np.gcd.reduce(np.diff(stamps)), 1))
     number = min(SEARCHED, len(since))
     newest = since[-number:]
-    # Any share of the frames up to one half may have been lost.
+    # Any share of the frames up to one half may have been lost, and the first may have come late.
     lost = np.arange(-1, number, 0.5) / (number - 1)
     mean = (newest[-1] - newest[0]) / (number - 1)
     intervals = _likeliest(newest, np.maximum(mean / (1 + lost), 1.0), resolution, 0)[1]
-    counts, intervals = _likeliest(newest, intervals, resolution, 2)
+    known = [] if before is None else [before.interval]
+    counts, intervals = _likeliest(newest, np.append(intervals, known), resolution, 2)
     while number < len(since):
         longer = min(2 * number, len(since))
-        more, refined = _likeliest(since[-longer:], intervals, resolution, 2)
+        more, refined = _likeliest(since[-longer:], np.append(intervals, known), resolution, 2)
+        # The rate has changed where the newest frames are likelier without the older ones, ...
         cost = _costs(newest, counts[:1], intervals[:1], resolution)[0]
         costs = _costs(newest, more[:, -number:], refined, resolution)
         best = int(costs.argmin())
         off = abs(refined[best] - intervals[0]) * number
         if costs[best] > cost + CHANGE_NATS and off > 2 * resolution:
             break
+        # ... or where the older ones are much later.
         late = since[-longer:] - more[0] * refined[0]
         late -= late.min()
         if late[:-number].mean() > 2 * (late[-number:].mean() + resolution):
@@ -123,6 +135,15 @@ def estimate_clock(stamps: np.ndarray) -> tuple[Clock, np.ndarray]:
         newest = since[-number:]
     clock = _fit_clock(origin, newest, counts[0], resolution)
     return clock, count_frames(stamps[-number:], clock)
+
+
+def _counts_if_near(stamps: np.ndarray, clock: Clock) -> np.ndarray | None:
+    """Counts (N,) of frames by their clock, if all `stamps` (N,) are still near its ticks."""
+    counts = count_frames(stamps, clock)
+    late = stamps - clock.origin - clock.phase - counts * clock.interval
+    near = late.min() >= -1.0 and late.max() <= min(clock.largest + 1.0, clock.interval / 4)
+    # Where more are lost than come it is the pace within bunches, not that of the camera.
+    return counts if near and counts[-1] - counts[0] <= 2 * len(counts) else None
 
 
 def count_frames(stamps: np.ndarray, clock: Clock) -> np.ndarray:
@@ -215,7 +236,7 @@ def _likeliest(
     counts, intervals, costs = (np.concatenate(part) for part in zip(*found, strict=True))
     order = costs.argsort(kind='stable')
     _, first = np.unique(counts[order, settled - 1] - counts[order, 0], return_index=True)
-    order = order[np.sort(first)]
+    order = order[np.sort(first)[:KEPT]]
     if rounds:
         order = order[costs[order] <= costs[order[0]] + 2 * CHANGE_NATS]
     return counts[order], intervals[order]
@@ -230,7 +251,7 @@ def _costs(since: Real, counts: np.ndarray, intervals: Real, resolution: float) 
     share = (lost.clip(0) + 1) / (settled + lost.clip(0) + math.exp(LOSS_NATS))
     cost = settled * np.log(late + resolution / 4 + 1.0)
     cost -= lost * np.log(share) + settled * np.log1p(-share)
-    # Where more are lost than come it is the pace within bunches, not that of the camera.
+    # Of bunches, as above.
     return np.asarray(np.where(lost > settled, np.inf, cost))
 
 

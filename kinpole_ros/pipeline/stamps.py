@@ -111,7 +111,7 @@ class StampHistory:
         the newest that were taken. `noise` (B,), m, is that of a marker of each body, NaN while not known.
         """
         stamps = self._stamps[-MEMORY:]
-        clock, counts = estimate_clock(stamps)
+        clock, counts = estimate_clock(stamps, self.clock)
         self._stamps = stamps[len(stamps) - len(counts) :]
         self._taken = self._taken[len(self._taken) - len(counts) :]
         self._count_lost(clock, counts)

@@ -178,6 +178,7 @@ class Timeline:
         history['count'][first:] = counted
         history['time'][first:] = self._times(counted)
         ambiguous = ambiguous_frames(counted, clock)
+        history['ambiguous'][first:][ambiguous] = True
         history['information'][first:][ambiguous] = 0.0
         # Frames of another rate.
         before = history['stamp'][:first] - round(clock.lateness)

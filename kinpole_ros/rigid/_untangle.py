@@ -178,7 +178,7 @@ def half_turn(shape: Complex, weights: Real, limit: float) -> np.ndarray | None:
 
 def agreed(
     points: Complex, suspect: float, least: float
-) -> tuple[Complex, Fit, Counter[str]] | None:
+) -> tuple[Complex, Complex, Counter[str]] | None:
     """
     The shape (n,) of one body that most of its frames (T, n) agree on, if some are outliers: else
     None.
@@ -186,7 +186,7 @@ def agreed(
     The frame is taken that leaves least in all but the worst three tenths of the others. A marker
     may be off it by `suspect` times the root of that, or by the share `least` of the size.
     Frames in which one is farther off are corrected, and the shape is the mean of all. Also returns
-    the fits of the frames to it, and what was corrected.
+    the markers (T, n) as corrected, and what was corrected.
     """
     seen = ~np.isnan(points)
     count = seen.sum(axis=-1)
@@ -212,7 +212,7 @@ def agreed(
     fitted = ~np.isnan(fits.residual)
     off = fits.residual.sum(axis=0, where=fitted) / np.maximum(fitted.sum(axis=0), 1)
     shape = np.where(np.isnan(shape), 0.0, shape + off)
-    return shape, fit_pose(points, np.broadcast_to(shape, points.shape), weights), corrected
+    return shape, points, corrected
 
 
 def _best(

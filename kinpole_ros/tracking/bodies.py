@@ -29,6 +29,7 @@ class Bodies:
     shape : complex (B, n), m. Places of the markers in the frame of the body.
     frames : int (B, n). Number of frames that each place is known from, at most SETTLED_FRAMES.
     order : int (B, n). Which marker of the message is in each place, where some were exchanged.
+    exchanged_for : int (B,). Number of frames since the order has changed.
     relative : (B, n). Variance of each marker over that of the others of its body, mostly 1.
     deviation : (B, n), m. Standard deviation of markers that count for less; 0 for the others.
     fits : int (B,). Number of fits that `misfit` is known from.
@@ -55,6 +56,7 @@ class Bodies:
         self.lasting = np.zeros(self.count, bool)
         self.jump_scale = np.full((2, self.count), np.inf)
         self.exchanged = False
+        self.exchanged_for = np.zeros(self.count, int)
         self.least_noise = np.zeros(self.count)
         self.angle_noise = np.full(self.count, np.nan)
         self.scale = np.ones((2, self.count))

@@ -7,7 +7,7 @@ import numpy as np
 from kinpole_ros.planar import Fit, fit_by_grip, fit_pose, grip_of
 from kinpole_ros.planar._plane import Complex, Real
 from kinpole_ros.rigid._noise import mean_square
-from kinpole_ros.rigid._untangle import correct_markers, half_turn
+from kinpole_ros.rigid._untangle import EXCHANGED, correct_markers, half_turn
 from kinpole_ros.tracking.bodies import Bodies
 from kinpole_ros.tracking.history import History
 
@@ -98,9 +98,10 @@ def _correct(
         if square > CONSISTENT * bodies.misfit[b]:
             # Where one marker is wrong another may be, by less than makes it an outlier.
             markers[b] = np.nan
-        counts.update(found.counts)
+        counts.update({kind: n for kind, n in found.counts.items() if kind != EXCHANGED})
     if (order != np.arange(bodies.width)).any():
         bodies.order[b] = bodies.order[b, order]
+        bodies.exchanged_for[b] = 0
         bodies.exchanged = bool((bodies.order != np.arange(bodies.width)).any())
     return came[order]
 

@@ -76,10 +76,12 @@ def _begin_robustly(bodies: Bodies, history: History, counts: Counter[str]) -> n
         found = agreed(markers, OUTLIER_SIGMAS / np.sqrt(MISFIT_RATIO), TINY)
         if found is None:
             continue
-        bodies.shape[b], fits_of, corrected = found
+        bodies.shape[b], markers, corrected = found
         counts.update(corrected)
-        used = ~np.isnan(fits_of.residual)
-        history['used'][np.flatnonzero(seen), b] = used
+        used, rows = ~np.isnan(markers), np.flatnonzero(seen)
+        came = history['markers'][rows, b]
+        history['markers'][rows, b] = np.where(used, markers, came)
+        history['used'][rows, b] = used
         bodies.frames[b] = used.sum(axis=0)
         anew[b] = True
     bodies.fits = np.maximum(bodies.fits, fits)

@@ -10,6 +10,7 @@ blocks of frames (the Hadamard variance, Baugh 1971).
 import numpy as np
 
 from kinpole_ros.planar._plane import Complex, Real
+from kinpole_ros.rigid._marker_noise import _is_clear
 from kinpole_ros.rigid._noise import _share_of_lowest, mean_square, tame_part
 
 # Share of the largest squares that may be outliers.
@@ -176,6 +177,9 @@ def marker_variances(
         components = variance_components(kind[:, seen], shape[seen])
         each = np.array([v / np.median(np.delete(components, k)) for k, v in enumerate(components)])
         least = np.where(relative[seen] > 1, NO_LOUDER, louder)
+        bad = np.flatnonzero(seen)[each > least].tolist()
+        if bad and not _is_clear(kind, shape, seen, bad):
+            continue
         found[seen] = np.maximum(found[seen], np.where(each > least, each, 1.0))
     loud = found > 1
     if loud.sum() > max(1, seen.sum() // MARKERS_PER_LOUD):

@@ -16,6 +16,7 @@ from kinpole_ros.tracking.history import History
 
 TOO_FEW, NO_POSE = 'too few markers seen, or all at one place', 'no pose of it came'
 TOO_CLOSE = 'markers too close together for their noise'
+AMBIGUOUS = 'its stamp does not tell whether it was captured before or after a lost frame'
 NOISY_POSES = 'the noise of its angle is too large'
 
 
@@ -86,6 +87,8 @@ def result_at(
     missing[~observable] = NOISY_POSES if posed else TOO_CLOSE
     missing[~measured] = 'noise not known yet'
     missing[~seen] = NO_POSE if posed else TOO_FEW
+    if history['ambiguous'][now]:
+        missing[:] = AMBIGUOUS
     for part in found:
         part[..., 0, ~usable] = np.nan
     return {

@@ -29,7 +29,7 @@ from kinpole_ros.tracking.center import Pins, find_hubs
 from kinpole_ros.tracking.deformation import deformed_freedom
 from kinpole_ros.tracking.fit import correct_frame, fit_markers
 from kinpole_ros.tracking.history import History
-from kinpole_ros.tracking.learn import NOISE_FRAMES, freedom_of, learn
+from kinpole_ros.tracking.learn import MOVED_FRAMES, NOISE_FRAMES, freedom_of, learn
 from kinpole_ros.tracking.outliers import path_scale
 from kinpole_ros.tracking.posed import TiltedTurns, learn_poses
 from kinpole_ros.tracking.results import estimate_of, result_at
@@ -99,8 +99,8 @@ class Tracker:
         self._roster = Roster(settings, self._posed)
         self._space = Space(self.settings.plane, count, self._roster.width)
         self._roster.plane = self._space.plane
-        # Frames before the plane is known: stamps, times and markers in space.
-        self._early: list[tuple[int, int, np.ndarray]] = []
+        # Frames before the plane is known: stamps, times and markers.
+        self._early: list[tuple[int, int, MarkerFrames]] = []
         self.samples = 0
         self._interval = 0.0
         self._due = 0
@@ -269,6 +269,7 @@ class Tracker:
             self._take(stamp, times[k], k, solid[k])
             row = self._row
             self._history.columns['count'][row] = counts[k]
+            self._history.columns['ambiguous'][row] = ambiguous[k]
             if ambiguous[k]:
                 self._history.columns['information'][row] = 0.0
             for result in self._due_results(order):
@@ -302,6 +303,7 @@ class Tracker:
         solid = self._roster.sort(frames)
         if self._roster.width > self._known.width:
             self._widen()
+        self._block = frames
         self._hand_over(np.asarray(frames.stamps), solid)
         return solid
 
@@ -337,7 +339,7 @@ class Tracker:
         goes_on = self._interval == 0 or time - self._newest <= GAP * self._interval
         self._newest = time
         if self._roster.plane is None:
-            self._early.append((stamp, time, solid))
+            self._early.append((stamp, time, part_of(self._block, slice(k, k + 1))))
             if matcher.lacks_order(1):
                 solid = np.full_like(solid, np.nan)
             self._append(stamp, time, goes_on)
@@ -357,7 +359,6 @@ class Tracker:
             self._next_update = min(self._next_update, self._frames + 1)
         if bodies.exchanged:
             markers[...] = np.take_along_axis(markers, bodies.order, axis=1)
-            self.counts[EXCHANGED] += int((bodies.order != np.arange(bodies.width)).sum())
         row = self._append(stamp, time, goes_on)
         matcher.fits_next(k, k + 1)
         address = self._address + k * self._stride
@@ -369,6 +370,12 @@ class Tracker:
             odd = (self._step.unusual & ODD) > 0
             came = correct_frame(bodies, history, markers, odd, self.counts)
             self._step.fit(address, False)
+        if bodies.exchanged:
+            # Names that stay exchanged were wrong before.
+            recent = bodies.exchanged_for < MOVED_FRAMES
+            moved = bodies.order[recent] != np.arange(bodies.width)
+            self.counts[EXCHANGED] += int(np.count_nonzero(moved))
+            bodies.exchanged_for += 1
         columns = history.columns
         columns['markers'][row] = came
         columns['heights'][row] = self._heights[k]
@@ -438,10 +445,9 @@ class Tracker:
         self._begin_bodies()
         self._timeline.history = self._history
         space, self._space = self._space, _NoSpace()
-        for stamp, time, solid in early:
+        for stamp, time, frame in early:
             self._update_if_due()
-            self._hand_over(np.array([stamp]), solid[None])
-            self._take(stamp, time, 0, solid)
+            self._take(stamp, time, 0, self._sort(frame)[0])
         self._space = space
         self._due = due - dropped
 
