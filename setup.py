@@ -104,7 +104,7 @@ setup(
             'mpmath>=1.3',
             # Fixed, since later ones find fault with what these let pass.
             'mypy==2.4.*',
-            'packaging>=22',
+            'packaging>=23',
             'playwright>=1.40',
             'pytest>=7.4',
             'pytest-xdist>=3.3',

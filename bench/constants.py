@@ -295,10 +295,10 @@ def page(rows: Rows) -> str:
     left = len(constants()) - len(rows)
     rest = f'{left} more are not measured yet. ' if left > 0 else ''
     lines = [
-        '# Constants set by hand',
+        '# Constants of the estimate, set by hand',
         '',
-        f'{len(rows)} numbers of `rigid/`, `derivatives/` and `pipeline/`, and what becomes of',
-        'figures where one of them is half or double.',
+        f'{len(rows)} numbers of `rigid/`, `derivatives/` and `pipeline/`, on which the figures of',
+        'node and replay depend, and what becomes of these where one of them is half or double.',
         f'{rest}`python -m bench.constants` makes this page.',
         '',
         f'- Figures are RMS errors of {number} motions at two noises, and of the links of a',
@@ -309,6 +309,8 @@ def page(rows: Rows) -> str:
         f'- {without} have no such effect. They bound time or memory, guard against input that',
         '  these figures lack, or matter in the sum of many cases only.',
         '- A reason is the comment beside the constant, where it is to be changed.',
+        '- Numbers of other packages are not here: they bound files and memory, or decide what',
+        '  `discover` and `fit` find. Each has its reason beside it, too.',
     ]
     module = ''
     for row in rows:

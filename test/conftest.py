@@ -93,6 +93,11 @@ def numbers(value: Any) -> Iterator[float]:
     """Every floating-point number in a message, however deep."""
     if isinstance(value, float):
         yield value
+    elif hasattr(value, 'point_step'):
+        # Of `state`: what is behind four fields of four bytes, in which three are numbers of these.
+        points = np.frombuffer(bytes(value.data), '<f8').reshape(value.width, -1)
+        yield from points[:, 2:].ravel().tolist()
+        yield from points.view('<f4')[:, :3].ravel().tolist()
     elif isinstance(value, list | tuple | array | np.ndarray):
         for item in value:
             yield from numbers(item)

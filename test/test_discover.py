@@ -408,26 +408,31 @@ def test_command_refuses_in_one_line(tmp_path, capsys):
         *('trebuchet', 'exercise_machine', 'exercise_seat'),
         # Two links, or nearly two, have the same shape: their pins tell them apart.
         *('antiparallelogram', 'eight_bar'),
+        # Radii that have to add up to the length of the arm.
+        'planetary_gear',
     ],
 )
 def test_rig_and_draft_of_markers_without_names_are_fitted_and_replayed_unedited(
     name, tmp_path, capsys
 ):
     bag, rig, scene = tmp_path / 'r.mcap', tmp_path / 'rig.yaml', tmp_path / 'draft.yaml'
+    fitted = tmp_path / 'fitted.yaml'
     made = ['--tilt', '20', '--arrival', '0.001', '--scale', '1000', '--message', 'point_cloud2']
     made += ['--unlabeled', '--noise', '0.0002', '--duration', '2', '--output', str(bag)]
     assert main(['simulate', name, *made]) == 0
     assert main(['discover', str(bag), '--output', str(rig), '--scene', str(scene)]) == 0
     assert 'marker_identity: shape' in rig.read_text()
     capsys.readouterr()
-    assert main(['fit', str(scene), str(bag), '--config', str(rig)]) == 0
-    *rows, last = capsys.readouterr().out.splitlines()
+    words = ['fit', str(scene), str(bag), '--config', str(rig), '--output', str(fitted)]
+    assert main(words) == 0
+    *rows, last, written = capsys.readouterr().out.splitlines()
+    assert written == f'written to {fitted}'
     assert sum(', deviation ' in row for row in rows) >= 2
     # The draft already fits the markers that it was drawn from.
     ratio = float(last.partition('chi^2/n ')[2].split()[0])
     assert 0.3 < ratio < 3
     with rig.open('a') as file:
-        file.write(f'    scene: {scene}\n')
+        file.write(f'    scene: {fitted}\n')
     assert main(['replay', str(bag), '--config', str(rig)]) == 0
 
 
@@ -492,6 +497,14 @@ def test_a_draft_closes_where_a_joint_or_a_pin_only_seems_to_be_another(name, no
     drawn = draft(found)
     assert drawn is not None
     assert not drawn[1].problem
+
+
+@pytest.mark.parametrize(('name', 'told'), [('loader_cylinder', True), ('slider_crank', False)])
+def test_a_slide_that_may_be_on_either_body_is_noted(name, told):
+    """The cylinder turns by 13 degrees only: a line on the ground fits as well as its own."""
+    frames, _ = markers_of(name, 4)
+    notes = discover([frames]).notes
+    assert any('on ground: a line on either of them fits' in note for note in notes) == told
 
 
 # --- many bodies --------------------------------------------------------------------------------

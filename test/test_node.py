@@ -29,6 +29,7 @@ from rclpy.parameter import Parameter
 from rclpy.publisher import Publisher
 from rclpy.qos import QoSProfile
 from rclpy.serialization import deserialize_message
+from sensor_msgs.msg import PointCloud2
 from std_srvs.srv import Trigger
 from visualization_msgs.msg import Marker, MarkerArray
 
@@ -908,7 +909,7 @@ def test_nothing_is_computed_that_nobody_subscribes_to(
             for topic, message_type, order in (
                 ('/kinpole/body/odom', Odometry, 1),
                 ('/kinpole/body/iap', PointStamped, 2),
-                ('/kinpole/body/isp', PointStamped, 4),
+                ('/kinpole/state', PointCloud2, 4),
             ):
                 subscriptions.append(
                     peer.node.create_subscription(message_type, topic, lambda _: None, 1)

@@ -103,6 +103,22 @@ def test_web_cutter_gives_the_figures_printed_in_the_seed() -> None:
         assert getattr(found, name) == pytest.approx(value, abs=1e-4), name
 
 
+def test_the_function_of_the_seed_has_its_eight_outputs() -> None:
+    matrices = [part.T for part in WEB_CUTTER]
+    w, icr, wd, iap, wdd, ijp, velocity, curvature = planar.im2kin2d([1, 1], *matrices)
+    assert (w, wd, wdd) == pytest.approx((-1.0006, -0.6374, 26.1823), abs=1e-4)
+    found = np.array([icr, iap, ijp, velocity])
+    printed = [(18.8257, 6.8520), (-49.1784, 13.0846), (12.8647, 3.9747), (-37.0807, 72.0169)]
+    assert found == pytest.approx(np.array(printed), abs=1e-4)
+    assert curvature == pytest.approx(-0.0151, abs=1e-4)
+    # A landmark that is not available may hold anything.
+    more = [np.column_stack((part, [np.nan, 7.0])) for part in matrices]
+    again = planar.im2kin2d([1, 1, 0], *more)
+    assert np.concatenate(list(map(np.ravel, again))) == pytest.approx(
+        np.concatenate([[w], icr, [wd], iap, [wdd], ijp, velocity, [curvature]]), rel=1e-12
+    )
+
+
 def test_rigid_link_gives_the_figures_printed_in_the_seed() -> None:
     r, v = [(43, 56), (90, 80)], [(83.38, -38.88), (53.56, 19.50)]
     still = np.zeros((2, 2))

@@ -8,7 +8,14 @@ import numpy as np
 import pytest
 
 from kinpole_ros import planar
-from kinpole_ros.mechanism import SceneError, load_scene, poles, polygon, scene_names
+from kinpole_ros.mechanism import (
+    SceneError,
+    load_scene,
+    poles,
+    polygon,
+    scene_names,
+    scene_text,
+)
 from kinpole_ros.tools import cli
 from kinpole_ros.tools.solve import solve_scene
 from kinpole_ros.tools.solve._decompose import decompose, decomposition_panels
@@ -276,3 +283,26 @@ def test_decompositions_of_other_bodies_are_legible(name: str, words: str) -> No
 def test_what_cannot_be_decomposed_is_said(tmp_path: Path, words: str, fix: str) -> None:
     with pytest.raises(SceneError, match=re.escape(fix)):
         solve_scene('four_bar', decomposed=(words, tmp_path / 'a.svg'))
+
+
+def test_a_wheel_has_no_velocity_where_it_touches_but_an_acceleration(tmp_path: Path) -> None:
+    file = tmp_path / 'a.svg'
+    solve_scene('rolling_wheel', polygons=file)
+    _, v, a = drawn(file)
+    assert v['v_H'] == pytest.approx(0.2 * np.pi, rel=1e-6)
+    assert a['a_contact of wheel'] == pytest.approx(0.1j * (2 * np.pi) ** 2, rel=1e-6)
+    assert a['a_H/contact'] == pytest.approx(-0.1j * (2 * np.pi) ** 2, rel=1e-6)
+
+
+def test_at_rest_there_are_no_arrows(tmp_path: Path) -> None:
+    scene = tmp_path / 'rest.yaml'
+    text = scene_text('four_bar')
+    to = '{drive: crank, from: 0 deg, to: 90 deg, duration: 2, begin: 1}'
+    scene.write_text(text.replace('{drive: crank, rate: 1 rev/s, start: 0 deg}', to))
+    file = tmp_path / 'a.svg'
+    solve_scene(scene, polygons=file)
+    assert [len(panel) for panel in drawn(file)] == [1, 0, 0]
+    assert 'velocities: none, it is at rest' in file.read_text()
+    lines = solve_scene(scene, decomposed=('coupler:A,B', file))
+    assert 'it does not turn: the pole is at infinity' in lines
+    assert not arrows(file, 2).keys() & {'v_A', 'v_B'}

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from kinpole_ros import planar
 from kinpole_ros.bags import BagError, BagWriter, replay, simulate
 from kinpole_ros.linkage.theory import load_theory
 from kinpole_ros.mechanism import load_scene
@@ -522,3 +523,50 @@ def test_print_holds_all_charts_and_no_buttons(opened) -> None:
     canvas = page.locator('.chart canvas').first
     assert canvas.evaluate('e => e.width / e.getBoundingClientRect().width') > 1.9
     assert page.pdf(format='A4').startswith(b'%PDF')
+
+
+def test_polygons_show_the_images_of_the_bodies_shown(opened) -> None:
+    page = opened()
+    canvases = page.locator('#polygons canvas')
+    assert canvases.count() == 2
+    before = [canvases.nth(k).screenshot() for k in (0, 1)]
+    assert colored(page, '#polygons canvas', BLUE) > 50
+    page.keyboard.press('Shift+ArrowRight')
+    drawn(page)
+    assert all(canvases.nth(k).screenshot() != before[k] for k in (0, 1))
+    page.keyboard.press('1')
+    drawn(page)
+    assert colored(page, '#polygons canvas', BLUE) == 0
+
+
+def test_images_of_points_are_their_velocities_and_accelerations(opened) -> None:
+    """What the page's script makes of poles and rates, against the motion itself."""
+    page = opened()
+    scene = load_scene('four_bar')
+    motion, point = scene.motion(0.3)['coupler'], 0.1 + 0.15j
+    iap = planar.pole(2, motion.position, motion.angle).value
+    z = motion.position
+    body = {
+        'points': [['P', point.real, point.imag]],
+        'angle': [motion.angle[0]],
+        **{name: [value] for name, value in zip('xy', (z[0].real, z[0].imag), strict=True)},
+        **{name: [value] for name, value in zip(('vx', 'vy'), (z[1].real, z[1].imag), strict=True)},
+        'angular_velocity': {'value': [motion.angle[1]]},
+        'angular_acceleration': {'value': [motion.angle[2]]},
+        'iap': {'x': [float(iap.real)], 'y': [float(iap.imag)]},
+    }
+    folder = Path(_pack.__file__).parent / 'page'
+    code = '\n'.join((folder / f'{name}.js').read_text() for name in ('data', 'motion', 'polygons'))
+    found = page.evaluate(
+        f'([body, orders]) => {{ {code}; return orders.map((n) => imagesOf(null, body, 0, n)); }}',
+        [body, [1, 2]],
+    )
+    turn = np.exp(1j * motion.angle[0])
+    w, alpha = motion.angle[1:3]
+    for (image,), truth in zip(
+        found,
+        (z[1] + 1j * w * point * turn, z[2] + (1j * alpha - w**2) * point * turn),
+        strict=True,
+    ):
+        assert image[0] == 'P'
+        assert complex(*image[1:]) == pytest.approx(complex(truth), rel=1e-9)

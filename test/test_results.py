@@ -136,7 +136,7 @@ def test_the_topics_are_those_of_the_interface() -> None:
     pair = ['coupler/wrt/crank/icr', 'coupler/wrt/crank/angular_velocity']
     pair += [f'{topic}/deviation' for topic in pair]
     expected = [f'{body}/{topic}' for body in BODIES for topic in one] + pair
-    expected += ['visualization', '/tf']
+    expected += ['state', 'visualization', '/tf']
     assert sorted(row.topic for row in result_outputs(BODIES, 'xy')) == sorted(expected)
 
 
@@ -339,7 +339,7 @@ def test_nothing_is_said_of_a_body_that_is_not_known() -> None:
 def test_a_body_that_does_not_turn_has_rates_and_pose_but_no_poles() -> None:
     now = estimate(spin=0)
     for topic, row in rows().items():
-        has = topic.endswith(('odom', 'visualization')) or 'angular' in topic
+        has = topic.endswith(('odom', 'state', 'visualization')) or 'angular' in topic
         assert (row.build(now) is not None) == has, topic
 
 

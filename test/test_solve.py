@@ -21,6 +21,7 @@ from kinpole_ros.mechanism import (
     poles,
     reactions,
     scene_names,
+    scene_text,
     scenes_folder,
 )
 from kinpole_ros.tools import cli
@@ -709,3 +710,16 @@ def test_the_page_has_the_virtual_work(tmp_path: Path) -> None:
         text = re.search(r'octet-stream">([^<]*)<', page.read_text())
         work = json.loads(zlib.decompress(base64.b64decode(text[1])))['work']
         assert set(work) <= set(lines) and bool(work) == (name == 'loader')
+
+
+def test_the_work_of_several_drivers_and_at_a_limit(tmp_path: Path) -> None:
+    scene = tmp_path / 'arm.yaml'
+    scene.write_text(scene_text('double_pendulum') + 'loads: [{weight: 2 kg, at: lower.P}]\n')
+    lines = solve_scene(scene, time='0.3', work=True)
+    solved = over_time(load_scene(scene), np.array([0.3]))
+    truth = efforts(solved.scene.mechanism, solved.values, solved.scene.loads).effort[:, 0]
+    found = [float(line.split()[-3]) for line in lines if re.match('the effort of .* = ', line)]
+    assert found == pytest.approx(truth, rel=1e-6)
+    assert sum('the other drivers held' in line for line in lines) == 2
+    lines = solve_scene('loader_cylinder', at='0.920227378 m', work=True)
+    assert lines[-1] == 'virtual work: the drivers have no hold of the loads in a dead point'

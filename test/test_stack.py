@@ -11,7 +11,7 @@ from conftest import bodies_of, decoded, read_back, stamp_of
 
 from kinpole_ros.bags import read_messages, replay, topics
 from kinpole_ros.mechanism import load_scene
-from kinpole_ros.messages import TF, VIEW, outputs_of
+from kinpole_ros.messages import STATE, TF, VIEW, outputs_of
 from kinpole_ros.pipeline.estimate import Estimate
 from kinpole_ros.pipeline.parameters import Settings
 
@@ -154,8 +154,8 @@ def test_every_topic_of_the_documentation_has_its_deviation_or_covariance(
     plain = {'/tf', '/diagnostics', 'visualization'}
     # Of scenes with loads: test_theory.py has it with its deviation.
     plain.add('balance')
-    # Sent by a live node alone, to pages, with all deviations in it.
-    plain.add(VIEW)
+    # With all deviations in them; the first is sent by a live node alone, to pages.
+    plain |= {VIEW, STATE}
     plain |= {f'<body>/centrode/{name}' for name in ('fixed', 'moving')}
     with_it = {f'{package}/msg/{kind}' for package, kind in COVARIANT}
     for name in listed:

@@ -21,7 +21,7 @@ from rclpy.node import Node
 from test_report import BLUE, GREEN, RED, browser, cell, colored
 
 from kinpole_ros.bags import BagWriter, read_messages, replay
-from kinpole_ros.messages import VIEW, String, live_outputs, serialize_message, view_of
+from kinpole_ros.messages import STATE, VIEW, String, live_outputs, serialize_message, view_of
 from kinpole_ros.pipeline.estimate import POLE_NAMES, RATE_NAMES, Estimate
 from kinpole_ros.pipeline.parameters import load_settings
 from kinpole_ros.rigid.plane import XY
@@ -235,11 +235,11 @@ def test_more_bodies_than_a_page_can_show_are_refused_and_told_of(estimates) -> 
 class Scripted:
     """Stands for the watcher: nodes that are there, and what came from them."""
 
-    def __init__(self, names: Sequence[str] = ('/kinpole',)) -> None:
-        self._nodes = list(names)
+    def __init__(self, names: Sequence[str] = ('/kinpole',), topic: str = VIEW) -> None:
+        self._nodes = dict.fromkeys(names, topic)
         self.newest: dict[str, deque[Any]] = {}
 
-    def nodes(self) -> list[str]:
+    def nodes(self) -> dict[str, str]:
         return self._nodes
 
     def want(self, topics: dict[str, str]) -> None:
@@ -313,6 +313,40 @@ def test_of_several_nodes_the_chosen_one_is_shown_and_others_are_named(results) 
 
 def sent_to_pages(results: Path) -> list[bytes]:
     return [message.data for message in read_messages(results, [f'/kinpole/{VIEW}'])]
+
+
+@pytest.fixture(scope='module')
+def replayed(results) -> Path:
+    """A bag of results, in which nothing is for pages."""
+    return results.with_name('replayed.mcap')
+
+
+def test_a_bag_of_results_is_shown_by_its_topic_state(estimates, replayed) -> None:
+    watcher = Scripted(topic=STATE)
+    live, told = live_of(watcher)
+    (state, *_), (diagnostics, *_) = (
+        [message.data for message in read_messages(replayed, [topic])][-1:]
+        for topic in (f'/kinpole/{STATE}', '/diagnostics')
+    )
+    watcher.newest[f'/kinpole/{STATE}'].append(Arrived(state, 0))
+    live.step()
+    step_until(live, lambda: 'no diagnostics have named' in told.rigs[-1].get('waiting', ''))
+    assert told.frames == []
+    watcher.newest['/diagnostics'].append(Arrived(diagnostics, 0))
+    watcher.newest[f'/kinpole/{STATE}'].append(Arrived(state, 0))
+    live.step()
+    assert [body['name'] for body in told.rigs[-1]['bodies']] == ['crank', 'coupler', 'rocker']
+    (frame,) = told.frames
+    said = view_of(estimates[-1][-1], XY)
+    expected = frame_of(message(said))
+    assert frame['reasons'] == [None] * 3
+    for body, other in zip(frame['bodies'], expected.bodies, strict=True):
+        assert other is not None
+        assert body.keys() == other.keys()
+        for name, value in other.items():
+            assert (body[name] is None) == (value is None), name
+            if value is not None:
+                np.testing.assert_allclose(body[name], value, rtol=1e-4, atol=1e-7, err_msg=name)
 
 
 # ---- In a browser ----
@@ -435,10 +469,33 @@ def test_page_waits_for_a_node_shows_it_and_asks_for_no_more(browser, results, w
         assert view.wait(LIMIT) == 0
 
 
+def test_page_shows_a_bag_of_results_that_is_played(browser, replayed, watcher) -> None:
+    command = [sys.executable, '-m', 'kinpole_ros.tools.cli', 'view']
+    with ExitStack() as closing:
+        view = closing.enter_context(subprocess.Popen(command, stdout=subprocess.PIPE, text=True))
+        closing.callback(view.kill)
+        assert view.stdout is not None
+        (address,) = re.findall(r'http://\S+', view.stdout.readline())
+        with played(replayed):
+            page = closing.enter_context(opened(browser, address))
+            page.wait_for_selector('html[data-ready]')
+            await_motion(page)
+            page.locator('#about', has_text='markers at 100 Hz').wait_for()
+            await_readers(watcher, f'/kinpole/{STATE}', True)
+            # A body is a circle there, for its outline is not known.
+            for color in (BLUE, RED, GREEN):
+                assert colored(page, '#stage canvas', color) > 0
+                assert colored(page, '[data-name=angular_velocity] canvas', color) > 20
+            value, spread = cell(page, 'angular_velocity', 0).split('±')
+            assert abs(float(value) - 2 * np.pi) < 3 * float(spread) < 0.3
+        view.send_signal(signal.SIGTERM)
+        assert view.wait(LIMIT) == 0
+
+
 def test_page_goes_on_when_the_server_is_back_and_begins_anew_with_other_bodies(
     browser, results
 ) -> None:
-    known, port = Known('/kinpole'), 0
+    known, port = Known('/kinpole', VIEW), 0
     with ExitStack() as closing:
         for data, at in zip(sent_to_pages(results)[50:], (0.5, 1.25), strict=False):
             frame = frame_of(data)

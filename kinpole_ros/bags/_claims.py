@@ -22,7 +22,7 @@ CLAIMING = (Opcode.STATISTICS, Opcode.CHUNK_INDEX, Opcode.DATA_END, Opcode.FOOTE
 _SUM = 4  # bytes of a checksum, at the end of what it covers and of its record
 _INDEX = struct.Struct('<BQHI')  # opcode, length, channel, bytes of index to come
 _HEAD = 9  # bytes of opcode and length of a record
-_PIECE = 1 << 20
+_PIECE = 1 << 20  # bytes read at a time
 
 
 class Claims:

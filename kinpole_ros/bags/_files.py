@@ -26,8 +26,8 @@ LIBRARY = 'kinpole_ros'  # who writes bags here that can be made again
 RECORDER = 'kinpole record'  # and those that cannot
 _HEADER = 1000  # bytes of the first record that are looked at
 ZSTD_MAGIC = b'\x28\xb5\x2f\xfd'  # no CDR starts with it
-_FARTHEST = 2**62
-_PIECE = 1 << 20
+_FARTHEST = 2**62  # bytes: beyond the end of any file
+_PIECE = 1 << 20  # bytes unpacked at a time
 # Of YAML and of records: other things than expected.
 _MALFORMED = (ValueError, LookupError, TypeError, AttributeError)
 _FOREIGN = {

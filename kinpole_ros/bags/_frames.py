@@ -9,7 +9,7 @@ from kinpole_ros.bags._reader import BagError, Truncated, read_blocks, topics
 from kinpole_ros.messages import ROS_TYPE_NAMES, MarkerReader, MessageError
 from kinpole_ros.pipeline.frame import MarkerFrames, part_of
 
-_SECOND = 1_000_000_000
+_SECOND = 1_000_000_000  # ns
 
 
 def read_frames(

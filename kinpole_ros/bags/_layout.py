@@ -32,10 +32,10 @@ from kinpole_ros.bags._claims import CLAIMING, Claims
 from kinpole_ros.bags._files import BagError, Unpacked
 
 NEVER = 2**64  # later than any log time
-_FARTHEST = 2**62
+_FARTHEST = 2**62  # bytes: beyond the end of any file
 _TIME = struct.Struct('<Q')
 _FOOTER_SIZE = HEAD.size + 20
-_RUN = 1 << 20
+_RUN = 1 << 20  # bytes: messages so near each other are read together
 _PIECE = 1 << 20  # bytes that lz4 unpacks at a time
 
 

@@ -10,7 +10,7 @@ from kinpole_ros.pipeline.estimate import Estimate
 from kinpole_ros.pipeline.frame import MarkerFrames, part_of
 from kinpole_ros.pipeline.tracker import Tracker
 
-_SECOND = 1_000_000_000
+_SECOND = 1_000_000_000  # ns
 # Topic, type, log times (ns) and messages, as `BagWriter.write_many` takes them.
 Column: TypeAlias = tuple[str, type, Sequence[int], Sequence[bytes]]
 

@@ -35,7 +35,7 @@ from kinpole_ros.pipeline.tracker import Tracker
 from kinpole_ros.rigid.space import updated
 
 NODE_NAME = 'kinpole'
-_SECOND = 1_000_000_000
+_SECOND = 1_000_000_000  # ns
 _MOST_KEPT = 31 << 20  # bytes; from 32 MiB on nothing is kept
 
 

@@ -33,7 +33,7 @@ from kinpole_ros.bags._schema import definition, message_class
 from kinpole_ros.files import whole
 from kinpole_ros.messages import serialize_message, type_name, with_zero_padding
 
-_PIECE = 1 << 20
+_PIECE = 1 << 20  # bytes copied at a time
 _FOOTER = struct.Struct('<BQQQ')  # all that the checksum in it covers
 
 

@@ -1,7 +1,7 @@
 """What comes out of files is shown in one short line that a terminal does not take for commands."""
 
 _MOST_SHOWN = 80  # characters of a value or name
-MOST_OF_A_LINE = 1000
+MOST_OF_A_LINE = 1000  # characters: some lines of a terminal
 
 
 def cut(text: str, most: int = _MOST_SHOWN) -> str:

@@ -13,7 +13,7 @@ import yaml
 _Base: Any = getattr(yaml, 'CSafeLoader', yaml.SafeLoader)
 
 MOST_YAML = 1 << 20  # bytes of a file
-_DEEPEST = 50
+_DEEPEST = 50  # levels; parameters and scenes have five
 # Directives are compared each with each, before there is anything to count.
 _MOST_DIRECTIVES = 10
 

@@ -12,7 +12,7 @@ from kinpole_ros.linkage._model import GROUND_NUMBER, Linkage
 from kinpole_ros.linkage._names import body_names, marker_names
 from kinpole_ros.linkage._places import connected, make_places
 from kinpole_ros.linkage._plane import scale_of
-from kinpole_ros.linkage._poses import Pose, ground
+from kinpole_ros.linkage._poses import GROUND, Pose, ground
 from kinpole_ros.linkage._record import Record, Stamps, gather
 from kinpole_ros.linkage._rolling import Rolling, fit_gear, fit_wheel
 from kinpole_ros.pipeline.estimate import MOST_PAIRED_BODIES
@@ -57,7 +57,7 @@ def _linkage_from(record: Record, stamps: Stamps, found: Bodies) -> Linkage:
     rolling: list[Rolling] = []
     pinned = {frozenset((joint.one, joint.other)) for joint in pins}
     slides = _slides(bodies, pinned)
-    for joint in slides:
+    for joint, is_only_one in slides:
         held = 2 if joint.kind in ('trammel', 'slide') else 1
         # With one that holds more, nothing could move.
         if freedom - held < 1:
@@ -70,6 +70,14 @@ def _linkage_from(record: Record, stamps: Stamps, found: Bodies) -> Linkage:
                 joints.remove(joint)
                 rolling.append(wheel)
                 freedom -= 1
+        if joint in joints and not is_only_one:
+            one, other = (
+                GROUND if k == GROUND_NUMBER else names[k] for k in (joint.one, joint.other)
+            )
+            notes.append(
+                f'{one} on {other}: a line on either of them fits, and which it is cannot be told '
+                'from so little motion; fix: move them farther, or correct the draft'
+            )
     for gear in _gears(bodies, pins):
         if freedom > 1:
             rolling.append(gear)
@@ -193,8 +201,12 @@ def _independent(pins: Sequence[Joint]) -> int:
     return sum(len(place.on) - 1 for place in groups)
 
 
-def _slides(bodies: dict[int, Pose], pinned: set[frozenset[int]]) -> list[Joint]:
-    """Slides of all pairs that no pin joins, those that fit best first, one for each pair."""
+def _slides(bodies: dict[int, Pose], pinned: set[frozenset[int]]) -> list[tuple[Joint, bool]]:
+    """
+    Find slides of all pairs that no pin joins, those that fit best first, one for each pair.
+
+    With each comes whether it is the only one of its pair that fits.
+    """
     found = []
     for pair in _candidates(bodies):
         if frozenset(pair) in pinned:
@@ -209,9 +221,11 @@ def _slides(bodies: dict[int, Pose], pinned: set[frozenset[int]]) -> list[Joint]
         tried = [joint for joint in tried if joint.ratio <= _DOUBTFUL * least]
         # A trammel holds the most, and looks like a slot from the other side.
         tried.sort(key=lambda joint: (joint.kind != 'trammel', joint.kind != 'slide', joint.ratio))
-        found += tried[:1]
+        found += [(joint, len(tried) == 1) for joint in tried[:1]]
     # Slides on the ground are more usual than between bodies.
-    return sorted(found, key=lambda j: (GROUND_NUMBER not in (j.one, j.other), j.ratio))
+    return sorted(
+        found, key=lambda row: (GROUND_NUMBER not in (row[0].one, row[0].other), row[0].ratio)
+    )
 
 
 def _gears(bodies: dict[int, Pose], pins: Sequence[Joint]) -> list[Rolling]:

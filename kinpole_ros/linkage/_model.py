@@ -11,7 +11,7 @@ from kinpole_ros.linkage._poses import GROUND, Pose
 from kinpole_ros.linkage._record import Stamps
 from kinpole_ros.linkage._rolling import Rolling
 
-GROUND_NUMBER = -1
+GROUND_NUMBER = -1  # of the ground, where bodies go by number
 # What the name of a point ends with that a line goes through: any point of it would do.
 LINE = '_line'
 

@@ -7,8 +7,8 @@ import numpy as np
 from kinpole_ros.linkage._joints import Joint
 from kinpole_ros.linkage._poses import Pose
 
-_FITS = 3.0
-_FEWEST = 50
+_FITS = 3.0  # times the noise that a model may leave over, as in _joints
+_FEWEST = 50  # frames
 
 
 class Rolling(NamedTuple):

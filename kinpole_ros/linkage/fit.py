@@ -9,12 +9,13 @@ from typing import NamedTuple
 
 import numpy as np
 
+from kinpole_ros.linkage._gears import meshed
 from kinpole_ros.linkage.positions import Positions
 from kinpole_ros.linkage.theory import Theory
 from kinpole_ros.mechanism import Dimension, Scene, SceneError
 from kinpole_ros.pipeline.estimate import Estimate
 
-_MOST = 6000
+_MOST = 6000  # instants, evenly over the recording: more take time and tell little
 
 
 class Fitted(NamedTuple):
@@ -100,7 +101,7 @@ def fit_scene(theory: Theory, estimates: Iterable[Estimate], free: Sequence[int]
             f'{theory.scene.name}: no joint of the scene is between bodies that are seen at the '
             'same time: see that parameters and scene have the same names, and the view of markers'
         )
-    solved = after[0]
+    solved = meshed(theory.scene.equations, after[0])
     deviation = dict(zip(solved.free, np.sqrt(np.diag(solved.covariance)).tolist(), strict=True))
     dimensions = theory.scene.equations.dimensions
     rows = [

@@ -20,6 +20,12 @@ from kinpole_ros.mechanism._scene_file import scene_names, scene_text, scenes_fo
 from kinpole_ros.mechanism._share import share_folder
 from kinpole_ros.mechanism._start import mobility
 from kinpole_ros.mechanism._statics import Force, Holder, Load, Torque, efforts, holding, load_rates
+from kinpole_ros.mechanism._tolerance import (
+    Tolerance,
+    ToleranceSpread,
+    propagate_tolerances,
+    tolerances_of,
+)
 from kinpole_ros.mechanism._transmission import Port, advantage, transmission_angles
 from kinpole_ros.mechanism._units import SceneError, quantity
 
@@ -48,6 +54,8 @@ __all__ = [
     'Scene',
     'SceneError',
     'Spring',
+    'Tolerance',
+    'ToleranceSpread',
     'Torque',
     'Torsion',
     'advantage',
@@ -65,6 +73,7 @@ __all__ = [
     'mobility',
     'poles',
     'polygon',
+    'propagate_tolerances',
     'quantity',
     'reactions',
     'releases',
@@ -75,6 +84,7 @@ __all__ = [
     'scenes_folder',
     'share_folder',
     'spring_loads',
+    'tolerances_of',
     'transmission_angles',
     'undetermined',
     'write_pitch_curves',

@@ -13,7 +13,7 @@ import numpy as np
 
 from kinpole_ros.planar._plane import Real
 
-_ORDERS = 5
+_ORDERS = 5  # position to snap
 Drive = Callable[[Real], Real]
 
 

@@ -8,7 +8,7 @@ from kinpole_ros.mechanism._joints import Points, mapping, named_point, need, re
 from kinpole_ros.mechanism._statics import Force, Holder, Load, Torque
 from kinpole_ros.mechanism._units import SceneError, quantity, vector
 
-_GRAVITY = 9.80665
+_GRAVITY = 9.80665  # m/s^2, the standard one
 
 
 def read_loads(said: Any, points: Points, bodies: tuple[str, ...]) -> tuple[Load, ...]:

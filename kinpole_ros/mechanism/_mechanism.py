@@ -23,7 +23,7 @@ from kinpole_ros.mechanism._path import Path, trace
 from kinpole_ros.mechanism._solution import Solution, solve, sound_orders
 from kinpole_ros.planar._plane import Complex, Real
 
-ORDERS = 5
+ORDERS = 5  # position to snap
 # Positions at a time: fewer cost more calls, more leave the cache (1e5 of a four-bar to its
 # accelerations: 9.2 ms with 6144, 8.6 with 8192, 14.7 with 12500).
 _CHUNK = 8192

@@ -107,12 +107,15 @@ def polygon(scene: Scene, motion: Motion, order: int) -> Polygon:
             images, key=lambda name: (name not in places[GROUND], name not in known), default=''
         )
         known |= {*images}
+        # Where a wheel touches the ground it has no velocity, but an acceleration.
+        largest = max(map(abs, images.values()), default=0.0)
+        at_rest = first in places[GROUND] and abs(images[first]) <= _SAME * largest
         for name in images if scene.mechanism.assembly.joints else ():
             arm = image(body, places[body][name], 0) - image(body, places[body][first], 0)
             if arm:
                 length = np.array([abs(arm), 0.0, 0.0])
                 parts = _parts(order, length, np.append(np.angle(arm), angle[1:, b]))
-                of = name if first in places[GROUND] else _of(name, first)
+                of = name if at_rest else _of(name, first)
                 sides.append(Side(of, body, images[first], parts))
         if len(images) > 2:
             shapes.append(tuple(images.values()))

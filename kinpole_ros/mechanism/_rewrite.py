@@ -8,7 +8,7 @@ import yaml
 from kinpole_ros.mechanism._equations import Dimension
 from kinpole_ros.mechanism._units import SceneError
 
-_DIGITS = 9
+_DIGITS = 12  # lengths that have to be equal must be so to one in 1e9
 
 
 def rewritten(text: str, changes: Mapping[Dimension, float]) -> str:

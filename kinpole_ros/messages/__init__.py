@@ -36,6 +36,7 @@ from kinpole_ros.messages._space import (
 )
 from kinpole_ros.messages._stack import TF
 from kinpole_ros.messages._stamps import jitter_fault
+from kinpole_ros.messages._state import STATE, read_state, state_fields
 from kinpole_ros.messages._types import (
     WITH_ROS,
     WITH_TF,
@@ -48,7 +49,7 @@ from kinpole_ros.messages._types import (
     serialize_message,
     type_name,
 )
-from kinpole_ros.messages._view import VIEW, live_outputs, view_of
+from kinpole_ros.messages._view import PAGE_TOPICS, VIEW, figures_of, live_outputs, view_of
 
 __all__ = [
     'AUTO_TYPES',
@@ -57,10 +58,12 @@ __all__ = [
     'INPUT_TYPES',
     'INPUT_TYPE_NAMES',
     'MARKER_TYPES',
+    'PAGE_TOPICS',
     'RECEIVED',
     'RESTARTS',
     'ROS_TYPE_NAMES',
     'SMOOTHED',
+    'STATE',
     'TF',
     'VIEW',
     'WITH_ROS',
@@ -76,6 +79,7 @@ __all__ = [
     'deserialize_message',
     'diagnostics_data',
     'fields',
+    'figures_of',
     'identity_lines',
     'jitter_fault',
     'kind_of',
@@ -90,11 +94,13 @@ __all__ = [
     'plane_words',
     'poses_data',
     'read_markers',
+    'read_state',
     'reader_of',
     'result_outputs',
     'serialize_message',
     'shape_fault',
     'stamp_to_ns',
+    'state_fields',
     'theory_of',
     'tilt_fault',
     'to_message',

@@ -15,11 +15,13 @@ from kinpole_ros.messages._drawing import scene
 from kinpole_ros.messages._loci import Build, Trail, centrode
 from kinpole_ros.messages._rows import At, Figures, Found, both, each
 from kinpole_ros.messages._stack import TF, frame_poses, frames, joint_states
+from kinpole_ros.messages._state import STATE, state
 from kinpole_ros.messages._types import (
     JointState,
     MarkerArray,
     Odometry,
     Path,
+    PointCloud2,
     PointStamped,
     PoseWithCovarianceStamped,
     TFMessage,
@@ -141,6 +143,7 @@ def result_outputs(
                 topic = f'{spot.body}/points/{spot.name}{name}'
                 builds = both(1, partial(_points, motion, given, heights))
                 add(topic, kind, max(order, 1), builds, 0)
+    outputs.append(Output(STATE, PointCloud2, highest, state(given, highest)))
     drawing = scene(tuple(bodies), given, trails, highest)
     outputs.append(Output(DRAWING, MarkerArray, highest, drawing))
     if joints:

@@ -12,7 +12,7 @@ for pages: programs take the topics of the figures, each of its own type.
 
 import json
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -20,7 +20,8 @@ import numpy as np
 from kinpole_ros.messages._cdr import Writer
 from kinpole_ros.messages._loci import Build, Built
 from kinpole_ros.messages._results import Output, outputs_of
-from kinpole_ros.messages._types import String
+from kinpole_ros.messages._state import STATE
+from kinpole_ros.messages._types import PointCloud2, String, type_name
 from kinpole_ros.pipeline.estimate import POLE_NAMES, RATE_NAMES, Estimate, Numbers, Vectors
 from kinpole_ros.pipeline.parameters import Settings
 from kinpole_ros.rigid.plane import XY, Plane, as_parameter, plane_of
@@ -30,6 +31,8 @@ if TYPE_CHECKING:
 
 # The topic, and how often there is something on it (s).
 VIEW, _EVERY = 'view', 1 / 30
+# Types of the topics that pages can show. A node has both, a bag of results the second.
+PAGE_TOPICS = {VIEW: type_name(String), STATE: type_name(PointCloud2)}
 # Beyond, relative centers are of bodies that follow each other alone.
 _MOST_PAIRS = 6
 
@@ -75,15 +78,15 @@ def view_of(estimate: Estimate, given: Plane) -> dict[str, Any]:
         rest = velocity[b].imag, estimate.size[b] if estimate.size[b] > 0 else 0.0
         named = ('x', 'y', 'angle', 'vx', 'vy', 'size')
         body |= zip(named, _short(*parts, *rest), strict=True)
-    figures: dict[str, list[list[float] | None]] = {}
+    quantities: dict[str, Numbers | Vectors] = {}
     for order, (rate, pole) in enumerate(zip(RATE_NAMES, POLE_NAMES, strict=True), 1):
         if order <= estimate.order:
-            figures[rate] = _numbers(estimate.rate(order))
-            figures[pole] = _points(estimate.pole(order))
+            quantities |= {rate: estimate.rate(order), pole: estimate.pole(order)}
     if estimate.order >= 2:
-        figures['icr_velocity'] = _vectors(estimate.icr_velocity)
+        quantities['icr_velocity'] = estimate.icr_velocity
     if estimate.order >= 3:
-        figures['centrode_curvature'] = _numbers(estimate.centrode_curvature)
+        quantities['centrode_curvature'] = estimate.centrode_curvature
+    figures = figures_of(quantities)
     for name, found in figures.items():
         for body, one in zip(bodies, found, strict=True):
             if one is not None and 'x' in body:
@@ -99,6 +102,19 @@ def view_of(estimate: Estimate, given: Plane) -> dict[str, Any]:
         'bodies': bodies,
         'pairs': _pairs(estimate),
     }
+
+
+def figures_of(
+    quantities: Mapping[str, Numbers | Vectors],
+) -> dict[str, list[list[float] | None]]:
+    """Quantities (B,) by name as pages take them; None where they are undetermined."""
+    found = {}
+    for name, quantity in quantities.items():
+        if isinstance(quantity, Numbers):
+            found[name] = _numbers(quantity)
+        else:
+            found[name] = _points(quantity) if name in POLE_NAMES else _vectors(quantity)
+    return found
 
 
 def _pairs(estimate: Estimate) -> list[dict[str, Any]]:

@@ -20,6 +20,7 @@ from kinpole_ros.planar._centrode import (
 from kinpole_ros.planar._figures import curvature_figures, pole_figures, velocity_figures
 from kinpole_ros.planar._landmarks import (
     LandmarkKinematics,
+    im2kin2d,
     landmark_kinematics,
     point_derivatives,
 )
@@ -75,6 +76,7 @@ __all__ = [
     'grip_of',
     'icr_acceleration',
     'icr_velocity',
+    'im2kin2d',
     'kennedy_residual',
     'landmark_kinematics',
     'mean_square',

@@ -144,6 +144,49 @@ def landmark_kinematics(
     )
 
 
+def im2kin2d(
+    f: ArrayLike, r: ArrayLike, rd: ArrayLike, rdd: ArrayLike, rddd: ArrayLike
+) -> tuple[float, Real, float, Real, float, Real, Real, float]:
+    """
+    Call `landmark_kinematics` as the MATLAB function of seed 000 is called.
+
+    Parameters
+    ----------
+    f
+        Weights (n,): 1 for a landmark that is available, 0 for one that is not.
+    r, rd, rdd, rddd
+        Places and derivatives of the landmarks to the jerk (2, n).
+
+    Returns
+    -------
+    tuple
+        w, rICR, wd, rIAP, wdd, rIJP, rdICR and kappa: rates in rad/s to rad/s^3, points (2,) in the
+        unit of r, the velocity of the ICR, and the curvature of the fixed centrode.
+
+    Raises
+    ------
+    ValueError
+        As `landmark_kinematics`.
+
+    Notes
+    -----
+    Seed 000, pages 7 to 9 (printed lm2kin2d). What is undetermined is NaN, not an error.
+
+    """
+    points, *rates = (np.asarray(part, float).T for part in (r, rd, rdd, rddd))
+    found = landmark_kinematics(points, rates[0], rates[1], rates[2], weights=f)
+    return (
+        float(found.angular_velocity),
+        found.icr,
+        float(found.angular_acceleration),
+        found.iap,
+        float(found.angular_jerk),
+        found.ijp,
+        found.icr_velocity,
+        float(found.centrode_curvature),
+    )
+
+
 def point_derivatives(kinematics: LandmarkKinematics, points: ArrayLike) -> tuple[Real, ...]:
     """
     Velocity, acceleration, jerk and snap of points of bodies.

@@ -16,8 +16,8 @@ from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.subscription import Subscription
 
-from kinpole_ros.bags import message_class, type_name
-from kinpole_ros.messages import DRAWING, VIEW, String
+from kinpole_ros.bags import message_class
+from kinpole_ros.messages import DRAWING, PAGE_TOPICS
 from kinpole_ros.ros.live import starting
 from kinpole_ros.ros.private import take, wait_for_messages
 from kinpole_ros.ros.process import start_ros
@@ -46,17 +46,22 @@ class Watcher:
         self.want({})
         self._node.destroy_node()
 
-    def nodes(self) -> list[str]:
-        """Full names of nodes that publish what pages show, now."""
+    def nodes(self) -> dict[str, str]:
+        """
+        Full names of nodes that publish what pages show, now, and on which of `PAGE_TOPICS`.
+
+        Where a bag of results is played it is `state`; it has no topic `view`.
+        """
         kinds = dict(self._node.get_topic_names_and_types())
-        found = []
-        for topic, types in kinds.items():
+        found: dict[str, str] = {}
+        for topic in sorted(kinds):
             node, _, last = topic.rpartition('/')
-            ours = last == VIEW and types == [type_name(String)] and f'{node}/{DRAWING}' in kinds
+            ours = kinds[topic] == [PAGE_TOPICS.get(last)] and f'{node}/{DRAWING}' in kinds
             # A topic is listed that is but listened to.
             if ours and self._node.count_publishers(topic):
-                found.append(node)
-        return sorted(found)
+                # In this order `view` comes last, and is the one where both are there.
+                found[node] = last
+        return found
 
     def want(self, topics: Mapping[str, str]) -> None:
         """Listen to these topics, of these types, and no others."""

@@ -23,7 +23,7 @@ os.environ.setdefault('OPENBLAS_NUM_THREADS', '1')
 
 # What SIGTERM ends as Ctrl-C does: nothing is left of results that are not whole, and of a player
 # others do not believe for many seconds that it is there.
-_ENDED = ('replay', 'simulate', 'solve', 'discover', 'plot', 'import', 'play')
+_ENDED = ('replay', 'simulate', 'solve', 'tolerance', 'discover', 'plot', 'import', 'play')
 
 
 # Those that start ROS, which takes over the signals: until then there is nothing to clean up.

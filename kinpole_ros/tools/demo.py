@@ -27,8 +27,8 @@ from kinpole_ros.pipeline.estimate import POLE_NAMES
 from kinpole_ros.pipeline.parameters import Settings, load_settings
 from kinpole_ros.ros.live import own_context, play
 
-_START = 20.0
-_STOP = 10.0
+_START = 20.0  # s that node and recorder have to come up
+_STOP = 10.0  # s that they have to end
 # No result for so long after the last marker: all have come, to a recorder too that lost some on
 # its way while its cores were busy, for Fast DDS sends those again every 3 s.
 _QUIET = 3.5

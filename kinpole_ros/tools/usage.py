@@ -50,6 +50,8 @@ def parse_words(words: Sequence[str]) -> argparse.Namespace:
     """Parse the words after `kinpole`; ends the process for --help and for bad usage."""
     if words[:1] == ['fit']:
         words = ['fit', *files_first(words[1:], 2, '--free', {'--help': 0})]
+    if words[:1] == ['tolerance']:
+        words = ['tolerance', *files_first(words[1:], 1, '--tolerances', {'--help': 0})]
     if words[:1] == ['solve']:
         sizes = dict.fromkeys(('--help', '--sweep', '--centers', '--statics', '--work'), 0)
         sizes |= {'--pitch': 3, '--decompose': 2}

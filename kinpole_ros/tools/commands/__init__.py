@@ -21,6 +21,7 @@ from kinpole_ros.tools.commands import (
     report,
     simulate,
     solve,
+    tolerance,
     view,
 )
 
@@ -32,6 +33,7 @@ COMMANDS: dict[str, ModuleType] = {
     'batch': batch,
     'simulate': simulate,
     'solve': solve,
+    'tolerance': tolerance,
     'discover': discover,
     'fit': fit,
     'plot': plot,

@@ -30,7 +30,7 @@ from kinpole_ros.tools.plot._style import (
     picture_format,
 )
 
-_MOST_BODIES = 4
+_MOST_BODIES = 4  # each has a row of the picture
 _READING = 0.9  # of the time, the rest is drawing
 _WIDTH, _ROW_HEIGHT, _DPI = 12.0, 4.3, 150  # inches; 1800 px across
 _POLE_TEXT = {

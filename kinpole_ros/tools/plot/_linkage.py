@@ -15,7 +15,7 @@ _SIZE, _DPI = (10.0, 6.2), 100  # inches
 _COLORS = ('#0060a8', '#b34700', '#00785a', '#7a3d9a', '#8a6d00', '#a3234f', '#3a6f8f', '#555555')
 _MOST_POINTS = 800  # of a track
 _HALO: dict[str, Any] = {'facecolor': 'white', 'edgecolor': 'none', 'alpha': 0.8, 'pad': 1.2}
-_GROUND = -1
+_GROUND = -1  # of the ground, where bodies go by number
 
 
 def draw_linkage(linkage: Linkage, output: str | Path, title: str) -> None:

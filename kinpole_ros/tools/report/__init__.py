@@ -37,6 +37,7 @@ _SCRIPTS = (
     'charts',
     'table',
     'strips',
+    'polygons',
     'input',
     'live',
     'page',

@@ -4,13 +4,11 @@
 Everything is computed by `mechanism`; here it is only asked for and laid out.
 """
 
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 
-from kinpole_ros import files
 from kinpole_ros.mechanism import Scene, SceneError, centrodes, load_scene, write_pitch_curves
 from kinpole_ros.tools.solve._lines import (
     center_lines,
@@ -25,14 +23,17 @@ from kinpole_ros.tools.solve._solved import (
     at_value,
     course,
     drawn,
+    everywhere,
     over_range,
     over_time,
     unit_note,
+    writing,
 )
 from kinpole_ros.tools.solve._spreadsheet import write_table
+from kinpole_ros.tools.solve._tolerance import tolerances
 from kinpole_ros.tools.solve._work import work_lines
 
-__all__ = ['solve_scene']
+__all__ = ['solve_scene', 'tolerances']
 
 # Positions over a range in the spreadsheet and the picture.
 _SAMPLES = 361
@@ -50,18 +51,20 @@ def solve_scene(
     time: str | None = None,
     page: str | Path | None = None,
     curves: Sequence[str] = (),
+    *,
     polygons: str | Path | None = None,
     decomposed: Sequence[str] = (),
     work: bool = False,
 ) -> list[str]:
     """
     The analysis as lines to print; also writes the CSV `table`, the `picture`, the `pitch` curves,
-    the HTML `page` and the drawing of the `polygons`.
+    the HTML `page` and drawings.
 
     `at` is a value of the one driver, with a unit or in SI; `sweep` takes all the way the linkage
     gives it; `time` all drivers as they move, from 0 to so long, with a unit or in s; none of them,
     the position at time 0. `pitch` is two bodies and a file (.csv, .svg or .dxf), `curves` are
-    bodies whose centrodes the picture has. The polygons are those of the position `at`, or at the
+    bodies whose centrodes the picture has. `polygons`, the decomposition of BODY:A,B into a file
+    (`decomposed`) and `work`, the statics step by step, are those of the position `at`, or at the
     end of `time`. Raises SceneError and LinkageError for what the scene cannot do, SceneError for
     files too.
     """
@@ -100,7 +103,7 @@ def solve_scene(
         way = _whole(asked).inputs[0]
         rolled = centrodes(loaded.mechanism, one, other, float(way.min()), float(way.max()))
     if table:
-        with _writing(table) as part:
+        with writing(table) as part:
             write_table(part, asked, centers, statics)
         lines.append(f'written to {table}')
     if rolled is not None:
@@ -112,21 +115,21 @@ def solve_scene(
     if page:
         from kinpole_ros.tools.solve._page import write_page
 
-        with _writing(page) as part:
+        with writing(page) as part:
             write_page(part, _whole(asked), there)
         lines.append(f'written to {page}')
     if picture:
         from kinpole_ros.tools.solve._picture import draw
 
         whole = _whole(asked)
-        with _writing(picture) as part:
+        with writing(picture) as part:
             draw(part, kind, whole, drawn(whole, here), centers, curves)
         lines.append(f'written to {picture}')
     if polygons:
         from kinpole_ros.tools.solve._polygons import draw_polygons, polygon_lines
 
         lines += polygon_lines(there)
-        with _writing(polygons) as part:
+        with writing(polygons) as part:
             draw_polygons(part, polygon_kind, there)
         lines.append(f'written to {polygons}')
     if decomposed:
@@ -140,7 +143,7 @@ def solve_scene(
         whole = _whole(asked)
         found = decompose(body, _former(loaded, there, whole), there, whole)
         lines += decomposition_lines(found)
-        with _writing(file) as part:
+        with writing(file) as part:
             draw_decomposition(part, decomposed_kind, found)
         lines.append(f'written to {file}')
     return lines
@@ -150,11 +153,7 @@ def _whole(asked: Solved) -> Solved:
     """What was asked for, or of a single position all the way that the drivers go."""
     if asked.inputs.shape[1] > 1:
         return asked
-    try:
-        return over_range(asked.scene, _SAMPLES)
-    except SceneError:
-        # Several drivers, or one that nothing stops.
-        return course(asked.scene, None, _SAMPLES)
+    return everywhere(asked.scene, _SAMPLES)
 
 
 def _former(scene: Scene, there: Solved, whole: Solved) -> Solved:
@@ -164,19 +163,6 @@ def _former(scene: Scene, there: Solved, whole: Solved) -> Solved:
         return start
     away = np.abs(whole.inputs[0] - there.inputs[0, 0])
     return whole.at(int(np.abs(away - np.ptp(whole.inputs[0]) / 8).argmin()))
-
-
-@contextmanager
-def _writing(path: str | Path) -> Iterator[Path]:
-    """A place to write it to until it is whole; says which file it was that could not be."""
-    try:
-        with files.whole(path) as part:
-            yield part
-    except OSError as error:
-        raise SceneError(
-            f'{path} cannot be written: {error.strerror}; '
-            'fix: check the path, its rights and the space on the disk'
-        ) from None
 
 
 def _kind_of(path: Path) -> str:

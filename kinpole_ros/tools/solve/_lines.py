@@ -7,7 +7,6 @@ import numpy as np
 from kinpole_ros.mechanism import (
     Load,
     Scene,
-    SceneError,
     Torque,
     center_name,
     efforts,
@@ -21,11 +20,11 @@ from kinpole_ros.mechanism import (
 from kinpole_ros.tools.solve._solved import (
     Acting,
     Solved,
-    acting,
     advantages,
     centers_of,
     driver_unit,
     lengths,
+    loaded_by,
     point_motions,
     shown,
 )
@@ -198,11 +197,7 @@ def center_lines(solved: Solved) -> list[str]:
 
 def static_lines(solved: Solved) -> list[str]:
     """What the drivers and the joints bear, at the first position."""
-    scene, acts = solved.scene, acting(solved.at(0))
-    if not acts.all:
-        raise SceneError(
-            f'{scene.name} has no loads: add them, as loads: [{{weight: 10 kg, at: BODY.POINT}}]'
-        )
+    scene, acts = solved.scene, loaded_by(solved)
     first = solved.values[:, :1]
     several = solved.inputs.shape[1] > 1
     lines = ['', 'forces at the start of the range' if several else 'forces']

@@ -5,6 +5,7 @@ Figures have no deviations there. All else, the linkage in motion and its centro
 report's.
 """
 
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
@@ -21,36 +22,51 @@ from kinpole_ros.tools.solve._work import work_lines
 _ZERO = 1e-9
 
 
-def write_page(path: Path, solved: Solved, here: Solved) -> None:
+def write_page(
+    path: Path,
+    solved: Solved,
+    here: Solved,
+    deviations: Mapping[tuple[str, str], np.ndarray] | None = None,
+) -> None:
     """
     Write the motion over time, or over a range at the rate it is driven at, as one HTML file.
 
-    The statics step by step, where there are loads, are those of the position `here`.
+    The statics step by step, where there are loads, are those of the position `here`. Deviations
+    are columns (T, ...) of bodies as a `Record` has them.
     """
-    record = _record(solved)
+    record = _record(solved, deviations or {})
     scene = solved.scene
     seconds = (record.stamp[-1] - record.stamp[0]) * 1e-9
     driven = ', '.join(driver.name for driver in scene.mechanism.drivers)
     packed = pack(record)
     for body in packed['bodies']:
         rims = _rims(scene, body['name'])
+        body['points'] = [
+            [name.rpartition('.')[2], place.real, place.imag]
+            for name, (of, place) in scene.points.items()
+            if of == body['name']
+        ]
+        if not scene.mechanism.assembly.joints:
+            body['points'] += [['', z.real, z.imag] for z in _outline(scene, body['name'])]
         body['rims'] = [[hub.real, hub.imag, radius] for hub, radius in rims]
     data = {
         **packed,
         'title': printable(scene.name),
         'about': f'solved, not measured: {len(record.stamp)} positions in {seconds:.4g} s, '
-        f'driven: {driven}',
+        f'driven: {driven}'
+        + ('' if deviations is None else '; bands are of the errors of its dimensions'),
         'notes': [],
         'scene': printable(scene.name),
         'deviations': [],
         'work': work_lines(here) if acting(here).all else [],
-        'exact': True,
+        'solved': True,
+        'exact': deviations is None,
         'made': f'kinpole {__version__}',
     }
     path.write_text(page(data), encoding='utf-8')
 
 
-def _record(solved: Solved) -> Record:
+def _record(solved: Solved, deviations: Mapping[tuple[str, str], np.ndarray]) -> Record:
     """The motion as a report has it, by rising time."""
     mechanism, motion = solved.scene.mechanism, solved.motion
     times = solved.times
@@ -94,6 +110,7 @@ def _record(solved: Solved) -> Record:
         if i:
             pair = centers.bodies[j], centers.bodies[i]
             columns[pair, 'icr'], columns[pair, 'icr_covariance'] = points[order], even
+    columns |= {key: values[order] for key, values in deviations.items()}
     size = np.nanmax([*sizes.values(), 0.0])
     for (_, name), values in columns.items():
         if name in (*POLE_NAMES, 'position'):

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from kinpole_ros.mechanism import Rolling, center_name, poles
+from kinpole_ros.mechanism import Rolling, center_name, poles, polygon
 from kinpole_ros.tools.solve._solved import (
     Solved,
     centers_of,
@@ -202,21 +202,17 @@ def _halo() -> list[Any]:
 
 
 def _draw_vectors(axis: Any, at: Solved) -> dict[int, complex]:
-    """The turning vectors of a scene that has no bodies with joints; returns their middles."""
-    assembly = at.scene.mechanism.assembly
-    middles: dict[int, complex] = {}
-    if assembly.joints:
-        return middles
-    loops, values = assembly.loops, at.values[:, 0]
-    # Each of them is a body, in the same order.
-    for b, term in enumerate(np.flatnonzero(loops.angles.any(axis=1))):
-        length = loops.lengths[term] @ values + loops.length0[term]
-        angle = loops.angles[term] @ values + loops.angle0[term]
-        tail = at.motion.position[0, b, 0]
-        ends = np.array([tail, tail + length * np.exp(1j * angle)])
-        style = {'linestyle': _DASHES[b % len(_DASHES)], 'color': _GRAYS[b % len(_GRAYS)]}
-        axis.plot(ends.real, ends.imag, linewidth=2.4, zorder=3, **style)
-        middles[b] = complex(ends.mean())
+    """The vectors of a scene that has no bodies with joints; returns the middles of bodies."""
+    mechanism, middles = at.scene.mechanism, dict[int, complex]()
+    for side in () if mechanism.assembly.joints else polygon(at.scene, at.motion, 0).sides:
+        # A slide in a fixed direction is no body.
+        b = mechanism.bodies.index(side.body) if side.body else 0
+        ends = np.array([side.tail, side.head])
+        color = _GRAYS[b % len(_GRAYS)] if side.body else '#999999'
+        style = _DASHES[b % len(_DASHES)] if side.body else ':'
+        axis.plot(ends.real, ends.imag, linewidth=2.4, zorder=3, linestyle=style, color=color)
+        if side.body:
+            middles[b] = complex(ends.mean())
     return middles
 
 

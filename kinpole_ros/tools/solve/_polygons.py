@@ -1,5 +1,6 @@
 """The velocity and acceleration polygons of `kinpole solve --polygon`, beside the linkage."""
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +12,7 @@ from kinpole_ros.tools.solve._solved import Solved
 
 _HEIGHT, _WIDTHS = 620.0, (460.0, 560.0, 560.0)
 _TITLES = ('linkage', 'velocities', 'accelerations')
-UNITS = ('m', 'm/s', 'm/s²')
+_UNITS = ('m', 'm/s', 'm/s²')
 _LETTERS = ('', 'v', 'a')
 _MARKS = {'normal': 'n', 'tangential': 't', 'Coriolis': 'C', 'slide': 's'}
 # Of the largest vector, shorter ones are rounding.
@@ -53,22 +54,12 @@ def polygon_lines(solved: Solved) -> list[str]:
     lines = []
     for figure in _polygons(solved)[1:]:
         rows = [
-            [
-                name.translate({ord(c): None for c in '{}'}),
-                what,
-                abs(z),
-                np.degrees(np.angle(z)),
-                z.real,
-                z.imag,
-            ]
+            [re.sub('[{}]', '', name), what, abs(z), np.degrees(np.angle(z)), z.real, z.imag]
             for name, what, _, z in arrows_of(figure)
         ]
-        unit = UNITS[figure.order]
-        if rows:
-            lines += [
-                '',
-                *table_lines(['vector', 'is', unit, 'deg', f'x {unit}', f'y {unit}'], rows),
-            ]
+        unit = _UNITS[figure.order]
+        head = ['vector', 'is', unit, 'deg', f'x {unit}', f'y {unit}']
+        lines += ['', *table_lines(head, rows)] if rows else []
     return lines
 
 
@@ -83,11 +74,11 @@ def polygon_panels(solved: Solved) -> list[Panel]:
     left, panels = 0.0, []
     for figure, width in zip(_polygons(solved), _WIDTHS, strict=True):
         low, high = complex(left, 0), complex(left + width, _HEIGHT)
-        panel = Panel(_TITLES[figure.order], UNITS[figure.order], low, high, figure.order)
+        panel = Panel(_TITLES[figure.order], _UNITS[figure.order], low, high, figure.order)
         if figure.order:
             _draw_polygon(panel, figure)
         else:
-            draw_linkage(panel, figure, not solved.scene.mechanism.assembly.joints)
+            _draw_linkage(panel, figure, not solved.scene.mechanism.assembly.joints)
         panels.append(panel)
         left += width
     return panels
@@ -95,7 +86,7 @@ def polygon_panels(solved: Solved) -> list[Panel]:
 
 def _polygons(solved: Solved) -> list[Polygon]:
     found = [polygon(solved.scene, solved.motion, order) for order in range(3)]
-    if not all(np.isfinite([*one.points.values()]).all() for one in found):
+    if not all(np.isfinite(side.head) for one in found for side in one.sides):
         raise SceneError(
             'there is no polygon in a dead point, where the drivers do not tell how it moves: give '
             'a value next to it'
@@ -103,7 +94,7 @@ def _polygons(solved: Solved) -> list[Polygon]:
     return found
 
 
-def draw_linkage(panel: Panel, figure: Polygon, loops: bool) -> None:
+def _draw_linkage(panel: Panel, figure: Polygon, loops: bool) -> None:
     """The links, and the points by name; in loop form the vectors by name."""
     ends = [z for side in figure.sides for z in (side.tail, side.head)]
     panel.fit([*figure.points.values(), *ends])
@@ -122,7 +113,7 @@ def _draw_polygon(panel: Panel, figure: Polygon) -> None:
     arrows, lines = arrows_of(figure), _construction(figure)
     ends = [z for _, _, tail, vector in arrows for z in (tail, tail + vector)]
     panel.fit([0j, *figure.points.values(), *ends, *(z for line in lines for z in line)])
-    panel.title += f', 1 {panel.unit} = {panel.scale:.4g} px'
+    panel.title += f', 1 {panel.unit} = {panel.scale:.4g} px' if arrows else ': none, it is at rest'
     for shape in figure.shapes:
         panel.line([*shape, shape[0]], 'shape')
     for line in lines:
@@ -134,6 +125,8 @@ def _draw_polygon(panel: Panel, figure: Polygon) -> None:
     for name, z in figure.points.items():
         if z:
             panel.point(z, name)
+    if not arrows:
+        return
     used = {style for _, style, *_ in arrows}
     panel.bar('; '.join(f'{mark}: {what}' for what, mark in _MARKS.items() if what in used))
 

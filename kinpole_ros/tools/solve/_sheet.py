@@ -97,8 +97,10 @@ class Panel:
         return self.shift + self.scale * np.conj(np.atleast_1d(np.asarray(points, complex)))
 
     def line(self, points: Sequence[complex] | np.ndarray, style: str, name: str = '') -> None:
-        """Draw a line or arrow, and ask for a name at it."""
+        """Draw a line or arrow, and ask for a name at it; an arrow of no length is none."""
         ends = self.px(points)
+        if STYLES[style][3] and abs(ends[-1] - ends[0]) < 1e-6:
+            return
         self.lines.append(_Line(ends, style, name))
         if name:
             self._wanted.append((name, ends[0] + (ends[-1] - ends[0]) * _ALONG, style))

@@ -1,9 +1,13 @@
 """A scene solved at one position, over its range or over time, and what is read off it."""
 
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
+from kinpole_ros import files
 from kinpole_ros.mechanism import (
     Centers,
     Force,
@@ -149,6 +153,15 @@ def over_range(scene: Scene, count: int) -> Solved:
     return _at_rate(scene, np.linspace(low, high, count), _rate(scene), limits)
 
 
+def everywhere(scene: Scene, count: int) -> Solved:
+    """All the way that the linkage gives its one driver, else the drivers' own course."""
+    try:
+        return over_range(scene, count)
+    except SceneError:
+        # Several drivers, or one that nothing stops.
+        return course(scene, None, count)
+
+
 def _one_driver(scene: Scene, option: str) -> None:
     if len(scene.mechanism.drivers) != 1:
         raise SceneError(
@@ -267,6 +280,17 @@ class Acting(NamedTuple):
         return [*self.loads, *self.springs, *self.inertia]
 
 
+def loaded_by(solved: Solved) -> Acting:
+    """What acts at the first position; raises SceneError where that is nothing."""
+    acts = acting(solved.at(0))
+    if not acts.all:
+        raise SceneError(
+            f'{solved.scene.name} has no loads: add them, as loads: [{{weight: 10 kg, at: '
+            'BODY.POINT}]'
+        )
+    return acts
+
+
 def acting(solved: Solved) -> Acting:
     """What acts at all positions (T,)."""
     scene, mechanism = solved.scene, solved.scene.mechanism
@@ -320,3 +344,16 @@ def lengths(scene: Scene) -> dict[str, int]:
 def shown(scene: Scene, k: int, value: float, digits: int = 9) -> str:
     unit, size = driver_unit(scene, k)
     return f'{value / size if abs(value) > 1e-12 else 0.0:.{digits}g} {unit}'
+
+
+@contextmanager
+def writing(path: str | Path) -> Iterator[Path]:
+    """A place to write it to until it is whole; says which file it was that could not be."""
+    try:
+        with files.whole(path) as part:
+            yield part
+    except OSError as error:
+        raise SceneError(
+            f'{path} cannot be written: {error.strerror}; '
+            'fix: check the path, its rights and the space on the disk'
+        ) from None

@@ -1,6 +1,7 @@
 """The analysis of a scene as a CSV table: a row for each position."""
 
 import csv
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
@@ -92,6 +93,11 @@ def write_table(path: Path, solved: Solved, centers: bool, statics: bool) -> Non
                 columns[f'{joint}_force_x'] = forces.force[j].real
                 columns[f'{joint}_force_y'] = forces.force[j].imag
                 columns[f'{joint}_moment'] = forces.moment[j]
+    write_columns(path, columns)
+
+
+def write_columns(path: Path, columns: Mapping[str, np.ndarray]) -> None:
+    """Columns (T,) by name; empty cells for what is not finite."""
     with path.open('w', newline='', encoding='utf-8') as file:
         rows = csv.writer(file)
         rows.writerow(columns)

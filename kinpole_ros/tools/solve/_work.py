@@ -10,7 +10,6 @@ import numpy as np
 
 from kinpole_ros.mechanism import (
     Load,
-    SceneError,
     Torque,
     advantage,
     efforts,
@@ -19,23 +18,21 @@ from kinpole_ros.mechanism import (
     releases,
 )
 from kinpole_ros.tools.solve._lines import table_lines
-from kinpole_ros.tools.solve._solved import Solved, acting, shown
+from kinpole_ros.tools.solve._solved import Solved, loaded_by, shown
 
 
 def work_lines(solved: Solved) -> list[str]:
     """Virtual work line by line, each load's share, each bearing force, at the first position."""
     here = solved.at(0)
-    scene, acts = here.scene, acting(here)
-    if not acts.all:
-        raise SceneError(
-            f'{scene.name} has no loads: add them, as loads: [{{weight: 10 kg, at: BODY.POINT}}]'
-        )
+    scene, acts = here.scene, loaded_by(here)
     kinds = ['load'] * len(acts.loads) + ['spring'] * len(acts.springs)
     kinds += ['inertia'] * len(acts.inertia)
     named = {
         f'{k} {kind}, {_words(here, load)}': load
         for k, (kind, load) in enumerate(zip(kinds, acts.all, strict=True), start=1)
     }
+    if np.isnan(here.motion.values[1:, :, 0]).all():
+        return ['', 'virtual work: the drivers have no hold of the loads in a dead point']
     lines: list[str] = []
     loads = acts.all
     if scene.held_by:
@@ -65,12 +62,12 @@ def _balance(
     mechanism = here.scene.mechanism
     driver = mechanism.drivers[k].name
     # As it is driven, or at one unit where it is at rest or one of several.
-    rate = float(here.rates[k, 0]) if len(mechanism.drivers) == 1 else 1.0
+    rate = float(here.rates[k, 0]) if len(mechanism.drivers) == 1 else 0.0
     rate = rate or 1.0
     moved = [*named.values()] if holder is None else [*named.values(), holder]
     rates = [rate * v[0] for v in load_rates(mechanism, here.values, moved, k)]
-    own = rate
-    unit = ('rad/s', 'm/s')[mechanism.kind(k) == 'length']
+    what, own = f'the effort of {driver}', rate
+    effort_unit, unit = _UNITS[mechanism.kind(k) == 'angle']
     held = ', the other drivers held' if len(mechanism.drivers) > 1 else ''
     at = shown(here.scene, k, here.inputs[k, 0])
     lines = ['', f'virtual work: {driver} = {at} moves at {rate:.6g} {unit}{held}']
@@ -80,10 +77,9 @@ def _balance(
         rows.append([name, *_parts(load, _effort(load)), *_parts(load, v), powers[-1]])
     head = ['load', 'Fx N, T N m', 'Fy N', 'vx m/s, ω rad/s', 'vy m/s', 'power W']
     lines += table_lines(head, rows)
-    what, effort_unit = f'the effort of {driver}', ('N m', 'N')[mechanism.kind(k) == 'length']
     if holder is not None and size:
-        is_torque = isinstance(holder, Torque)
-        what, effort_unit, unit = _words(here, holder), *_UNITS[is_torque]
+        what = _words(here, holder)
+        effort_unit, unit = _UNITS[isinstance(holder, Torque)]
         own = float((np.conj(_effort(holder) / size) * rates[-1]).real)
     if not size:
         return [*lines, 'the powers add up to zero: no effort is needed to balance them']

@@ -14,7 +14,7 @@ from kinpole_ros.tools.view._live import Live
 from kinpole_ros.tools.view._server import serving
 
 __all__ = ['view']
-_NICE = 10
+_NICE = 10  # pages wait for whatever else runs
 
 
 def view(chosen: str = '', port: int = 0) -> None:

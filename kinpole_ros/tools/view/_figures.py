@@ -9,7 +9,7 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
-from kinpole_ros.messages import String, deserialize_message
+from kinpole_ros.messages import String, deserialize_message, figures_of, read_state
 from kinpole_ros.pipeline.estimate import POLE_NAMES, RATE_NAMES
 
 # How many numbers a figure of a body has: of a pole its place, and its ellipse.
@@ -91,6 +91,37 @@ def frame_of(data: bytes) -> Frame:
         )
     except (KeyError, TypeError, RecursionError, OverflowError) as error:
         raise ValueError(f'no figures for a page ({error!r})') from None
+
+
+def frame_of_state(data: bytes, names: Sequence[str]) -> Frame:
+    """
+    Return what is in a message of the topic `state`, whose bodies have the first of these names.
+
+    It has no outlines, no pairs and no reasons. Raises ValueError for anything else.
+    """
+    if len(data) > _MOST_BYTES:
+        raise ValueError(f'it has {len(data)} bytes; a page takes {_MOST_BYTES} at most')
+    stamp, quantities = read_state(data)
+    place, angle, velocity = (quantities.pop(name) for name in ('position', 'angle', 'velocity'))
+    bodies = tuple(names[: len(place.value)])
+    if len(bodies) < len(place.value):
+        raise ValueError('no diagnostics have named its bodies yet')
+    if len(bodies) > _MOST_BODIES:
+        raise ValueError(f'it has {len(bodies)} bodies; a page shows {_MOST_BODIES} at most')
+    poses = (
+        place.value.real,
+        place.value.imag,
+        angle.value,
+        velocity.value.real,
+        velocity.value.imag,
+    )
+    figures = figures_of(quantities)
+    found: list[dict[str, Any] | None] = []
+    for b, known in enumerate(place.determined):
+        pose = dict(zip(_POSE, (float(part[b]) for part in poses), strict=True))
+        found.append({**pose, **{name: figures[name][b] for name in figures}} if known else None)
+    rig = Rig(bodies, tuple(name for name in _SIZES if name in figures), ())
+    return Frame(stamp, ('x', 'y'), rig, found, [], {}, {}, [None] * len(bodies))
 
 
 def _reasons(said: Any) -> dict[str, str] | None:

@@ -20,8 +20,12 @@ _SILENT = 1.5
 class Known:
     """What is known of the rig of a node, as messages tell it."""
 
-    def __init__(self, node: str) -> None:
+    def __init__(self, node: str, topic: str) -> None:
         self.node = node
+        # The one of its topics that is shown.
+        self.topic = topic
+        # As the diagnostics name them, in order.
+        self.body_names: list[str] = []
         # None until there are figures.
         self.rig: Rig | None = None
         self.notes: list[str] = []
@@ -56,6 +60,8 @@ class Known:
         if not ours:
             return
         self.notes, self._withheld = [], {}
+        # The first is the input, and behind the bodies there may be one of the linkage.
+        self.body_names = [words_of(status)[0] for status in ours[1:]]
         for status in ours:
             subject, level, text, reasons = words_of(status)
             values = {pair.key: pair.value for pair in status.values}

@@ -5,9 +5,9 @@ import os
 import time
 from typing import TYPE_CHECKING
 
-from kinpole_ros.messages import VIEW, DiagnosticArray, String, type_name
+from kinpole_ros.messages import PAGE_TOPICS, STATE, DiagnosticArray, type_name
 from kinpole_ros.tools.view._feed import Feed
-from kinpole_ros.tools.view._figures import frame_of
+from kinpole_ros.tools.view._figures import frame_of, frame_of_state
 from kinpole_ros.tools.view._known import Known
 from kinpole_ros.tools.view._server import LASTING
 
@@ -55,23 +55,25 @@ class Live:
     def _look(self) -> None:
         """See who is there, and tell the pages how things stand."""
         now = time.monotonic()
-        there = [
-            name
-            for name in self._watcher.nodes()
+        there = {
+            name: topic
+            for name, topic in self._watcher.nodes().items()
             if not self._chosen
             or f'{name}/'.startswith(self._chosen)
             # By a topic of it.
             or self._chosen.startswith(f'{name}/')
-        ]
+        }
         rests = not self._look_due
         known = self._known
         if known is None or (rests and known.node not in there):
-            known = self._known = Known(there[0]) if there else None
+            first = next(iter(there.items()), None)
+            known = self._known = Known(*first) if first else None
             self._first, self._heard = None, now
         self._look_due = now + (_SEARCH if known is None or known.rig is None else _LOOK)
         topics = {_DIAGNOSTICS: type_name(DiagnosticArray)}
         if known is not None:
-            topics[f'{known.node}/{VIEW}'] = type_name(String)
+            known.topic = there.get(known.node, known.topic)
+            topics[f'{known.node}/{known.topic}'] = PAGE_TOPICS[known.topic]
         self._watcher.want(topics)
         if known is None or known.rig is None:
             self._feed.put(LASTING, json.dumps({'waiting': self._waiting(known)}))
@@ -96,13 +98,13 @@ class Live:
         while newest[_DIAGNOSTICS]:
             data = newest[_DIAGNOSTICS].popleft().data
             known.add_diagnostics(type_name(DiagnosticArray), data)
-        arrived = newest[f'{known.node}/{VIEW}']
+        arrived = newest[f'{known.node}/{known.topic}']
         if not arrived:
             return
         now = time.monotonic()
         data, published = arrived.pop()
         arrived.clear()
-        frame = frame_of(data)
+        frame = frame_of_state(data, known.body_names) if known.topic == STATE else frame_of(data)
         news = frame.rig != known.rig
         known.add(frame)
         if news:

@@ -33,7 +33,7 @@ function makeCharts(element, page, data) {
     figure.querySelector('b').textContent = spec.title;
     figure.querySelector('.unit').textContent = spec.unit;
     if (!data.live && !spec.series.some(({ sigma }) => sigma?.some(isFinite))) {
-      figure.firstChild.append(tag('span', data.exact ? 'solved' : 'no deviations in this bag', { class: 'unit' }));
+      figure.firstChild.append(tag('span', data.solved ? 'solved' : 'no deviations in this bag', { class: 'unit' }));
     }
     if (spec.series.some(({ theory }) => theory)) {
       figure.firstChild.append(tag('span', `dashed: theory of ${data.scene}`, { class: 'unit' }));

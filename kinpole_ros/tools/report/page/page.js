@@ -17,6 +17,7 @@ function makePage(data, off = HIDDEN, moved = () => {}) {
     plots: [...lines.plots, ...strips.plots],
   };
   const table = makeTable(by('now'), page, data);
+  const polygons = data.live ? null : makePolygons(by('polygons'), page, data);
   let waiting = '';
   let time = 0;
 
@@ -36,6 +37,7 @@ function makePage(data, off = HIDDEN, moved = () => {}) {
       table.move();
     }
     stage[what === 'rest' ? 'rest' : 'move']();
+    polygons?.draw();
     by('scrub').value = page.k;
     by('clock').textContent = `t = ${data.t[page.k].toFixed(3)} s`;
   }
@@ -255,6 +257,7 @@ function show(data) {
   drawNotes(by('notes'), data);
   by('work').hidden = !data.work?.length;
   by('work').querySelector('pre').textContent = (data.work || []).join('\n').trim();
+  if (data.solved) by('now').after(by('polygons'));
   const actions = makePage(data);
   actions.open();
   const still = matchMedia('(prefers-reduced-motion: reduce)').matches;

@@ -1,0 +1,257 @@
+"""
+What errors of dimensions and play in pins make of the motion of a linkage.
+
+The loops are closed again for each change of a dimension, from where they are without it: once more
+and once less by its standard deviation for the first order, at random for the samples.
+"""
+
+import re
+from collections.abc import Mapping, Sequence
+from copy import deepcopy
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from kinpole_ros.mechanism._assembly import Assembly, Revolute
+from kinpole_ros.mechanism._equations import Path
+from kinpole_ros.mechanism._joints import Points, read_bodies
+from kinpole_ros.mechanism._loops import LinkageError, reduce
+from kinpole_ros.mechanism._mechanism import body_motion
+from kinpole_ros.mechanism._scene import Scene
+from kinpole_ros.mechanism._scene_file import parsed
+from kinpole_ros.mechanism._solution import solve
+from kinpole_ros.mechanism._statics import driver_rows
+from kinpole_ros.mechanism._units import SceneError, vector
+from kinpole_ros.mechanism._vectors import read_vectors
+from kinpole_ros.planar._plane import Real
+
+# A turn, rad/s, of less than this share of the fastest has no center.
+_TURNING = 1e-6
+# The angle of a vector that is said from that of another.
+_OTHER = re.compile(r'\s*([A-Za-z_]\w*)')
+
+
+class Tolerance(NamedTuple):
+    """
+    A length, m, or angle, rad, of a scene that is not known better than by `deviation`.
+
+    `path` and `axis` say where it is in the scene's file. If `is_play`, it is a coordinate of a pin
+    that may be anywhere within a circle of twice that radius.
+    """
+
+    name: str
+    deviation: float
+    value: float
+    path: Path
+    axis: int
+    is_play: bool = False
+
+
+class ToleranceSpread(NamedTuple):
+    """
+    Quantities (Q), by `names` as (body or point, what), at T positions.
+
+    `value` (Q, T) without errors; `parts` (E, Q, T) what each error's deviation makes of it to
+    first order; `samples` (N, Q, T) of all errors at random. NaN where the loops do not close.
+    """
+
+    names: tuple[tuple[str, str], ...]
+    value: Real
+    parts: Real
+    samples: Real
+
+    @property
+    def deviation(self) -> Real:
+        """Standard deviations (Q, T) to first order."""
+        return np.asarray(np.sqrt((self.parts**2).sum(axis=0)))
+
+
+def tolerances_of(
+    scene: Scene, deviations: Mapping[str, float], play: Mapping[str, float]
+) -> list[Tolerance]:
+    """
+    The errors of a scene's dimensions by their names, and those of its pins.
+
+    Parameters
+    ----------
+    scene
+        The scene.
+    deviations
+        Standard deviations, m or rad, by name: of a point (rocker.B), one coordinate of it
+        (rocker.B x), of a length or angle (r2.length), or of all of a body, vector or joint;
+        'length' and 'angle' are all of a kind. The last that names a dimension holds.
+    play
+        Radial play, m, by the name of the pin.
+
+    Returns
+    -------
+    list of Tolerance
+        Those that are not zero.
+
+    Raises
+    ------
+    SceneError
+        For what is no dimension of the scene, or no pin.
+
+    """
+    found: dict[tuple[Path, int], Tolerance] = {}
+    rows = {
+        f'{row.name} {"xy"[row.axis]}' if row.path[0] == 'bodies' else row.name: row
+        for row in scene.equations.dimensions
+        if row.path
+    }
+    for name, deviation in deviations.items():
+        own = {
+            what: row
+            for what, row in rows.items()
+            if name in (what, row.name, row.kind) or row.name.startswith(f'{name}.')
+        }
+        if not own and name not in ('length', 'angle'):
+            known = ', '.join(dict.fromkeys(row.name for row in rows.values()))
+            raise SceneError(f'{name} is no dimension that joints use: give some of {known}')
+        for what, row in own.items():
+            found[row.path, row.axis] = Tolerance(what, deviation, row.value, row.path, row.axis)
+    pins = {j.name: j for j in scene.mechanism.assembly.joints if isinstance(j, Revolute)}
+    extra = []
+    for name, radius in play.items():
+        if name not in pins:
+            raise SceneError(f'{name} is no pin: give some of {", ".join(pins) or "none"}')
+        pin = pins[name]
+        path: Path = ('bodies', pin.other, name.partition('.')[0])
+        for axis, value in enumerate((pin.b.real, pin.b.imag)):
+            # Of a point anywhere in a circle each coordinate has half its radius.
+            extra.append(
+                Tolerance(f'play {name} {"xy"[axis]}', radius / 2, value, path, axis, True)
+            )
+    return [error for error in (*found.values(), *extra) if error.deviation > 0]
+
+
+def propagate_tolerances(
+    text: str,
+    scene: Scene,
+    errors: Sequence[Tolerance],
+    values: Real,
+    rates: Real,
+    samples: int = 0,
+    seed: int = 0,
+) -> ToleranceSpread:
+    """
+    What errors of dimensions make of a linkage's motion, its drivers as they are.
+
+    Parameters
+    ----------
+    text
+        The scene's file.
+    scene
+        The same as loaded.
+    errors
+        Errors (E) of its dimensions, which are independent of each other.
+    values, rates
+        Its variables (n, T), m and rad, and the rates of its drivers (d, T).
+    samples
+        How many linkages with errors at random.
+    seed
+        Of the random numbers.
+
+    Returns
+    -------
+    ToleranceSpread
+        Of each body its angle, angular velocity and ICR, of each point its place; rad, rad/s and m.
+
+    Raises
+    ------
+    LinkageError
+        For a dimension that cannot change by itself, as the distance of two gears.
+
+    """
+    data, rows = parsed(scene.name, text), driver_rows(scene.mechanism)
+    inputs = np.zeros((2, *rates.shape))
+    inputs[0], inputs[1] = rows @ values, rates
+    names = _names(scene.mechanism.assembly, scene.points)
+
+    def at(changes: Real) -> Real:
+        assembly, points = _changed(data, errors, changes)
+        found = solve(reduce(assembly.loops._replace(drives=rows)), inputs, values, 2)
+        return _quantities(assembly, points, found.values)
+
+    value = at(np.zeros(len(errors)))
+    parts = np.empty((len(errors), *value.shape))
+    for k, error in enumerate(errors):
+        change = np.zeros(len(errors))
+        change[k] = error.deviation
+        try:
+            parts[k] = (at(change) - at(-change)) / 2
+        except LinkageError as wrong:
+            raise LinkageError(f'{error.name} cannot be off by itself: {wrong}') from None
+    drawn = _drawn(errors, samples, np.random.default_rng(seed))
+    found = [at(change) for change in drawn]
+    return ToleranceSpread(names, value, parts, np.reshape(found, (samples, *value.shape)))
+
+
+def _drawn(errors: Sequence[Tolerance], count: int, rng: np.random.Generator) -> Real:
+    """Changes (N, E) at random: normal, or anywhere in a pin's circle."""
+    drawn = rng.normal(size=(count, len(errors))) * [error.deviation for error in errors]
+    pairs = [k for k, error in enumerate(errors) if error.is_play and error.axis == 0]
+    for k in pairs:
+        radius = 2 * errors[k].deviation * np.sqrt(rng.random(count))
+        turn = 2 * np.pi * rng.random(count)
+        drawn[:, k], drawn[:, k + 1] = radius * np.cos(turn), radius * np.sin(turn)
+    return np.asarray(drawn)
+
+
+def _changed(
+    data: Mapping[str, Any], errors: Sequence[Tolerance], changes: Real
+) -> tuple[Assembly, Points]:
+    """The linkage and its points with changed dimensions."""
+    parts = ('bodies', 'joints', 'vectors', 'loops', 'points')
+    new = deepcopy({key: data[key] for key in parts if key in data})
+    for error, change in zip(errors, changes.tolist(), strict=True):
+        where: Any = new
+        for key in error.path[:-1]:
+            where = where[key]
+        last = error.path[-1]
+        if error.path[0] == 'bodies':
+            # A point has two coordinates, each with an error and the play of a pin.
+            place = vector(error.name, where[last]) + 1j**error.axis * change
+            where[last] = [place.real, place.imag]
+        elif isinstance(where[last], str) and (other := _OTHER.match(where[last])):
+            where[last] = f'{other[1]} + {np.degrees(error.value + change):.15g} deg'
+        else:
+            where[last] = error.value + change
+    if 'vectors' in new:
+        assembly, points, _ = read_vectors(new['vectors'], new['loops'], new.get('points', {}))
+    else:
+        assembly, points, _ = read_bodies(new['bodies'], new.get('joints'))
+    return assembly, points
+
+
+def _moving(assembly: Assembly, points: Points) -> dict[str, tuple[int, complex]]:
+    """The points of the moving bodies: which body, and where in its frame."""
+    return {
+        name: (assembly.bodies.index(body), place)
+        for name, (body, place) in points.items()
+        if body in assembly.bodies
+    }
+
+
+def _names(assembly: Assembly, points: Points) -> tuple[tuple[str, str], ...]:
+    """What `_quantities` are, in their order."""
+    of_bodies = [
+        (body, what)
+        for what in ('angle', 'angular velocity', 'ICR x', 'ICR y')
+        for body in assembly.bodies
+    ]
+    moving = _moving(assembly, points)
+    return (*of_bodies, *((name, 'x') for name in moving), *((name, 'y') for name in moving))
+
+
+def _quantities(assembly: Assembly, points: Points, values: Real) -> Real:
+    """All of them (Q, T) from variables (2, n, T)."""
+    position, angle = body_motion(assembly, values)
+    with np.errstate(divide='ignore', invalid='ignore'):
+        icr = position[0] + 1j * position[1] / angle[1]
+    icr[np.abs(angle[1]) <= _TURNING * np.nanmax(np.abs(angle[1]), initial=0.0)] = np.nan
+    turn = np.exp(1j * angle[0])
+    moving = [position[0, b] + place * turn[b] for b, place in _moving(assembly, points).values()]
+    places = np.reshape(moving, (len(moving), values.shape[-1]))
+    return np.concatenate((*angle, icr.real, icr.imag, places.real, places.imag))

@@ -1,0 +1,211 @@
+"""
+All quantities of all bodies at an instant in one message: the topic `state`.
+
+A sensor_msgs/PointCloud2 has one point for each body and one field for each number, so it needs no
+message type of our own. The numbers are those of the separate topics. One message costs far less
+to make, send and read than dozens.
+"""
+
+from functools import lru_cache
+from itertools import chain
+
+import numpy as np
+
+from kinpole_ros.messages._cdr_writer import HEAD, SECOND, TIME, Writer
+from kinpole_ros.messages._loci import Build, Built
+from kinpole_ros.messages._markers import stamp_to_ns
+from kinpole_ros.messages._types import PointCloud2, PointField, deserialize_message
+from kinpole_ros.pipeline.estimate import POLE_NAMES, RATE_NAMES, Estimate, Numbers, Vectors
+from kinpole_ros.rigid.plane import Plane
+
+# The topic.
+STATE = 'state'
+# The first fields, of 4 bytes each; all others are float64. Viewers of clouds look for x, y and z,
+# RViz for float32.
+_FIRST_FIELDS = {
+    'x': PointField.FLOAT32,
+    'y': PointField.FLOAT32,
+    'z': PointField.FLOAT32,
+    'determined': PointField.UINT32,
+}
+_FIRST_DOUBLES = len(_FIRST_FIELDS) // 2
+_POSE_FIELDS = 12
+_LARGEST_FLOAT32 = float(np.finfo(np.float32).max)
+
+
+def state_fields(order: int) -> dict[str, list[str]]:
+    """
+    Name the float64 fields of each quantity, up to the derivative of `order`.
+
+    Bit k of the field `determined` is that of the k-th quantity. `pose` is the place, angle and
+    velocity of the body's frame. A number has its standard deviation behind it, a vector its
+    covariance.
+    """
+    pose = [*_fields_of('position', True), *_fields_of('angle'), *_fields_of('velocity', True)]
+    fields = {'pose': pose}
+    fields |= {name: _fields_of(name) for name in RATE_NAMES[:order]}
+    fields |= {name: _fields_of(name, True) for name in POLE_NAMES[:order]}
+    if order >= 2:
+        fields['icr_velocity'] = _fields_of('icr_velocity', True)
+    if order >= 3:
+        fields['centrode_curvature'] = _fields_of('centrode_curvature')
+    return fields
+
+
+def _fields_of(name: str, is_vector: bool = False) -> list[str]:
+    if is_vector:
+        return [f'{name}_{end}' for end in ('x', 'y', 'xx', 'xy', 'yy')]
+    return [name, f'{name}_deviation']
+
+
+def state(given: Plane, order: int) -> Build:
+    """
+    Build the messages of all instants, with derivatives up to `order`.
+
+    `given` is the plane of estimates that do not say where they lie.
+    """
+    sizes = [len(names) for names in state_fields(order).values()]
+    quantity_of_field = np.repeat(np.arange(len(sizes)), sizes)
+    bits = 1 << np.arange(len(sizes), dtype=np.uint32)
+
+    def build(estimate: Estimate) -> Built:
+        count, bodies = estimate.missing.shape
+        numbers = np.empty((count, bodies, len(quantity_of_field)))
+        known = np.empty((count, bodies, len(sizes)), bool)
+        _fill(numbers, known, estimate, order)
+        points = np.zeros((count, bodies, _FIRST_DOUBLES + numbers.shape[-1]), '<f8')
+        np.copyto(points[..., _FIRST_DOUBLES:], numbers, where=known[..., quantity_of_field])
+        place = (estimate.plane or given).in_space(estimate.origin(0), estimate.height)
+        place = np.where(known[..., :1], place, 0.0).clip(-_LARGEST_FLOAT32, _LARGEST_FLOAT32)
+        points.view('<f4')[..., :3] = place
+        points.view('<u4')[..., 3] = known @ bits
+        start, head, tail = _constant_parts(estimate.frame_id, bodies, order)
+        times = [TIME.pack(*divmod(stamp, SECOND)) for stamp in estimate.stamp.tolist()]
+        return list(range(count)), [
+            b''.join((start, time, head, of_bodies.tobytes(), tail))
+            for time, of_bodies in zip(times, points, strict=True)
+        ]
+
+    return build
+
+
+def _fill(numbers: np.ndarray, known: np.ndarray, estimate: Estimate, order: int) -> None:
+    """Write all numbers (T, B, fields), and where each quantity (T, B, bits) is determined."""
+    known[..., 0] = estimate.missing == ''
+    _fill_pose(numbers, estimate)
+    quantities: list[Numbers | Vectors] = [estimate.rate(k) for k in range(1, order + 1)]
+    quantities += [estimate.pole(k) for k in range(1, order + 1)]
+    if order >= 2:
+        quantities.append(estimate.icr_velocity)
+    if order >= 3:
+        quantities.append(estimate.centrode_curvature)
+    k = _POSE_FIELDS
+    for bit, found in enumerate(quantities, 1):
+        known[..., bit] = found.determined
+        if isinstance(found, Numbers):
+            numbers[..., k] = found.value
+            np.sqrt(found.variance, out=numbers[..., k + 1], where=found.determined)
+            k += 2
+        else:
+            numbers[..., k], numbers[..., k + 1] = found.value.real, found.value.imag
+            numbers[..., k + 2] = found.covariance[..., 0, 0]
+            numbers[..., k + 3] = found.covariance[..., 0, 1]
+            numbers[..., k + 4] = found.covariance[..., 1, 1]
+            k += 5
+
+
+def _fill_pose(numbers: np.ndarray, estimate: Estimate) -> None:
+    """
+    Write place, angle and velocity of the bodies' frames, with their covariances.
+
+    The origin lies at -r from the reference point, whose errors are independent of those of the
+    angle. So an error d of the angle moves the origin by -i d r, and its velocity by d w r; an
+    error e of the rate w changes the velocity by -i e r.
+    """
+    place, velocity = estimate.origin(0), estimate.origin(1)
+    angle, rate = estimate.angle[:2]
+    variance, of_velocity = estimate.position_covariance[0, 0], estimate.position_covariance[1, 1]
+    r = estimate.reference * np.exp(1j * angle)
+    xx, xy, yy = r.real * r.real, r.real * r.imag, r.imag * r.imag
+    of_angle = estimate.angle_covariance[0, 0]
+    by_angle, of_rate = of_angle * rate * rate, estimate.angle_covariance[1, 1]
+    by_both = estimate.angle_covariance[0, 1] * rate
+    columns = (
+        place.real,
+        place.imag,
+        variance + of_angle * yy,
+        -of_angle * xy,
+        variance + of_angle * xx,
+        angle,
+        np.sqrt(of_angle),
+        velocity.real,
+        velocity.imag,
+        of_velocity + by_angle * xx + 2 * by_both * xy + of_rate * yy,
+        (by_angle - of_rate) * xy + by_both * (yy - xx),
+        of_velocity + by_angle * yy - 2 * by_both * xy + of_rate * xx,
+    )
+    for k, column in enumerate(columns):
+        numbers[..., k] = column
+
+
+@lru_cache(maxsize=8)
+def _constant_parts(frame_id: str, bodies: int, order: int) -> tuple[bytes, bytes, bytes]:
+    """Return what is before the stamp, between the stamp and the data, and behind the data."""
+    names = chain(*state_fields(order).values())
+    kinds = [*_FIRST_FIELDS.items(), *((name, PointField.FLOAT64) for name in names)]
+    writer = Writer()
+    writer.header(0, frame_id)
+    writer.pack('II', 1, bodies)
+    writer.pack('I', len(kinds))
+    offset = 0
+    for name, kind in kinds:
+        writer.string(name)
+        writer.pack('I', offset)
+        writer.data += bytes((kind,))
+        writer.pack('I', 1)
+        offset += 8 if kind == PointField.FLOAT64 else 4
+    writer.data += b'\0'  # little endian
+    writer.pack('II', offset, offset * bodies)
+    writer.pack('I', offset * bodies)
+    data = bytes(writer.data)
+    # Nothing in it is NaN.
+    return data[:HEAD], data[HEAD + TIME.size :], b'\1'
+
+
+def read_state(data: bytes) -> tuple[int, dict[str, Numbers | Vectors]]:
+    """
+    Read a message of the topic: its stamp, ns, and its quantities (B,) by name.
+
+    The quantities are those of `state_fields`, with `position`, `angle` and `velocity` in place of
+    `pose`. Raises ValueError for another cloud, as RuntimeError where rclpy cannot read it.
+    """
+    cloud = deserialize_message(data, PointCloud2)
+    names = [field.name for field in cloud.fields]
+    for order in range(1, 5):
+        fields = state_fields(order)
+        expected = [*_FIRST_FIELDS, *chain(*fields.values())]
+        if names == expected:
+            break
+    else:
+        raise ValueError('its fields are not those of a topic `state`')
+    doubles = _FIRST_DOUBLES + len(expected) - len(_FIRST_FIELDS)
+    content = bytes(cloud.data)
+    if cloud.is_bigendian or len(content) != 8 * doubles * cloud.width:
+        raise ValueError(f'it has {len(content)} bytes of data for {cloud.width} bodies')
+    points = np.frombuffer(content, '<f8').reshape(cloud.width, doubles)
+    if not np.isfinite(points[:, _FIRST_DOUBLES:]).all():
+        raise ValueError('not all of its numbers are finite')
+    bits = points.view('<u4')[:, len(_FIRST_FIELDS) - 1]
+    column = dict(zip(expected[len(_FIRST_FIELDS) :], points[:, _FIRST_DOUBLES:].T, strict=True))
+    found: dict[str, Numbers | Vectors] = {}
+    for bit, (quantity, _) in enumerate(fields.items()):
+        known = bits >> bit & 1 == 1
+        parts = ('position', 'angle', 'velocity') if quantity == 'pose' else (quantity,)
+        for name in parts:
+            if name in column:
+                found[name] = Numbers(column[name], column[f'{name}_deviation'] ** 2, known)
+                continue
+            x, y, xx, xy, yy = (column[field] for field in _fields_of(name, True))
+            covariance = np.array([[xx, xy], [xy, yy]]).transpose(2, 0, 1)
+            found[name] = Vectors(x + 1j * y, covariance, known)
+    return stamp_to_ns(cloud.header.stamp), found
