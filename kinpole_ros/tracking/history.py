@@ -22,6 +22,7 @@ class History:
     position : complex (B,), m. The origin of the frame of the body.
     information : (2, B). Inverse variances of angle and position, over that of one coordinate of a
         marker; 0 where the pose is not known.
+    height : (B,), m. Mean height of the markers that were seen.
     extra_turn : (B,), rad. Of poses of tilted bodies: see `posed.TiltedTurns`.
     heights : (B, n), m. Heights of the markers over the plane.
     """
@@ -42,6 +43,7 @@ class History:
             'angle': np.zeros(each),
             'turns': np.zeros(each),
             'position': np.zeros(each, complex),
+            'height': np.zeros(each),
             'extra_turn': np.zeros(each),
             'information': np.zeros((capacity, 2, bodies)),
             'heights': np.zeros(both),

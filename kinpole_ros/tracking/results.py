@@ -49,7 +49,7 @@ def result_at(
         hub = np.where(hub == 0, bodies.middle, hub)
     hub = np.where(np.isfinite(pin), 0.0, hub)
     noise = np.where(bodies.noise > 0, bodies.noise, 1.0)
-    angle = heading = np.nan_to_num(history['angle'][rows])
+    angle = heading = history['angle'][rows]
     tilted = posed and bool(history['extra_turn'][rows].any())
     if tilted:
         # Rates are those of the rotation in space, and so is the motion of the hub.
@@ -59,7 +59,7 @@ def result_at(
         history['time'][rows],
         angle,
         history['turns'][rows],
-        np.nan_to_num(position),
+        position,
         information[:, 0],
         information[:, 1],
     )
@@ -95,7 +95,7 @@ def result_at(
         'stamp': history['stamp'][now],
         'found': found,
         'size': bodies.size.copy(),
-        'height': mean_height(history['markers'][now], history['heights'][now]),
+        'height': history['height'][now].copy(),
         'missing': missing,
         'pin': pin,
         'pin_variance': variance,
@@ -107,13 +107,6 @@ def result_at(
         'middle': bodies.middle if posed else middle_of_seen(bodies, history['used'][now]),
         'noise': noise,
     }
-
-
-def mean_height(markers: Complex, heights: Real) -> Real:
-    """Mean heights (B,) of the markers (B, n) that are seen, NaN for none."""
-    seen = ~np.isnan(markers)
-    with np.errstate(invalid='ignore'):
-        return np.asarray(np.where(seen, heights, 0).sum(axis=1) / seen.sum(axis=1))
 
 
 def middle_of_seen(bodies: Bodies, used: np.ndarray) -> Complex:

@@ -311,6 +311,10 @@ class Tracker:
         """Take frames of markers (T, B, n, 3), m, of which `_take` takes one after the other."""
         self._points, self._heights = self._roster.flat(solid)
         self._address, self._stride = self._points.ctypes.data, self._points.strides[0]
+        seen = ~np.isnan(self._points)
+        with np.errstate(invalid='ignore'):
+            total = np.where(seen, self._heights, 0.0).sum(axis=-1)
+            self._mean_heights = total / seen.sum(axis=-1)
         if self._posed and self._roster.plane is not None:
             self._tilts = self._roster.tilts(solid)
         self.matcher.begin(stamps, self._points, self._heights)
@@ -343,7 +347,7 @@ class Tracker:
             if matcher.lacks_order(1):
                 solid = np.full_like(solid, np.nan)
             self._append(stamp, time, goes_on)
-            for name in ('markers', 'residual', 'angle', 'position', 'heights'):
+            for name in ('markers', 'residual', 'angle', 'position', 'heights', 'height'):
                 history[name][-1] = np.nan
             history['used'][-1] = False
             history['information'][-1] = history['turns'][-1] = 0.0
@@ -378,7 +382,7 @@ class Tracker:
             bodies.exchanged_for += 1
         columns = history.columns
         columns['markers'][row] = came
-        columns['heights'][row] = self._heights[k]
+        columns['heights'][row], columns['height'][row] = self._heights[k], self._mean_heights[k]
         self._step.follow()
         if self._posed:
             known = np.isfinite(columns['angle'][row])
