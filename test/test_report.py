@@ -232,7 +232,7 @@ def test_report_refuses_in_one_line_what_it_cannot_show(tmp_path, capsys) -> Non
 def test_a_report_under_a_name_that_browsers_do_not_open_is_refused(tmp_path, capsys, name) -> None:
     assert main(['report', str(BAG), '--output', str(tmp_path / name)]) == 2
     (line,) = capsys.readouterr().err.splitlines()
-    assert line.endswith(f'{name}: the output is an HTML page; end its name in .html')
+    assert line.endswith(f'{name}: the output is an HTML page; end its name in .html or .htm')
     assert not (tmp_path / name).exists()
 
 

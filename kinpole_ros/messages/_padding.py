@@ -23,16 +23,18 @@ _LENGTHS = {b'\0\0': struct.Struct('>I'), LITTLE: struct.Struct('<I')}  # by byt
 
 
 class _Walk:
-    """Bytes of one message, and the spans of padding that were passed in them."""
+    """Bytes of one message, in which the padding becomes zero as it is passed."""
 
     def __init__(self, data: bytes) -> None:
-        self.data, self.end = data, len(data)
+        self.data, self.end = bytearray(data), len(data)
         self.length_of = _LENGTHS[data[:2]].unpack_from
-        self.padding: list[tuple[int, int]] = []
+
+    def clear(self, first: int, last: int) -> None:
+        self.data[first:last] = bytes(last - first)
 
     def align(self, at: int, size: int) -> int:
         if rest := (HEAD - at) % size:
-            self.padding.append((at, at + rest))
+            self.clear(at, at + rest)
         return at + rest
 
     def length(self, at: int) -> tuple[int, int]:
@@ -67,14 +69,9 @@ def with_zero_padding(data: bytes, cls: Any) -> bytes:
         at = HEAD
         for step in _steps(cls):
             at = walk.check(step(walk, at))
-    except (KeyError, struct.error, TypeError):
+    except (LookupError, struct.error, TypeError):
         return data
-    if not walk.padding and at == len(data):
-        return data
-    clean = bytearray(data[:at])
-    for first, last in walk.padding:
-        clean[first:last] = bytes(last - first)
-    return bytes(clean)
+    return bytes(walk.data[:at])
 
 
 @cache
@@ -122,7 +119,7 @@ def _numbers(sizes: tuple[int, ...]) -> _Step:
     def step(walk: _Walk, at: int) -> int:
         size, gaps = layouts[(at - HEAD) % ALIGNMENT]
         for first, last in gaps:
-            walk.padding.append((at + first, at + last))
+            walk.clear(at + first, at + last)
         return at + size
 
     return step

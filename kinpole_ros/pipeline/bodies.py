@@ -266,10 +266,6 @@ class RigidBodies:
             rows['beat'][part] = self._known_now()
             first = end
 
-    def are_timed(self, timed: bool) -> None:
-        """Whether the next frames are `timed` well enough to tell bodies that are far off."""
-        self._shapes.are_timed(timed)
-
     def were_at(self, times: np.ndarray) -> None:
         """The newest frames that were taken turned out to be at `times` (T,), ns."""
         if len(times):

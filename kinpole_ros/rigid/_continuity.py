@@ -53,12 +53,10 @@ class Continuity:
     Whether the poses of B bodies go on as those before; angles are in (-pi, pi].
 
     Signals (2 B,) are angles with whole turns, and then positions; NaN where nothing is known.
-    No pose is far off while frames are not `timed` well enough to be predicted.
     """
 
     def __init__(self, bodies: int) -> None:
         self._bodies = bodies
-        self.timed = True
         # The last samples of each body that are right, oldest first: stamps, ns, numbers of their
         # frames, signals.
         self._stamps = np.zeros((POINTS, bodies))
@@ -128,7 +126,7 @@ class Continuity:
             near[:POINTS] &= np.tile(consecutive, 2)[:count]
         if np.count_nonzero(near) < near.size:
             near |= np.isnan(signals)
-        if np.count_nonzero(near) == near.size or not self.timed:
+        if np.count_nonzero(near) == near.size:
             return np.zeros(count, bool)
         return np.logical_or.reduce(self._off(stamps, signals)[2] & ~near, axis=-1)
 
@@ -226,7 +224,7 @@ class Continuity:
         """
         ahead, off = np.full((2, *signals.shape), _NOTHING)
         far = np.zeros(signals.shape, bool)
-        if not self.timed or not np.isfinite(self._limit).any():
+        if not np.isfinite(self._limit).any():
             return ahead, off, far
         numbers = self._number + np.arange(len(stamps))
         found: dict[bytes, Real] = {}

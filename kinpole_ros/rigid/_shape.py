@@ -230,10 +230,6 @@ class Shapes:
         course = Verdict(*(np.concatenate(field) for field in zip(*verdicts, strict=True)))
         return whole, np.concatenate(seen), course
 
-    def are_timed(self, timed: bool) -> None:
-        """Whether the next frames are timed well enough to tell poses that are far off."""
-        self._continuity.timed = timed
-
     def were_at(self, times: np.ndarray) -> None:
         """The newest frames that were fitted turned out to be at `times` (T,), ns."""
         self._continuity.were_at(times)

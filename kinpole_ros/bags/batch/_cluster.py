@@ -4,6 +4,7 @@ Workers of a Dask cluster, by the address of its scheduler.
 Whoever reaches a scheduler can run code on its workers, so the address should be one of TLS.
 """
 
+import asyncio
 import logging
 import uuid
 from collections.abc import Callable, Iterator
@@ -80,7 +81,7 @@ def cluster_workers(scheduler: str, tls: TlsFiles | None = None) -> Iterator[Wor
     logging.getLogger('distributed').setLevel(logging.CRITICAL)
     try:
         client = Client(scheduler, timeout=_CONNECT_TIMEOUT, security=_security(tls))
-    except (OSError, ValueError, RuntimeError, TypeError) as error:
+    except (OSError, ValueError, RuntimeError, TypeError, asyncio.TimeoutError) as error:
         raise BagError(
             f'no Dask scheduler answers at {scheduler} ({error}); fix: give the address that '
             '`dask scheduler` prints, such as tls://10.0.0.5:8786, and for tls:// the files that '
@@ -89,7 +90,8 @@ def cluster_workers(scheduler: str, tls: TlsFiles | None = None) -> Iterator[Wor
     with client:
         try:
             client.wait_for_workers(1, timeout=_CONNECT_TIMEOUT)
-        except TimeoutError:
+        # That of asyncio is another one before Python 3.11.
+        except (TimeoutError, asyncio.TimeoutError):
             raise BagError(
                 f'the Dask scheduler at {scheduler} has no workers; fix: start some, with '
                 f'`dask worker {scheduler}`'
