@@ -14,7 +14,8 @@ from typing import TYPE_CHECKING, Any, NoReturn, TypeVar
 import numpy as np
 from numpy.typing import ArrayLike
 
-from kinpole_ros.pipeline.estimate import (
+from kinpole_ros.planar import to_plane
+from kinpole_ros.tracking.estimate import (
     POLE_NAMES,
     RATE_NAMES,
     Estimate,
@@ -22,10 +23,9 @@ from kinpole_ros.pipeline.estimate import (
     Vectors,
     measured_pairs,
 )
-from kinpole_ros.pipeline.frame import MarkerFrames
-from kinpole_ros.pipeline.parameters import Settings, load_settings, settings_from
-from kinpole_ros.pipeline.tracker import Tracker
-from kinpole_ros.planar import to_plane
+from kinpole_ros.tracking.frame import MarkerFrames
+from kinpole_ros.tracking.parameters import Settings, load_settings, settings_from
+from kinpole_ros.tracking.tracker import Tracker
 
 # Frames that the tracker is given at once, as replay does.
 _AT_ONCE = 1000

@@ -35,9 +35,9 @@ from bench._record import (
 from bench._report import progress_of_parts
 from bench._rows import read_rows, write_rows
 from kinpole_ros import planar
-from kinpole_ros.pipeline.frame import MarkerFrames
-from kinpole_ros.pipeline.tracker import Tracker
 from kinpole_ros.tools import cli
+from kinpole_ros.tracking.frame import MarkerFrames
+from kinpole_ros.tracking.tracker import Tracker
 
 STEP = 1e-5
 MOTIONS: dict[str, Callable[[np.ndarray], Any]] = {
@@ -238,11 +238,11 @@ class Turning(Tracker):
     def add(self, frames: MarkerFrames, order: int | None) -> list[Any]:
         found = super().add(frames, order)
         # What is not learned yet would turn it back.
-        self._rigid._learn()
-        shapes = self._rigid._shapes
-        shapes.points *= np.exp(1e-7j * len(frames.stamps))
-        shapes.points += 1e-9 * len(frames.stamps)
-        shapes._measure()
+        self.settle()
+        self._known.shape *= np.exp(1e-7j * len(frames.stamps))
+        self._known.shape += 1e-9 * len(frames.stamps)
+        self._known.update()
+        self._step.bind(self._known, self._history)
         return found
 
 

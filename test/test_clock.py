@@ -8,16 +8,16 @@ from hypothesis import strategies as st
 from kinpole_ros.mechanism import marker_positions
 from kinpole_ros.mechanism._motions import ORDERS, BodyMotion
 from kinpole_ros.messages import DiagnosticsMaker
-from kinpole_ros.pipeline.clock import (
+from kinpole_ros.tracking.clock import (
     MAX_PENDING,
     Clock,
     ambiguous_frames,
     count_arrivals,
     estimate_clock,
 )
-from kinpole_ros.pipeline.frame import MarkerFrames
-from kinpole_ros.pipeline.parameters import settings_from
-from kinpole_ros.pipeline.tracker import Tracker
+from kinpole_ros.tracking.frame import MarkerFrames
+from kinpole_ros.tracking.parameters import settings_from
+from kinpole_ros.tracking.tracker import Tracker
 
 START = 10**18
 NAMES = ('a', 'b', 'c', 'd')

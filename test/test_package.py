@@ -21,7 +21,7 @@ import kinpole_ros
 from kinpole_ros.bags import read_messages
 from kinpole_ros.mechanism import load_scene
 from kinpole_ros.messages import DRAWING
-from kinpole_ros.pipeline.parameters import load_settings
+from kinpole_ros.tracking.parameters import load_settings
 
 ROOT = Path(__file__).parents[1]
 PACKAGE_XML = ET.parse(ROOT / 'package.xml').getroot()

@@ -2,7 +2,6 @@
 
 import sys
 import threading
-from collections.abc import Iterator
 from functools import partial
 from typing import Any
 
@@ -14,11 +13,11 @@ from recordings import SCENES, START, STEP, Record, check, follow, record, two_b
 from stretches import instants, one_frame
 
 from kinpole_ros import planar
-from kinpole_ros.pipeline.estimate import POLE_NAMES, Estimate
-from kinpole_ros.pipeline.frame import MarkerFrames
-from kinpole_ros.pipeline.parameters import settings_from
-from kinpole_ros.pipeline.roster import MOST_MARKERS
-from kinpole_ros.pipeline.tracker import Tracker
+from kinpole_ros.tracking.estimate import POLE_NAMES, Estimate
+from kinpole_ros.tracking.frame import MarkerFrames
+from kinpole_ros.tracking.parameters import settings_from
+from kinpole_ros.tracking.roster import MOST_MARKERS
+from kinpole_ros.tracking.tracker import Tracker
 
 pytestmark = pytest.mark.filterwarnings('error')
 

@@ -10,31 +10,37 @@ than a point on the rim, so it stands for the position of the body.
 import numpy as np
 
 from kinpole_ros.planar._plane import Complex, Real
-from kinpole_ros.rigid._pin import (
-    _BEND,
-    _DOUBTED,
-    _KEPT,
-    _MISFIT,
-    _STEP,
-    _WANDER,
-    _arm,
-    _spaced,
-)
-from kinpole_ros.rigid._reference import (
-    _CLEAR,
-    _DEGREES,
-    _PRESENT,
-    _SHARE,
-    _WHETHER,
-    _WINDOWS,
-    _rests,
-)
-from kinpole_ros.rigid._soft import chi_square, student
-from kinpole_ros.rigid.levels import FEW, KEPT, RUNNING, SURE
 from kinpole_ros.tracking.bodies import Bodies
 from kinpole_ros.tracking.fit import fit_markers
 from kinpole_ros.tracking.history import History
+from kinpole_ros.tracking.levels import FEW, KEPT, RUNNING, SURE
+from kinpole_ros.tracking.statistics import chi_square, student
 
+# Poses kept per body, and the angle between them, rad: 4 rad of one-way turning.
+_KEPT = 64
+_STEP = 4 / _KEPT
+# Mean square misfit, over what the rigid fit lets expect, below which a pin is taken and above
+# which it is dropped.
+_MISFIT = 2.0
+# What is not noise makes a pin less sure from so many deviations on: the sum of residuals, or
+# products of neighbors, where the misfit is similar from pose to pose.
+_DOUBTED = 2.0
+# An arc bent by such a misfit has its center off by this many times its square over the spread of
+# the angles (a centrode of constant speed, seen over a small arc).
+_BEND = 15.0
+# An ICR that wandered by this much, body sizes per rad, would have been seen.
+_WANDER = 0.05
+# A window is looked at in which the body is seen in this share of the frames.
+_PRESENT = 0.5
+# Of polynomials whose rests are looked at: one says whether, the one that tells best where. That
+# may be a line, as the hub of a wheel goes, of which a parabola takes half away.
+_DEGREES = np.arange(1, 6)[:, None]
+_WHETHER = 1
+# A point is taken when turning about it explains this share of what moves, and far more than the
+# noise would have it explain; the angle must turn by as many times its noise.
+_SHARE, _CLEAR = 0.9, SURE**2
+# Number of windows that must agree on a hub, reckoned as many in which the body turns alike.
+_WINDOWS = 2.9
 # The newest frames may turn out to have been at other times, where stamps are late.
 UNSETTLED = 20
 
@@ -234,3 +240,50 @@ def find_hubs(bodies: Bodies, history: History, window: int, before: Complex) ->
     degree = np.where(clear, left / turns, np.inf).argmin(axis=0), np.arange(bodies.count)
     moved = clear[degree] & taken[_WHETHER] & ~wrong
     return np.where(moved, best[degree], 0.0)
+
+
+def _arm(z: Complex, e: Complex, weights: Real) -> tuple[Complex, Complex, Complex, Real]:
+    """
+    The arms (b,) to the pins of bodies at poses `z`, turned by `e` (T, b).
+
+    Also the means of both, and the spread of the turns; the `weights` (T, b) add up to 1.
+    """
+    z_mean, e_mean = (weights * z).sum(axis=0), (weights * e).sum(axis=0)
+    around = e - e_mean
+    spread = (weights * np.abs(around) ** 2).sum(axis=0)
+    return -(weights * (z - z_mean) * around.conj()).sum(axis=0) / spread, z_mean, e_mean, spread
+
+
+def _spaced(angles: list[float]) -> list[int]:
+    """Places of the first angle, and of each that is a step off the last one kept."""
+    kept, last = [0], angles[0]
+    for k, angle in enumerate(angles):
+        if abs((angle - last + np.pi) % (2 * np.pi) - np.pi) > _STEP:
+            kept.append(k)
+            last = angle
+    return kept
+
+
+def _rests(times: Real, values: Complex, seen: np.ndarray) -> tuple[Real, Real, Complex]:
+    """
+    Sums (D, B) over what polynomials of each degree leave of paths and turns (2, N, B).
+
+    Of |path|^2, of |turn|^2 and of conj(turn) path; they are at times (N,) and 0 where they are not
+    `seen` (N, B).
+    """
+    powers = np.vander(times - 0.5, int(_DEGREES[-1, 0]) + 1, increasing=True)[None]
+    if not seen.all():
+        powers = powers * seen.T[..., None]
+    basis, _ = np.linalg.qr(powers)  # (1 or B, N, P)
+    columns = values.swapaxes(1, 2)[..., None]
+    part = basis.swapaxes(1, 2) @ columns
+    rest = (columns - basis @ part)[..., 0].swapaxes(1, 2)
+    part = part[..., 0].swapaxes(1, 2)  # (2, P, B)
+    # What the highest leaves, and what each lower one leaves product that.
+    found = []
+    for one, other in ((0, 0), (1, 1), (1, 0)):
+        product = part[one].conj() * part[other]
+        sums = np.cumsum(product[:1:-1], axis=0)[::-1]
+        sums = np.concatenate((sums, np.zeros_like(sums[:1])))
+        found.append(sums + (rest[one].conj() * rest[other]).sum(axis=0))
+    return found[0].real, found[1].real, found[2]

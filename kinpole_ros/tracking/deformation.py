@@ -16,8 +16,10 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
 from kinpole_ros.planar._plane import Complex, Real
-from kinpole_ros.rigid._soft import chi_square, student
+from kinpole_ros.tracking.statistics import chi_square, student
 
+# The cause of residuals that are slow, as `Tracker.causes` has it.
+TISSUE = 'tissue'
 # Stencils apart by this share of their length have independent errors; nearer ones, by the other,
 # are looked at, from this many windows before the window on.
 INDEPENDENT, APART, EARLIER = 1 / 2, 1 / 8, 1 / 2

@@ -6,10 +6,10 @@ import numpy as np
 
 from kinpole_ros.planar import Fit, fit_by_grip, fit_pose, grip_of
 from kinpole_ros.planar._plane import Complex, Real
-from kinpole_ros.rigid._noise import mean_square
-from kinpole_ros.rigid._untangle import EXCHANGED, correct_markers, half_turn
 from kinpole_ros.tracking.bodies import Bodies
+from kinpole_ros.tracking.corrections import EXCHANGED, correct_markers, half_turn
 from kinpole_ros.tracking.history import History
+from kinpole_ros.tracking.statistics import mean_square
 
 # Markers may be exchanged if a body is this far, rad, from where it would have turned to, while it turns slowly, rad per frame.
 REVERSED, SLOW = 0.75 * np.pi, 0.25 * np.pi

@@ -5,12 +5,12 @@ from collections import Counter
 import numpy as np
 
 from kinpole_ros.planar._plane import ROUNDING, Complex, Real
-from kinpole_ros.rigid._noise import mean_square, tame_part
-from kinpole_ros.rigid._untangle import agreed
 from kinpole_ros.tracking.bodies import MIN_FITS, OUTLIER_SIGMAS, SETTLED_FRAMES, TINY, Bodies
+from kinpole_ros.tracking.corrections import agreed
 from kinpole_ros.tracking.fit import fit_markers
 from kinpole_ros.tracking.history import History
 from kinpole_ros.tracking.noise import correlated_noise, marker_variances, white_noise
+from kinpole_ros.tracking.statistics import mean_square, tame_part
 
 # Frames that noise is estimated from, and those for the misfit, which must follow faster.
 NOISE_FRAMES, MISFIT_FRAMES = 512, 200

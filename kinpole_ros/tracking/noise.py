@@ -10,13 +10,14 @@ blocks of frames (the Hadamard variance, Baugh 1971).
 import numpy as np
 
 from kinpole_ros.planar._plane import Complex, Real
-from kinpole_ros.rigid._marker_noise import _is_clear
-from kinpole_ros.rigid._noise import _share_of_lowest, mean_square, tame_part
+from kinpole_ros.tracking.statistics import (
+    OUTLIER_RATIO,
+    OUTLIER_SHARE,
+    mean_square,
+    share_of_lowest,
+    tame_part,
+)
 
-# Share of the largest squares that may be outliers.
-OUTLIER_SHARE = 0.1
-# A frame is an outlier if its residuals exceed those of all but the worst 30% this many times.
-OUTLIER_RATIO = 9.0
 # A variance counts as larger beyond this many standard deviations of it.
 SIGMAS = 4.0
 # Correlated noise is measured over blocks, this many per window, of up to twice so many frames.
@@ -33,6 +34,8 @@ MARKERS_PER_LOUD = 4
 MOST_MARKERS = 32
 # Weights are kept while the variance changes by less than this factor.
 SAME = 1.5
+# Another choice of loud markers must leave so many times as much, or either may be loud.
+CLEAR = 2.0
 # Variances below this share of the square of the size are rounding.
 TINY = 1e-12
 # Fewest frames for the noise of a single marker.
@@ -78,7 +81,7 @@ def white_noise(residual: Complex, freedom: Real, goes_on: np.ndarray) -> tuple[
     counts = (~np.isnan(kept)).sum(axis=0)
     lowest = np.ceil(counts * (1 - OUTLIER_SHARE))
     total = np.where(np.arange(len(kept))[:, None] < lowest, kept, 0.0).sum(axis=0)
-    share = np.array([_share_of_lowest(float(f)) for f in np.round(np.maximum(degrees, 0.1), 1)])
+    share = np.array([share_of_lowest(float(f)) for f in np.round(np.maximum(degrees, 0.1), 1)])
     with np.errstate(divide='ignore', invalid='ignore'):
         level = np.sqrt(np.where(counts > 0, total / lowest / share, np.nan))
     return level, counts * degrees / 2
@@ -227,3 +230,63 @@ def _block_means(residual: Complex) -> Complex:
     total = np.where(np.isnan(parts), 0, parts).sum(axis=1)
     enough = seen > BLOCK // 2
     return np.where(enough, total / np.sqrt(np.maximum(seen, 1)), complex(np.nan, np.nan))
+
+
+def _is_clear(kind: Complex, shape: Complex, seen: np.ndarray, bad: list[int]) -> bool:
+    """Whether no other marker might be meant in place of one of these."""
+    good = seen.copy()
+    good[bad] = False
+    left = _pooled(kind, shape, good)[0]
+    for k in bad:
+        for other in np.flatnonzero(good):
+            swapped = good.copy()
+            swapped[k], swapped[other] = True, False
+            if _pooled(kind, shape, swapped)[0] < CLEAR * left:
+                return False
+    return True
+
+
+def _pooled(
+    kind: Complex, shape: Complex, rest: np.ndarray, k: int = 0
+) -> tuple[float, float, Complex, Real]:
+    """
+    Variance, per axis, of the markers `rest` (n,) about fits to them alone, and its degrees.
+
+    Also what marker `k` is off these fits (T,), and the variance of where they have it over that of
+    a coordinate, of both axes.
+    """
+    seen, mean, middle, arms, spread, turn, about = _fit(kind, shape, rest)
+    left = np.where(seen, about - 1j * turn[:, None] * arms, 0)
+    total = seen.sum(axis=1)
+    enough = total >= 2
+    degrees = float((2 * total[enough] - 3).sum())
+    squares = float((left.real**2 + left.imag**2)[enough].sum())
+    arm = shape[k] - middle
+    off = kind[:, k] - mean - 1j * turn * arm
+    lever = 2 / np.maximum(total, 1) + np.abs(arm) ** 2 / spread
+    variance = squares / degrees if degrees > 0 else np.inf
+    # Of several markers, wherever they are seen.
+    variance += TINY * float(spread[np.isfinite(spread)].max(initial=0.0))
+    return variance, degrees, np.where(enough, off, np.nan), lever
+
+
+def _fit(
+    values: Complex, shape: Complex, rest: np.ndarray
+) -> tuple[np.ndarray, Complex, Complex, Complex, Real, Real, Complex]:
+    """
+    Small shifts and turns (T,) of a body that fit what its markers `rest` are off (T, n) best.
+
+    Returns where they are seen (T, n), the shifts, the means (T,) of their places, their arms from
+    these (T, n), the sums of the squares of those, the turns, and what the shifts leave (T, n).
+    """
+    seen = ~np.isnan(values) & rest
+    total = np.maximum(seen.sum(axis=1), 1)
+    mean = np.where(seen, values, 0).sum(axis=1) / total
+    middle = np.where(seen, shape, 0).sum(axis=1) / total
+    arms = np.where(seen, shape - middle[:, None], 0)
+    about = np.where(seen, values - mean[:, None], 0)
+    spread = (arms.real**2 + arms.imag**2).sum(axis=1)
+    spread = np.where(spread > 0, spread, np.inf)
+    # They are small: a turn adds what is linear in it.
+    turn = (arms.conj() * about).imag.sum(axis=1) / spread
+    return seen, mean, middle, arms, spread, turn, about

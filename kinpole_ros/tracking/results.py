@@ -1,18 +1,18 @@
 """What the window of frames says of one instant: derivatives, with covariance, of all bodies."""
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 
-from kinpole_ros.derivatives import Poses, Windows, derive_poses
-from kinpole_ros.pipeline.estimate import Estimate, FramePoses
+from kinpole_ros.derivatives import Derivatives, Poses, Windows, derive_poses
 from kinpole_ros.planar._plane import Complex, Real
-from kinpole_ros.rigid._reference import seen_at
-from kinpole_ros.rigid.plane import Plane
 from kinpole_ros.tracking.bodies import UNSTEADY, Bodies
 from kinpole_ros.tracking.center import Pins
 from kinpole_ros.tracking.deformation import deformation_covariance, hold_hidden
+from kinpole_ros.tracking.estimate import Estimate, FramePoses
 from kinpole_ros.tracking.history import History
+from kinpole_ros.tracking.plane import Plane
 
 TOO_FEW, NO_POSE = 'too few markers seen, or all at one place', 'no pose of it came'
 TOO_CLOSE = 'markers too close together for their noise'
@@ -32,13 +32,14 @@ def result_at(
     effort: str,
     doubtful: np.ndarray,
     posed: bool,
+    derive: Callable[..., Derivatives] = derive_poses,
 ) -> dict[str, Any]:
     """
     Compute what the frames from `oldest` on say of the frame `now`.
 
-    `interval` and `window` are in s, `order` is the highest derivative; `doubtful` (B,) is how many of
-    the newest poses do not count; `posed` says whether poses came as such. Returns fields of
-    `Estimate` for one instant, derivatives with an axis of one instant.
+    `interval` and `window` are in s, `order` is the highest derivative; `doubtful` (B,) is the
+    number of the newest poses that do not count; `posed` says whether poses came as such. Returns
+    fields of `Estimate` for one instant, derivatives with an axis of one instant.
     """
     newest = len(history) - 1
     rows = slice(oldest, newest + 1)
@@ -65,10 +66,10 @@ def result_at(
     )
     windows = Windows(np.array([now - oldest]), np.array([0]), np.array([newest - oldest]))
     how = windows, doubtful[None], noise[None], window, order, effort
-    found = derive_poses(poses, *how)
+    found = derive(poses, *how)
     if tilted:
         # The angle itself is the heading; the hub has turned by the angle.
-        of_heading = derive_poses(poses._replace(angle=heading), *how).angle[0]
+        of_heading = derive(poses._replace(angle=heading), *how).angle[0]
         hub = hub * np.exp(1j * np.nan_to_num(found.angle[0, 0] - of_heading[0]))
         found.angle[0] = of_heading
     seen = (history['information'][now] > 0).all(axis=0) & (now <= newest - doubtful)
@@ -143,13 +144,16 @@ def poses_of_hubs(
     information = history['information'][rows] * bodies.scale
     if not hub.any():
         return position, information
-    count = bodies.count
-    poses = np.zeros((len(position), 2 * count, 2))
-    poses[:, :count, 0] = angle
-    poses[:, count:] = position[..., None].view(float)
-    flat = information.reshape(len(position), -1)
-    poses, flat = seen_at(hub, bodies.middle, poses, flat)
-    return poses[:, count:].view(complex)[..., 0], flat.reshape(information.shape)
+    position = position + hub * np.exp(1j * angle)
+    turned, placed = information[:, 0], information[:, 1]
+    seen = placed > 0
+    # Farther from the middle of the markers the error of the angle tells more.
+    nearer, farther = np.abs(bodies.middle) ** 2, np.abs(hub - bodies.middle) ** 2
+    share = np.divide(placed, turned, out=np.zeros_like(placed), where=seen)
+    left = np.maximum(1 - nearer * share, 0.0) + farther * share
+    # Without its other markers a body that keeps its origin may seem to lie far from its middle.
+    np.divide(placed, left, out=placed, where=seen & (left > 0) & (hub != 0))
+    return position, information
 
 
 def _deformation(

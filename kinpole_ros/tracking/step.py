@@ -1,7 +1,7 @@
-"""The usual frame, compiled: see _step.c, which works on the arrays of the history and the bodies."""
+"""The usual frame, compiled: _step.c works on the arrays of the history and the bodies."""
 
 from ctypes import POINTER, Structure, byref, c_double, c_longlong, c_void_p
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -35,7 +35,7 @@ _LEARNED = (
 class _Frames(Structure):
     """`Frames` of _step.c."""
 
-    _fields_: Any = [
+    _fields_: ClassVar[Any] = [
         *((name, c_longlong) for name in ('bodies', 'markers', 'first', 'end')),
         *((name, c_void_p) for name in (*_COLUMNS, *_LEARNED)),
         *((name, c_double) for name in ('far', 'newest_far', 'near')),

@@ -8,32 +8,33 @@ of the machine.
 import itertools
 from collections import Counter
 from collections.abc import Iterable
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
-from kinpole_ros.derivatives import FEWEST_SAMPLES
-from kinpole_ros.pipeline.estimate import Estimate
-from kinpole_ros.pipeline.frame import MarkerFrames, part_of
-from kinpole_ros.pipeline.matcher import Matcher
-from kinpole_ros.pipeline.parameters import Settings, of_poses
-from kinpole_ros.pipeline.roster import Roster
-from kinpole_ros.pipeline.stamps import StampState
-from kinpole_ros.pipeline.timeline import Timeline
-from kinpole_ros.rigid._untangle import EXCHANGED
-from kinpole_ros.rigid.levels import LITTLE, SURE, TINY
-from kinpole_ros.rigid.plane import Plane
-from kinpole_ros.rigid.space import Space, SpaceReport
+from kinpole_ros.derivatives import FEWEST_SAMPLES, derive_poses
 from kinpole_ros.tracking.bodies import Bodies
 from kinpole_ros.tracking.center import Pins, find_hubs
-from kinpole_ros.tracking.deformation import deformed_freedom
+from kinpole_ros.tracking.corrections import EXCHANGED
+from kinpole_ros.tracking.deformation import TISSUE, deformed_freedom
+from kinpole_ros.tracking.estimate import Estimate
 from kinpole_ros.tracking.fit import correct_frame, fit_markers
+from kinpole_ros.tracking.frame import MarkerFrames, part_of
 from kinpole_ros.tracking.history import History
 from kinpole_ros.tracking.learn import MOVED_FRAMES, NOISE_FRAMES, freedom_of, learn
+from kinpole_ros.tracking.levels import LITTLE, SURE, TINY
+from kinpole_ros.tracking.matcher import Matcher
+from kinpole_ros.tracking.outages import Outage, one_more
 from kinpole_ros.tracking.outliers import path_scale
+from kinpole_ros.tracking.parameters import Settings, of_poses
+from kinpole_ros.tracking.plane import Plane
 from kinpole_ros.tracking.posed import TiltedTurns, learn_poses
 from kinpole_ros.tracking.results import estimate_of, result_at
+from kinpole_ros.tracking.roster import Roster
+from kinpole_ros.tracking.space import Space, SpaceReport
+from kinpole_ros.tracking.stamps import StampState
 from kinpole_ros.tracking.step import NAME_DOUBTFUL, ODD, Step
+from kinpole_ros.tracking.timeline import Timeline
 
 # Frames kept to learn from, and at least so many windows.
 LEARNED_FRAMES, LEARNED_WINDOWS = 1024, 4
@@ -44,25 +45,7 @@ GAP = 2.5
 # Markers that are off by this share of the size of their body are of other bodies: no tissue moves
 # so far.
 OTHER_BODIES = 0.05
-TISSUE = 'tissue'
 _run_numbers = itertools.count(1)
-
-
-class Outage(NamedTuple):
-    """How often nothing came for a window or more; the latest and the longest, from when, ns."""
-
-    times: int
-    latest: tuple[int, int]
-    longest: tuple[int, int]
-
-
-def one_more(outage: Outage | None, since: int, lasted: int) -> Outage:
-    """The outages so far, if any, and one that `lasted` so long since then, ns."""
-    new = since, lasted
-    if outage is None:
-        return Outage(1, new, new)
-    longest = max(outage.longest, new, key=lambda each: each[1])
-    return Outage(outage.times + 1, new, longest)
 
 
 class Tracker:
@@ -72,6 +55,8 @@ class Tracker:
     `samples` is the number of frames in the window. `counts` says what became of the frames, for
     diagnostics.
     """
+
+    derive = staticmethod(derive_poses)
 
     def __init__(self, settings: Settings) -> None:
         self.settings = settings
@@ -448,11 +433,9 @@ class Tracker:
         assert self._roster.plane is not None
         self._begin_bodies()
         self._timeline.history = self._history
-        space, self._space = self._space, _NoSpace()
         for stamp, time, frame in early:
             self._update_if_due()
             self._take(stamp, time, 0, self._sort(frame)[0])
-        self._space = space
         self._due = due - dropped
 
     def _update(self) -> bool:
@@ -535,6 +518,7 @@ class Tracker:
                         self.settings.effort,
                         self._step.doubtful,
                         self._posed,
+                        self.derive,
                     )
                 )
                 if self._roster.plane is None:
@@ -546,10 +530,3 @@ class Tracker:
             history.drop(drop)
             self._due = max(0, self._due - drop)
         return found
-
-
-class _NoSpace:
-    """Stands for the measurement in space while frames are taken a second time."""
-
-    def add(self, solid: np.ndarray) -> None:
-        """Take nothing."""

@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from kinpole_ros.planar._plane import Complex, Real
-from kinpole_ros.rigid.levels import SURE
+from kinpole_ros.tracking.levels import SURE
 
 # A point is where a marker is expected if the second nearest is so many times as far.
 _NEARER = 2.0

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from kinpole_ros.planar._plane import Complex, Real
-from kinpole_ros.rigid.levels import RECENT
+from kinpole_ros.tracking.levels import RECENT
 
 
 def ahead(

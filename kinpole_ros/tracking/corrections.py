@@ -13,10 +13,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from kinpole_ros.planar import Fit, fit_pose
+from kinpole_ros.planar import fit_pose
 from kinpole_ros.planar._plane import Complex, Real
-from kinpole_ros.rigid._noise import mean_square, tame_part
-from kinpole_ros.rigid.identity import find_ways, fit_place
+from kinpole_ros.tracking.identity import find_ways, fit_place
+from kinpole_ros.tracking.statistics import mean_square, tame_part
 
 EXCHANGED = 'markers_exchanged'
 LEFT_OUT = 'markers_left_out'

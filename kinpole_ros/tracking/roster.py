@@ -10,9 +10,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from kinpole_ros.pipeline.frame import MarkerFrames
-from kinpole_ros.pipeline.parameters import POSE_POINTS, Settings
-from kinpole_ros.rigid.plane import Plane
+from kinpole_ros.tracking.frame import MarkerFrames
+from kinpole_ros.tracking.parameters import POSE_POINTS, Settings
+from kinpole_ros.tracking.plane import Plane
 
 # A body of all markers takes new ones up to this many: a driver that numbers its markers anew in
 # every frame must not fill the memory.

@@ -16,8 +16,8 @@ import yaml
 
 from kinpole_ros.files import cut, cut_line, read_limited
 from kinpole_ros.files.bounded_yaml import MOST_YAML, load_yaml
-from kinpole_ros.pipeline._ros_yaml import RosLoader
-from kinpole_ros.rigid.plane import AXES, FIT, PlaneSetting
+from kinpole_ros.tracking._ros_yaml import RosLoader
+from kinpole_ros.tracking.plane import AXES, FIT, PlaneSetting
 
 # Of the types of messages, those that carry poses of bodies and not markers.
 POSE_TYPES = ('pose_stamped', 'body_poses', 'tf')

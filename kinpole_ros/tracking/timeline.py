@@ -8,12 +8,12 @@ from collections import Counter
 
 import numpy as np
 
-from kinpole_ros.pipeline.arrivals import Arrivals
-from kinpole_ros.pipeline.clock import MAX_PENDING, Clock, ambiguous_frames, count_arrivals
-from kinpole_ros.pipeline.frame import MarkerFrames, part_of
-from kinpole_ros.pipeline.parameters import Settings
-from kinpole_ros.pipeline.stamps import StampHistory, StampState
+from kinpole_ros.tracking.arrivals import Arrivals
+from kinpole_ros.tracking.clock import MAX_PENDING, Clock, ambiguous_frames, count_arrivals
+from kinpole_ros.tracking.frame import MarkerFrames, part_of
 from kinpole_ros.tracking.history import History
+from kinpole_ros.tracking.parameters import Settings
+from kinpole_ros.tracking.stamps import StampHistory, StampState
 
 # ns. Frames are no nearer to each other than this.
 _LEAST_STEP = 1000

@@ -12,7 +12,7 @@ from typing import NamedTuple, TypeVar
 import numpy as np
 
 from kinpole_ros import planar
-from kinpole_ros.rigid.plane import Plane
+from kinpole_ros.tracking.plane import Plane
 
 # A denominator counts as known when it exceeds its standard deviation this many times.
 SIGNIFICANT = 4.0

@@ -11,9 +11,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from kinpole_ros.rigid.levels import FEWEST, LITTLE, SURE
-from kinpole_ros.rigid.plane import Plane, PlaneSetting, plane_along, plane_of, upward
-from kinpole_ros.rigid.scatter import GROUP, Scatter
+from kinpole_ros.tracking.levels import FEWEST, LITTLE, SURE
+from kinpole_ros.tracking.plane import Plane, PlaneSetting, plane_along, plane_of, upward
+from kinpole_ros.tracking.scatter import GROUP, Scatter
 
 # Frames that are measured at once, where nothing waits for it: several groups cost little more.
 _AT_ONCE = 4 * GROUP

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from kinpole_ros.planar._plane import Complex
-from kinpole_ros.rigid.levels import SURE
+from kinpole_ros.tracking.levels import SURE
 
 # Frames that are looked at.
 _FRAMES = 64

@@ -10,16 +10,16 @@ from collections import Counter, deque
 
 import numpy as np
 
-from kinpole_ros.pipeline.parameters import Settings
-from kinpole_ros.pipeline.roster import Layout, Roster
 from kinpole_ros.planar import Fit
 from kinpole_ros.planar._plane import Complex, Real
-from kinpole_ros.rigid.ahead import ahead
-from kinpole_ros.rigid.grouping import group
-from kinpole_ros.rigid.identity import Expected, Match, fit_place, match, merge_names
-from kinpole_ros.rigid.levels import FEW, KEPT, LITTLE, RECENT, RUNNING, SURE
+from kinpole_ros.tracking.ahead import ahead
 from kinpole_ros.tracking.bodies import Bodies
+from kinpole_ros.tracking.grouping import group
 from kinpole_ros.tracking.history import History
+from kinpole_ros.tracking.identity import Expected, Match, fit_place, match, merge_names
+from kinpole_ros.tracking.levels import FEW, KEPT, LITTLE, RECENT, RUNNING, SURE
+from kinpole_ros.tracking.parameters import Settings
+from kinpole_ros.tracking.roster import Layout, Roster
 
 # Counted in `Tracker.counts`.
 OTHERS, RENAMED, REGROUPED = 'markers_of_others', 'markers_renamed', 'markers_regrouped'

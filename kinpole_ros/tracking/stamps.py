@@ -10,7 +10,8 @@ from typing import NamedTuple
 import numpy as np
 
 from kinpole_ros.derivatives import FEWEST_SAMPLES
-from kinpole_ros.pipeline.clock import (
+from kinpole_ros.planar._plane import Real
+from kinpole_ros.tracking.clock import (
     CHANGE_NATS,
     COARSE,
     DECISIVE_NATS,
@@ -21,9 +22,8 @@ from kinpole_ros.pipeline.clock import (
     Clock,
     estimate_clock,
 )
-from kinpole_ros.planar._plane import Real
-from kinpole_ros.rigid.levels import FEW, SURE
 from kinpole_ros.tracking.history import History
+from kinpole_ros.tracking.levels import FEW, SURE
 
 # Neighbors on each side that predict a pose.
 _SIDE = 3
