@@ -578,10 +578,10 @@ def test_mending_does_not_depend_on_names_place_turn_or_size(
         points = exchange(markers(shape, 80), 60, 2) if shape is RECTANGLE else markers(shape, 80)
         points[50, 1] += 0.05
         points[70, [0, 1]] = points[70, [1, 0]]
-        shapes, fits, level = fitted(points)
-        assert {'markers_left_out', 'markers_exchanged'} == set(shapes.corrected)
+        tracker, turns = fitted(points)
+        assert {'markers_left_out', 'markers_exchanged'} == set(corrected(tracker))
         there = (scale * np.exp(1j * turn) * points + scale * shift)[:, order]
-        others, found, other = fitted(there)
-        assert others.corrected == shapes.corrected
-        assert turns(found) / turns(found)[:1] == pytest.approx(turns(fits) / turns(fits)[:1])
-        assert other[-1] == pytest.approx(scale * level[-1], rel=1e-6)
+        other, found = fitted(there)
+        assert corrected(other) == corrected(tracker)
+        assert found / found[-1] == pytest.approx(turns / turns[-1], nan_ok=True)
+        assert other.noise()[0] == pytest.approx(scale * tracker.noise()[0], rel=1e-6)
