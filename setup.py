@@ -3,6 +3,7 @@
 import os
 import shlex
 import shutil
+import subprocess
 import sys
 import sysconfig
 from glob import glob
@@ -18,29 +19,33 @@ SHARE = f'share/{NAME}'
 ROS = ['ros-jazzy-rclpy', 'ros-jazzy-common-interfaces', 'ros-jazzy-rmw-fastrtps-cpp']
 
 
-def find_compiler() -> str | None:
+def find_compiler() -> list[str]:
     """The command of a C compiler: CC, the one that built this Python, or a usual one."""
     for command in (os.environ.get('CC'), sysconfig.get_config_var('CC'), 'cc', 'gcc', 'clang'):
         if command and shutil.which(shlex.split(command)[0]):
-            return command
-    return None
+            return shlex.split(command)
+    return []
 
 
 class BuildExt(build_ext):
-    """Compiles with the wheel `ziglang`, which is a C compiler, where there is no other one."""
+    """Builds a library that needs nothing of Python, so one command does on any platform."""
 
-    def run(self) -> None:
+    def build_extension(self, ext: Extension) -> None:
         compiler = find_compiler()
         if not compiler and find_spec('ziglang'):
-            # For any processor, as other compilers do it.
-            compiler = f'{shlex.quote(sys.executable)} -m ziglang cc -mcpu=baseline'
+            # A wheel with a C compiler; for any processor, as other compilers do it.
+            compiler = [sys.executable, '-m', 'ziglang', 'cc', '-mcpu=baseline']
         if not compiler:
             sys.exit(
                 f'{NAME} has a part in C, and there is no C compiler (cc, gcc or clang) on the '
                 f'PATH: install one with `{sys.executable} -m pip install ziglang`'
             )
-        os.environ['CC'] = compiler
-        super().run()
+        target = Path(self.get_ext_fullpath(ext.name))
+        target.parent.mkdir(parents=True, exist_ok=True)
+        options = ['-O3', '-fno-strict-aliasing', '-shared', '-fPIC', '-o', str(target)]
+        command = [*compiler, *options, *ext.sources, '-lm']
+        if subprocess.call(command):
+            sys.exit(f'{NAME} is not built, since this failed: {shlex.join(command)}')
 
 
 setup(
@@ -58,8 +63,6 @@ setup(
                 f'{NAME}/tracking/_step.c',
             ],
             depends=glob(f'{NAME}/*/*.[ch]'),
-            extra_compile_args=['-O3', '-fno-strict-aliasing'],
-            libraries=['m'],
         )
     ],
     cmdclass={'build_ext': BuildExt},

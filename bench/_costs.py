@@ -60,9 +60,9 @@ def derive_fixed(
     noise: np.ndarray,
     window: float,
     order: int,
-    effort: str,
+    effort: str = 'normal',
 ) -> Derivatives:
-    """Differentiate by a fixed local polynomial (41 samples, degree 4); arguments as `derive_poses`."""
+    """Differentiate by a local polynomial (41 samples, degree 4); arguments as `derive_poses`."""
     (now,), (oldest,), (newest,) = windows
     samples, degree = USUAL
     last = min(now + (samples + 1) // 2, newest + 1)

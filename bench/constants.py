@@ -2,15 +2,16 @@
 Constants set by hand, and what comes of half and of double of each: `python -m bench.constants`.
 
 A constant is a number that a module of the estimate's rooms gives a name in capitals, be it written
-as an expression; what is made of other constants is none. Its reason is the comment above it. Each
-is changed in a copy of the package, and a process of its own measures a panel of figures with it.
-So what is made of it on import goes with it.
+as an expression; what is made of other constants is none. Of C it is a number that is defined below
+a comment of one line. The comment above it is its reason. Each is changed in a copy of the package,
+and a process of its own measures a panel of figures with it. So what is made of it goes with it.
 """
 
 import ast
 import json
 import math
 import os
+import re
 import subprocess
 import sys
 import tempfile
@@ -70,14 +71,23 @@ def constants() -> list[Constant]:
     return [
         constant
         for room in ROOMS
-        for file in sorted((_ROOT / 'kinpole_ros' / room).glob('*.py'))
+        for file in sorted((_ROOT / 'kinpole_ros' / room).glob('*.*'))
         for constant in _constants_of(file)
     ]
 
 
 def _constants_of(file: Path) -> Iterator[Constant]:
+    if file.suffix not in ('.h', '.py'):
+        return
     text = file.read_text(encoding='utf-8')
     lines = text.splitlines()
+    path = str(file.relative_to(_ROOT))
+    if file.suffix == '.h':
+        for found in re.finditer(r'(?m)^/\* (.*) \*/\n(#define ([A-Z_]+) )([\d.e+-]+)$', text):
+            reason, begin, name, written = found.groups()
+            place = text.count('\n', 0, found.start(2)) + 1, len(begin), len(begin + written)
+            yield Constant(path, name, ast.literal_eval(written), reason, *place)
+        return
     for node in ast.parse(text).body:
         if not isinstance(node, ast.Assign) or len(node.targets) > 1:
             continue
@@ -91,7 +101,6 @@ def _constants_of(file: Path) -> Iterator[Constant]:
             number = _number(value)
             if number is not None:
                 place = value.lineno, value.col_offset, value.end_col_offset or 0
-                path = str(file.relative_to(_ROOT))
                 yield Constant(path, name.id, number, _reason(lines, node.lineno), *place)
 
 
@@ -216,7 +225,10 @@ def _copy(folder: Path, constant: Constant | None, value: float) -> None:
     for name in ('bench', 'config'):
         (folder / name).symlink_to(_ROOT / name)
     changed = _ROOT / constant.path if constant else None
+    compiled = changed is not None and changed.suffix == '.h'
     for room in (_ROOT / 'kinpole_ros').iterdir():
+        if compiled and room.name.startswith('_compiled'):
+            continue
         into = folder / 'kinpole_ros' / room.name
         if changed is None or changed.parent != room:
             into.parent.mkdir(exist_ok=True)
@@ -231,6 +243,11 @@ def _copy(folder: Path, constant: Constant | None, value: float) -> None:
         line = lines[constant.line - 1]
         lines[constant.line - 1] = f'{line[: constant.column]}{value!r}{line[constant.end :]}'
         (into / changed.name).write_text(''.join(lines), encoding='utf-8')
+    if compiled:
+        for name in ('setup.py', 'README.md'):
+            (folder / name).symlink_to(_ROOT / name)
+        build = [sys.executable, 'setup.py', '-q', 'build_ext', '--inplace']
+        subprocess.run(build, cwd=folder, capture_output=True, check=True)
 
 
 def constant_rows(

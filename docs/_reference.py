@@ -24,7 +24,7 @@ def every_parameter() -> str:
     rows = {**parameters.PARAMETERS}
     rows |= {f'<body>.{name}': row for name, row in _own('body').items()}
     rows['<joint>.bodies'] = parameters.JOINT_BODIES
-    rows['autostart'] = parameters.AUTOSTART
+    rows |= parameters.NODE_PARAMETERS
     sections = []
     for name, row in rows.items():
         when = _settable(name, row)

@@ -207,6 +207,11 @@ def test_constants_are_numbers_as_written_or_made_of_such(
         ('_A', 3, 'Why.'),
         ('_B', np.pi / 2, 'Why.'),
     ]
+    header = room / '_header.h'
+    header.write_text('/* Why. */\n#define A 1e-3\n#define B 4\n', encoding='utf-8')
+    of_c = constants.constants()[0]
+    assert of_c[1:] == ('A', 1e-3, 'Why.', 2, 10, 14)
+    header.unlink()
     # What is no more, or has another value now, is not on the page.
     row: dict[str, Any] = {'module': 'rigid/_module.py', 'half': '–', 'double': '–'}
     rows = [row | {'constant': name, 'value': value} for name, value in (('_B', 1.5708), ('_A', 4))]

@@ -242,8 +242,7 @@ ONE_AMPLITUDE = 300.0
 def one_process(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     """There is one process on a line, or a line, or rest: the first is by far the likeliest."""
     caches = _models._members, _models._functions
-    nothing = np.empty((0, 6), np.int64)
-    monkeypatch.setattr(_poses, '_tables', _poses._Tables({}, {}, {}, nothing, nothing))
+    monkeypatch.setattr(_poses, '_tables', _poses._Tables((), np.empty((0, 7), np.int64)))
     monkeypatch.setattr(_models, 'SPECTRA', (ONE,))
     monkeypatch.setattr(_models, '_LONGEST', ONE[1] / 50)
     monkeypatch.setattr(_models, '_DEGREES', (1,))

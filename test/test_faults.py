@@ -672,6 +672,7 @@ def test_parameters_set_while_markers_come(rig: Rig) -> None:
         'bodies': (['other'], [], 'rod'),
         'rod.markers': (['0'], ['5', '6']),
         'autostart': (False, 'yes'),
+        'executor': ('rclpy', 'lazy'),
         'scene': ('four_bar', '/etc/passwd', '../secrets.yaml'),
         'qos_overrides./markers.subscription.depth': (-1, 'deep', 10**12),
         'no_such_parameter': (0.3, ''),

@@ -51,7 +51,7 @@ from kinpole_ros.ros.node import KinpoleNode
 from kinpole_ros.tools.demo import live_run
 from kinpole_ros.tracking.estimate import Estimate
 from kinpole_ros.tracking.frame import MarkerFrames
-from kinpole_ros.tracking.parameters import PARAMETERS, Settings
+from kinpole_ros.tracking.parameters import NODE_PARAMETERS, PARAMETERS, Settings
 from kinpole_ros.tracking.tracker import Tracker
 
 Bag = Callable[..., Path]
@@ -400,7 +400,7 @@ class TestOneNode:
                 assert float(said(arrays)['rate (Hz)']) >= 0
 
     def test_every_parameter_describes_itself(self, shared: Peer) -> None:
-        names = [*PARAMETERS, 'rod.markers', 'autostart']
+        names = [*PARAMETERS, 'rod.markers', *NODE_PARAMETERS]
         request = DescribeParameters.Request(names=names)
         answer = shared.call('/kinpole/describe_parameters', DescribeParameters, request)
         for name, descriptor in zip(names, answer.descriptors, strict=True):

@@ -10,8 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from kinpole_ros.tracking.parameters import (
-    AUTOSTART,
     MARKERS,
+    NODE_PARAMETERS,
     PARAMETERS,
     SHAPE,
     ParameterError,
@@ -64,7 +64,7 @@ def test_nothing_given_is_one_body_of_all_markers_and_the_defaults() -> None:
 
 def test_every_setting_is_a_parameter_and_every_parameter_says_what_it_means() -> None:
     assert {field.name for field in fields(Settings)} - {'shapes', 'pins'} == set(PARAMETERS)
-    for row in (*PARAMETERS.values(), MARKERS, SHAPE, AUTOSTART):
+    for row in (*PARAMETERS.values(), *NODE_PARAMETERS.values(), MARKERS, SHAPE):
         assert row.description.endswith('.')
         assert row.allowed
         row.check(row.default)
@@ -100,6 +100,7 @@ WRONG = [
     ('method', ['poses', 0, None], 'pose, landmarks'),
     ('scene', [0, None, ['four_bar'], True], 'the name of a scene'),
     ('autostart', ['no', 0, 1, None], 'true or false'),
+    ('executor', ['EventsExecutor', '', 1, None], 'one of lean, rclpy'),
     ('joint_state_rate', [-1.0, 1001, 'fast', True, float('nan')], '0 to 1000 Hz'),
     ('publish_tf', ['yes', 0, None], 'true or false'),
     ('frame_prefix', ['a b', 3, None, 'é!', 'a\n'], 'letters, digits and any of _ / . -'),
@@ -150,7 +151,7 @@ def test_a_value_or_name_of_any_length_is_refused_in_one_line() -> None:
 
 
 def test_all_parameters_are_tried_with_bad_values() -> None:
-    own = {'autostart', 'body.markers', 'body.shape'}
+    own = {*NODE_PARAMETERS, 'body.markers', 'body.shape'}
     assert {name for name, *_ in WRONG} == {*PARAMETERS, *own}
 
 
@@ -217,6 +218,7 @@ def test_what_ros_puts_into_the_same_file_is_left_to_it() -> None:
             'start_type_description_service': False,
             'qos_overrides./markers.subscription.reliability': 'reliable',
             'autostart': False,
+            'executor': 'rclpy',
         }
     )
     assert settings == Settings()
@@ -227,7 +229,7 @@ junk = st.recursive(
     lambda inner: st.lists(inner) | st.dictionaries(st.text(), inner) | st.tuples(inner, inner),
     max_leaves=5,
 )
-names = st.sampled_from([*PARAMETERS, 'autostart', 'body.markers', 'a.markers']) | st.text()
+names = st.sampled_from([*PARAMETERS, *NODE_PARAMETERS, 'body.markers', 'a.markers']) | st.text()
 
 
 @given(st.dictionaries(names, junk | st.just(['a', 'b']) | st.integers(10**300, 10**400)))

@@ -12,12 +12,16 @@ import pytest
 import rclpy
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState
+from rclpy.executors import Executor, SingleThreadedExecutor
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.lifecycle import LifecycleNode
 from rclpy.node import Node
 from rclpy.serialization import deserialize_message
+from rclpy.service import Service
 from rclpy.subscription import Subscription
+from rclpy.timer import Timer
 from std_msgs.msg import String
+from std_srvs.srv import Trigger
 
 import kinpole_ros
 from kinpole_ros.ros import private
@@ -50,7 +54,14 @@ def until(condition: Callable[[], object], what: str) -> None:
     ('owner', 'names'),
     [
         (rclpy_implementation, ['RCLError', 'WaitSet']),
-        (rclpy_implementation.WaitSet, ['clear_entities', 'add_subscription', 'wait']),
+        (
+            rclpy_implementation.WaitSet,
+            ['clear_entities', 'add_subscription', 'add_service', 'wait', 'get_ready_entities'],
+        ),
+        (Service, ['handle']),
+        (Executor, ['wake', 'spin_once', 'shutdown']),
+        (Timer, ['is_ready', 'handle']),
+        (rclpy_implementation.Timer, ['call_timer', '__enter__', '__exit__']),
         (rclpy_implementation.Subscription, ['take_message', '__enter__', '__exit__']),
         (Subscription, ['handle']),
         (rclpy.Context, ['handle']),
@@ -69,19 +80,21 @@ def test_a_failure_of_rcl_is_an_rcl_error() -> None:
         rclpy.init(args=['--ros-args', '--log-level', 'none_of_these'], context=context)
 
 
-def test_a_wait_ends_with_the_first_message_and_take_has_all_of_them(node: Node) -> None:
+def test_one_wait_set_serves_many_waits_and_take_has_all_messages(node: Node) -> None:
     quiet = node.create_subscription(String, 'quiet', print, 10, raw=True)
     heard = node.create_subscription(String, 'heard', print, 10, raw=True)
     publisher = node.create_publisher(String, 'heard', 10)
     until(publisher.get_subscription_count, 'a publisher does not find its subscription')
-    begun = time.monotonic()
-    private.wait_for_messages(node, [quiet, heard], 0.2)
-    assert time.monotonic() - begun >= 0.19, 'rclpy has changed: WaitSet.wait does not wait'
+    prepared = private.PreparedWait(node.context, [quiet, heard])
+    for _ in range(2):
+        begun = time.monotonic()
+        assert not prepared.wait(0.1), 'rclpy has changed: WaitSet.get_ready_entities of none'
+        assert time.monotonic() - begun >= 0.09, 'rclpy has changed: WaitSet.wait does not wait'
     assert [*private.take(heard, 5)] == [], 'rclpy has changed: take_message of nothing'
     for word in ('a', 'b', 'c'):
         publisher.publish(String(data=word))
     begun = time.monotonic()
-    private.wait_for_messages(node, [quiet, heard], 5.0)
+    assert prepared.wait(5.0), 'rclpy has changed: WaitSet.get_ready_entities'
     assert time.monotonic() - begun < 4, 'rclpy has changed: WaitSet.wait misses a message'
     taken = [*private.take(heard, 2)]
     until(lambda: taken.extend(private.take(heard, 3 - len(taken))) or len(taken) == 3, 'no take')
@@ -93,6 +106,52 @@ def test_a_wait_ends_with_the_first_message_and_take_has_all_of_them(node: Node)
     assert when == sorted(when), 'rclpy has changed: messages have no received_timestamp'
     assert abs(time.time_ns() - when[0]) < 60e9, 'rclpy has changed: received_timestamp'
     assert [*private.take(quiet, 1)] == []
+    assert not prepared.wait(0.0), 'rclpy has changed: WaitSet.wait keeps what was ready'
+    node.destroy_subscription(heard)
+    until(lambda: not publisher.get_subscription_count(), 'a subscription is held on')
+
+
+def test_a_wait_ends_with_a_request(node: Node) -> None:
+    service = node.create_service(Trigger, 'asked', lambda request, response: response)
+    client = node.create_client(Trigger, 'asked')
+    until(client.service_is_ready, 'a client does not find its service')
+    prepared = private.PreparedWait(node.context, services=[service])
+    assert not prepared.wait(0.05), 'rclpy has changed: WaitSet.get_ready_entities of none'
+    client.call_async(Trigger.Request())
+    assert prepared.wait(5.0), 'rclpy has changed: WaitSet.wait misses a request'
+
+
+def test_a_timer_that_is_ready_is_called_once_a_period(node: Node) -> None:
+    calls: list[int] = []
+    timer = node.create_timer(0.1, lambda: calls.append(1))
+    assert not timer.is_ready(), 'rclpy has changed: Timer.is_ready before its time'
+    until(timer.is_ready, 'Timer.is_ready stays false')
+    private.call(timer)
+    assert calls == [1], 'rclpy has changed: Timer.callback'
+    assert not timer.is_ready(), 'rclpy has changed: call_timer begins no period'
+    until(timer.is_ready, 'a timer has one period')
+    timer.cancel()
+    assert not timer.is_ready(), 'rclpy has changed: Timer.is_ready of a canceled one'
+
+
+def test_rclpy_tells_an_executor_of_entities_that_come_and_go(node: Node) -> None:
+    told: list[int] = []
+
+    class Told(SingleThreadedExecutor):
+        def wake(self) -> None:
+            told.append(1)
+            super().wake()
+
+    executor = Told()
+    executor.add_node(node)
+    subscription = node.create_subscription(String, 'heard', print, 10)
+    service = node.create_service(Trigger, 'asked', print)
+    assert len(told) >= 2, 'rclpy has changed: Executor.wake for what is created'
+    before = len(told)
+    node.destroy_subscription(subscription)
+    node.destroy_service(service)
+    assert len(told) >= before + 2, 'rclpy has changed: Executor.wake for what is destroyed'
+    executor.shutdown()
 
 
 def test_the_node_of_an_endpoint_is_known_but_for_a_moment(node: Node) -> None:

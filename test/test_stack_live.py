@@ -21,7 +21,7 @@ from visualization_msgs.msg import MarkerArray
 
 from kinpole_ros.bags import replay
 from kinpole_ros.messages import WITH_TF, message_class
-from kinpole_ros.tracking.parameters import PARAMETERS, Settings
+from kinpole_ros.tracking.parameters import NODE_PARAMETERS, PARAMETERS, Settings
 
 Bag = Callable[..., Path]
 # Of all nodes.
@@ -149,7 +149,9 @@ def _plain(value: Any) -> Any:
 def test_a_node_takes_its_own_dump_and_is_none_the_worse(peer: Peer, side: str) -> None:
     node = f'/{side}/kinpole'
     before = dumped(peer, node)
-    assert {*PARAMETERS, 'autostart', 'use_sim_time', 'start_type_description_service'} <= {*before}
+    assert {*PARAMETERS, *NODE_PARAMETERS, 'use_sim_time', 'start_type_description_service'} <= {
+        *before
+    }
     assert any(name.startswith('qos_overrides.') for name in before)
     assert load(peer, node, before) == {}
     assert dumped(peer, node) == before

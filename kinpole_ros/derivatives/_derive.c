@@ -1,12 +1,13 @@
 /*
  * From poses at stamps to derivatives at instants with covariances: `derive_poses` of _poses.py.
  *
- * Nothing is remembered: what is found at an instant depends on the poses in its window alone. Each
- * instant and body is one signal, of an angle and two coordinates. _derive_avx2.c compiles this file
- * again for processors with wider vectors, since a package may be built elsewhere.
+ * Nothing is remembered: the results at an instant depend on the poses in its window alone. Each
+ * instant and body is one signal, of an angle and two coordinates. _derive_avx2.c compiles this
+ * file again for processors with wider vectors, since a package may be built elsewhere.
  */
 
 #include <math.h>
+#include <stddef.h>
 #include <stdlib.h>
 #include <string.h>
 
@@ -16,47 +17,32 @@
 #include "_evidence.h"
 #include "_window.h"
 
-/* What the samples of one window are differentiated by. */
+/* The kind of a window, and the instant in it. */
 typedef struct {
     long long block, orders;
     int exact, dense, parts;
     double at; /* the instant, samples from the middle */
 } Window;
 
-/* The models of a window of so many samples, or NULL if they have to be made; with slopes if these
-   are `wanted`. */
-static const ModelTable *
-find_models(Call *call, const Window *window, long long count, int wanted)
+/* Find a table; NULL if it has to be made. */
+static const Table *
+find_table(Call *call, const Window *window, long long count, long long orders, double at)
 {
     long long flags = window->exact + 2 * window->dense;
-    call->lacking = (StencilTable){count, window->block, flags, 0, 0.0, NULL};
-    for (const ModelTable *t = call->models; t < call->models + call->model_tables; t++)
-        if (t->count == count && t->block == window->block && t->flags == flags) {
-            call->lacking.orders = -1;
-            return wanted && !t->slopes ? NULL : t;
-        }
-    return NULL;
-}
-
-static const StencilTable *
-find_stencils(Call *call, const Window *window, long long count, double at)
-{
-    long long flags = window->exact + 2 * window->dense, orders = window->orders;
-    call->lacking = (StencilTable){count, window->block, flags, orders, at, NULL};
-    for (const StencilTable *t = call->stencils; t < call->stencils + call->stencil_tables; t++)
-        if (t->at == at && t->count == count && t->block == window->block && t->flags == flags &&
-            t->orders == orders)
+    call->lacking = (Table){count, window->block, flags, orders, at, NULL, NULL};
+    for (const Table *t = call->tables; t < call->tables + call->table_count; t++)
+        if (!memcmp(t, &call->lacking, offsetof(Table, integers)))
             return t;
     return NULL;
 }
 
 static void
-unpack_models(const ModelTable *table, Models *m)
+unpack_models(const Table *table, Models *m)
 {
-    const long long *head = table->counts;
+    const long long *head = table->integers;
     m->count = table->count, m->half = (m->count + 1) / 2, m->exact = table->flags & 1;
     m->processes = head[0], m->chunks = head[1], m->kinds = head[2], m->odd = head[3];
-    m->rows = head[4], m->groups = m->processes * m->chunks + 1;
+    m->rows = head[4], m->groups = m->processes * m->chunks;
     m->first = head + 5, m->kind = m->first + 2 * (m->processes + 1);
     m->panels = (const Lanes *)table->numbers;
     m->share = m->left = m->panels + m->rows / LANES * m->half;
@@ -65,7 +51,7 @@ unpack_models(const ModelTable *table, Models *m)
     m->chances = m->left + m->chunks * m->rows, m->freedom = m->chances + 2 * m->groups;
 }
 
-/* The arrays of the work with samples, and their cells that count for less than 1. */
+/* Lay out the arrays for a window, and list the cells with a weight below 1. */
 static int
 prepare(const Models *m, long long orders, const Samples *s, Work *w)
 {
@@ -82,7 +68,7 @@ prepare(const Models *m, long long orders, const Samples *s, Work *w)
     columns = (3 + orders) * number > columns ? (3 + orders) * number : columns;
     long long of_models = m->groups * (8 + 3 * orders + w->parts * pairs + 3 * number);
     long long of_lanes = of_models + pairs + (4 + 2 * orders) * number + 6 * SLOPES * half / LANES;
-    long long of_numbers = (6 + number) * m->rows + (columns + 6) * half + 2 * pairs + 12 * number;
+    long long of_numbers = (6 + number) * m->rows + (columns + 6) * half + pairs + 9 * number;
     char *data = buffer(OF_MODELS, 8 * (of_lanes * LANES + of_numbers + m->groups));
     if (!data)
         return NO_MEMORY;
@@ -94,7 +80,7 @@ prepare(const Models *m, long long orders, const Samples *s, Work *w)
     TAKE(w->off, pairs + 3 * number), TAKE(w->reach, orders * number);
     TAKE(w->scaled, (orders + 1) * number), TAKE(w->along, 6 * SLOPES * (half / LANES));
     TAKE(w->modes, 3 * m->rows), TAKE(w->squares, 3 * m->rows), TAKE(w->vectors, number * m->rows);
-    TAKE(w->terms, (columns + 6) * half), TAKE(w->base, 2 * (pairs + 3 * number));
+    TAKE(w->terms, (columns + 6) * half), TAKE(w->base, pairs + 3 * number);
     TAKE(w->weight, 2 * number), TAKE(w->root, 2 * number), TAKE(w->at, number);
     TAKE(w->counts, m->groups);
 #undef TAKE
@@ -110,17 +96,15 @@ prepare(const Models *m, long long orders, const Samples *s, Work *w)
     return DONE;
 }
 
-/* What models say of samples, and the derivatives at an instant unless only evidence is wanted. */
+/* Compute the evidence of samples, and derivatives at an instant if these are wanted. */
 static int
-find_derivatives(Call *call, const Window *window, const Samples *s, double at, int wanted, Found *out)
+find_derivatives(Call *call, const Window *window, const Samples *s, double at, int wanted,
+                 Found *out)
 {
     Models m;
     Work w;
-    const ModelTable *table = find_models(call, window, s->count, 0);
-    if (!table)
-        return LACKING;
-    const StencilTable *stencils = wanted ? find_stencils(call, window, s->count, at) : NULL;
-    if (wanted && !stencils)
+    const Table *table = find_table(call, window, s->count, 0, 0.0), *stencils = NULL;
+    if (!table || (wanted && !(stencils = find_table(call, window, s->count, window->orders, at))))
         return LACKING;
     unpack_models(table, &m);
     if (prepare(&m, window->orders, s, &w))
@@ -136,8 +120,8 @@ find_derivatives(Call *call, const Window *window, const Samples *s, double at, 
     return DONE;
 }
 
-/* The logarithm of how probable samples are by all models: their evidence is relative to a line with
-   a flat prior, and to so many samples. */
+/* The logarithm of how probable samples are by all models: their evidence is relative to a line
+   with a flat prior, and to so many samples. */
 static double
 chance_of(const Call *call, const Found *found, int c)
 {
@@ -145,7 +129,7 @@ chance_of(const Call *call, const Found *found, int c)
     return found->evidence[c] - 2 * call->flat * (c + 1) - log(number) / 2 + log(KNOWN) / 2;
 }
 
-/* The mean of what was found, by the logarithms of its chances. */
+/* Average the results of whole and divided windows by the logarithms of their chances. */
 static void
 mix(const Found *all, double (*chances)[2], int number, long long orders, Found *out)
 {
@@ -181,16 +165,16 @@ mix(const Found *all, double (*chances)[2], int number, long long orders, Found 
     }
 }
 
-/* Derivatives in one window, or in two parts of it. The older part may be of another motion than the
-   newer: how probable that is follows from how probable either is by itself, with a mean and a slope
-   of its own, and derivatives are those of the part that the instant is in. */
+/* Differentiate a window as a whole, or as two parts with motions of their own. The chance of a
+   division follows from the evidence of both parts, each with its own mean and slope. Derivatives
+   are those of the part with the instant in it. */
 static int
 derive_parts(Call *call, const Window *window, const Samples *s, Found *out)
 {
     Found all[NEWER_PARTS + 1];
     double chances[NEWER_PARTS + 1][2];
     int number = 1, code = find_derivatives(call, window, s, window->at, 1, out);
-    /* A window with more evidence than that needs no parts. */
+    /* With more evidence than that no division can pay. */
     if (code || window->exact || !window->parts || !(out->evidence[0] < -WORTH * call->flat ||
                                                      out->evidence[1] < -WORTH * call->flat * 2))
         return code;
@@ -231,15 +215,16 @@ derive_parts(Call *call, const Window *window, const Samples *s, Found *out)
     return DONE;
 }
 
-/* Put samples in their places along what is found of the motion, which is then found again; `more` is
-   by how much larger their noise is for what they were off at last. */
+/* Move samples to the even grid along the estimated motion, and estimate it again until they
+   settle. `more` is the factor by which the last movement increases their noise. */
 static int
 put_in_place(Call *call, const Window *window, Samples *s, double *spare, double *more)
 {
     Models m;
     Work w;
-    const ModelTable *table = find_models(call, window, s->count, 1);
-    if (!table)
+    const Table *table = find_table(call, window, s->count, 0, 0.0);
+    const Table *slopes = table ? find_table(call, window, s->count, -1, 0.0) : NULL;
+    if (!slopes)
         return LACKING;
     unpack_models(table, &m);
     if (prepare(&m, 1, s, &w))
@@ -250,10 +235,10 @@ put_in_place(Call *call, const Window *window, Samples *s, double *spare, double
         placed.x[c] = spare + c * s->count, moved[c] = spare + (3 + c) * s->count;
     move_by_neighbors(s, placed.x);
     int settled[2] = {0}, rounds = window->exact ? MORE_ROUNDS : ROUNDS;
-    /* What is off by little is in its place at once. */
+    /* Samples that are off by little settle in the first round. */
     for (int round = 0; round < rounds + 3 && !(settled[0] && settled[1]); round++) {
         w.known = round == 0 || round > rounds ? KNOWN : KNOWN_MEANWHILE;
-        move(&m, (const Lanes *)table->slopes, s, &placed, &w, moved);
+        move(&m, (const Lanes *)slopes->numbers, s, &placed, &w, moved);
         /* Of both coordinates, whichever way the axes lie. */
         double square[2] = {0.0};
         for (int c = 0; c < 3; c++)
@@ -287,7 +272,7 @@ scale_found(Found *found, const double *by)
     }
 }
 
-/* Derivatives of samples some of which may be lacking, or not in their places. */
+/* Differentiate samples some of which may be missing, or off the even grid. */
 static int
 derive_uneven(Call *call, const Window *window, const Samples *given, double *spare, Found *out)
 {
@@ -303,7 +288,7 @@ derive_uneven(Call *call, const Window *window, const Samples *given, double *sp
         lacking += s.weight[0][k] < 1 || s.weight[1][k] < 1;
         late |= s.off[k] != 0.0;
     }
-    /* To treat many by what they are takes too long: all have their mean. */
+    /* To treat many weights exactly takes too long: all samples get the mean variance. */
     for (int c = 0; c < (lacking > MOST_LACKING ? 2 : 0); c++) {
         double sum = 0.0, number = 0.0;
         for (long long k = 0; k < n; k++)
@@ -327,9 +312,8 @@ derive_uneven(Call *call, const Window *window, const Samples *given, double *sp
         finite &= isfinite(out->mean[k / window->orders][k % window->orders]);
     if (finite || !window->exact)
         return DONE;
-    /* The samples in a gap follow from the others by a matrix that is singular by rounding where
-       motion is much larger than noise and the gap is long: then the noise is the least of a window
-       that is not exact. */
+    /* In a long gap of a motion much larger than its noise the matrix of the missing samples is
+       singular by rounding. Then the noise is taken as the least of a window that is not exact. */
     Window noisy = *window;
     noisy.exact = 0;
     for (int c = 0; c < 2; c++)
@@ -340,15 +324,16 @@ derive_uneven(Call *call, const Window *window, const Samples *given, double *sp
     return code;
 }
 
-/* The results of a signal, per s: position (orders, T B, 2), angle (orders, T B), covariances (orders,
-   orders, T B) of one coordinate and of the angle, the length of the window, s, and the parameters of
-   the angle's motion (T B). All are NaN where nothing was found. */
+/* The results of a signal, per s: position (orders, T B, 2), angle (orders, T B), covariances
+   (orders, orders, T B) of one coordinate and of the angle, the length of the window, s, and the
+   parameters of the angle's motion (T B). All are NaN where nothing was found. */
 static void
 write_results(const Call *call, long long signal, long long now, const Found *found,
               const double (*of)[MOST_ORDERS], double span)
 {
     long long orders = call->orders, all = call->instants * call->bodies;
-    double *position = call->results + 2 * signal, *angle = call->results + 2 * orders * all + signal;
+    double *position = call->results + 2 * signal;
+    double *angle = call->results + 2 * orders * all + signal;
     double *of_position = angle + orders * all, *of_angle = of_position + orders * orders * all;
     double *rest = of_angle + orders * orders * all;
     for (long long k = 0; k < orders; k++) {
@@ -447,6 +432,9 @@ int kinpole_derive_avx2(Call *call);
 #endif
 
 /* Returns 0, or why it has to be called again, or that there is no memory. */
+#ifdef _WIN32
+__declspec(dllexport)
+#endif
 int
 kinpole_derive(Call *call)
 {

@@ -1,4 +1,4 @@
-/* _derive.c for processors with AVX2: compilers widen vectors for them badly, unless told so first. */
+/* _derive.c for processors with AVX2: vectors are broken up badly unless these are asked for. */
 
 #if defined(__x86_64__)
 #ifdef __clang__

@@ -1,23 +1,25 @@
 /*
- * What all models say of even samples: evidence, and the mean and covariance of derivatives.
+ * The evidence of all models by even samples, and the mean and covariance of derivatives.
  *
- * LANES amplitudes of one process are a group, side by side in all arrays. The last group is rest,
- * in the first of its lanes. A lane that is no model has evidence -infinity. Mean and slope are the
- * first even and the first odd mode of all processes; rest has the mean only.
+ * LANES amplitudes of one process are a group, side by side in all arrays; a lane that is no model
+ * has evidence -infinity. Each process has modes of its own, even and odd, the first of which are mean
+ * and slope. The last process is rest, which has the mean only.
  */
 
 #define LANES 8
 #define PARTS (LANES / WIDTH)
 /* The noise as it was measured counts for so many samples. */
 #define KNOWN 300.0
-/* Models with less weight than this do not count, nor do those with so much less evidence. */
+/* Models with less weight than this do not count. */
 #define LEAST_WEIGHT 1e-5
+/* Models with so much less evidence than others do not count. */
 #define FAR 80.0
-/* Derivatives by which samples are moved. */
+/* Derivatives by which samples are moved: as many as `slopes_of` of _models.py makes. */
 #define SLOPES 4
 #define MOST_KINDS 8
 
-/* A compiler breaks up vectors wider than the processor's, and badly, so they are as wide as those. */
+/* A compiler breaks up vectors wider than the processor's, and badly, so they are as wide as those.
+   */
 typedef double Vector __attribute__((vector_size(8 * WIDTH), aligned(8)));
 typedef struct {
     Vector part[PARTS];
@@ -84,7 +86,7 @@ sum_of(Lanes lanes)
 
 /* Models of a window of `count` samples, as `models_of` of _models.py makes them. Processes have
    `chunks` groups each, and modes `first[p]` to `first[p + 1]` of the even ones, and so on of the
-   odd ones, which begin at the row `odd`. */
+   odd ones, which begin at the row `odd`. If samples are exact, modes are as many as these. */
 typedef struct {
     long long count, half, processes, chunks, groups, kinds, exact, odd, rows;
     const long long *first, *kind;
@@ -105,9 +107,9 @@ typedef struct {
     double *x[3], *weight[2], *off;
 } Samples;
 
-/* What was found: derivatives (3, orders) and covariances (2, orders, orders) of angle and of one
-   coordinate, how many parameters their motions have, the logarithm of how probable the samples
-   are, and how many there are. */
+/* Results: derivatives (3, orders), covariances (2, orders, orders) of the angle and of one
+   coordinate, the number of parameters of their motions, the evidence of all models together, and
+   the number of samples seen. */
 #define MOST_ORDERS 5
 typedef struct {
     double mean[3][MOST_ORDERS], covariance[2][MOST_ORDERS][MOST_ORDERS], freedom[2];
@@ -147,14 +149,12 @@ add(const Lanes *table, long long depth, const double *values, long long stride,
     }
 }
 
-/* out += sums of the products of left (a, rows) and right (b, rows), of each row by each, or of each
-   two of left if there is no right, over the modes of a group's process. */
+/* out += sums of the products of left (a, rows) and right (b, rows), of each row by each, or of
+   each two of left if there is no right, over the modes of a group's process. */
 static inline void
 add_products(const Models *m, const Lanes *table, long long group, const double *left, long long a,
              const double *right, long long b, double *terms, Lanes *out)
 {
-    if (group == m->groups - 1)
-        return; /* rest has no modes beside the mean */
     const long long *first = m->first + group / m->chunks;
     table += group % m->chunks * m->rows;
     for (int parity = 0; parity < 2; parity++, first += m->processes + 1) {
@@ -170,20 +170,7 @@ add_products(const Models *m, const Lanes *table, long long group, const double 
     }
 }
 
-/* What mean and slope make of left (a, rows) and right (b, rows): out (a, b). */
-static inline void
-multiply_lines(const Models *m, long long group, const double *left, long long a,
-               const double *right, long long b, Lanes *out)
-{
-    for (long long i = 0; i < a; i++)
-        for (long long j = 0; j < b; j++) {
-            const double *x = left + i * m->rows, *y = right + j * m->rows;
-            double slope = group < m->groups - 1 ? x[m->odd] * y[m->odd] : 0.0;
-            *out++ = all_lanes(x[0] * y[0] + slope);
-        }
-}
-
-/* The modes of samples, and how large the samples are beside the mean. */
+/* The modes of samples, and the sums of their squares. */
 static inline void
 find_modes(const Models *m, const Samples *s, Work *w)
 {
@@ -202,17 +189,16 @@ find_modes(const Models *m, const Samples *s, Work *w)
     for (long long r = 0; r < m->rows; r += LANES)
         add(m->panels + r / LANES * half, half, fold + (r < m->odd ? 0 : 3 * half), half, 3,
             (Lanes *)(w->modes + r), m->rows / LANES);
-    for (int c = 0; c < 3; c++)
-        w->total[c] -= w->modes[c * m->rows] * w->modes[c * m->rows];
     for (long long i = 0; i < 3 * m->rows; i++)
         w->squares[i] = w->modes[i] * w->modes[i];
 }
 
-/* The modes of cells, and what is off at them (pairs + 3 cells): of all but rest, and of rest. */
+/* Compute the modes of cells, and the covariance and residuals (pairs + 3 cells) at the cells
+   without any motion. */
 static void
 find_cells(const Models *m, const Samples *s, Work *w)
 {
-    long long number = w->cells, k = 0, columns = number * (number + 1) / 2 + 3 * number;
+    long long number = w->cells, k = 0;
     for (long long x = 0; x < number; x++) {
         long long at = w->at[x], opposite = m->count - 1 - at, near = at < opposite ? at : opposite;
         double even = at == opposite ? 2.0 : 1.0, odd = at > opposite ? -1.0 : 1.0;
@@ -221,18 +207,12 @@ find_cells(const Models *m, const Samples *s, Work *w)
                 ((const double *)(m->panels + r / LANES * m->half + near))[r % LANES];
     }
     for (long long i = 0; i < number + 3; i++)
-        for (long long j = 0; j < (i < number ? i + 1 : number); j++, k++) {
-            const double *a = i < number ? w->vectors + i * m->rows
-                                         : w->modes + (i - number) * m->rows;
-            const double *b = w->vectors + j * m->rows;
-            double all = i < number ? i == j : s->x[i - number][w->at[j]];
-            w->base[columns + k] = all - a[0] * b[0];
-            w->base[k] = all - a[0] * b[0] - a[m->odd] * b[m->odd];
-        }
+        for (long long j = 0; j < (i < number ? i + 1 : number); j++)
+            w->base[k++] = i < number ? i == j : s->x[i - number][w->at[j]];
 }
 
-/* `values` at cells, by the factors L D L' of their covariance: these times the roots are divided by
-   L, and `over` are the same over D. */
+/* `values` at cells, by the factors L D L' of their covariance: these times the roots are divided
+   by L, and `over` are the same over D. */
 static inline void
 solve(const Lanes *factor, const double *root, long long number, Lanes *values, Lanes *over)
 {
@@ -248,13 +228,16 @@ solve(const Lanes *factor, const double *root, long long number, Lanes *values, 
 /* L D L' of the covariance of cells, with the inverse of D on the diagonal; returns half of the
    logarithm of its determinant. */
 static inline Lanes
-factorize(const Lanes *off, const double *weight, const double *root, long long number, Lanes *factor)
+factorize(const Lanes *off, const double *weight, const double *root, long long number,
+          Lanes *factor)
 {
     Lanes logs = all_lanes(0.0), determinant = all_lanes(1.0);
     for (long long i = 0; i < number; i++) {
-        Lanes *row = factor + i * (i + 1) / 2, diagonal = scaled(off[i * (i + 3) / 2], root[i] * root[i]);
+        const Lanes *covariance = off + i * (i + 1) / 2;
+        Lanes *row = factor + i * (i + 1) / 2, diagonal = scaled(covariance[i], root[i] * root[i]);
         for (long long j = 0; j < i; j++) {
-            Lanes *other = factor + j * (j + 1) / 2, sum = scaled(off[i * (i + 1) / 2 + j], root[i] * root[j]);
+            const Lanes *other = factor + j * (j + 1) / 2;
+            Lanes sum = scaled(covariance[j], root[i] * root[j]);
             for (long long k = 0; k < j; k++)
                 sum = minus(sum, row[k], other[k]);
             row[j] = sum;
@@ -278,21 +261,19 @@ factorize(const Lanes *off, const double *weight, const double *root, long long 
     return logs;
 }
 
-/* By how much the squares of what a group's models leave are smaller for what is lacking, and half
-   of the logarithm of their determinant larger (Rasmussen and Williams, Gaussian Processes for
-   Machine Learning, 2006, A.3). */
+/* Compute by how much lacking samples reduce the sum of squared residuals of a group's models, and
+   half of what they add to the logarithm of the determinant (matrix inversion lemma: Rasmussen and
+   Williams, Gaussian Processes for Machine Learning, 2006, A.3). */
 static inline void
 add_lacking(const Models *m, long long group, Work *w, Lanes *less, Lanes *logs)
 {
     long long number = w->cells, pairs = number * (number + 1) / 2, columns = pairs + 3 * number;
-    int rest = group == m->groups - 1;
-    /* What is off at the cells if all are as good: its covariance, and itself. */
+    /* Covariance and residuals at the cells if all samples were equally good. */
     memset(w->off, 0, columns * sizeof(Lanes));
     add_products(m, m->left, group, w->vectors, number, NULL, 0, w->terms, w->off);
     add_products(m, m->left, group, w->modes, 3, w->vectors, number, w->terms, w->off + pairs);
-    if (!m->exact || rest)
-        for (long long k = 0; k < columns; k++)
-            EACH w->off[k].part[h] = w->base[rest * columns + k] - w->off[k].part[h];
+    for (long long k = 0; k < (m->exact ? 0 : columns); k++)
+        EACH w->off[k].part[h] = w->base[k] - w->off[k].part[h];
     for (long long part = 0; part < w->parts; part++)
         logs[part] = factorize(w->off, w->weight + part * number, w->root + part * number, number,
                                w->factors + (group * w->parts + part) * pairs);
@@ -302,17 +283,17 @@ add_lacking(const Models *m, long long group, Work *w, Lanes *less, Lanes *logs)
         long long part = w->parts > 1 && c > 0;
         Lanes *error = w->errors + (group * 3 + c) * number;
         memcpy(error, w->off + pairs + c * number, number * sizeof(Lanes));
-        solve(w->factors + (group * w->parts + part) * pairs, w->root + part * number, number, error,
-              w->scaled);
+        solve(w->factors + (group * w->parts + part) * pairs, w->root + part * number, number,
+              error, w->scaled);
         for (long long x = 0; x < number; x++)
             less[c] = plus(less[c], error[x], w->scaled[x]);
     }
 }
 
-/* Probabilities of models, and their weights in covariances, by their evidence. Returns the evidence
-   of all of them. For covariances evidence counts to the power of 1/2, and each kind, which is a
-   spectrum with low polynomials and rest, as much as the others: how harmonics fall below the noise
-   is what samples cannot tell. */
+/* Probabilities of models, and their weights in covariances, by their evidence. Returns the
+   evidence of all of them. For covariances evidence counts to the power of 1/2, and each kind,
+   which is a spectrum with low polynomials and rest, as much as the others: how harmonics fall
+   below the noise is what samples cannot tell. */
 static double
 weigh(const Models *m, const double *evidence, double *likely, double *weight)
 {
@@ -367,17 +348,15 @@ weigh_models(const Models *m, const Samples *s, Work *w, double *evidence_of_all
     for (long long g = 0; g < m->groups; g++) {
         Lanes left[3], less[3], logs[2];
         memset(left, 0, sizeof left), memset(less, 0, sizeof less), memset(logs, 0, sizeof logs);
-        int rest = g == m->groups - 1;
         const long long *first = m->first + g / m->chunks;
-        for (int parity = 0; parity < (rest ? 0 : 2); parity++, first += m->processes + 1)
+        for (int parity = 0; parity < 2; parity++, first += m->processes + 1)
             add(m->left + g % m->chunks * m->rows + first[0], first[1] - first[0],
                 w->squares + first[0], m->rows, 3, left, 1);
         if (w->cells)
             add_lacking(m, g, w, less, logs);
         for (int c = 0; c < 3; c++) {
-            double all = w->total[c] - (rest ? 0.0 : w->squares[c * m->rows + m->odd]);
-            if (!m->exact || rest)
-                EACH left[c].part[h] = all - left[c].part[h];
+            if (!m->exact)
+                EACH left[c].part[h] = w->total[c] - left[c].part[h];
             EACH left[c].part[h] -= less[c].part[h];
             for (int i = 0; i < LANES; i++)
                 if (((double *)(left + c))[i] < 0.0)
@@ -400,7 +379,7 @@ weigh_models(const Models *m, const Samples *s, Work *w, double *evidence_of_all
                                    (double *)(w->counting + c * m->groups));
 }
 
-/* The derivatives of one group's models less what cells lack (3, orders), and what that adds to the
+/* Correct the derivatives of a group's models (3, orders) for the lacking samples, and their
    covariances. */
 static inline void
 subtract_lacking(const Models *m, const Stencils *s, long long group, Work *w, const Lanes *noisy,
@@ -408,7 +387,7 @@ subtract_lacking(const Models *m, const Stencils *s, long long group, Work *w, c
 {
     long long orders = s->orders, number = w->cells, pairs = number * (number + 1) / 2;
     for (long long part = 0; part < w->parts; part++) {
-        multiply_lines(m, group, s->modes, orders, w->vectors, number, w->reach);
+        memset(w->reach, 0, orders * number * sizeof(Lanes));
         add_products(m, m->share, group, s->modes, orders, w->vectors, number, w->terms, w->reach);
         for (long long k = 0; k < orders; k++) {
             Lanes *reach = w->reach + k * number, *over = w->scaled + k * number;
@@ -432,8 +411,8 @@ subtract_lacking(const Models *m, const Stencils *s, long long group, Work *w, c
     }
 }
 
-/* Derivatives of samples: the mean over all models, by how probable each is. What models disagree
-   about is part of the covariance. */
+/* Differentiate samples: the mean over all models by their probabilities. The disagreement between
+   models is part of the covariance. */
 static void
 differentiate(const Models *m, const Stencils *s, const Samples *samples, Work *w, Found *out)
 {
@@ -456,7 +435,7 @@ differentiate(const Models *m, const Stencils *s, const Samples *samples, Work *
         w->counts[g] = any != 0.0;
         if (!w->counts[g])
             continue;
-        multiply_lines(m, g, w->modes, 3, s->modes, orders, apart);
+        memset(apart, 0, 3 * orders * sizeof(Lanes));
         add_products(m, m->share, g, w->modes, 3, s->modes, orders, w->terms, apart);
         for (int c = 0; c < 2; c++) {
             parameters[c] = plus(parameters[c], w->likely[c * m->groups + g], m->freedom[g]);
@@ -492,7 +471,8 @@ differentiate(const Models *m, const Stencils *s, const Samples *samples, Work *
     }
 }
 
-/* By how much cells are off (cells, 3), in the mean of all models. */
+/* Add up how far samples at the cells are off the prediction from the others (cells, 3), in the
+   mean of all models. */
 static inline void
 add_errors(const Models *m, Work *w, double *wrong)
 {
@@ -520,39 +500,25 @@ move(const Models *m, const Lanes *slopes, const Samples *given, const Samples *
      double *const moved[3])
 {
     long long rows = m->rows, n = m->count, panels = (m->half + LANES - 1) / LANES;
-    double evidence[2], moving[2] = {0};
+    double evidence[2];
     weigh_models(m, samples, w, evidence);
     /* Derivatives (2, SLOPES, 3, panels) of even and of odd modes. */
     double *motion = w->squares;
     memset(w->along, 0, 2 * SLOPES * 3 * panels * sizeof(Lanes));
     for (long long g = 0; g < m->groups; g++) {
-        double sum[2];
-        for (int c = 0; c < 2; c++) {
-            sum[c] = sum_of(w->likely[c * m->groups + g]);
-            moving[c] += g < m->groups - 1 ? sum[c] : 0.0;
-        }
-        w->counts[g] = sum[0] != 0.0 || sum[1] != 0.0;
-    }
-    for (int c = 0; c < 3; c++)
-        motion[c * rows + m->odd] = moving[c > 0] * w->modes[c * rows + m->odd];
-    /* The slope, and then all groups. */
-    for (long long g = -1; g < m->groups - 1; g++) {
-        if (g >= 0 && !w->counts[g])
-            continue;
-        for (int parity = g < 0; parity < 2; parity++) {
-            const long long *first = m->first + parity * (m->processes + 1);
-            long long begin = g < 0 ? m->odd : first[g / m->chunks];
-            long long end = g < 0 ? begin + 1 : first[g / m->chunks + 1];
-            for (long long r = begin; g >= 0 && r < end; r++) {
+        const Lanes likely[2] = {w->likely[g], w->likely[m->groups + g]};
+        w->counts[g] = sum_of(likely[0]) != 0.0 || sum_of(likely[1]) != 0.0;
+        for (int parity = 0; parity < (w->counts[g] ? 2 : 0); parity++) {
+            const long long *first = m->first + parity * (m->processes + 1) + g / m->chunks;
+            for (long long r = first[0]; r < first[1]; r++) {
                 Lanes share = m->share[g % m->chunks * rows + r];
-                double part[2];
-                for (int c = 0; c < 2; c++)
-                    part[c] = sum_of(product(share, w->likely[c * m->groups + g]));
+                double of_angle = sum_of(product(share, likely[0]));
+                double of_position = sum_of(product(share, likely[1]));
                 for (int c = 0; c < 3; c++)
-                    motion[c * rows + r] = part[c > 0] * w->modes[c * rows + r];
+                    motion[c * rows + r] = (c ? of_position : of_angle) * w->modes[c * rows + r];
             }
             for (long long k = 0; k < SLOPES * panels; k++)
-                add(slopes + k * rows + begin, end - begin, motion + begin, rows, 3,
+                add(slopes + k * rows + first[0], first[1] - first[0], motion + first[0], rows, 3,
                     w->along + (parity * SLOPES + k / panels) * 3 * panels + k % panels, panels);
         }
     }
@@ -569,7 +535,7 @@ move(const Models *m, const Lanes *slopes, const Samples *given, const Samples *
             }
             moved[c][t] = given->x[c][t] - sum;
         }
-    /* What is missing is where the others have it. */
+    /* A missing sample is put where the others predict it. */
     double *wrong = w->terms;
     memset(wrong, 0, 3 * w->cells * sizeof(double));
     add_errors(m, w, wrong);

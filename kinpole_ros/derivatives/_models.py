@@ -204,17 +204,22 @@ def _fill(values: Real, nothing: float = 0.0) -> Real:
     return np.pad(values, width, constant_values=nothing)
 
 
-def _join(parts: tuple[list[Real], list[Real]]) -> Real:
-    """Join what is so for the modes (..., m), even and odd, of all processes, to (..., rows)."""
-    return np.concatenate([_fill(np.concatenate(part, axis=-1)) for part in parts], axis=-1)
+def _join(lines: list[Real], parts: list[tuple[Real, Real]], exact: bool) -> tuple[Real, Real]:
+    """
+    Join what is so for mean and slope (..., 1) and for the modes (..., m), even and odd, of all.
 
-
-def _grouped(models: Real, rest: float, nothing: float) -> Real:
-    """What is so for models (..., P, A) and for rest, by groups, (..., G _LANES)."""
-    own = _fill(models, nothing).reshape(*models.shape[:-2], -1)
-    last = np.full((*models.shape[:-2], _LANES), nothing)
-    last[..., 0] = rest
-    return np.concatenate((own, last), axis=-1)
+    Rest, the last process, has the mean only, and of exact samples the modes of a line. Returns
+    (..., rows), and where processes begin and end among them (2, P + 1).
+    """
+    found: list[Real] = []
+    first = []
+    for parity, line in enumerate(lines):
+        each = [np.concatenate((line, part[parity]), axis=-1) for part in parts]
+        each.append(each[-len(_DEGREES)] if exact else line[..., : 1 - parity])
+        begin = found[0].shape[-1] if parity else 0
+        first.append(begin + np.cumsum([0, *(part.shape[-1] for part in each)]))
+        found.append(_fill(np.concatenate(each, axis=-1)))
+    return np.concatenate(found, axis=-1), np.array(first)
 
 
 def models_of(count: int, block: int, exact: bool, dense: bool) -> tuple[np.ndarray, Real]:
@@ -227,51 +232,57 @@ def models_of(count: int, block: int, exact: bool, dense: bool) -> tuple[np.ndar
     """
     members, amplitudes = _members(count, block, exact, dense), _amplitudes(exact)
     _, root, lines = _half_window(count)
-    vectors: tuple[list[Real], list[Real]] = [lines[0][:, None]], [lines[1][:, None]]
-    sizes = [np.zeros(1)], [np.zeros(1)]
-    for member in members:
-        for parity, (one, own) in enumerate(zip(member.functions, member.sizes, strict=True)):
-            vectors[parity].append(one.vectors[:, : len(own)])
-            sizes[parity].append(own)
-    each = [member.large(exact) for member in members]
-    occam = np.array([-np.log1p(own).sum(axis=1) / 2 for own in each])
-    freedom = np.array([2 + (own / (1 + own)).sum(axis=1) for own in each])
-    panels = _join(vectors) * root[:, None] / 2
-    large = (_join(sizes)[:, None] * amplitudes) ** 2
-    # What is no model leaves all there is, as if it were the line: it has to be invertible.
-    tables = [_fill(large / (1 + large))] + [_fill(1 / (1 + large), 1.0)] * exact
-    # Rest has no slope, and is more probable by all that this might be.
-    at_rest = np.log(3 * amplitudes[-1])
-    prior = np.log([member.process.prior / len(amplitudes) for member in members])[:, None]
-    numbers = [
-        panels.reshape(len(panels), -1, _LANES).swapaxes(0, 1),
-        *(table.reshape(len(table), -1, _LANES).swapaxes(0, 1) for table in tables),
-        *(_grouped(prior + c * occam, np.log(_simple()) + c * at_rest, -np.inf) for c in (1, 2)),
-        _grouped(freedom, 1.0, 0.0),
+    vectors = [
+        tuple(one.vectors[:, : len(own)] for one, own in zip(*member[1:], strict=True))
+        for member in members
     ]
-    first = [np.cumsum([len(part) for part in own]) for own in sizes]
-    odd = -(-int(first[0][-1]) // _LANES) * _LANES
+    panels, first = _join([line[:, None] for line in lines], vectors, exact)
+    # Of mean and slope nothing is known.
+    sizes, _ = _join([np.full(1, np.inf)] * 2, [member.sizes for member in members], exact)
+    if exact:
+        sizes[first[1, -2]] = 0.0  # the slope of rest
+    with np.errstate(divide='ignore'):
+        large = (sizes[:, None] * amplitudes) ** 2
+        share, left = 1 / (1 + 1 / large), 1 / (1 + large)
+    tables = [_fill(share)] + [_fill(left, 1.0)] * exact
+    occam = [-np.log1p(member.large(exact)).sum(axis=1) / 2 for member in members]
+    prior = [member.process.prior / len(amplitudes) for member in members]
+    # Rest has one amplitude, no slope, and is more probable by all that this might be.
+    less = np.array([*occam, np.full(len(amplitudes), np.log(3 * amplitudes[-1]))])
+    chances = np.log([*prior, _simple()])[:, None] + np.array((1, 2))[:, None, None] * less
+    chances[:, -1, 1:] = -np.inf
+    own = [
+        np.r_[slice(*first[0, p : p + 2]), slice(*first[1, p : p + 2])] for p in range(len(less))
+    ]
+    freedom = np.array([share[rows].sum(axis=0) for rows in own])
+    numbers = [
+        (panels * root[:, None] / 2).reshape(len(root), -1, _LANES).swapaxes(0, 1),
+        *(table.reshape(len(table), -1, _LANES).swapaxes(0, 1) for table in tables),
+        *(_fill(part, -np.inf) for part in chances),
+        _fill(freedom),
+    ]
     # The last kind is of all spectra.
-    kind = [one.process.spectrum % (len(SPECTRA) + 1) for one in members]
-    kinds = _grouped(np.tile(np.array(kind)[:, None], len(amplitudes)), *[len(SPECTRA)] * 2)
-    head = [len(members), tables[0].shape[1] // _LANES, len(SPECTRA), odd, len(large)]
-    integers = np.concatenate((head, first[0], first[1] + odd, kinds)).astype(np.int64)
+    kind = np.array([*(one.process.spectrum % (len(SPECTRA) + 1) for one in members), len(SPECTRA)])
+    kinds = _fill(np.tile(kind[:, None], len(amplitudes)), len(SPECTRA))
+    head = [len(less), kinds.shape[1] // _LANES, len(SPECTRA), first[1, 0], len(sizes)]
+    integers = np.concatenate((head, first.ravel(), kinds.ravel())).astype(np.int64)
     return integers, np.concatenate([part.ravel() for part in numbers])
 
 
 def _derivatives(
     count: int, block: int, exact: bool, dense: bool, time: Real, orders: range
-) -> tuple[tuple[list[Real], list[Real]], list[Real]]:
+) -> tuple[list[Real], list[tuple[Real, Real]], list[Real]]:
     """
-    Derivatives (T, K, m) of the modes at times (T,): of mean or slope and then of each process.
+    Derivatives (T, K, m) of mean and slope at times (T,), and of the modes of each process.
 
     And the covariances (T, K, K) of what no mode of each process has, of amplitude 1.
     """
     lines = np.stack([_lines(count, time, order) for order in orders], axis=1)  # (T, K, 2)
-    found, unseen = ([lines[..., :1]], [lines[..., 1:]]), []
+    found, unseen = [], []
     for member in _members(count, block, exact, dense):
         values = _values(member.process, count, time, orders)
         more = np.zeros((len(time), len(orders), len(orders)))
+        pair = []
         for parity, (one, sizes) in enumerate(zip(member.functions, member.sizes, strict=True)):
             left = np.stack([value[parity] for value in values], axis=1)
             left -= lines[..., parity, None] * one.along
@@ -279,18 +290,19 @@ def _derivatives(
             own = np.zeros((*left.shape[:2], len(sizes)))
             seen = np.count_nonzero(sizes)
             own[..., :seen] = by[..., :seen] / sizes[:seen]
-            found[parity].append(own)
+            pair.append(own)
             left -= by @ one.right
             more += left @ left.swapaxes(1, 2)
+        found.append((pair[0], pair[1]))
         unseen.append(more)
-    return found, unseen
+    return [lines[..., :1], lines[..., 1:]], found, unseen
 
 
 def slopes_of(count: int, block: int, exact: bool, dense: bool) -> Real:
     """Derivatives (orders, panels, rows, _LANES), 1 to 4, of the modes at the first samples."""
     time, _, _ = _half_window(count)
-    found, _ = _derivatives(count, block, exact, dense, time, range(1, 5))
-    slopes = _fill(np.moveaxis(_join(found), 0, 2))  # (K, rows, half)
+    lines, found, _ = _derivatives(count, block, exact, dense, time, range(1, 5))
+    slopes = _fill(np.moveaxis(_join(lines, found, exact)[0], 0, 2))  # (K, rows, half)
     return slopes.reshape(*slopes.shape[:2], -1, _LANES).swapaxes(1, 2).ravel()
 
 
@@ -304,26 +316,22 @@ def stencils_of(count: int, block: int, exact: bool, dense: bool, orders: int, a
     up to the largest that may look like one, of a line and rest the slowest and least of the first.
     """
     members, amplitudes = _members(count, block, exact, dense), _amplitudes(exact)
-    time = np.array([at])
-    found, unseen = _derivatives(count, block, exact, dense, time, range(orders))
-    lines = np.concatenate((found[0][0][0], found[1][0][0]), axis=1)  # (K, 2)
-    spread = np.empty((orders, orders, len(members), len(amplitudes)))
+    lines, found, unseen = _derivatives(count, block, exact, dense, np.array([at]), range(orders))
+    spread = np.empty((orders, orders, len(members) + 1, len(amplitudes)))
     for p, member in enumerate(members):
-        own = np.concatenate((lines, found[0][p + 1][0], found[1][p + 1][0]), axis=1)
+        own = np.concatenate((*lines, *found[p]), axis=-1)[0]
         large = member.large(exact)
         share = np.pad(large / (1 + large), ((0, 0), (2, 0)), constant_values=1.0)
         spread[:, :, p] = (own[:, None] * own) @ share.T
         spread[:, :, p] += unseen[p][0][..., None] * amplitudes**2
     spectra = [member.process.spectrum for member in members]
     slowest = [spectra.index(k) for k in range(len(SPECTRA))]
-    least = spread[:, :, slowest[0], :1]
     for p, member in enumerate(members):
         if member.process.spectrum < 0 and member.process.length > 1:
             hidden = np.minimum(np.arange(len(amplitudes)), _HIDDEN)
             spread[:, :, p] = spread[:, :, slowest].mean(axis=2)[..., hidden]
         elif member.process.spectrum < 0:
-            spread[:, :, p] = least
-    groups = _grouped(spread, 0.0, 0.0)
-    groups[..., -_LANES] = least[..., 0]
-    groups = np.moveaxis(groups.reshape(orders, orders, -1, _LANES), 2, 0)
-    return np.concatenate((_join(found)[0].ravel(), groups.ravel()))
+            spread[:, :, p] = spread[:, :, slowest[0], :1]
+    spread[:, :, -1] = spread[:, :, slowest[0], :1]
+    groups = np.moveaxis(_fill(spread).reshape(orders, orders, -1, _LANES), 2, 0)
+    return np.concatenate((_join(lines, found, exact)[0].ravel(), groups.ravel()))

@@ -16,10 +16,10 @@ from kinpole_ros.planar._plane import Complex, Real
 _EFFORTS = 'low', 'normal', 'high'
 _ARRAYS = (
     *('time', 'windows', 'left_out', 'angle', 'turns', 'position', 'angle_information'),
-    *('position_information', 'noise', 'models', 'stencils', 'results'),
+    *('position_information', 'noise', 'tables', 'results'),
 )
-# How many are kept: models of one window are some 200 kB.
-_MOST_MODELS, _MOST_SLOPES, _MOST_STENCILS = 64, 24, 256
+# What is made for windows, the oldest of which is forgotten: 100 kB to 3 MB for each kind of them.
+_MOST_BYTES = 64_000_000
 
 
 class Poses(NamedTuple):
@@ -67,13 +67,13 @@ class Derivatives(NamedTuple):
     freedom: Real
 
 
-class _Lacking(Structure):
-    """`StencilTable` of _window.h."""
+class _Table(Structure):
+    """`Table` of _window.h."""
 
     _fields_: ClassVar[Any] = [
         *((name, c_longlong) for name in ('count', 'block', 'flags', 'orders')),
         ('at', c_double),
-        ('numbers', c_void_p),
+        *((name, c_void_p) for name in ('integers', 'numbers')),
     ]
 
 
@@ -82,11 +82,11 @@ class _Call(Structure):
 
     _fields_: ClassVar[Any] = [
         *((name, c_longlong) for name in ('frames', 'bodies', 'instants', 'next', 'orders')),
-        *((name, c_longlong) for name in ('effort', 'model_tables', 'stencil_tables')),
+        *((name, c_longlong) for name in ('effort', 'table_count')),
         ('window', c_double),
         ('flat', c_double),
         *((name, POINTER(c_char)) for name in _ARRAYS),
-        ('lacking', _Lacking),
+        ('lacking', _Table),
     ]
 
 
@@ -95,16 +95,14 @@ _derive.argtypes = [POINTER(_Call)]
 
 
 class _Tables(NamedTuple):
-    """What is made, by the window it is for, and its addresses: two arrays of _window.h."""
+    """Integers and numbers of `Table` of _window.h, and all tables as the library takes them."""
 
-    models: dict[tuple[int, ...], tuple[np.ndarray, Real]]
-    slopes: dict[tuple[int, ...], Real]
-    stencils: dict[tuple[int, ...], Real]
-    of_models: np.ndarray
-    of_stencils: np.ndarray
+    arrays: tuple[tuple[np.ndarray, Real], ...]
+    tables: np.ndarray
 
 
-_tables = _Tables({}, {}, {}, np.empty((0, 6), np.int64), np.empty((0, 6), np.int64))
+# It is never changed, but replaced: another thread may be using it.
+_tables = _Tables((), np.empty((0, 7), np.int64))
 
 
 def derive_poses(
@@ -129,7 +127,7 @@ def derive_poses(
         raise ValueError(f'shapes do not fit to {frames} frames and noise {noise.shape}: {shapes}')
     results = np.empty((3 * orders + 2 * orders**2 + 2, instants, bodies))
     call = _Call(
-        *(frames, bodies, instants, 0, orders, _EFFORTS.index(effort), 0, 0, window, FLAT),
+        *(frames, bodies, instants, 0, orders, _EFFORTS.index(effort), 0, window, FLAT),
         pass_array(poses.time, np.int64),
         pass_array(np.array(windows), np.int64),
         pass_array(left_out, np.int64),
@@ -143,10 +141,8 @@ def derive_poses(
     )
     code = 1
     while code:
-        tables = _tables
-        call.model_tables, call.stencil_tables = len(tables.of_models), len(tables.of_stencils)
-        call.models = pass_array(tables.of_models, np.int64)
-        call.stencils = pass_array(tables.of_stencils, np.int64)
+        tables = _tables.tables
+        call.table_count, call.tables = len(tables), pass_array(tables, np.int64)
         code = _derive(byref(call))
         if code < 0:
             raise MemoryError if code < -1 else IndexError('windows lie beyond the frames')
@@ -162,29 +158,18 @@ def derive_poses(
     )
 
 
-def _make(lacking: _Lacking) -> None:
-    """Make the models, their slopes or the stencils that the library lacks."""
+def _make(lacking: _Table) -> None:
+    """Make what the library lacks for a kind of window."""
     global _tables
-    models, slopes, stencils = _tables.models.copy(), _tables.slopes.copy(), _tables.stencils.copy()
-    key = lacking.count, lacking.block, lacking.flags
     window = lacking.count, lacking.block, bool(lacking.flags & 1), bool(lacking.flags & 2)
+    none = np.empty(0, np.int64)
     if lacking.orders > 0:
-        # All columns are integers: of the instant the bits.
-        bits = int(np.float64(lacking.at).view(np.int64))
-        instant = (*key, lacking.orders, bits)
-        stencils[instant] = stencils_of(*window, lacking.orders, lacking.at)
-    elif lacking.orders < 0:
-        slopes[key] = slopes_of(*window)
+        made = none, stencils_of(*window, lacking.orders, lacking.at)
     else:
-        models[key] = models_of(*window)
-    kept: Any
-    for kept, most in ((models, _MOST_MODELS), (slopes, _MOST_SLOPES), (stencils, _MOST_STENCILS)):
-        while len(kept) > most:
-            del kept[next(iter(kept))]
-    of_models = [
-        (*one, *(a.ctypes.data for a in arrays), slopes[one].ctypes.data if one in slopes else 0)
-        for one, arrays in models.items()
-    ]
-    of_stencils = [(*one, numbers.ctypes.data) for one, numbers in stencils.items()]
-    tables = (np.array(rows, np.int64).reshape(-1, 6) for rows in (of_models, of_stencils))
-    _tables = _Tables(models, slopes, stencils, *tables)
+        made = models_of(*window) if lacking.orders == 0 else (none, slopes_of(*window))
+    lacking.integers, lacking.numbers = (array.ctypes.data for array in made)
+    arrays = (*_tables.arrays, made)
+    tables = np.concatenate((_tables.tables, np.frombuffer(bytes(lacking), np.int64)[None]))
+    sizes = np.cumsum([sum(array.nbytes for array in one) for one in arrays][::-1])[::-1]
+    kept = max(int(np.count_nonzero(sizes <= _MOST_BYTES)), 1)
+    _tables = _Tables(arrays[-kept:], tables[-kept:].copy())

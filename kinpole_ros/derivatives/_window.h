@@ -1,81 +1,80 @@
 /*
- * From poses at stamps to samples in even cells, and to what models say of them.
+ * From poses at stamps to samples in even cells.
  *
  * A window is cut into cells as long as the usual interval between frames. Cells may be empty, good
  * for less than others, or not where their frame is; too many of them are averaged in blocks.
  */
 
-/* Samples of the shortest window there is; in a window of more than the most they are averaged. */
+/* Samples of the shortest window there is; it still has every order. */
 #define FEWEST_SAMPLES 7
+/* More samples than this in a window are averaged in blocks. */
 #define MOST_SAMPLES 128
-/* Samples that have this share of the information of the best count equally, by their mean; in a
-   block all count that have the other share. */
+/* Samples with this share of the information of the best count equally, by their mean. */
 #define SIMILAR 0.5
+/* Samples of a block with less than this share of the information of the best are left out. */
 #define POOR 0.25
-/* Samples are in their places if they are off by no more than this part of the interval. */
+/* A sample is in its place if it is off by less than this part of the interval. */
 #define OFF 1e-4
-/* Of intervals between frames, by which they are none of a whole number; how many may be miscounted. */
+/* A gap that is off a whole number of intervals by more than this makes their count doubtful. */
 #define DOUBTFUL 0.2
+/* If the count is doubtful, up to so many intervals more and fewer are tried. */
 #define MISCOUNTED 4
-/* Cells of a window, most of which are empty. */
+/* Cells of a window, most of which are empty where frames come in bunches: a bound of memory. */
 #define MOST_CELLS 4096
-/* Samples that differ by more deviations of their noise are taken for exact; by no more than the
-   second number, or the noise is taken for larger. */
+/* Samples that differ by more deviations of their noise are taken for exact. */
 #define EXACT 1e7
+/* Samples differ by no more deviations of their noise, or the noise is taken for larger. */
 #define MOST_EXACT 1e13
-/* So much of a window is there, and one that is not full is at most so much larger than what there
-   is of it. If more cells than that are lacking, two of them make one. */
+/* At least this part of a window has to be seen. */
 #define PRESENT 0.5
+/* A window that is not full is at most so much larger than what there is of it. */
 #define LARGER 1.25
+/* If more cells than that are lacking, two of them make one: cost goes by the square. */
 #define MOST_LACKING 24
 /* A sample that is missing is first put on a parabola through so many others. */
 #define NEAREST 6
-/* How often samples are moved, and those that are all but exact, until they move by less than so
-   many deviations. Meanwhile the noise counts for so many samples: it is more while they are not in
-   their places. */
+/* Samples are moved to their places at most so often, and up to 3 times more. */
 #define ROUNDS 6
+/* Samples that are all but exact are moved at most so often, and up to 3 times more. */
 #define MORE_ROUNDS 38
+/* Samples that move by less than so many deviations are in their places. */
 #define SETTLED 0.05
+/* While samples are moved the noise counts for so many samples: it is more than was measured. */
 #define KNOWN_MEANWHILE 1.0
-/* How much of a window is the newer part, if it is of two motions; how probable that is; flat priors
-   of a parameter that another part has to be worth; and samples that a part needs. */
+/* How much of a window is the newer part, if it is of two motions. */
 static const double newer_parts[] = {0.3, 0.46, 0.7};
 #define NEWER_PARTS 3
+/* How probable it is that a window is of two motions. */
 #define PARTS_PRIOR 0.5
+/* Another part has to be worth so many flat priors of a parameter. */
 #define WORTH 4
+/* A part needs so many samples, one more than a window. */
 #define FEWEST_OF_PART (FEWEST_SAMPLES + 1)
 
 enum { LOW_EFFORT, NORMAL_EFFORT, HIGH_EFFORT };
 
-/* The models that are made, and the stencils, by their window; `flags` are 1 for samples that are
-   all but exact and 2 for twice as many processes. */
-typedef struct {
-    long long count, block, flags;
-    const long long *counts;
-    const double *numbers, *slopes;
-} ModelTable;
-
+/* What is made once for a kind of window, of so many samples each the mean of a block: models if
+   `orders` is 0, slopes if it is -1, or stencils of an instant so many samples from the middle.
+   `flags` are 1 for samples that are all but exact and 2 for twice as many processes. */
 typedef struct {
     long long count, block, flags, orders;
     double at;
+    const long long *integers;
     const double *numbers;
-} StencilTable;
+} Table;
 
-/* Poses of B bodies in N frames at stamps, ns: an angle beyond so many whole turns, a position and
-   inverse variances of both in units of the noise, 0 where a body is not known. Of T instants `now`
-   (3, T) is the frame, and the oldest and newest frame of the window; so many of the newest frames
-   are left out (T, B), and the deviation of the noise is (T, B). Results are (T, B, ...): see
-   _poses.py. Signals before `next` are done; `lacking` is what has to be made to go on: models if
-   `orders` is 0, slopes if it is -1, else stencils. */
+/* The arguments of `derive_poses` in _poses.py, which says what they are: arrays (N, B) of B bodies
+   in N frames, and (T, B) of T instants; `windows` (3, T) are the frame of the instant and the
+   oldest and newest frames. Signals before `next` are done; `lacking` is the table to make before
+   the next call. */
 typedef struct {
-    long long frames, bodies, instants, next, orders, effort, model_tables, stencil_tables;
+    long long frames, bodies, instants, next, orders, effort, table_count;
     double window, flat; /* s; logarithm of the deviation of a flat prior */
     const long long *time, *windows, *left_out;
     const double *angle, *turns, *position, *angle_information, *position_information, *noise;
-    const ModelTable *models;
-    const StencilTable *stencils;
+    const Table *tables;
     double *results;
-    StencilTable lacking;
+    Table lacking;
 } Call;
 
 /* The even cells of an instant: the interval, ns, and of each frame, the newest first, its cell and
@@ -188,7 +187,7 @@ find_grid(const long long *stamps, long long now, long long newest, long long fr
     return DONE;
 }
 
-/* The mean of those that are not much less than the best of them. */
+/* The mean of the numbers that are at least SIMILAR times the largest. */
 static double
 usual_of(const double *information, long long count)
 {
@@ -226,7 +225,7 @@ make_room(Samples *s, int which, long long count)
     return 1;
 }
 
-/* Samples of angle and position in other units. */
+/* Divide the samples of angle and position by a number each. */
 static void
 divide(const Samples *s, const double *by)
 {
@@ -246,9 +245,9 @@ largest_of(const Samples *s, int c)
     return most;
 }
 
-/* The cells of one body about its pose at the instant, the newest first, in units of their noise.
-   There are `count` of them, 0 if they are too few, `ahead` of which are newer than the instant, and
-   room for more, of which nothing is seen; `exact` is whether they are all but exact. */
+/* Fill the cells of one body, the newest first, relative to its pose at the instant and in units of
+   the noise. `count` is the number of cells, 0 if too few, and `ahead` how many are newer than the
+   instant; empty cells follow. `exact` says that the motion is far larger than its noise. */
 static int
 fill_cells(const Call *call, long long instant, long long body, const Grid *grid, Samples *s,
            long long *count, long long *ahead, double *unit, int *exact)
@@ -299,8 +298,9 @@ fill_cells(const Call *call, long long instant, long long body, const Grid *grid
     return DONE;
 }
 
-/* The size of a window of which enough is there, or 0, of so many blocks if it is full; `seen` are
-   how many blocks (blocks,) up to each have anything, of which `last` have, with `ahead` newer. */
+/* Choose the number of blocks of a window of which enough is seen, or 0. It has `full` blocks if it
+   is full, the oldest sample is in block `last`, and `ahead` are newer than the instant. `seen`
+   counts the blocks with samples up to each. */
 static long long
 find_size(long long full, long long last, long long ahead, int exact, const long long *seen,
           long long blocks)
@@ -325,8 +325,8 @@ find_size(long long full, long long last, long long ahead, int exact, const long
     return 0;
 }
 
-/* How many blocks a window has, 0 for none, -1 without memory, and how many cells a block. These are as few as may be,
-   or twice as many, and so on, until little is lacking: frames may come in bunches. */
+/* Choose the number of blocks of a window, 0 for none, -1 without memory, and of cells in a block.
+   A block is doubled until few are lacking, since frames may come in bunches. */
 static long long
 choose_size(const Samples *s, long long count, long long whole, long long ahead, int exact,
             long long *block)
@@ -349,7 +349,8 @@ choose_size(const Samples *s, long long count, long long whole, long long ahead,
                 any |= s->weight[0][k] > 0 && s->weight[1][k] > 0;
             seen[b] = sum += any;
         }
-        long long found = find_size(whole / tried, oldest / tried, ahead / tried, exact, seen, blocks);
+        long long found = find_size(whole / tried, oldest / tried, ahead / tried, exact, seen,
+                                    blocks);
         if (!found)
             continue;
         size = found, *block = tried;
@@ -359,8 +360,8 @@ choose_size(const Samples *s, long long count, long long whole, long long ahead,
     return size;
 }
 
-/* The oldest first, means over blocks of those samples in each that there are; their noise is
-   `coarser` times as large as that of a sample. */
+/* Average the samples in each block, the oldest first; the noise of a mean is `coarser` times that
+   of a sample. */
 static void
 average(const Samples *cells, long long block, Samples *out, double *coarser)
 {
@@ -372,13 +373,13 @@ average(const Samples *cells, long long block, Samples *out, double *coarser)
                 best[c] = larger(best[c], cells->weight[c][k]);
         for (long long k = first; k < first + block; k++) {
             double a = cells->weight[0][k], p = cells->weight[1][k];
-            /* All that are counted count similar, or the middle would not be where the block's is. */
+            /* Poor samples are left out: all in a mean have the same share. */
             if (!(a >= POOR * best[0] && p >= POOR * best[1] && a > 0 && p > 0))
                 continue;
             number++, variance[0] += 1 / a, variance[1] += 1 / p;
             for (int c = 0; c < 3; c++)
                 out->x[c][at] += cells->x[c][k];
-            /* What is missing in a block moves its middle. */
+            /* The mean time of a block moves with its missing samples. */
             late += cells->off[k] + (block - 1) / 2.0 - (k - first);
         }
         if (!number)
@@ -398,7 +399,7 @@ average(const Samples *cells, long long block, Samples *out, double *coarser)
     divide(out, coarser);
 }
 
-/* Those of samples whose position is missing on parabolas through the nearest of the others. */
+/* Put missing samples on parabolas through the nearest of the others, the older of two as near. */
 static void
 fill_missing(const Samples *s)
 {
@@ -421,7 +422,7 @@ fill_missing(const Samples *s)
                 }
                 found++;
             }
-        /* What the parabola is at the cell: Cramer's rule. */
+        /* The value of the parabola at the cell, by Cramer's rule. */
         double a = m[2] * m[4] - m[3] * m[3], b = m[2] * m[3] - m[1] * m[4];
         double d = m[1] * m[3] - m[2] * m[2], det = m[0] * a + m[1] * b + m[2] * d;
         for (int c = 0; c < 3; c++)
@@ -429,7 +430,7 @@ fill_missing(const Samples *s)
     }
 }
 
-/* Samples moved to their places by parabolas through their neighbors. */
+/* Move samples to the even grid by parabolas through their neighbors. */
 static void
 move_by_neighbors(const Samples *s, double *const moved[3])
 {
@@ -440,7 +441,8 @@ move_by_neighbors(const Samples *s, double *const moved[3])
             long long low = k > 0 ? k - 1 : 0, high = k < n - 1 ? k + 1 : n - 1;
             double before = k + s->off[k] - low - s->off[low];
             double after = high + s->off[high] - k - s->off[k];
-            double first = (y[k] - y[low]) / before, second = (y[high] - y[k]) / after, at = s->off[k];
+            double first = (y[k] - y[low]) / before, second = (y[high] - y[k]) / after;
+            double at = s->off[k];
             double bend = (second - first) / (before + after);
             if (k == 0 || k == n - 1)
                 moved[c][k] = y[k] - at * (k ? first : second);

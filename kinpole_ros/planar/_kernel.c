@@ -9,7 +9,9 @@
 #include <math.h>
 
 /* Products without a look at infinities, as numpy's: a third of the time. */
+#ifndef __clang__
 #pragma GCC optimize("O3", "cx-limited-range")
+#endif
 
 #define HIGHEST 4
 typedef double complex Number;
@@ -93,6 +95,9 @@ curvature(const Number *z, const double *rate, Linear *out)
 /* A pole of the order `what`, 1 to 4, or 5 or 6 of the enum above, at `count` instants. Position and
    angle are (orders, count) with covariances (orders, orders, count); `values` (count,) are complex,
    `spreads` (count, 2, 2) their covariances, and `sure` (count,) is how sure the turn is. */
+#ifdef _WIN32
+__declspec(dllexport)
+#endif
 void
 kinpole_figures(int what, long long count, long long orders, const Number *position,
                 const double *angle, const double *of_position, const double *of_angle,

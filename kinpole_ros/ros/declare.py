@@ -8,7 +8,7 @@ from rclpy.node import Node
 from rclpy.qos_overriding_options import QoSOverridingOptions
 
 from kinpole_ros.tracking.parameters import (
-    AUTOSTART,
+    NODE_PARAMETERS,
     PARAMETERS,
     Parameter,
     ParameterError,
@@ -40,7 +40,7 @@ def declare(node: Node) -> Settings:
     depth = given.get(name, 1)
     if type(depth) is not int or depth < 1:
         raise ParameterError(f'parameter {name} is {depth!r}; it must be a whole number from 1 up')
-    rows = {**PARAMETERS, 'autostart': AUTOSTART}
+    rows = {**PARAMETERS, **NODE_PARAMETERS}
     rows.update(own_parameters(settings.bodies, settings.joints))
     _declare(node, rows, given)
     return settings

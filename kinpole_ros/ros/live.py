@@ -39,9 +39,9 @@ from kinpole_ros.bags import (
     type_name,
 )
 from kinpole_ros.messages import ns_to_stamp
-from kinpole_ros.ros.executor import MessagesFirst, SubscriptionGroup
+from kinpole_ros.ros.executor import SubscriptionGroup, make_executor
 from kinpole_ros.ros.loop import LoopShift
-from kinpole_ros.ros.private import RCLError, received_at, take, wait_for_messages
+from kinpole_ros.ros.private import RCLError, received_at, take
 from kinpole_ros.ros.process import check_domain, reason_of, start_ros
 
 # What a kill may lose of a recording.
@@ -213,7 +213,7 @@ class Recorder(Node):
         self._recorded: list[tuple[Subscription, Callable[..., None]]] = []
         # Those with a publisher that offers less than was asked for.
         self._unheard: set[Subscription] = set()
-        self._group = SubscriptionGroup()
+        self.group = SubscriptionGroup()
         self.messages = 0
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self.create_timer(_LOOK_EVERY, self._look, clock=steady)
@@ -222,24 +222,16 @@ class Recorder(Node):
         self._look()
 
     @property
-    def found(self) -> bool:
-        """Whether there is anything to record."""
-        return bool(self._recorded)
+    def subscriptions(self) -> list[Subscription]:
+        """Those that are recorded."""
+        return [subscription for subscription, _ in self._recorded]
 
-    def wait(self, seconds: float) -> bool:
-        """Wait so long for messages, which are left to this from now on; whether any came."""
-        self._group.is_polled = True
-        wait_for_messages(self, [subscription for subscription, _ in self._recorded], seconds)
-        return self.take() > 0
-
-    def take(self) -> int:
-        """Record all that waits; how many messages it was."""
-        before = self.messages
+    def take_messages(self) -> None:
+        """Record all that waits."""
         for subscription, save in self._recorded:
             # No more than wait at most, lest a flood keeps all others waiting.
             for data, info in take(subscription, _DEEP):
                 save(data, received_at(info))
-        return self.messages - before
 
     def _complain(self) -> None:
         self._waiting.cancel()
@@ -281,7 +273,7 @@ class Recorder(Node):
             incompatible_qos=lambda _: self._unheard.add(subscription)
         )
         subscription: Subscription = self.create_subscription(
-            cls, name, save, qos, callback_group=self._group, event_callbacks=events, raw=True
+            cls, name, save, qos, callback_group=self.group, event_callbacks=events, raw=True
         )
         self._recorded.append((subscription, save))
 
@@ -294,7 +286,7 @@ class Recorder(Node):
         if not less:  # not listed yet, or gone again
             return
         self.get_logger().info(f'{name} is recorded with less QoS from now on, as offered')
-        self.take()
+        self.take_messages()
         self._unheard.remove(subscription)
         self._recorded = [row for row in self._recorded if row[0] is not subscription]
         self.destroy_subscription(subscription)
@@ -335,13 +327,12 @@ def record(output: str | Path, prefixes: list[str]) -> int:
     try:
         with BagWriter(output, RECORDER) as writer:
             recorder = Recorder(writer, prefixes)
-            executor = MessagesFirst(recorder)
-            executor.add_node(recorder)
+            executor = make_executor(recorder, recorder)
             try:
                 while not stop_requested():
                     executor.spin_once()
                 # What has come is recorded, however far behind this is.
-                recorder.take()
+                recorder.take_messages()
             finally:
                 executor.shutdown()
                 recorder.destroy_node()

@@ -37,7 +37,7 @@ from kinpole_ros.messages import (
     nothing_drawn,
 )
 from kinpole_ros.ros.declare import given_in_vain
-from kinpole_ros.ros.executor import MessagesFirst
+from kinpole_ros.ros.executor import make_executor
 from kinpole_ros.ros.private import RCLError, wrap_service
 from kinpole_ros.ros.process import reason_of, start_ros
 from kinpole_ros.ros.settable import SettableNode
@@ -407,7 +407,6 @@ def _change_if_possible(change: Callable[..., Any], request: Any, response: Any)
 
 def _spin(node: KinpoleNode, executor: Executor, stop_requested: Callable[[], bool]) -> None:
     """As rclpy.spin, but a node that others rely upon does not end with its first failure."""
-    executor.add_node(node)
     failures, well = 0, time.monotonic()
     while not stop_requested():
         try:
@@ -445,7 +444,7 @@ def main(args: Sequence[str] | None = None) -> int:
                 f'no parameter file has anything for {name}, and all is as by default: call its '
                 f'section {name}, or /**'
             )
-        executor = MessagesFirst(node.source)
+        executor = make_executor(node.source, node, node.get_parameter('executor').value)
         _spin(node, executor, stop_requested)
     except KeyboardInterrupt:
         pass

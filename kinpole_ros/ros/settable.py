@@ -20,6 +20,7 @@ from kinpole_ros.messages import WITH_TF, theory_of
 from kinpole_ros.ros.declare import declare, declare_own, given_to, values_of
 from kinpole_ros.ros.private import wrap_service
 from kinpole_ros.tracking.parameters import (
+    NODE_PARAMETERS,
     PARAMETERS,
     ParameterError,
     Settings,
@@ -48,7 +49,7 @@ class SettableNode(LifecycleNode, ABC):
     def __init__(self, name: str) -> None:
         super().__init__(name, automatically_declare_parameters_from_overrides=True)
         self.active = False
-        self.given_nothing = not {*PARAMETERS, 'autostart'} & given_to(self).keys()
+        self.given_nothing = not {*PARAMETERS, *NODE_PARAMETERS} & given_to(self).keys()
         self.settings = declare(self)
         self.theory = _theory_of(self.settings)
         self.incomplete = ''

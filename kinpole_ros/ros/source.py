@@ -8,6 +8,7 @@ from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.node import Node
 from rclpy.qos import QoSCompatibility, QoSProfile, ReliabilityPolicy, qos_check_compatible
 from rclpy.qos_overriding_options import QoSOverridingOptions
+from rclpy.subscription import Subscription
 from rclpy.topic_endpoint_info import TopicEndpointInfo
 
 from kinpole_ros.messages import (
@@ -19,7 +20,7 @@ from kinpole_ros.messages import (
     reader_of,
 )
 from kinpole_ros.ros.executor import SubscriptionGroup
-from kinpole_ros.ros.private import has_known_node, sequence_number, take, wait_for_messages
+from kinpole_ros.ros.private import has_known_node, sequence_number, take
 from kinpole_ros.tracking.frame import MarkerFrames
 from kinpole_ros.tracking.parameters import ParameterError, Settings
 
@@ -34,9 +35,9 @@ class MarkerSource:
     """
     The topic of the markers.
 
-    `on_markers` is called with a message and its info, by rclpy or by `wait`, and has them and all
-    that waits read by `take`. `note` is given what is wrong, by a word for it, and '' when that is
-    over.
+    `on_markers` is called with a message and its info, by rclpy or by `take_messages`, and has them
+    and all that waits read by `take`. `note` is given what is wrong, by a word for it, and '' when
+    that is over.
     """
 
     def __init__(
@@ -50,7 +51,7 @@ class MarkerSource:
         self._on_markers, self._note = on_markers, note
         self.topic = node.resolve_topic_name(settings.marker_topic)
         self._subscription: Any = None
-        self._group = SubscriptionGroup()
+        self.group = SubscriptionGroup()
         self._kind = ''
         # Whether the markers were asked for reliably.
         self.lossless = False
@@ -65,14 +66,15 @@ class MarkerSource:
         """Whether the topic is subscribed to."""
         return self._subscription is not None
 
-    def wait(self, seconds: float) -> bool:
-        """Wait so long for markers, which are left to this from now on; whether any came."""
-        self._group.is_polled = True
-        wait_for_messages(self._node, [self._subscription], seconds)
-        taken = [*take(self._subscription, 1)]
-        if taken:
-            self._on_markers(*taken[0])
-        return bool(taken)
+    @property
+    def subscriptions(self) -> list[Subscription]:
+        """That of the markers, once there is one."""
+        return [self._subscription] if self.found else []
+
+    def take_messages(self) -> None:
+        """Take markers, if any wait, and have them worked on."""
+        for taken in [*take(self._subscription, 1)]:
+            self._on_markers(*taken)
 
     def close(self) -> None:
         """Listen no more; to look again begins again."""
@@ -144,7 +146,7 @@ class MarkerSource:
                 self._settings.marker_topic,
                 self._on_markers,
                 qos,
-                callback_group=self._group,
+                callback_group=self.group,
                 event_callbacks=SubscriptionEventCallbacks(use_default_callbacks=False),
                 qos_overriding_options=QoSOverridingOptions.with_default_policies(),
                 raw=True,

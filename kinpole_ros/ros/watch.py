@@ -19,7 +19,7 @@ from rclpy.subscription import Subscription
 from kinpole_ros.bags import message_class
 from kinpole_ros.messages import DRAWING, PAGE_TOPICS
 from kinpole_ros.ros.live import starting
-from kinpole_ros.ros.private import take, wait_for_messages
+from kinpole_ros.ros.private import PreparedWait, take
 from kinpole_ros.ros.process import start_ros
 
 # Of one topic: what comes between two looks.
@@ -83,7 +83,7 @@ class Watcher:
 
     def wait(self, seconds: float) -> None:
         """Wait so long for messages, and take them."""
-        wait_for_messages(self._node, list(self._subscriptions.values()), seconds)
+        PreparedWait(self._node.context, list(self._subscriptions.values())).wait(seconds)
         for name, subscription in self._subscriptions.items():
             for data, info in take(subscription, _DEPTH):
                 self.newest[name].append(Arrived(data, info['source_timestamp']))

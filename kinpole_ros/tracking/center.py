@@ -1,7 +1,7 @@
 """
 The point that a body turns about: a pin, fixed to the ground, or a hub, on a simple path.
 
-With the arm c in the axes of the body, its point p is where the origin is at z = p - c exp(i angle).
+With the arm c in the axes of the body, its origin is at z = p - c exp(i angle) for its point p.
 Regressing z on exp(i angle) gives c where the path of p is a polynomial of time: of degree 0 over
 all poses for a pin, of a low degree over each window for a hub. A hub is followed by longer windows
 than a point on the rim, so it stands for the position of the body.
@@ -76,7 +76,7 @@ class Pins:
         self._number[which] = 0
 
     def off(self, position: Complex, angle: Real, variance: Real) -> np.ndarray:
-        """Where (N, B) a body is off its pin beyond its noise; `variance` (N, 2, B) of angle and position."""
+        """Where (N, B) a body is off its pin; `variance` (N, 2, B) is of angle and position."""
         with np.errstate(invalid='ignore'):
             off = np.abs(position + np.exp(1j * angle) * self.arm - self.center) ** 2
             spread = variance[:, 1] + np.abs(self.arm) ** 2 * variance[:, 0]

@@ -11,7 +11,8 @@ from kinpole_ros.tracking.corrections import EXCHANGED, correct_markers, half_tu
 from kinpole_ros.tracking.history import History
 from kinpole_ros.tracking.statistics import mean_square
 
-# Markers may be exchanged if a body is this far, rad, from where it would have turned to, while it turns slowly, rad per frame.
+# Markers may be exchanged if a body is this far, rad, from where it would have turned to, while it
+# turns by less than the other, rad per frame.
 REVERSED, SLOW = 0.75 * np.pi, 0.25 * np.pi
 # Mean square residual per degree of freedom, over the misfit, of a body that was corrected; 0.1% of
 # chi-squares of three degrees exceed it.

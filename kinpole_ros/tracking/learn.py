@@ -193,7 +193,7 @@ def _update_noise(bodies: Bodies, history: History, window: int, given: float) -
     bodies.noise = np.maximum(level, ROUNDING * farthest)
 
 
-# Variances are compared if the residuals of one marker exceed the median of its body by this factor.
+# Variances are compared if residuals of one marker exceed the median of its body by this factor.
 SUSPICIOUS = 1.4
 # Fewer degrees of freedom tell no order of magnitude of the noise.
 MIN_DEGREES = 6

@@ -356,19 +356,30 @@ PIN = Parameter(
     _pin,
     'a flat list of four numbers, m, such as [0.0, 0.0, 0.3, 0.1]',
 )
-AUTOSTART = Parameter(
-    True,
-    'Whether the node configures and activates itself.',
-    _flag,
-    'true or false',
-    fixed=True,
-)
+# Parameters that the node alone has; they are no part of `Settings`.
+NODE_PARAMETERS = {
+    'autostart': Parameter(
+        True,
+        'Whether the node configures and activates itself.',
+        _flag,
+        'true or false',
+        fixed=True,
+    ),
+    'executor': _choices(
+        'lean',
+        'What waits for messages and runs callbacks: lean takes less CPU time, rclpy is the '
+        'executor of rclpy.',
+        'lean',
+        'rclpy',
+        fixed=True,
+    ),
+}
 # In a joint, what does not move.
 GROUND = 'ground'
 # Not YAML; the others are what PyYAML lets through.
 _MALFORMED = (yaml.YAMLError, ValueError, LookupError, TypeError, AttributeError)
 # What ROS itself, or the node alone, understands in the same file.
-_NODE_ONLY = ('use_sim_time', 'autostart', 'start_type_description_service')
+_NODE_ONLY = ('use_sim_time', 'start_type_description_service', *NODE_PARAMETERS)
 
 
 def settings_from(values: Mapping[str, Any]) -> Settings:
@@ -380,7 +391,8 @@ def settings_from(values: Mapping[str, Any]) -> Settings:
     """
     known = known_rows(values)
     names, joints = (tuple(values.get(name, known[name].default)) for name in ('bodies', 'joints'))
-    check_value('autostart', AUTOSTART, values)
+    for name, row in NODE_PARAMETERS.items():
+        check_value(name, row, values)
     checked = {name: check_value(name, row, values) for name, row in known.items()}
     bodies = {name: checked.pop(f'{name}.markers') for name in names}
     checked['bodies'] = bodies

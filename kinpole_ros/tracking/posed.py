@@ -52,7 +52,7 @@ class TiltedTurns:
 
 
 def learn_poses(bodies: Bodies, history: History, given: float) -> None:
-    """Update the noise of the poses, and what follows from it; `given`, m, is that of a position."""
+    """Update the noise of the poses, and what follows; `given`, m, is that of a position."""
     rows = slice(-NOISE_FRAMES, None)
     known = history['information'][rows, 0] > 0
     measured = pose_noise(

@@ -108,7 +108,8 @@ class StampHistory:
         Estimate the clock, and decide by the motion of the last `samples` frames of the `history`.
 
         Returns the counts (n,) of the newest frames of the history: all but so many `uncounted` of
-        the newest that were taken. `noise` (B,), m, is that of a marker of each body, NaN while not known.
+        the newest that were taken. `noise` (B,), m, is that of a marker of each body, NaN while not
+        known.
         """
         stamps = self._stamps[-MEMORY:]
         clock, counts = estimate_clock(stamps, self.clock)

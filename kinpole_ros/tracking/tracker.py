@@ -237,7 +237,7 @@ class Tracker:
     def _take_all(
         self, frames: MarkerFrames, numbers: list[int], order: int | None
     ) -> list[Estimate]:
-        """Take frames whose times are sure; estimates that must not be joined with those to come."""
+        """Take frames whose times are sure; returns estimates that are complete."""
         estimates: list[Estimate] = []
         width = self._known.width
         solid = self._sort(frames)
@@ -270,7 +270,7 @@ class Tracker:
             self._names_changed = True
 
     def _update_if_due(self) -> bool:
-        """Learn if it is time for it; whether names stand for other markers since the last frame."""
+        """Learn if it is time for it; whether names stand for other markers since."""
         if self._frames >= self._next_update:
             self._names_changed |= self._update()
         changed, self._names_changed = self._names_changed, False
