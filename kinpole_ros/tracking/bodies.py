@@ -32,7 +32,8 @@ class Bodies:
     exchanged_for : int (B,). Number of frames since the order has changed.
     relative : (B, n). Variance of each marker over that of the others of its body, mostly 1.
     deviation : (B, n), m. Standard deviation of markers that count for less; 0 for the others.
-    fits : int (B,). Number of fits that `misfit` is known from.
+    begun : bool (B,). Its first frames were looked at for outliers.
+    fits : int (B,). Number of fits, of bodies that move, that `misfit` is known from.
     misfit : (B,), m^2. Variance of a coordinate of a marker about its place, whatever the cause.
     noise : (B,), m. Standard deviation of a coordinate, as far as it is noise; NaN if unknown.
     lasting : bool (B,). The noise is correlated for longer than can be measured.
@@ -56,6 +57,7 @@ class Bodies:
         self.lasting = np.zeros(self.count, bool)
         self.jump_scale = np.full((2, self.count), np.inf)
         self.exchanged = False
+        self.begun = np.zeros(self.count, bool)
         self.exchanged_for = np.zeros(self.count, int)
         self.least_noise = np.zeros(self.count)
         self.angle_noise = np.full(self.count, np.nan)
@@ -127,7 +129,7 @@ class Bodies:
         self.relative[which] = 1.0
         self.noise[which] = self.white[which] = self.last_angle[which] = np.nan
         self.jump_scale[:, which] = np.inf
-        self.given[which] = False
+        self.given[which] = self.begun[which] = False
         self.update()
 
     def widen(self, width: int) -> None:

@@ -68,7 +68,9 @@ def _begin_robustly(bodies: Bodies, history: History, counts: Counter[str]) -> n
     """Begin bodies anew by what most of their first frames agree on, once there are enough."""
     anew = np.zeros(bodies.count, bool)
     fits = np.isfinite(history['angle']).sum(axis=0)
-    for b in np.flatnonzero((bodies.fits < MIN_FITS) & (fits >= MIN_FITS)).tolist():
+    due = ~bodies.begun & (fits >= MIN_FITS)
+    bodies.begun |= due
+    for b in np.flatnonzero(due).tolist():
         if bodies.given[b]:
             continue
         seen = np.isfinite(history['angle'][:, b])
@@ -84,7 +86,6 @@ def _begin_robustly(bodies: Bodies, history: History, counts: Counter[str]) -> n
         history['used'][rows, b] = used
         bodies.frames[b] = used.sum(axis=0)
         anew[b] = True
-    bodies.fits = np.maximum(bodies.fits, fits)
     return anew
 
 
@@ -166,7 +167,9 @@ def _update_misfit(bodies: Bodies, history: History) -> None:
     # A body at rest in a tracker that rounds seems to fit to the last digit.
     still = (np.isnan(markers[1:]) | (markers[1:] == markers[:-1])).all(axis=-1)
     left[1:][still] = np.nan
-    known = ~np.isnan(left).all(axis=0)
+    number = np.count_nonzero(~np.isnan(left), axis=0)
+    bodies.fits = np.maximum(bodies.fits, number)
+    known = number > 0
     if known.any():
         bodies.misfit[known] = tame_part(left.T[known]) / MISFIT_RATIO
 
