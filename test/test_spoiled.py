@@ -137,6 +137,8 @@ def test_spoiled_markers_hardly_spoil_the_angular_velocity(
     error, share = measured(motion, shape, spoil)
     usual = ideal(motion, shape)
     both = np.isfinite(error) & np.isfinite(usual)
-    assert both.sum() > 0.65 * np.isfinite(usual).sum()
+    # Instants of lost frames have no result.
+    least = 0.65 if spoil is lost else 0.95
+    assert both.sum() > least * np.isfinite(usual).sum()
     assert np.sqrt(np.mean(error[both] ** 2)) <= bar * np.sqrt(np.mean(usual[both] ** 2))
     assert np.mean(np.abs(share[both]) > 5) <= 0.002

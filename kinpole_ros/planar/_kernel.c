@@ -1,8 +1,8 @@
 /*
  * Poles, the velocity of the ICR and the curvature of the centrode, with their covariances, of one
  * instant after the other: numpy takes 50 calls for each of them, however few instants there are.
- * _figures.py has the same of numpy, which is the one to read, and to test by; the formulas are
- * those of _poles.py, _centrode.py and _linear.py.
+ * The formulas are those of _poles.py, _centrode.py and _linear.py, which test_figures.py holds
+ * them against.
  */
 
 #include <complex.h>
