@@ -5,38 +5,15 @@
  * History and Bodies; names and shapes are given there. All are row-major.
  */
 
-#include <complex.h>
 #include <math.h>
+
+#include "_frames.h"
 
 #pragma GCC optimize("O3", "cx-limited-range")
 
-typedef double complex Number;
-
-/* Pointers to the columns of History, whose rows from `first` to `end` are in use, and to the arrays
-   of Bodies. `row` is where the newest frame is; `loosest` (B,), m^2, is the least spread of markers
-   that shows an angle; `doubtful` (B, n), m^2, are squared residuals beyond which names are. */
-typedef struct {
-    long long bodies, markers, first, end;
-    long long *time;
-    double *angle, *turns, *information;
-    Number *position, *residual;
-    unsigned char *used;
-    Number *shape;
-    double *weights, *largest, *doubtful, *spread, *loosest, *last_angle;
-    double *jump_scale, *size;
-    double far, newest_far, near;
-} Frames;
-
-enum { ODD = 1, NAME_DOUBTFUL = 2 };
 enum { LONGEST = 3, LOOK_BACK = 4 * LONGEST, NODES = 4 };
 static const double ROUNDING = 4 * 2.220446049250313e-16, TINY = 2.2250738585072014e-308;
 static const double TURN = 6.283185307179586;
-
-static double
-square_of(Number z)
-{
-    return creal(z) * creal(z) + cimag(z) * cimag(z);
-}
 
 /* An angle in [-pi, pi]. */
 static double
@@ -54,14 +31,17 @@ fit(const Frames *f, long long b, const Number *points, int goes_on)
     const double *weights = f->weights + b * n;
     Number *residual = f->residual + at * n, middle = 0.0, mean = 0.0, cross = 0.0;
     double total = 0.0, spread = 0.0, reach = 0.0, own_reach = 0.0;
+    int found = 0;
     for (long long k = 0; k < n; k++)
         if (weights[k] > 0.0 && !isnan(creal(points[k])) && !isnan(cimag(points[k]))) {
             total += weights[k];
             middle += weights[k] * points[k];
             mean += weights[k] * shape[k];
             f->used[at * n + k] = 1;
-        } else
+        } else {
             f->used[at * n + k] = 0;
+            found |= weights[k] > 0.0 || isnan(creal(points[k])) ? 0 : NEW_MARKER;
+        }
     middle /= total, mean /= total;
     for (long long k = 0; k < n; k++)
         if (f->used[at * n + k]) {
@@ -76,7 +56,6 @@ fit(const Frames *f, long long b, const Number *points, int goes_on)
         sqrt(own_reach) > ROUNDING * cabs(mean);
     Number turn = fits ? cross / length : NAN;
     double angle = fits ? atan2(cimag(turn), creal(turn)) : NAN;
-    int found = 0;
     for (long long k = 0; k < n; k++) {
         if (!f->used[at * n + k] || !fits) {
             f->used[at * n + k] = 0, residual[k] = NAN + NAN * I;

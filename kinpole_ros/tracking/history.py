@@ -8,7 +8,7 @@ class History:
     Frames of `bodies` bodies of up to `markers` markers, oldest first.
 
     `history['angle']` is the column of that name, a view of all rows, valid until the next
-    `append`. Rows are dropped from the start; `dropped` counts them. Rows `first` to `end` of
+    `reserve`. Rows are dropped from the start; `dropped` counts them. Rows `first` to `end` of
     `columns` are in use.
 
     stamp, time : int64, ns. As the message has it, and as the clock has it.
@@ -55,16 +55,21 @@ class History:
     def __getitem__(self, name: str) -> np.ndarray:
         return self.columns[name][self.first : self.end]
 
+    def reserve(self, number: int) -> bool:
+        """Make room for so many rows more; whether the columns had to be made anew."""
+        capacity, count = len(self.columns['stamp']), len(self)
+        if self.end + number <= capacity:
+            return False
+        grown = max(capacity, 2 * (count + number))
+        for name, column in self.columns.items():
+            moved = np.empty((grown, *column.shape[1:]), column.dtype)
+            moved[:count] = column[self.first : self.end]
+            self.columns[name] = moved
+        self.first, self.end = 0, count
+        return True
+
     def append(self) -> int:
         """Add a row, and return its number in the columns; its values are those of some old row."""
-        capacity, count = len(self.columns['stamp']), len(self)
-        if self.end == capacity:
-            grown = 2 * capacity if 2 * count > capacity else capacity
-            for name, column in self.columns.items():
-                moved = np.empty((grown, *column.shape[1:]), column.dtype)
-                moved[:count] = column[self.first :]
-                self.columns[name] = moved
-            self.first, self.end = 0, count
         self.end += 1
         return self.end - 1
 

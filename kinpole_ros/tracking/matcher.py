@@ -95,6 +95,12 @@ class Matcher:
         return self._nameless
 
     @property
+    def in_order(self) -> bool:
+        """Whether the markers of the last frames are as their names say, for all one knows."""
+        whole = len(self._roster.identities) == self._whole
+        return not self._nameless or (whole and not self._by_shape and self._arranged >= FEW)
+
+    @property
     def has_extras(self) -> bool:
         """Whether the last frames have points that are no markers."""
         return len(self._layout.extras) > 0 and not self._by_shape

@@ -11,6 +11,7 @@ import numpy as np
 from kinpole_ros.planar._plane import Complex, Real
 from kinpole_ros.tracking.bodies import Bodies
 from kinpole_ros.tracking.history import History
+from kinpole_ros.tracking.statistics import medians
 
 # Poses that are looked back on for the scale, and the fewest.
 SCALE_FRAMES, MIN_SCALE_FRAMES = 256, 20
@@ -35,7 +36,7 @@ def path_scale(history: History, bodies: Bodies) -> Real:
         off = np.abs(values[2:-2] - (weights[..., None] * around).sum(axis=1)) / gain[:, None]
         enough = np.isfinite(off).sum(axis=0) >= MIN_SCALE_FRAMES
         if enough.any():
-            found[part, enough] = 1.4826 * np.nanmedian(off[:, enough], axis=0)
+            found[part, enough] = 1.4826 * medians(off[:, enough].T)
     return found
 
 

@@ -1,233 +1,220 @@
-"""What the window of frames says of one instant: derivatives, with covariance, of all bodies."""
+"""What the window of frames says of some instants: arrays that the compiled part fills."""
 
-from collections.abc import Callable
-from typing import Any
+import math
+from collections.abc import Sequence
+from ctypes import Structure, c_longlong, c_void_p
+from functools import lru_cache
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
-from kinpole_ros.derivatives import Derivatives, Poses, Windows, derive_poses
-from kinpole_ros.planar._plane import Complex, Real
-from kinpole_ros.tracking.bodies import UNSTEADY, Bodies
-from kinpole_ros.tracking.center import Pins
+from kinpole_ros.derivatives import FEWEST_SAMPLES
+from kinpole_ros.planar._plane import Real
+from kinpole_ros.tracking.bodies import Bodies
 from kinpole_ros.tracking.deformation import deformation_covariance, hold_hidden
 from kinpole_ros.tracking.estimate import Estimate, FramePoses
 from kinpole_ros.tracking.history import History
 from kinpole_ros.tracking.plane import Plane
 
-TOO_FEW, NO_POSE = 'too few markers seen, or all at one place', 'no pose of it came'
-TOO_CLOSE = 'markers too close together for their noise'
-AMBIGUOUS = 'its stamp does not tell whether it was captured before or after a lost frame'
-NOISY_POSES = 'the noise of its angle is too large'
+# Why a body has no result, by the numbers of _follow.c, of markers and of poses.
+_COMMON = '', 'window not full'
+_UNSURE = 'its stamp does not tell whether it was captured before or after a lost frame'
+_OF_MARKERS = np.array(
+    [
+        *_COMMON,
+        'markers too close together for their noise',
+        'noise not known yet',
+        'too few markers seen, or all at one place',
+        _UNSURE,
+    ],
+    object,
+)
+_OF_POSES = np.array(
+    [
+        *_COMMON,
+        'the noise of its angle is too large',
+        'noise not known yet',
+        'no pose of it came',
+        _UNSURE,
+    ],
+    object,
+)
+# The numbers of two of them.
+TOO_NOISY, NOISE_UNKNOWN = 2, 3
 
 
-def result_at(
-    bodies: Bodies,
-    pins: Pins,
-    history: History,
-    now: int,
-    oldest: int,
-    interval: float,
-    window: float,
-    order: int,
-    effort: str,
-    doubtful: np.ndarray,
-    posed: bool,
-    derive: Callable[..., Derivatives] = derive_poses,
-) -> dict[str, Any]:
-    """
-    Compute what the frames from `oldest` on say of the frame `now`.
+class _Part(NamedTuple):
+    """Where an array is in the buffer of results."""
 
-    `interval` and `window` are in s, `order` is the highest derivative; `doubtful` (B,) is the
-    number of the newest poses that do not count; `posed` says whether poses came as such. Returns
-    fields of `Estimate` for one instant, derivatives with an axis of one instant.
-    """
-    newest = len(history) - 1
-    rows = slice(oldest, newest + 1)
-    pin, variance = pins_of_window(bodies, pins, history, oldest)
-    hub = bodies.hub
-    if posed:
-        # The errors of its position and of the angle are independent, as they are taken to be.
-        hub = np.where(hub == 0, bodies.middle, hub)
-    hub = np.where(np.isfinite(pin), 0.0, hub)
-    noise = np.where(bodies.noise > 0, bodies.noise, 1.0)
-    angle = heading = history['angle'][rows]
-    tilted = posed and bool(history['extra_turn'][rows].any())
-    if tilted:
-        # Rates are those of the rotation in space, and so is the motion of the hub.
-        angle = angle + history['extra_turn'][rows] - bodies.extra_turn
-    position, information = poses_of_hubs(bodies, history, rows, hub, angle)
-    poses = Poses(
-        history['time'][rows],
-        angle,
-        history['turns'][rows],
-        position,
-        information[:, 0],
-        information[:, 1],
-    )
-    windows = Windows(np.array([now - oldest]), np.array([0]), np.array([newest - oldest]))
-    how = windows, doubtful[None], noise[None], window, order, effort
-    found = derive(poses, *how)
-    if tilted:
-        # The angle itself is the heading; the hub has turned by the angle.
-        of_heading = derive(poses._replace(angle=heading), *how).angle[0]
-        hub = hub * np.exp(1j * np.nan_to_num(found.angle[0, 0] - of_heading[0]))
-        found.angle[0] = of_heading
-    seen = (history['information'][now] > 0).all(axis=0) & (now <= newest - doubtful)
-    measured = np.isfinite(bodies.noise)
-    observable = bodies.noise**2 < UNSTEADY**2 * bodies.spread
-    if posed:
-        observable = bodies.angle_noise < UNSTEADY
-    usable = seen & measured & observable
-    for b in np.flatnonzero(usable & (bodies.freedom > 0)).tolist():
-        slow = _deformation(bodies, history, b, now, oldest, interval, found, order)
-        found.angle_covariance[:, :, 0, b] += slow / information[now - oldest, 0, b]
-        found.position_covariance[:, :, 0, b] += slow / information[now - oldest, 1, b]
-    missing = np.full(bodies.count, '', object)
-    enough = np.isfinite(found.angle[1, 0]) & np.isfinite(found.position[1, 0])
-    missing[~enough] = 'window not full'
-    missing[~observable] = NOISY_POSES if posed else TOO_CLOSE
-    missing[~measured] = 'noise not known yet'
-    missing[~seen] = NO_POSE if posed else TOO_FEW
-    if history['ambiguous'][now]:
-        missing[:] = AMBIGUOUS
-    for part in found:
-        part[..., 0, ~usable] = np.nan
-    return {
-        'stamp': history['stamp'][now],
-        'found': found,
-        'size': bodies.size.copy(),
-        'height': history['height'][now].copy(),
-        'missing': missing,
-        'pin': pin,
-        'pin_variance': variance,
-        'shape': bodies.markers(),
-        'reference': hub,
-        'angle': history['angle'][now] + 2 * np.pi * history['turns'][now],
-        'position': history['position'][now].copy(),
-        'information': np.where(seen, history['information'][now] * bodies.scale, 0.0),
-        'middle': bodies.middle if posed else middle_of_seen(bodies, history['used'][now]),
-        'noise': noise,
+    shape: tuple[int, ...]
+    dtype: Any
+    offset: int
+
+
+@lru_cache(maxsize=64)
+def _layout_of(instants: int, orders: int, bodies: int, markers: int) -> dict[str, _Part]:
+    """Where the arrays of results are, in the order of the fields; `end` is behind them."""
+    each = instants, bodies
+    arrays: dict[str, tuple[tuple[int, ...], Any]] = {
+        'stamp': ((instants,), np.int64),
+        'due': ((instants,), np.int64),
+        'derivatives': ((3 * orders + 2 * orders**2 + 2, *each), float),
+        **dict.fromkeys(('size', 'height', 'pin_variance', 'angle'), (each, float)),
+        'information': ((instants, 2, bodies), float),
+        'noise': (each, float),
+        'pin': (each, complex),
+        'shape': ((*each, markers), complex),
+        **dict.fromkeys(('reference', 'position', 'middle'), (each, complex)),
+        'missing': (each, np.uint8),
+        'end': ((0,), np.uint8),
     }
+    layout, offset = {}, 0
+    for name, (shape, dtype) in arrays.items():
+        layout[name] = _Part(shape, dtype, offset)
+        offset += math.prod(shape) * np.dtype(dtype).itemsize
+    return layout
 
 
-def middle_of_seen(bodies: Bodies, used: np.ndarray) -> Complex:
-    """Weighted means (B,) of the markers that are `used` (B, n), in the axes of the bodies."""
-    if used.all():
-        return bodies.middle
-    weights = np.where(used, bodies.weights, 0.0)
-    with np.errstate(divide='ignore', invalid='ignore'):
-        return np.asarray((weights * bodies.shape).sum(axis=-1) / weights.sum(axis=-1))
+class Results(Structure):
+    """
+    `Results` of _follow.c: room for the results of some instants, of bodies with some markers.
+
+    Its arrays are attributes, as `Estimate` and `FramePoses` have them.
+    """
+
+    _fields_: ClassVar[Any] = [
+        *((name, c_longlong) for name in ('instants', 'count', 'fewest')),
+        *((f'_{name}', c_void_p) for name in _layout_of(1, 1, 1, 1)),
+    ]
+
+    def __init__(self, instants: int, orders: int, bodies: int, markers: int) -> None:
+        layout = _layout_of(instants, orders, bodies, markers)
+        buffer = np.empty(layout['end'].offset, np.uint8)
+        start = buffer.__array_interface__['data'][0]
+        addresses = (start + part.offset for part in layout.values())
+        super().__init__(instants, 0, FEWEST_SAMPLES, *addresses)
+        self.orders, self._buffer, self._layout = orders, buffer, layout
+
+    def array(self, name: str) -> np.ndarray:
+        """Return the array of a field."""
+        part = self._layout[name]
+        return np.ndarray(part.shape, part.dtype, self._buffer, part.offset)
+
+    def of_instants(self, name: str) -> np.ndarray:
+        """Return the array of a field, of the instants of which there are results."""
+        return self.array(name)[: self.count]
+
+    def derivatives(self) -> tuple[np.ndarray, ...]:
+        """Position, angle, their covariances, span and freedom: see `Derivatives`."""
+        found, orders = self.array('derivatives'), self.orders
+        _, instants, bodies = found.shape
+        square = orders, orders, instants, bodies
+        first, second = 2 * orders, 3 * orders
+        third = second + orders**2
+        position = found[:first].reshape(orders, instants, bodies, 2).view(complex)[..., 0]
+        return (
+            position,
+            found[first:second],
+            found[second:third].reshape(square),
+            found[third:-2].reshape(square),
+            found[-2],
+            found[-1],
+        )
 
 
-def pins_of_window(
-    bodies: Bodies, pins: Pins, history: History, oldest: int
-) -> tuple[Complex, Real]:
-    """Pins (B,) that hold for the window from `oldest` on, NaN for none, and their variances."""
-    held = np.isfinite(pins.center)
-    if held.any():
-        rows = slice(oldest, None)
-        held &= pins.since <= history['time'][oldest]
-        information = history['information'][rows] * bodies.scale
-        with np.errstate(divide='ignore', invalid='ignore'):
-            off = pins.off(
-                history['position'][rows], history['angle'][rows], bodies.error / information
-            )
-        held &= (off & (information > 0).all(axis=1)).sum(axis=0) < 3
-    return np.where(held, pins.center, np.nan), np.where(held, pins.variance, np.nan)
+def add_deformation(
+    results: Results, bodies: Bodies, history: History, now: int, oldest: int, interval: float
+) -> None:
+    """
+    Add to the covariances of the last result what the deformation of bodies adds.
 
-
-def poses_of_hubs(
-    bodies: Bodies, history: History, rows: slice, hub: Complex, angle: Real
-) -> tuple[Complex, Real]:
-    """Positions (N, B) of the hubs of bodies turned by `angle`, and the information (N, 2, B)."""
-    position = history['position'][rows]
-    information = history['information'][rows] * bodies.scale
-    if not hub.any():
-        return position, information
-    position = position + hub * np.exp(1j * angle)
-    turned, placed = information[:, 0], information[:, 1]
-    seen = placed > 0
-    # Farther from the middle of the markers the error of the angle tells more.
-    nearer, farther = np.abs(bodies.middle) ** 2, np.abs(hub - bodies.middle) ** 2
-    share = np.divide(placed, turned, out=np.zeros_like(placed), where=seen)
-    left = np.maximum(1 - nearer * share, 0.0) + farther * share
-    # Without its other markers a body that keeps its origin may seem to lie far from its middle.
-    np.divide(placed, left, out=placed, where=seen & (left > 0) & (hub != 0))
-    return position, information
-
-
-def _deformation(
-    bodies: Bodies,
-    history: History,
-    b: int,
-    now: int,
-    oldest: int,
-    interval: float,
-    found: Any,
-    order: int,
-) -> Real:
-    """Covariance of what the deformation of one body adds, over its information."""
+    `now` and `oldest` are rows of the history, `interval` is in s.
+    """
+    last, order = results.count - 1, results.orders - 1
+    _, _, of_position, of_angle, span, freedom = results.derivatives()
     first = max(0, oldest - (len(history) - oldest))
-    residual = hold_hidden(history['residual'][first:, b : b + 1])[:, 0]
-    return deformation_covariance(
-        residual,
-        now - first,
-        oldest - first,
-        interval,
-        float(found.span[0, b]),
-        float(found.freedom[0, b]) - 1,
-        float(bodies.noise[b] * np.sqrt(bodies.held[b])),
-        float(bodies.freedom[b]),
-        order,
-    )
+    usable = results.array('missing')[last] == 0
+    for b in np.flatnonzero(usable & (bodies.freedom > 0)).tolist():
+        residual = hold_hidden(history['residual'][first:, b : b + 1])[:, 0]
+        slow = deformation_covariance(
+            residual,
+            now - first,
+            oldest - first,
+            interval,
+            float(span[last, b]),
+            float(freedom[last, b]) - 1,
+            float(bodies.noise[b] * np.sqrt(bodies.held[b])),
+            float(bodies.freedom[b]),
+            order,
+        )
+        turned, placed = results.array('information')[last, :, b]
+        of_angle[:, :, last, b] += slow / turned
+        of_position[:, :, last, b] += slow * _spread_at(
+            results.array('reference')[last, b], bodies.middle[b], turned, placed
+        )
+
+
+def _spread_at(hub: complex, middle: complex, turned: float, placed: float) -> float:
+    """Variance of a point `hub` of a body; `turned` and `placed` are information of its pose."""
+    if hub == 0:
+        return 1 / placed
+    least = max(1 / placed - abs(middle) ** 2 / turned, 0.0)
+    return least + abs(hub - middle) ** 2 / turned
 
 
 def estimate_of(
-    results: list[dict[str, Any]],
+    results: Sequence[Results],
     frame_id: str,
     bodies: tuple[str, ...],
     run: int,
     plane: Plane | None,
+    posed: bool,
 ) -> Estimate:
-    """Results of several instants as one estimate."""
+    """Join results as one estimate."""
 
-    def stacked(name: str) -> np.ndarray:
-        return np.stack([each[name] for each in results])
+    def joined(name: str) -> np.ndarray:
+        parts = [each.of_instants(name) for each in results]
+        return parts[0] if len(parts) == 1 else np.concatenate(parts)
 
-    position, angle, position_covariance, angle_covariance, span, freedom = (
-        np.concatenate([each['found'][k] for each in results], axis=-2) for k in range(6)
-    )
+    derivatives: list[Real] = []
+    for parts in zip(*(each.derivatives() for each in results), strict=True):
+        taken = [part[..., : each.count, :] for part, each in zip(parts, results, strict=True)]
+        derivatives.append(taken[0] if len(taken) == 1 else np.concatenate(taken, axis=-2))
+    position, angle, position_covariance, angle_covariance, span, freedom = derivatives
+    missing = (_OF_POSES if posed else _OF_MARKERS)[joined('missing')]
+    if plane is None:
+        missing[...] = 'plane not known yet'
 
     def frame_poses() -> FramePoses:
-        information = stacked('information')
+        information = joined('information')
         return FramePoses(
-            stacked('angle'),
-            stacked('position'),
+            joined('angle'),
+            joined('position'),
             information[:, 0],
             information[:, 1],
-            stacked('middle'),
-            stacked('noise'),
+            joined('middle'),
+            joined('noise'),
         )
 
     return Estimate(
-        stacked('stamp'),
+        joined('stamp'),
         frame_id,
         bodies,
         position,
         angle,
         position_covariance,
         angle_covariance,
-        stacked('size'),
-        stacked('height'),
+        joined('size'),
+        joined('height'),
         span,
         freedom - 1,
-        stacked('missing'),
+        missing,
         run,
-        stacked('pin'),
-        stacked('pin_variance'),
-        stacked('shape'),
-        np.array([each['due'] for each in results]),
-        stacked('reference'),
+        joined('pin'),
+        joined('pin_variance'),
+        joined('shape'),
+        joined('due'),
+        joined('reference'),
         plane,
         frame_poses,
     )

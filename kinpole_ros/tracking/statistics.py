@@ -22,6 +22,13 @@ def tame_part(values: Real) -> Real:
     return np.asarray(ranked[np.arange(len(ranked)), place])
 
 
+def medians(values: Real) -> Real:
+    """Medians (B,) of values (B, m), NaN left out; nanmedian takes ten times as long."""
+    ranked, number = np.sort(values, axis=1), (~np.isnan(values)).sum(axis=1)
+    each, last = np.arange(len(values)), np.maximum(number - 1, 0)
+    return np.asarray((ranked[each, last // 2] + ranked[each, (last + 1) // 2]) / 2)
+
+
 def mean_square(residual: Complex, expected: Real) -> tuple[Real, Real]:
     """Squares (...) of residuals (..., n) per degree of freedom, NaN for none, and the degrees."""
     seen = ~np.isnan(residual)

@@ -134,7 +134,7 @@ class Timeline:
             ambiguous = ambiguous_frames(every, self._clock)[len(every) - len(stamps) :]
             return self._times(fresh), fresh, ambiguous
         rising = stamps
-        if self._regular or np.diff(stamps, prepend=before).min() <= 0:
+        if self._regular or stamps[0] <= before or (stamps[1:] <= stamps[:-1]).any():
             rising = _rising(np.concatenate(((before,), stamps)))[1:]
         return rising, np.zeros(len(stamps), np.int64), ambiguous
 

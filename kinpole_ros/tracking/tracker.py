@@ -6,13 +6,11 @@ of the machine.
 """
 
 import itertools
-from collections import Counter
+from collections import Counter, deque
 from collections.abc import Iterable
-from typing import Any
 
 import numpy as np
 
-from kinpole_ros.derivatives import FEWEST_SAMPLES, derive_poses
 from kinpole_ros.tracking.bodies import Bodies
 from kinpole_ros.tracking.center import Pins, find_hubs
 from kinpole_ros.tracking.corrections import EXCHANGED
@@ -29,19 +27,26 @@ from kinpole_ros.tracking.outliers import path_scale
 from kinpole_ros.tracking.parameters import Settings, of_poses
 from kinpole_ros.tracking.plane import Plane
 from kinpole_ros.tracking.posed import TiltedTurns, learn_poses
-from kinpole_ros.tracking.results import estimate_of, result_at
+from kinpole_ros.tracking.results import Results, add_deformation, estimate_of
 from kinpole_ros.tracking.roster import Roster
 from kinpole_ros.tracking.space import Space, SpaceReport
 from kinpole_ros.tracking.stamps import StampState
-from kinpole_ros.tracking.step import NAME_DOUBTFUL, ODD, Step
+from kinpole_ros.tracking.step import (
+    DEFORMED,
+    FULL,
+    GAP,
+    NAME_DOUBTFUL,
+    ODD,
+    SEEN_AGAIN,
+    UNUSUAL,
+    Step,
+)
 from kinpole_ros.tracking.timeline import Timeline
 
 # Frames kept to learn from, and at least so many windows.
 LEARNED_FRAMES, LEARNED_WINDOWS = 1024, 4
 # Frames between two updates: this share of those that have come, at most so many.
 UPDATE_SHARE, MOST_BETWEEN_UPDATES = 1 / 8, 64
-# Intervals after which a frame does not go on from the one before.
-GAP = 2.5
 # Markers that are off by this share of the size of their body are of other bodies: no tissue moves
 # so far.
 OTHER_BODIES = 0.05
@@ -49,19 +54,12 @@ _run_numbers = itertools.count(1)
 
 
 class Tracker:
-    """
-    Follows the bodies of `settings` from frame to frame.
-
-    `samples` is the number of frames in the window. `counts` says what became of the frames, for
-    diagnostics.
-    """
-
-    derive = staticmethod(derive_poses)
+    """Follows the bodies of `settings` from frame to frame."""
 
     def __init__(self, settings: Settings) -> None:
         self.settings = settings
         self.bodies = tuple(settings.bodies)
-        self.counts: Counter[str] = Counter()
+        self._counts: Counter[str] = Counter()
         self._window = round(settings.window * 1e9)
         self._lag = settings.lag * 1e9
         self._frame_id = ''
@@ -85,14 +83,10 @@ class Tracker:
         self._space = Space(self.settings.plane, count, self._roster.width)
         self._roster.plane = self._space.plane
         # Frames before the plane is known: stamps, times and markers.
-        self._early: list[tuple[int, int, MarkerFrames]] = []
-        self.samples = 0
-        self._interval = 0.0
-        self._due = 0
-        self._seen_last = np.full(count, -1, np.int64)
+        self._early: deque[tuple[int, int, MarkerFrames]] = deque(maxlen=LEARNED_FRAMES)
         self._run_number = next(_run_numbers)
         self._begin_bodies()
-        self._timeline = Timeline(self.settings, self.counts, self._history, before)
+        self._timeline = Timeline(self.settings, self._counts, self._history, before)
 
     def _begin_bodies(self) -> None:
         """Begin with bodies of which nothing is known."""
@@ -101,18 +95,29 @@ class Tracker:
         self._pins = Pins(self._known)
         settings = of_poses(self.settings) if self._posed else self.settings
         self._turns = TiltedTurns(len(self.bodies))
-        self.matcher = Matcher(settings, self._roster, self._known, self._history, self.counts)
-        self._step = Step(self._known, self._history)
-        self._frames = self._new = self._row = self._counted = self._newest = 0
+        self.matcher = Matcher(settings, self._roster, self._known, self._history, self._counts)
+        self._step = Step(settings, self._known, self._pins, self._history, self._posed)
+        self._frames = self._new = self._counted = 0
         self._next_update = 1
         self._names_changed = False
 
     # What diagnostics ask for.
 
     @property
+    def counts(self) -> Counter[str]:
+        """What became of the frames, and of their markers."""
+        self._count_new()
+        return self._counts
+
+    @property
+    def samples(self) -> int:
+        """Number of frames in the window."""
+        return int(self._step.fields.samples)
+
+    @property
     def interval(self) -> float:
         """Mean time between the frames of the window in s; NaN for fewer than two."""
-        return self._interval * 1e-9 if self.samples > 1 else float('nan')
+        return self._step.fields.interval * 1e-9 if self.samples > 1 else float('nan')
 
     @property
     def plane(self) -> Plane | None:
@@ -126,6 +131,7 @@ class Tracker:
 
     def space(self) -> SpaceReport:
         """How the motion lies in space: its tilt against the plane, and what leaves the plane."""
+        self._count_new()
         return self._space.report()
 
     def noise(self) -> np.ndarray:
@@ -196,7 +202,7 @@ class Tracker:
     def add_parts(self, parts: Iterable[MarkerFrames], order: int | None) -> list[Estimate]:
         """The same of frames in parts. Instants are `due` by the number of the frame in all."""
         estimates: list[Estimate] = []
-        self._results: list[dict[str, Any]] = []
+        self._results: list[Results] = []
         number = 0
         for frames in parts:
             stamps = np.asarray(frames.stamps)
@@ -206,12 +212,12 @@ class Tracker:
             if frames.frame_id != self._frame_id or posed != self._posed:
                 estimates += self._joined_results()
                 used = len(self._history) > 0
-                self.counts['frame_changes'] += used
+                self._counts['frame_changes'] += used
                 anew = used or posed != self._posed
                 self._frame_id, self._posed = frames.frame_id, posed
                 if anew:
                     self._start()
-            self.counts['frames'] += len(stamps)
+            self._counts['frames'] += len(stamps)
             first = 0
             while first < len(stamps):
                 if self._timeline.clock_update_is_due:
@@ -224,18 +230,17 @@ class Tracker:
                 if len(new):
                     taken = frames if len(new) == len(stamps) else part_of(frames, new)
                     for part, numbers in self._timeline.count(taken, number + new):
-                        estimates += self._take_all(part, numbers.tolist(), order)
+                        estimates += self._take_all(part, numbers, order)
                 first += end
                 if anew:
                     estimates += self._joined_results()
                     self._begin_again(int(stamps[first]))
             number += len(stamps)
-            self.counts['markers_unknown'] = self._roster.unknown
-            self._count_new()
+            self._counts['markers_unknown'] = self._roster.unknown
         return estimates + self._joined_results()
 
     def _take_all(
-        self, frames: MarkerFrames, numbers: list[int], order: int | None
+        self, frames: MarkerFrames, numbers: np.ndarray, order: int | None
     ) -> list[Estimate]:
         """Take frames whose times are sure; returns estimates that are complete."""
         estimates: list[Estimate] = []
@@ -243,26 +248,88 @@ class Tracker:
         solid = self._sort(frames)
         if self._known.width > width:
             estimates += self._joined_results()
-        times, counts, ambiguous = (part.tolist() for part in self._timeline.enter(frames.stamps))
-        for k, stamp in enumerate(frames.stamps.tolist()):
+        times = self._timeline.enter(frames.stamps)
+        self._hand_over(frames.stamps, times)
+        results = self._room_for(len(frames.stamps), order)
+        first, count = 0, len(frames.stamps)
+        while first < count:
             if self._update_if_due():
-                self.matcher.sort_again(k)
+                self.matcher.sort_again(first)
+                self._step.fields.hidden_is_unusual = self.matcher.has_extras
             if self._roster.plane is not self._space.plane:
+                self._keep(results, numbers)
                 estimates += self._joined_results()
                 self._catch_up()
                 solid = self._sort(frames)
-            self._take(stamp, times[k], k, solid[k])
-            row = self._row
-            self._history.columns['count'][row] = counts[k]
-            self._history.columns['ambiguous'][row] = ambiguous[k]
-            if ambiguous[k]:
-                self._history.columns['information'][row] = 0.0
-            for result in self._due_results(order):
-                result['due'] = numbers[k]
-                self._results.append(result)
+                self._hand_over(frames.stamps, times)
+                self._step.fields.frame = first
+                results = self._room_for(count - first, order)
+            usual = not self._posed and self._roster.plane is not None and not self._known.exchanged
+            if not (usual and self.matcher.in_order):
+                code = UNUSUAL
+            else:
+                code = self._follow(self._next_update - self._frames, results)
+            first = self._step.fields.frame
+            if code == UNUSUAL:
+                self._take(int(frames.stamps[first]), int(times[0][first]), first, solid[first])
+                self._finish_row(first, *times)
+                first += 1
+                self._step.fields.frame = first
+                self._follow(0, results)
+        self._keep(results, numbers)
         if self._posed and self._roster.plane is not None:
             self._space.add(solid)
         return estimates
+
+    def _hand_over(self, stamps: np.ndarray, times: tuple[np.ndarray, ...]) -> None:
+        """Hand the frames sorted last to the compiled step."""
+        came = stamps, *times, self._points, self._heights
+        self._step.hand_over(came, self.matcher.has_extras)
+
+    def _follow(self, until_update: int, results: Results) -> int:
+        """Take usual frames, and compute what falls due; why it does not go on."""
+        step, history = self._step, self._history
+        fields = step.fields
+        while True:
+            before = fields.frame
+            code = step.follow(until_update, results)
+            taken = fields.frame - before
+            until_update -= taken
+            self._frames += taken
+            self._new += taken
+            if code == SEEN_AGAIN:
+                self._note_outages(int(history['stamp'][-1]))
+            elif code == DEFORMED:
+                now, oldest = fields.due - 1, len(history) - fields.samples
+                interval = fields.interval * 1e-9
+                add_deformation(results, self._known, history, now, oldest, interval)
+            else:
+                assert code != FULL
+                return code
+
+    def _room_for(self, frames: int, order: int | None) -> Results:
+        """Room for the results that so many frames can make due."""
+        if order is None:
+            return Results(0, 1, 0, 0)
+        waiting = len(self._history) - self._step.fields.due
+        known = self._known
+        return Results(frames + waiting, order + 1, known.count, known.width)
+
+    def _keep(self, results: Results, numbers: np.ndarray) -> None:
+        """Keep results until they are joined; `numbers` are those of the frames handed over."""
+        if results.count:
+            due = results.of_instants('due')
+            due[:] = numbers[due]
+            self._results.append(results)
+
+    def _finish_row(
+        self, k: int, times: np.ndarray, counts: np.ndarray, ambiguous: np.ndarray
+    ) -> None:
+        """Note in the newest row what the clock says of its frame."""
+        columns, row = self._history.columns, self._history.end - 1
+        columns['count'][row], columns['ambiguous'][row] = counts[k], ambiguous[k]
+        if ambiguous[k]:
+            columns['information'][row] = 0.0
 
     def settle(self) -> None:
         """Learn from the frames of late if it is time for it; else the next `add` does."""
@@ -281,7 +348,8 @@ class Tracker:
         results, self._results = self._results, []
         if not results:
             return []
-        return [estimate_of(results, self._frame_id, self.bodies, self._run_number, self.plane)]
+        about = self._frame_id, self.bodies, self._run_number, self.plane, self._posed
+        return [estimate_of(results, *about)]
 
     def _sort(self, frames: MarkerFrames) -> np.ndarray:
         """The markers (T, B, n, 3) of the bodies, m; hands them to the matcher in the plane."""
@@ -289,20 +357,11 @@ class Tracker:
         if self._roster.width > self._known.width:
             self._widen()
         self._block = frames
-        self._hand_over(np.asarray(frames.stamps), solid)
-        return solid
-
-    def _hand_over(self, stamps: np.ndarray, solid: np.ndarray) -> None:
-        """Take frames of markers (T, B, n, 3), m, of which `_take` takes one after the other."""
         self._points, self._heights = self._roster.flat(solid)
-        self._address, self._stride = self._points.ctypes.data, self._points.strides[0]
-        seen = ~np.isnan(self._points)
-        with np.errstate(invalid='ignore'):
-            total = np.where(seen, self._heights, 0.0).sum(axis=-1)
-            self._mean_heights = total / seen.sum(axis=-1)
         if self._posed and self._roster.plane is not None:
             self._tilts = self._roster.tilts(solid)
-        self.matcher.begin(stamps, self._points, self._heights)
+        self.matcher.begin(np.asarray(frames.stamps), self._points, self._heights)
+        return solid
 
     def _widen(self) -> None:
         """A body of all markers has more of them: begin with those, as of the same frames."""
@@ -311,22 +370,22 @@ class Tracker:
         self._history.widen(width)
         self._pins.widen(width)
         self._space.widen(width)
-        self._early = []
+        self._early.clear()
 
     def _begin_again(self, stamp: int) -> None:
         """Start anew after a jump of the stamps."""
         newest = int(self._history['stamp'][-1]) if len(self._history) else stamp
         if stamp > newest:
             self._outages[''] = one_more(self._outages.get(''), newest, stamp - newest)
-        self.counts['resets'] += 1
+        self._counts['resets'] += 1
         self._start(self._timeline)
 
     def _take(self, stamp: int, time: int, k: int, solid: np.ndarray) -> None:
         """Fit the poses of frame `k` of those sorted last, and append them to the history."""
         bodies, history, matcher = self._known, self._history, self.matcher
-        markers = self._points[k]
-        goes_on = self._interval == 0 or time - self._newest <= GAP * self._interval
-        self._newest = time
+        markers, interval = self._points[k], self._step.fields.interval
+        newest = history['time'][-1] if len(history) else time
+        goes_on = bool(interval == 0 or time - newest <= GAP * interval)
         if self._roster.plane is None:
             self._early.append((stamp, time, part_of(self._block, slice(k, k + 1))))
             if matcher.lacks_order(1):
@@ -350,29 +409,29 @@ class Tracker:
             markers[...] = np.take_along_axis(markers, bodies.order, axis=1)
         row = self._append(stamp, time, goes_on)
         matcher.fits_next(k, k + 1)
-        address = self._address + k * self._stride
-        unusual = self._step.fit(address, goes_on)
+        unusual = self._step.fit(markers, goes_on)
         if (unusual & NAME_DOUBTFUL or matcher.has_extras) and self._renamed(k, unusual):
-            unusual = self._step.fit(address, goes_on)
+            unusual = self._step.fit(markers, goes_on)
         came = markers
         if unusual & ODD:
             odd = (self._step.unusual & ODD) > 0
-            came = correct_frame(bodies, history, markers, odd, self.counts)
-            self._step.fit(address, False)
+            came = correct_frame(bodies, history, markers, odd, self._counts)
+            self._step.fit(markers, False)
         if bodies.exchanged:
             # Names that stay exchanged were wrong before.
             recent = bodies.exchanged_for < MOVED_FRAMES
             moved = bodies.order[recent] != np.arange(bodies.width)
-            self.counts[EXCHANGED] += int(np.count_nonzero(moved))
+            self._counts[EXCHANGED] += int(np.count_nonzero(moved))
             bodies.exchanged_for += 1
         columns = history.columns
         columns['markers'][row] = came
-        columns['heights'][row], columns['height'][row] = self._heights[k], self._mean_heights[k]
-        self._step.follow()
+        columns['heights'][row] = self._heights[k]
+        columns['height'][row] = mean_heights(markers, self._heights[k])
+        self._step.follow_paths()
         if self._posed:
             known = np.isfinite(columns['angle'][row])
             columns['information'][row] = known
-            sure = known & (self._step.doubtful == 0)
+            sure = known & (self._step.newest == 0)
             heading, tilt = columns['angle'][row], self._tilts[k]
             columns['extra_turn'][row] = self._turns.follow(heading, tilt, sure)
         self._note_outages(stamp)
@@ -380,11 +439,9 @@ class Tracker:
     def _append(self, stamp: int, time: int, goes_on: bool) -> int:
         """Append a frame to the history; returns its row, which has no poses yet."""
         history = self._history
-        capacity = len(history.columns['stamp'])
+        if history.reserve(1):
+            self._step.bind_history()
         row = history.append()
-        if len(history.columns['stamp']) != capacity or row < self._row:
-            self._step.bind(self._known, history)
-        self._row = row
         columns = history.columns
         columns['stamp'][row], columns['time'][row] = stamp, time
         columns['goes_on'][row] = goes_on
@@ -406,12 +463,12 @@ class Tracker:
 
     def _note_outages(self, stamp: int) -> None:
         """Note which bodies are seen again after a window or more."""
-        seen = np.isfinite(self._history['angle'][-1])
-        lasted = np.where(self._seen_last >= 0, stamp - self._seen_last, 0)
+        seen, seen_last = np.isfinite(self._history['angle'][-1]), self._step.seen_last
+        lasted = np.where(seen_last >= 0, stamp - seen_last, 0)
         for b in np.flatnonzero(seen & (lasted >= self._window)).tolist():
-            body, since = self.bodies[b], int(self._seen_last[b])
+            body, since = self.bodies[b], int(seen_last[b])
             self._outages[body] = one_more(self._outages.get(body), since, int(lasted[b]))
-        self._seen_last[seen] = stamp
+        seen_last[seen] = stamp
 
     def _begin_anew(self, which: np.ndarray) -> None:
         """Forget what was learned of the bodies `which` (B,)."""
@@ -423,12 +480,14 @@ class Tracker:
         self._history['markers'][:, which] = np.nan
         self._history['angle'][:, which] = np.nan
         self._pins.forget(which)
+        self._step.bind(self._known, self._history)
 
     def _catch_up(self) -> None:
         """The plane has become known: take the frames before as they lie in it."""
-        early, self._early = self._early, []
-        due = self._due + self._history.dropped
-        dropped = self._history.dropped
+        early = list(self._early)
+        self._early.clear()
+        due = self._step.fields.due - (len(self._history) - len(early))
+        seen_last = self._step.seen_last
         self._roster.plane = self._space.plane
         assert self._roster.plane is not None
         self._begin_bodies()
@@ -436,7 +495,8 @@ class Tracker:
         for stamp, time, frame in early:
             self._update_if_due()
             self._take(stamp, time, 0, self._sort(frame)[0])
-        self._due = due - dropped
+        self._step.fields.due = max(due, 0)
+        self._step.seen_last[:] = seen_last
 
     def _update(self) -> bool:
         """Learn from the frames of late; whether names stand for other markers since."""
@@ -445,16 +505,18 @@ class Tracker:
             1, min(int(self._frames * UPDATE_SHARE), MOST_BETWEEN_UPDATES)
         )
         if self._roster.plane is None:
+            self._drop_old()
             return False
         self._count_new()
         if self._posed:
             learn_poses(bodies, history, self.settings.noise)
             bodies.extra_turn = self._turns.total
         else:
-            anew = learn(bodies, history, self._window, self.settings.noise, self.counts)
+            anew = learn(bodies, history, self._window, self.settings.noise, self._counts)
             self._pins.forget(anew)
         self._pins.update(bodies, history, min(self._new, len(history)), self._posed)
         self._new = self._counted = 0
+        self._drop_old()
         bodies.hub = find_hubs(bodies, history, self._window, bodies.hub)
         bodies.jump_scale = path_scale(history, bodies)
         if not self._posed:
@@ -488,45 +550,22 @@ class Tracker:
         markers, heights = (self._history[name][-new:] for name in ('markers', 'heights'))
         seen = np.count_nonzero(~np.isnan(markers[..., 0] if self._posed else markers))
         lacking = self._roster.wanted * new - seen
-        self.counts['markers_not_seen'] += int(lacking)
+        self._counts['markers_not_seen'] += int(lacking)
         if not self._posed:
             self._space.add(self._roster.plane.in_space(markers, heights))
 
-    def _due_results(self, order: int | None) -> list[dict[str, Any]]:
-        """Results of the instants that fall due with the newest frame."""
-        history = self._history
-        time = history['time']
-        newest = len(time) - 1
-        oldest = int(time.searchsorted(time[-1] - self._window))
-        self.samples = newest - oldest + 1
-        self._interval = float(time[-1] - time[oldest]) / max(newest - oldest, 1)
-        last = int(time[-1]) - int(np.rint(self._lag - 0.75 * self._interval))
-        end = max(min(int(time.searchsorted(last, side='right')), newest + 1), self._due)
-        found = []
-        for now in range(self._due, end):
-            if order is not None and newest - oldest >= FEWEST_SAMPLES - 1 and now >= oldest:
-                found.append(
-                    result_at(
-                        self._known,
-                        self._pins,
-                        history,
-                        now,
-                        oldest,
-                        self._interval * 1e-9,
-                        self.settings.window,
-                        order,
-                        self.settings.effort,
-                        self._step.doubtful,
-                        self._posed,
-                        self.derive,
-                    )
-                )
-                if self._roster.plane is None:
-                    found[-1]['missing'][:] = 'plane not known yet'
-        self._due = end
-        kept = max(LEARNED_FRAMES, LEARNED_WINDOWS * self.samples)
-        if newest + 1 > kept and oldest > 0:
-            drop = min(oldest, newest + 1 - kept)
+    def _drop_old(self) -> None:
+        """Drop the frames that are neither in the window nor to be learned from."""
+        history, fields = self._history, self._step.fields
+        oldest = len(history) - self.samples
+        drop = min(oldest, len(history) - max(LEARNED_FRAMES, LEARNED_WINDOWS * self.samples))
+        if drop > 0:
             history.drop(drop)
-            self._due = max(0, self._due - drop)
-        return found
+            fields.due = max(0, fields.due - drop)
+
+
+def mean_heights(markers: np.ndarray, heights: np.ndarray) -> np.ndarray:
+    """Mean heights (B,) of the markers (B, n) that were seen."""
+    seen = ~np.isnan(markers)
+    with np.errstate(invalid='ignore'):
+        return np.asarray(np.where(seen, heights, 0.0).sum(axis=-1) / seen.sum(axis=-1))
