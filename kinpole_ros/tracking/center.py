@@ -190,45 +190,40 @@ def find_hubs(bodies: Bodies, history: History, window: int, before: Complex) ->
     `window`, ns, is as long as that of the derivatives; `before` (B,) are the hubs up to now.
     """
     time = history['time'][: len(history) - UNSETTLED]
-    found = np.zeros(bodies.count, complex)
-    if not len(time):
-        return found
-    angle, position = history['angle'], history['position']
-    information = history['information'] * bodies.scale
-    both = np.zeros((len(_DEGREES), bodies.count), complex)
-    sums = np.zeros((5, len(_DEGREES), bodies.count))
-    squares = np.zeros(bodies.count)
-    wrong = np.zeros(bodies.count, bool)
-    end, latest = len(time), True
-    while end:
-        first = int(time.searchsorted(time[end - 1] - window))
-        if first == 0 and time[end - 1] - time[0] < window:
-            break
-        rows = slice(first, end)
-        seen = (information[rows] > 0).all(axis=1)
-        number = seen.sum(axis=0)
-        known = number > np.maximum(_DEGREES[-1] + 1, _PRESENT * len(seen))
-        seen &= known
-        if known.any():
-            start = position[rows][seen.argmax(axis=0), np.arange(bodies.count)]
-            values = np.where(seen, (position[rows] - start, np.exp(1j * angle[rows])), 0.0)
-            moves, turns, product = _rests((time[rows] - time[first]) / window, values, seen)
-            count = number - 1 - _DEGREES
-            with np.errstate(divide='ignore', invalid='ignore'):
-                variance = np.where(seen[:, None], bodies.error / information[rows], 0.0)
-            mean = variance.sum(axis=0) / np.maximum(number, 1)
-            new = np.stack(
-                (moves, turns, 2 * count * mean[1], count * mean[0], np.where(known, count, 0))
-            )
-            if latest:
-                wrong = np.abs(product + before * turns) ** 2 > np.abs(product) ** 2
-                wrong = (wrong & (turns > _CLEAR * new[3]))[_WHETHER] & known & (before != 0)
-                latest = False
-            both[:, known] += product[:, known]
-            sums[..., known] += new[..., known]
-            squares[known] += turns[_WHETHER, known] ** 2
-        end = first
-    moves, turns, even, still, counts = sums
+    ends = [len(time)]
+    while ends[-1] and time[ends[-1] - 1] - time[0] >= window:
+        ends.append(int(time.searchsorted(time[ends[-1] - 1] - window)))
+    if len(ends) == 1:
+        return np.zeros(bodies.count, complex)
+    first, end = np.array(ends[1:]), np.array(ends[:-1])
+    # Rows (W, N) of the windows, as many as the largest has.
+    rows = end[:, None] - np.arange((end - first).max(), 0, -1)
+    within = rows >= first[:, None]
+    rows = np.maximum(rows, 0)
+    information = history['information'][rows] * bodies.scale
+    seen = (information > 0).all(axis=2) & within[..., None]
+    number = seen.sum(axis=1)
+    enough = np.maximum(_DEGREES[-1] + 1, _PRESENT * (end - first)[:, None])
+    known = number > enough
+    seen &= known[:, None]
+    position = history['position'][rows]
+    start = np.take_along_axis(position, seen.argmax(axis=1)[:, None], axis=1)
+    values = np.where(seen, (position - start, np.exp(1j * history['angle'][rows])), 0.0)
+    times = (time[rows] - time[first][:, None]) / window
+    moves, turns, product = np.where(known, _rests(times, values, seen), 0.0)  # (D, W, B)
+    moves, turns = moves.real, turns.real
+    with np.errstate(divide='ignore', invalid='ignore'):
+        variance = np.where(seen[:, :, None], bodies.error / information, 0.0)
+    mean = variance.sum(axis=1) / np.maximum(number, 1)[:, None]
+    counts = np.where(known, number - 1 - _DEGREES[..., None], 0)
+    even, still = 2 * counts * mean[:, 1], counts * mean[:, 0]
+    wrong = np.abs(product + before * turns) ** 2 > np.abs(product) ** 2
+    wrong = (wrong & (turns > _CLEAR * still))[_WHETHER, 0] & (before != 0)
+    squares = (turns[_WHETHER] ** 2).sum(axis=0)
+    both = product.sum(axis=1)
+    moves, turns, even, still, counts = (
+        part.sum(axis=1) for part in (moves, turns, even, still, counts)
+    )
     counts = np.maximum(counts, 1.0)
     clear = turns > _CLEAR * still
     turns = np.where(clear, turns - still, 1.0)
@@ -264,26 +259,27 @@ def _spaced(angles: list[float]) -> list[int]:
     return kept
 
 
-def _rests(times: Real, values: Complex, seen: np.ndarray) -> tuple[Real, Real, Complex]:
+def _rests(times: Real, values: Complex, seen: np.ndarray) -> Complex:
     """
-    Sums (D, B) over what polynomials of each degree leave of paths and turns (2, N, B).
+    Sums (3, D, W, B) over what polynomials of each degree leave of paths and turns (2, W, N, B).
 
-    Of |path|^2, of |turn|^2 and of conj(turn) path; they are at times (N,) and 0 where they are not
-    `seen` (N, B).
+    Of |path|^2, of |turn|^2 and of conj(turn) path, in windows of frames at `times` (W, N), with
+    values of 0 where they are not `seen` (W, N, B).
     """
-    powers = np.vander(times - 0.5, int(_DEGREES[-1, 0]) + 1, increasing=True)[None]
-    if not seen.all():
-        powers = powers * seen.T[..., None]
-    basis, _ = np.linalg.qr(powers)  # (1 or B, N, P)
-    columns = values.swapaxes(1, 2)[..., None]
-    part = basis.swapaxes(1, 2) @ columns
-    rest = (columns - basis @ part)[..., 0].swapaxes(1, 2)
-    part = part[..., 0].swapaxes(1, 2)  # (2, P, B)
-    # What the highest leaves, and what each lower one leaves product that.
+    powers = (times - 0.5)[..., None] ** np.arange(int(_DEGREES[-1, 0]) + 1)
+    if (seen == seen[..., :1]).all():
+        seen = seen[..., :1]
+    powers = powers[:, None] * seen.swapaxes(1, 2)[..., None]
+    basis, _ = np.linalg.qr(powers)  # (W, 1 or B, N, P)
+    columns = values.swapaxes(2, 3)[..., None]
+    part = basis.swapaxes(2, 3) @ columns
+    rest = (columns - basis @ part)[..., 0]
+    part = np.moveaxis(part[..., 0], -1, 1)  # (2, P, W, B)
+    # What the highest leaves, and what each lower one leaves more than that.
     found = []
     for one, other in ((0, 0), (1, 1), (1, 0)):
         product = part[one].conj() * part[other]
         sums = np.cumsum(product[:1:-1], axis=0)[::-1]
         sums = np.concatenate((sums, np.zeros_like(sums[:1])))
-        found.append(sums + (rest[one].conj() * rest[other]).sum(axis=0))
-    return found[0].real, found[1].real, found[2]
+        found.append(sums + (rest[one].conj() * rest[other]).sum(axis=-1))
+    return np.array(found)

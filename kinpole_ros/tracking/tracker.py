@@ -46,7 +46,7 @@ from kinpole_ros.tracking.timeline import Timeline
 # Frames kept to learn from, and at least so many windows.
 LEARNED_FRAMES, LEARNED_WINDOWS = 1024, 4
 # Frames between two updates: this share of those that have come, at most so many.
-UPDATE_SHARE, MOST_BETWEEN_UPDATES = 1 / 8, 64
+UPDATE_SHARE, MOST_BETWEEN_UPDATES = 1 / 8, 128
 # Markers that are off by this share of the size of their body are of other bodies: no tissue moves
 # so far.
 OTHER_BODIES = 0.05
@@ -370,6 +370,7 @@ class Tracker:
         self._history.widen(width)
         self._pins.widen(width)
         self._space.widen(width)
+        self._step.bind(self._known, self._history)
         self._early.clear()
 
     def _begin_again(self, stamp: int) -> None:
