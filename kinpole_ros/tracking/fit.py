@@ -59,7 +59,7 @@ def correct_frame(
     came = markers.copy()
     for b in np.flatnonzero(odd).tolist():
         came[b] = _correct(
-            bodies, history['angle'][-MIN_TURNS - 1 : -1, b], markers, came[b], b, counts
+            bodies, history['angle'][-2 * MIN_TURNS - 1 : -1, b], markers, came[b], b, counts
         )
     return came
 
@@ -118,7 +118,7 @@ def _angle_ahead(angles: Real) -> tuple[float, bool]:
         turn = _wrapped(angles[last] - angles[seen[-2]]) / (last - seen[-2])
         ahead += turn * (len(angles) - last)
     steps = np.abs(_wrapped(np.diff(angles)))
-    slow = len(angles) >= MIN_TURNS and not (steps > SLOW).any()
+    slow = np.isfinite(steps).sum() >= MIN_TURNS // 2 and not (steps > SLOW).any()
     return ahead, bool(slow and np.abs(ahead - angles[last]) < SLOW)
 
 

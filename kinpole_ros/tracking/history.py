@@ -70,6 +70,7 @@ class History:
 
     def append(self) -> int:
         """Add a row, and return its number in the columns; its values are those of some old row."""
+        self.reserve(1)
         self.end += 1
         return self.end - 1
 

@@ -49,8 +49,10 @@ def learn(
     """
     anew = _begin_robustly(bodies, history, counts)
     moved = _move_markers(bodies, history)
-    changed = _update_shapes(bodies, history) | anew.any() | moved
-    if changed:
+    if anew.any() or moved:
+        bodies.update()
+        refit(bodies, history)
+    if _update_shapes(bodies, history):
         bodies.update()
         refit(bodies, history)
     _update_misfit(bodies, history)

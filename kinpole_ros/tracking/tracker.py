@@ -357,7 +357,9 @@ class Tracker:
         if self._roster.width > self._known.width:
             self._widen()
         self._block = frames
-        self._points, self._heights = self._roster.flat(solid)
+        # The matcher corrects both in place.
+        points, heights = self._roster.flat(solid)
+        self._points, self._heights = np.ascontiguousarray(points), np.ascontiguousarray(heights)
         if self._posed and self._roster.plane is not None:
             self._tilts = self._roster.tilts(solid)
         self.matcher.begin(np.asarray(frames.stamps), self._points, self._heights)
