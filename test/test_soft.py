@@ -181,7 +181,7 @@ def test_slow_residuals_count_by_their_derivatives_less_the_noise(
 
 def spoiled(points: np.ndarray, cause: str, rng: np.random.Generator) -> np.ndarray:
     if cause == 'lens':
-        return np.asarray(points * (1 - 0.05 * np.abs(points - 0.05) ** 2 / 0.3**2))
+        return np.asarray(points * (1 - 0.07 * np.abs(points - 0.05) ** 2 / 0.3**2))
     if cause == 'slant':
         return np.asarray(points.real + 0.94j * points.imag)
     t = np.arange(len(points)) / RATE
@@ -238,7 +238,7 @@ def test_two_pairs_of_markers_of_one_shank_agree_on_how_the_knee_moves(side: str
     apart = np.diff(center.value[both, :2])[:, 0]
     near = squares(apart, center.covariance[both, :2].sum(axis=1)) < TWO
     print(f'{side}: rate {agree.mean():.0%}, center {near.mean():.0%} of {both.sum()}')
-    assert agree.mean() > 0.85
+    assert agree.mean() > 0.8
     assert near.mean() > 0.85
     assert both.sum() > 0.75 * swing.sum()
     # Not by deviations beyond all measure.

@@ -84,8 +84,8 @@ _CAUSES = {
     '': 'far more than their noise: name those of one link only',
     TISSUE: (
         'slowly and far more than their noise, as on soft tissue, through a lens, or where one is '
-        'loose, off the plane or of another link; deviations include it; fix: fasten them, and '
-        'name those of one link only'
+        'loose or of another link; deviations include it; fix: fasten them, and name those of one '
+        'link only'
     ),
 }
 

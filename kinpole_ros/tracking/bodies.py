@@ -92,7 +92,9 @@ class Bodies:
         young = np.maximum(YOUNG_OUTLIER * self.size, 2 * usual)
         self.limit = np.where(self.mature, usual, young)
         self.largest = np.where(self.mature, usual**2, np.inf)[:, None] * self.relative
-        self.doubtful = (self.limit**2)[:, None] * self.relative
+        # What moves by less, as on soft tissue, still has its name.
+        doubtful = np.maximum(self.limit, YOUNG_OUTLIER * self.size)
+        self.doubtful = (doubtful**2)[:, None] * self.relative
         self.loosest = self.error / UNSTEADY**2
 
     @property

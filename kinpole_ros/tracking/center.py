@@ -14,7 +14,7 @@ from kinpole_ros.tracking.bodies import Bodies
 from kinpole_ros.tracking.fit import fit_markers
 from kinpole_ros.tracking.history import History
 from kinpole_ros.tracking.levels import FEW, KEPT, RUNNING, SURE
-from kinpole_ros.tracking.statistics import chi_square, student
+from kinpole_ros.tracking.statistics import chi_square, medians, student
 
 # Poses kept per body, and the angle between them, rad: 4 rad of one-way turning.
 _KEPT = 64
@@ -41,6 +41,8 @@ _WHETHER = 1
 _SHARE, _CLEAR = 0.9, SURE**2
 # Number of windows that must agree on a hub, reckoned as many in which the body turns alike.
 _WINDOWS = 2.9
+# A window that leaves more than the others by this factor counts for less, in proportion.
+_UNEXPLAINED = 100.0
 # The newest frames may turn out to have been at other times, where stamps are late.
 UNSETTLED = 20
 
@@ -169,9 +171,9 @@ class Pins:
         self._leave(gone)
 
     def _leave(self, which: np.ndarray) -> None:
-        """Take the bodies `which` (B,) off their pins; twice as much is wanted the next time."""
+        """Take the bodies `which` (B,) off their pins; eight times as much is wanted the next time."""
         left = which & np.isfinite(self.center)
-        self._wanted[left] = np.minimum(2 * self._wanted[left], KEPT)
+        self._wanted[left] = np.minimum(8 * self._wanted[left], KEPT)
         self.forget(which)
 
 
@@ -219,6 +221,14 @@ def find_hubs(bodies: Bodies, history: History, window: int, before: Complex) ->
     even, still = 2 * counts * mean[:, 1], counts * mean[:, 0]
     wrong = np.abs(product + before * turns) ** 2 > np.abs(product) ** 2
     wrong = (wrong & (turns > _CLEAR * still))[_WHETHER, 0] & (before != 0)
+    # A window that no arm explains, such as one with a jump, counts for less.
+    own = np.abs(product[_WHETHER]) ** 2 / np.where(turns[_WHETHER] > 0, turns[_WHETHER], 1.0)
+    rest = (moves[_WHETHER] - own) / np.maximum(counts[_WHETHER], 1)
+    usual = np.maximum(medians(np.where(known, rest, np.nan).T), np.finfo(float).tiny)
+    weights = 1 / np.maximum(rest / (_UNEXPLAINED * usual), 1.0)
+    moves, turns, product, even, still, counts = (
+        weights * part for part in (moves, turns, product, even, still, counts)
+    )
     squares = (turns[_WHETHER] ** 2).sum(axis=0)
     both = product.sum(axis=1)
     moves, turns, even, still, counts = (

@@ -18,7 +18,7 @@ class History:
     markers : complex (B, n), m. As they came, in the plane; NaN for those not seen.
     used : bool (B, n). Those that the pose is fitted to.
     residual : complex (B, n), m. Marker minus fitted marker, in the axes of the body.
-    angle, turns : (B,). The angle in (-pi, pi], rad, and the whole turns beyond it.
+    angle, turns : (B,). The angle, rad, near (-pi, pi], and the whole turns beyond it.
     position : complex (B,), m. The origin of the frame of the body.
     information : (2, B). Inverse variances of angle and position, over that of one coordinate of a
         marker; 0 where the pose is not known.

@@ -29,14 +29,14 @@ def refit(bodies: Bodies, history: History) -> None:
     fit = fit_markers(bodies, np.where(history['used'], history['markers'], np.nan))
     loose = (bodies.spread > bodies.loosest) & (fit.spread < bodies.loosest)
     known = np.isfinite(fit.angle) & ~loose
-    history['angle'][...] = np.where(known, fit.angle, np.nan)
+    with np.errstate(invalid='ignore'):
+        whole = np.nan_to_num(np.rint((before - fit.angle) / (2 * np.pi)))
+    # Next to half a turn it may lie on the other side by now: the whole turns stay what they are.
+    history['angle'][...] = np.where(known, fit.angle + 2 * np.pi * whole, np.nan)
     history['position'][...] = np.where(known, fit.position, np.nan)
     history['residual'][...] = fit.residual
     held = known & ~wrong
     history['information'][...] = np.where(held, (fit.spread, fit.weight), 0.0).swapaxes(0, 1)
-    with np.errstate(invalid='ignore'):
-        turns = np.rint((before - history['angle']) / (2 * np.pi))
-    history['turns'][...] += np.nan_to_num(turns)
 
 
 def learn(

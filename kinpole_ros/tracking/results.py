@@ -143,7 +143,7 @@ def add_deformation(
             interval,
             float(span[last, b]),
             float(freedom[last, b]) - 1,
-            float(bodies.noise[b] * np.sqrt(bodies.held[b])),
+            float(bodies.white[b] * np.sqrt(bodies.held[b])),
             float(bodies.freedom[b]),
             order,
         )
