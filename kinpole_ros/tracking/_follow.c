@@ -27,7 +27,7 @@ typedef struct {
 /* Why the loop ends, besides the codes of `Call`. */
 enum { UNUSUAL = 2, SEEN_AGAIN, DEFORMED, FULL };
 /* Why a body has no result, the most important last: see results.py. */
-enum { KNOWN, NOT_FULL, TOO_NOISY, NOISE_UNKNOWN, NOT_SEEN, TIME_UNSURE };
+enum { KNOWN, NOT_FULL, TOO_NOISY, NOISE_UNKNOWN, NOT_SEEN };
 
 /* Room for one call of `kinpole_derive`. */
 typedef struct {
@@ -76,7 +76,7 @@ take(Frames *f)
         return UNUSUAL;
     }
     f->stamp[row] = f->new_stamp[k], f->time[row] = f->new_time[k], f->count[row] = f->new_count[k];
-    f->ambiguous[row] = f->new_ambiguous[k], f->goes_on[row] = goes_on;
+    f->goes_on[row] = goes_on;
     memcpy(f->marker + row * all, points, all * sizeof *points);
     memcpy(f->heights + row * all, heights, all * sizeof *heights);
     int again = 0;
@@ -90,8 +90,6 @@ take(Frames *f)
         f->extra_turn[row * f->bodies + b] = 0.0;
     }
     kinpole_follow_paths(f, f->wrong, f->newest);
-    if (f->ambiguous[row])
-        memset(f->information + 2 * row * f->bodies, 0, 2 * f->bodies * sizeof *f->information);
     for (long long b = 0; b < f->bodies; b++) {
         if (isnan(f->angle[row * f->bodies + b]))
             continue;
@@ -236,7 +234,7 @@ compute_result(const Frames *f, Call *call, Results *r, Room *room, long long ol
         const double *rate = room->found + (2 * orders + 1) * bodies + b;
         const double *velocity = room->found + 2 * (bodies + b);
         int found = isfinite(*rate) && isfinite(velocity[0]) && isfinite(velocity[1]);
-        int missing = f->ambiguous[now] ? TIME_UNSURE : !seen ? NOT_SEEN : f->unusable[b];
+        int missing = !seen ? NOT_SEEN : f->unusable[b];
         r->missing[to] = missing ? missing : found ? KNOWN : NOT_FULL;
         r->size[to] = f->size[b], r->height[to] = f->height[at];
         r->reference[to] = room->hub[b];

@@ -22,7 +22,7 @@ typedef struct {
     double far, newest_far, near, gap, sure;
     /* Columns of the history. */
     long long *stamp, *time, *count;
-    unsigned char *ambiguous, *goes_on, *used;
+    unsigned char *goes_on, *used;
     double *angle, *turns, *information, *height, *heights, *extra_turn;
     Number *position, *residual, *marker;
     /* Of the bodies, as they were learned. */
@@ -36,7 +36,6 @@ typedef struct {
     long long *wrong, *newest, *seen_last;
     /* The frames that came. */
     const long long *new_stamp, *new_time, *new_count;
-    const unsigned char *new_ambiguous;
     const Number *points;
     const double *point_heights;
 } Frames;

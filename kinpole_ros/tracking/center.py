@@ -171,7 +171,7 @@ class Pins:
         self._leave(gone)
 
     def _leave(self, which: np.ndarray) -> None:
-        """Take the bodies `which` (B,) off their pins; eight times as much is wanted the next time."""
+        """Take the bodies `which` (B,) off their pins; next time eight times as much is wanted."""
         left = which & np.isfinite(self.center)
         self._wanted[left] = np.minimum(8 * self._wanted[left], KEPT)
         self.forget(which)
@@ -207,6 +207,8 @@ def find_hubs(bodies: Bodies, history: History, window: int, before: Complex) ->
     number = seen.sum(axis=1)
     enough = np.maximum(_DEGREES[-1] + 1, _PRESENT * (end - first)[:, None])
     known = number > enough
+    if not known.any():
+        return np.zeros(bodies.count, complex)
     seen &= known[:, None]
     position = history['position'][rows]
     start = np.take_along_axis(position, seen.argmax(axis=1)[:, None], axis=1)

@@ -26,8 +26,6 @@ KEPT = 16
 UNSETTLED = 4
 # Frames that wait for a sure count at most: the usual lag at 200 Hz.
 MAX_PENDING = 20
-# A count is used when it is wrong with this probability at most.
-UNSURE = 1e-3
 # Nats of a lost frame before any was seen to be lost: one in fifty.
 LOSS_NATS = math.log(50)
 # Nats by which another rate must be likelier for the rate to have changed.
@@ -81,14 +79,6 @@ class Clock(NamedTuple):
         since = np.asarray(stamps) - self.origin
         return np.asarray((since - self.phase + self.margin) / self.interval)
 
-    def late_in_row(self, probability: float) -> int:
-        """How many frames running are late by a tick or more with less than this `probability`."""
-        if self.reach < 1:
-            return 1
-        # Lateness is taken to be exponential.
-        number = -math.log(probability) * self.lateness / self.interval
-        return min(math.ceil(number), MAX_PENDING)
-
 
 def estimate_clock(stamps: np.ndarray, before: Clock | None) -> tuple[Clock, np.ndarray]:
     """
@@ -137,6 +127,33 @@ def estimate_clock(stamps: np.ndarray, before: Clock | None) -> tuple[Clock, np.
     return clock, count_frames(stamps[-number:], clock)
 
 
+def clock_of(
+    clock: Clock, counts: np.ndarray, stamps: np.ndarray, which: np.ndarray, own: np.ndarray
+) -> tuple[Clock, np.ndarray]:
+    """
+    The clock of `own` counts of `which` stamps, and the counts of the newest of all by it.
+
+    But the `clock` with `counts` of the newest `stamps`, ns, where that is far likelier with fewer
+    lost frames: the rate has changed.
+    """
+    held = which >= len(stamps) - len(counts)
+    which, own = which[held], own[held]
+    if len(own) < FEWEST_SAMPLES:
+        return clock, counts
+    first, own = int(which[0]), own - own[0]
+    since = (stamps[which] - stamps[first]).astype(float)
+    other = counts[which - (len(stamps) - len(counts))]
+    other = other - other[0]
+    fitted = _fit_clock(int(stamps[first]), since, own, clock.resolution)
+    intervals = np.array([clock.interval, fitted.interval])
+    costs = _costs(since, np.array([other, own]), intervals, clock.resolution)
+    if costs[1] > costs[0] + CHANGE_NATS and other[-1] < own[-1]:
+        return clock, counts
+    counts = count_frames(stamps[first:], fitted)
+    counts[which - first] = own
+    return fitted, counts
+
+
 def _counts_if_near(stamps: np.ndarray, clock: Clock) -> np.ndarray | None:
     """Counts (N,) of frames by their clock, if all `stamps` (N,) are still near its ticks."""
     counts = count_frames(stamps, clock)
@@ -155,66 +172,6 @@ def count_frames(stamps: np.ndarray, clock: Clock) -> np.ndarray:
     number = np.arange(len(stamps))
     ahead = np.floor(clock.ticks(stamps)).astype(np.int64) - number
     return np.asarray(number + np.minimum.accumulate(ahead[::-1])[::-1])
-
-
-def ambiguous_frames(counts: np.ndarray, clock: Clock) -> np.ndarray:
-    """Which frames (N,) with `counts` (N,) may have come late, from before the loss before them."""
-    ambiguous = np.zeros(len(counts), bool)
-    gaps = (np.diff(counts) > 1).nonzero()[0]
-    for k in range(1, clock.late_in_row(UNSURE)):
-        ambiguous[np.minimum(gaps + k, len(counts) - 1)] = True
-    return ambiguous
-
-
-def count_arrivals(
-    stamps: np.ndarray, clock: Clock, count: int, shift: int
-) -> tuple[np.ndarray, np.ndarray, int]:
-    """
-    Count frames with `stamps` (T,) in order of arrival, as far as the frames lost are sure.
-
-    `count` is that of the frame before them, and counts are ahead of the clock by `shift`. A frame
-    that comes a tick late was itself late, or frames were lost before it. It waits until a frame
-    comes that shows that none was, or until more have come since a frame that allows no more losses
-    than are ever late in a row.
-
-    Returns the sure counts (R,), with which of the frames (R,) each became sure, and the shift: it
-    grows where a frame comes before its tick.
-    """
-    ticks = clock.ticks(stamps)
-    confirmations = clock.late_in_row(UNSURE * math.exp(-LOSS_NATS))
-    counts, sure_with = [np.zeros(0, np.int64)], [np.zeros(0, np.int64)]
-    waiting: list[int] = []  # how many frames may have been lost in all before each
-    lost = frame = 0
-    while frame < len(ticks):
-        if not waiting:
-            later = np.arange(frame, len(ticks))
-            expected = count + lost + 1 + later
-            doubtful = np.floor(ticks[later] + shift) > expected
-            doubtful |= ticks[later] + shift + TOLERANCE < expected
-            plain = int(doubtful.argmax()) if doubtful.any() else len(later)
-            counts.append(expected[:plain])
-            sure_with.append(later[:plain])
-            frame += plain
-            if frame == len(ticks):
-                break
-        tick, expected_one = float(ticks[frame]) + shift, count + frame + 1
-        if tick + TOLERANCE < expected_one + lost:
-            # A loss before was none, or the edge was not known well: the counts go on all the same.
-            shift += expected_one + lost - math.floor(tick + TOLERANCE)
-        waiting.append(max(math.floor(tick) - expected_one, lost))
-        while waiting:
-            fewest = min(waiting)
-            confirmed = len(waiting) - 1 - waiting.index(fewest)
-            if fewest > lost and confirmed < confirmations and len(waiting) <= MAX_PENDING:
-                break
-            number = len(waiting) - waiting[::-1].index(fewest)
-            first = expected_one + 1 - len(waiting)
-            lost = fewest
-            counts.append(first + lost + np.arange(number))
-            sure_with.append(np.full(number, frame))
-            del waiting[:number]
-        frame += 1
-    return np.concatenate(counts), np.concatenate(sure_with), shift
 
 
 def _likeliest(

@@ -13,7 +13,6 @@ class History:
 
     stamp, time : int64, ns. As the message has it, and as the clock has it.
     count : int64. The tick of the clock, where frames are counted.
-    ambiguous : bool. It may have been captured before or after a lost frame.
     goes_on : bool. False for a frame that follows a gap.
     markers : complex (B, n), m. As they came, in the plane; NaN for those not seen.
     used : bool (B, n). Those that the pose is fitted to.
@@ -35,7 +34,6 @@ class History:
             'stamp': np.zeros(capacity, np.int64),
             'time': np.zeros(capacity, np.int64),
             'count': np.zeros(capacity, np.int64),
-            'ambiguous': np.zeros(capacity, bool),
             'goes_on': np.zeros(capacity, bool),
             'markers': np.zeros(both, complex),
             'used': np.zeros(both, bool),

@@ -18,14 +18,12 @@ from kinpole_ros.tracking.plane import Plane
 
 # Why a body has no result, by the numbers of _follow.c, of markers and of poses.
 _COMMON = '', 'window not full'
-_UNSURE = 'its stamp does not tell whether it was captured before or after a lost frame'
 _OF_MARKERS = np.array(
     [
         *_COMMON,
         'markers too close together for their noise',
         'noise not known yet',
         'too few markers seen, or all at one place',
-        _UNSURE,
     ],
     object,
 )
@@ -35,7 +33,6 @@ _OF_POSES = np.array(
         'the noise of its angle is too large',
         'noise not known yet',
         'no pose of it came',
-        _UNSURE,
     ],
     object,
 )

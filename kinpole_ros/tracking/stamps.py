@@ -20,6 +20,7 @@ from kinpole_ros.tracking.clock import (
     TOLERANCE,
     UNSETTLED,
     Clock,
+    clock_of,
     estimate_clock,
 )
 from kinpole_ros.tracking.history import History
@@ -103,16 +104,24 @@ class StampHistory:
         self._new += len(stamps)
         self._unweighed += int(np.count_nonzero(taken))
 
-    def update(self, history: History, samples: int, uncounted: int, noise: Real) -> np.ndarray:
+    def update(
+        self, history: History, samples: int, uncounted: int, noise: Real, counted: bool
+    ) -> np.ndarray:
         """
         Estimate the clock, and decide by the motion of the last `samples` frames of the `history`.
 
         Returns the counts (n,) of the newest frames of the history: all but so many `uncounted` of
         the newest that were taken. `noise` (B,), m, is that of a marker of each body, NaN while not
-        known.
+        known. Where frames of the history are `counted` by the motion, the clock is that of these
+        counts.
         """
         stamps = self._stamps[-MEMORY:]
         clock, counts = estimate_clock(stamps, self.clock)
+        if counted:
+            which = np.flatnonzero(self._taken[-MEMORY:])
+            which = which[: len(which) - uncounted][-len(history) :]
+            own = history['count'][len(history) - len(which) :]
+            clock, counts = clock_of(clock, counts, stamps, which, own)
         self._stamps = stamps[len(stamps) - len(counts) :]
         self._taken = self._taken[len(self._taken) - len(counts) :]
         self._count_lost(clock, counts)

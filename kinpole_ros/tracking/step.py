@@ -33,7 +33,7 @@ _SCALARS = (
 )
 _REALS = 'lag', 'interval', 'far', 'newest_far', 'near', 'gap', 'sure'
 _COLUMNS = (
-    *('stamp', 'time', 'count', 'ambiguous', 'goes_on', 'used', 'angle', 'turns', 'information'),
+    *('stamp', 'time', 'count', 'goes_on', 'used', 'angle', 'turns', 'information'),
     *('height', 'heights', 'extra_turn', 'position', 'residual', 'markers'),
 )
 _LEARNED = (
@@ -42,7 +42,7 @@ _LEARNED = (
     *('freedom', 'pin_variance', 'turned', 'pin_since', 'unusable'),
 )
 _COUNTED = 'unusual', 'wrong', 'newest', 'seen_last'
-_CAME = 'new_stamp', 'new_time', 'new_count', 'new_ambiguous', 'points', 'point_heights'
+_CAME = 'new_stamp', 'new_time', 'new_count', 'points', 'point_heights'
 
 
 class _Frames(Structure):
@@ -139,8 +139,8 @@ class Step:
         """
         Take frames next.
 
-        `came` are their stamps, times and counts (T,), int64, which are `ambiguous` (T,), points in
-        the plane (T, B, n) and their heights. With `hidden_is_unusual` so is a marker not seen.
+        `came` are their stamps, times and counts (T,), int64, points in the plane (T, B, n), and
+        heights of these. With `hidden_is_unusual` so is a marker not seen.
         """
         self._came = tuple(map(np.ascontiguousarray, came))
         for name, array in zip(_CAME, self._came, strict=True):

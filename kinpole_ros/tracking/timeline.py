@@ -9,7 +9,7 @@ from collections import Counter
 import numpy as np
 
 from kinpole_ros.tracking.arrivals import Arrivals
-from kinpole_ros.tracking.clock import MAX_PENDING, Clock, ambiguous_frames, count_arrivals
+from kinpole_ros.tracking.counter import Counter as FrameCounter
 from kinpole_ros.tracking.frame import MarkerFrames, part_of
 from kinpole_ros.tracking.history import History
 from kinpole_ros.tracking.parameters import Settings
@@ -19,6 +19,8 @@ from kinpole_ros.tracking.stamps import StampHistory, StampState
 _LEAST_STEP = 1000
 # Before the clock is known a frame may be late by this share of the window.
 _PLAUSIBLE = 1 / 4
+# The rate is the same if this share of the frames is counted alike as before.
+_SAME_RATE = 0.5
 
 
 class Timeline:
@@ -44,9 +46,8 @@ class Timeline:
         self._stamps: StampHistory = StampHistory(settings.stamps, self._window, known)
         self._regular = self._stamps.regular
         # What frames are counted by; None where they are at stamps, or it is not known yet.
-        self._clock: Clock | None = None
-        # Of the newest frame that is counted, and by how much counts are ahead of the clock.
-        self._count = self._shift = 0
+        self._counter: FrameCounter | None = None
+        self._scale = settings.scale
         # Frames that wait for their count, and counts of those to be entered.
         self._uncounted: list[MarkerFrames] = []
         self._counted = np.zeros(0, np.int64)
@@ -98,17 +99,13 @@ class Timeline:
         Also the `numbers` (T,) of the frames with which they became so. The others wait.
         """
         parts = [*self._uncounted, frames]
-        stamps = np.concatenate([part.stamps for part in parts])
-        if self._clock is None:
-            counts, sure_with = np.zeros(0, np.int64), np.arange(len(stamps))
+        if self._counter is None:
+            waiting = sum(len(part.stamps) for part in self._uncounted)
+            numbers = np.concatenate((np.repeat(numbers[:1], waiting), numbers))
         else:
-            counts, sure_with, self._shift = count_arrivals(
-                stamps, self._clock, self._count, self._shift
-            )
-        self._counted = np.concatenate((self._counted, counts))
-        if len(counts):
-            self._count = int(counts[-1])
-        numbers = numbers[np.maximum(sure_with - (len(stamps) - len(frames.stamps)), 0)]
+            counts, sure_with = count_frames(self._counter, frames.stamps, frames.points)
+            self._counted = np.concatenate((self._counted, counts))
+            numbers = numbers[sure_with]
         self._uncounted, sure = [], []
         for part in parts:
             number = min(len(part.stamps), len(numbers))
@@ -119,24 +116,17 @@ class Timeline:
             numbers = numbers[number:]
         return sure
 
-    def enter(self, stamps: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """
-        Times, ns, and counts (T,) of frames that are to be appended to the history next.
-
-        Also which may be from before or after a loss, so that their times are not sure.
-        """
-        times, counts = self.history['time'], self.history['count']
+    def enter(self, stamps: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Times, ns, and counts (T,) of frames that are to be appended to the history next."""
+        times = self.history['time']
         before = int(times[-1]) if len(times) else int(stamps[0]) - _LEAST_STEP
-        ambiguous = np.zeros(len(stamps), bool)
-        if self._clock is not None:
+        if self._counter is not None:
             fresh, self._counted = np.split(self._counted, [len(stamps)])
-            every = np.concatenate((counts[-MAX_PENDING:], fresh))
-            ambiguous = ambiguous_frames(every, self._clock)[len(every) - len(stamps) :]
-            return self._times(fresh), fresh, ambiguous
+            return self._times(fresh), fresh
         rising = stamps
         if self._regular or stamps[0] <= before or (stamps[1:] <= stamps[:-1]).any():
             rising = _rising(np.concatenate(((before,), stamps)))[1:]
-        return rising, np.zeros(len(stamps), np.int64), ambiguous
+        return rising, np.zeros(len(stamps), np.int64)
 
     def _times(self, counts: np.ndarray) -> np.ndarray:
         """When frames with `counts` (T,) were, ns: in even steps."""
@@ -157,10 +147,13 @@ class Timeline:
         """
         lost = self._stamps.lost
         uncounted = sum(len(part.stamps) for part in self._uncounted)
-        counts = self._stamps.update(self.history, samples, uncounted, noise)
+        counted = self._counter is not None and self._counter.keeps_pace
+        counts = self._stamps.update(self.history, samples, uncounted, noise, counted)
         self._counts['lost'] += self._stamps.lost - lost
         if self._stamps.regular:
             self._to_ticks(counts)
+            if self._counter is not None:
+                self._counter.noise = float(np.fmax.reduce(noise)) / self._scale
         elif self._regular:
             self._to_stamps()
 
@@ -169,24 +162,39 @@ class Timeline:
         clock, history = self._stamps.clock, self.history
         assert clock is not None
         self._regular = True
-        self._clock, self._shift = clock, 0
         self._step = max(round(clock.interval), 1)
         first = max(len(history) - len(counts), 0)
-        self._count = int(counts[-1]) if len(history) > first else -1
-        self._anchor = clock.origin + round(clock.phase + self._count * clock.interval), self._count
-        counted = counts[len(counts) - (len(history) - first) :]
-        history['count'][first:] = counted
-        history['time'][first:] = self._times(counted)
-        ambiguous = ambiguous_frames(counted, clock)
-        history['ambiguous'][first:][ambiguous] = True
-        history['information'][first:][ambiguous] = 0.0
+        counts = counts[len(counts) - (len(history) - first) :]
+        if self._counter is not None:
+            # By the motion they are counted better than by the stamps alone.
+            own = history['count'][first:]
+            offsets, times = np.unique(counts - own, return_counts=True)
+            usual = int(offsets[times.argmax()]) if len(own) else 0
+            if np.mean(np.abs(counts - own - usual) <= 1) > _SAME_RATE:
+                counts = own + usual
+                self._counter.move(usual)
+                self._counter.follow(clock)
+            else:
+                self._counter = None
+        if self._counter is None:
+            self._counter = FrameCounter(clock, int(counts[0]) if len(counts) else -1)
+            # Those that wait are counted by the clock up to now.
+            if len(counts) and not self._uncounted:
+                markers = history['markers'][first + 1 :].view(float)
+                stamps = history['stamp'][first + 1 :]
+                counted, _ = count_frames(self._counter, stamps, markers)
+                counts = np.concatenate((counts[:1], counted, self._counter.take_pending()))
+        count = self._counter.count
+        self._anchor = clock.origin + round(clock.phase + count * clock.interval), count
+        history['count'][first:] = counts
+        history['time'][first:] = self._times(counts)
         # Frames of another rate.
         before = history['stamp'][:first] - round(clock.lateness)
         history['time'][:first] = _rising(before)
 
     def _to_stamps(self) -> None:
         """Take frames to be at their stamps from now on."""
-        self._regular, self._clock = False, None
+        self._regular, self._counter = False, None
         self.history['time'][...] = _rising(self.history['stamp'])
 
 
@@ -194,3 +202,22 @@ def _rising(stamps: np.ndarray) -> np.ndarray:
     """Times (T,) that rise, from stamps that need not."""
     least = _LEAST_STEP * np.arange(len(stamps))
     return np.asarray(np.maximum.accumulate(stamps - least) + least)
+
+
+def count_frames(
+    counter: FrameCounter, stamps: np.ndarray, points: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Count frames (T,): the sure counts (R,), and the frames with which each became sure."""
+    counts, sure_with = [np.zeros(0, np.int64)], [np.zeros(0, np.int64)]
+    first = 0
+    while first < len(stamps):
+        plain = counter.plain(stamps[first:])
+        if plain:
+            counts.append(counter.take_plain(points[first : first + plain]))
+            sure_with.append(np.arange(first, first + plain))
+            first += plain
+        if first < len(stamps):
+            counts.append(counter.take(int(stamps[first]), points[first]))
+            sure_with.append(np.full(len(counts[-1]), first))
+            first += 1
+    return np.concatenate(counts), np.concatenate(sure_with)

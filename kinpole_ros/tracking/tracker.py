@@ -272,7 +272,7 @@ class Tracker:
             first = self._step.fields.frame
             if code == UNUSUAL:
                 self._take(int(frames.stamps[first]), int(times[0][first]), first, solid[first])
-                self._finish_row(first, *times)
+                self._history['count'][-1] = times[1][first]
                 first += 1
                 self._step.fields.frame = first
                 self._follow(0, results)
@@ -321,15 +321,6 @@ class Tracker:
             due = results.of_instants('due')
             due[:] = numbers[due]
             self._results.append(results)
-
-    def _finish_row(
-        self, k: int, times: np.ndarray, counts: np.ndarray, ambiguous: np.ndarray
-    ) -> None:
-        """Note in the newest row what the clock says of its frame."""
-        columns, row = self._history.columns, self._history.end - 1
-        columns['count'][row], columns['ambiguous'][row] = counts[k], ambiguous[k]
-        if ambiguous[k]:
-            columns['information'][row] = 0.0
 
     def settle(self) -> None:
         """Learn from the frames of late if it is time for it; else the next `add` does."""
