@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any, NoReturn, TypeVar
 import numpy as np
 from numpy.typing import ArrayLike
 
+from kinpole_ros.packages import install_command
 from kinpole_ros.planar import to_plane
 from kinpole_ros.tracking.estimate import (
     POLE_NAMES,
@@ -26,6 +27,9 @@ from kinpole_ros.tracking.estimate import (
 from kinpole_ros.tracking.frame import MarkerFrames
 from kinpole_ros.tracking.parameters import Settings, load_settings, settings_from
 from kinpole_ros.tracking.tracker import Tracker
+
+if TYPE_CHECKING:
+    import pandas
 
 # Frames that the tracker is given at once, as replay does.
 _AT_ONCE = 1000
@@ -145,6 +149,56 @@ class Tracked:
 
     def __getitem__(self, body: str) -> BodyMotion:
         return self.bodies[body]
+
+    def to_frame(self) -> 'pandas.DataFrame':
+        """
+        Return a pandas frame with a row an instant, indexed by `t`.
+
+        Columns are named as in the tables of `kinpole replay`: BODY_x, BODY_angle,
+        BODY_angular_velocity and BODY_angular_velocity_sigma, BODY_icr_x and BODY_icr_x_sigma,
+        J_wrt_I_icr_x and so on, and stamp, ns.
+
+        Returns
+        -------
+        pandas.DataFrame
+            (M, columns), float64 but for stamp; NaN where undetermined.
+
+        Raises
+        ------
+        ImportError
+            If pandas is not installed.
+        """
+        try:
+            import pandas
+        except ImportError:
+            raise ImportError(f'to_frame needs pandas; fix: {install_command("pandas")}') from None
+        columns = {'stamp': self.stamp}
+        for body, motion in self.bodies.items():
+            columns |= _table_columns(body, motion)
+        for (j, i), relative in self.pairs.items():
+            columns |= _table_columns(f'{j}_wrt_{i}', relative)
+        return pandas.DataFrame(columns, index=pandas.Index(self.t, name='t'))
+
+
+def _table_columns(prefix: str, record: BodyMotion | PairMotion) -> dict[str, np.ndarray]:
+    """The numbers of a record as columns (M,), named as in tables."""
+    columns: dict[str, np.ndarray] = {}
+    for name in (field.name for field in fields(record)):
+        values = getattr(record, name)
+        if name == 'missing':
+            continue
+        if values.ndim == 1:
+            columns[f'{prefix}_{name}'] = values
+            continue
+        # A position has no name of its own: BODY_x.
+        own = f'{prefix}_{name.removesuffix("_covariance")}'.removesuffix('_position')
+        for k, axis in enumerate('xy'):
+            if values.ndim == 2:
+                columns[f'{own}_{axis}'] = values[:, k]
+            else:
+                with np.errstate(invalid='ignore'):
+                    columns[f'{own}_{axis}_sigma'] = np.sqrt(values[:, k, k])
+    return columns
 
 
 def track(

@@ -1,6 +1,7 @@
 """What several test files share: bags of scenes, made once, and the messages in a bag."""
 
 import os
+import shutil
 from array import array
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
@@ -140,3 +141,22 @@ def assert_alike(
 def title_of(figure: Any) -> str:
     """The title over all of a matplotlib figure, which has `get_suptitle` from 3.8 on."""
     return str(figure._suptitle.get_text())
+
+
+def browser_path() -> str:
+    names = ('chromium', 'chromium-browser', 'google-chrome', 'google-chrome-stable')
+    found = [path for name in names if (path := shutil.which(name))]
+    if not found:
+        pytest.skip(f'no browser: none of {", ".join(names)} is installed')
+    return found[0]
+
+
+@pytest.fixture(scope='module')
+def browser() -> Iterator[Any]:
+    playwright = pytest.importorskip('playwright.sync_api', reason='playwright is not installed')
+    path = browser_path()
+    with playwright.sync_playwright() as driver:
+        # As root, as in containers, it runs without a sandbox only.
+        browser = driver.chromium.launch(executable_path=path, args=['--no-sandbox'])
+        yield browser
+        browser.close()

@@ -1,6 +1,7 @@
 """The door for Python: arrays in, arrays out, the figures of replay."""
 
 import pickle
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -49,6 +50,26 @@ def test_replay_has_the_cells_of_the_table(rig: Path, tmp_path: Path) -> None:
     ):
         assert np.array_equal(ours, table[column], equal_nan=True), column
     assert {array.dtype.kind for array in all_arrays(found).values()} == {'f', 'U'}
+
+
+def test_a_frame_of_pandas_has_the_columns_of_the_table(rig: Path, tmp_path: Path) -> None:
+    pytest.importorskip('pandas', reason='pandas is an extra')
+    settings = Settings(bodies=bodies_of('four_bar'))
+    replay_bag(rig, settings, csv=tmp_path / 'result.csv')
+    table = np.genfromtxt(tmp_path / 'result.csv', delimiter=',', names=True)
+    frame = replay(rig, write_config(tmp_path / 'rig.yaml', settings)).to_frame()
+    assert set(table.dtype.names) == {'t', *frame.columns} - {'stamp'}
+    for column in table.dtype.names[1:]:
+        assert np.array_equal(frame[column], table[column], equal_nan=True), column
+    assert frame.index.to_numpy() == pytest.approx(table['t'])
+    assert (frame['stamp'].to_numpy() * 1e-9 == frame.index.to_numpy()).all()
+
+
+def test_a_frame_without_pandas_is_refused_with_the_fix(rig: Path, monkeypatch) -> None:
+    monkeypatch.setitem(sys.modules, 'pandas', None)
+    settings = {'bodies': ['coupler'], 'coupler.markers': bodies_of('four_bar')['coupler']}
+    with pytest.raises(ImportError, match='needs pandas; fix: pip install pandas'):
+        replay(rig, **settings).to_frame()
 
 
 def test_track_is_replay_of_an_array(rig: Path) -> None:

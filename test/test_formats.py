@@ -40,7 +40,7 @@ def bring(folder: Path, content: str | bytes, **options: Any) -> tuple[Imported,
     done = import_points(file, bag, **options)
     points = np.full((done.frames, len(done.markers), 3), NAN)
     stamps = []
-    for row, message in enumerate(read_messages(bag)):
+    for row, message in enumerate(read_messages(bag, ['/markers'])):
         stamps.append(message.log_time)
         for marker in deserialize_message(message.data, MarkerArray).markers:
             place = marker.pose.position
@@ -159,7 +159,6 @@ def trc(unit: str = 'mm', frames: int = 4) -> bytes:
 
 def c3d_file(unit: str = 'mm') -> bytes:
     """Floats in Intel order, frames 5 to 8 at 200 Hz, and an angle among the points."""
-    pytest.importorskip('c3d')
     names = ['tip', 'heel', 'Knee']
 
     def group(number: int, name: str) -> bytes:
@@ -278,6 +277,19 @@ def test_a_file_as_its_program_writes_it_is_recognized_and_exact(tmp_path, case)
     assert named == done
 
 
+@pytest.mark.parametrize('kind', ['trc', 'motive', 'vicon', 'c3d'])
+def test_markers_of_one_name_are_numbered(tmp_path, kind):
+    _, make, _, names, _, places = CASES[kind]
+    content = make() if isinstance(make(), bytes) else make().encode()
+    first, second = (name.encode() for name in names)
+    if kind == 'c3d':
+        first = first.ljust(len(second))
+    done, _, got = bring(tmp_path, content.replace(second, first))
+    assert done.markers == (names[0], f'{names[0]}_2')
+    assert f"markers of one name; they are numbered: '{names[0]}_2'" in str(done.notes)
+    np.testing.assert_allclose(got, places, rtol=1e-7)
+
+
 @pytest.mark.parametrize('case', CASES)
 def test_a_damaged_file_is_read_or_refused_in_one_line(tmp_path, case):
     kind, content, options, *_ = CASES[case]
@@ -369,13 +381,14 @@ SCORED = 'frame_idx,track,tip.x,tip.y\n0,,1,2\n0,,3,4\n'
         (
             lambda: kinovea(False).replace('"0.0', '"4').replace('"0.1', '"9'),
             {'scale': 1.0},
-            'line, frames or milliseconds.*fix: give --rate HZ',
+            'line, frames or milliseconds.*fix: give --rate',
         ),
-        (lambda: motive('Meters').replace(',Marker', ',Bone'), {}, 'no columns of type Marker, on'),
-        (lambda: motive('Meters').replace('Unlabeled 1189', 'rod:Marker1'), {}, 'a name of its ow'),
+        (lambda: motive('Meters').replace(',Marker', ',Bone').replace('d Body,', 'd,'), {},
+         'no columns of type Marker, only Rigi'),
+        (lambda: motive('Meters').replace('X,Y,Z\n', 'X,Y,Y\n'), {}, 'columns than X, Y, Z'),
         (lambda: vicon().replace('mm,mm,mm', 'mm,cm,mm', 1), {}, 'several units, cm mm; fix'),
-        (lambda: vicon().replace('s\n200\n,,Rig:t', 's\nfast\n,,Rig:t'), {}, 'no rate under Traj'),
-        (lambda: trc().replace(b'R.heel', b'R.tip'), {}, "marker 'R.tip' is there 2 times"),
+        (lambda: vicon().replace('s\n200\n,,Rig:t', 's\nfast\n,,Rig:t'), {}, 'has no times; fix'),
+        (lambda: trc().replace(b'R.tip\t', b'R.tip\tR.m\t'), {}, '4: frames have 9 cells, and 3 m'),
         (lambda: trc().replace(b'\n2\t', b'\n7\t'), {}, 'line 9, column Frame#: 3 is not the numb'),
         (lambda: trc().replace(b'10.5', b'1o.5'), {}, "line 7, column R.tip x: '1o.500000' is not"),
         (lambda: SCORED, PIXELS, 'frame 0 has 2 instances of track .*fix: track them in SLEAP'),
@@ -386,7 +399,7 @@ SCORED = 'frame_idx,track,tip.x,tip.y\n0,,1,2\n0,,3,4\n'
         (lambda: deeplabcut_h5()[:900], PIXELS, 'is not an .h5 of DeepLabCut'),
         (lambda: c3d_file()[:530], {}, 'is not a C3D file that can be read|has no frames'),
         (lambda: 'time\tpos\x1b[2J\n1\t2\n', {},
-         "begins with 'time pos.*2J' / '1 2': of no format known here .deeplabcut, sleap.*fix: .*"
+         "begins with 'time pos.*2J' / '1 2': of no format known here .bag, sleap.*fix: .*"
          't,tip_x,tip_y'),
         (lambda: b'\x89PNG\r\n\x1a\n\0\0', {}, 'is binary and begins with 89 50 4e 47'),
     ],
@@ -618,7 +631,7 @@ def test_a_text_file_takes_memory_by_its_numbers(tmp_path, content, complaint, m
 
 @pytest.mark.parametrize('end', ['', '_0', 'x'])
 def test_numbers_are_those_of_float_in_every_block_of_rows(tmp_path, monkeypatch, end):
-    monkeypatch.setattr('kinpole_ros.bags.formats._file._BLOCK_CELLS', 64)
+    monkeypatch.setattr('kinpole_ros.bags.formats._sheet._BLOCK_CELLS', 64)
     draw = np.random.default_rng(5)
     texts = [
         repr(x) for x in (draw.normal(size=490) * 10.0 ** draw.integers(-300, 300, 490)).tolist()
@@ -649,7 +662,7 @@ def test_tracks_of_sleap_that_would_need_a_frame_each_are_refused(tmp_path):
 
 
 def test_more_cells_than_are_held_are_refused_while_reading(tmp_path, monkeypatch):
-    monkeypatch.setattr('kinpole_ros.bags.formats._file.MOST_CELLS', 1000)
+    monkeypatch.setattr('kinpole_ros.bags.formats._sheet.MOST_CELLS', 1000)
     with pytest.raises(BagError, match='more than 1000 cells; fix: cut it into parts'):
         bring(tmp_path, 't,a_x,a_y\n' + '1,2,3\n' * 300)
 

@@ -42,6 +42,7 @@ PYTHON_PACKAGES = {
     'mpmath': 'python3-mpmath',
     'numpy': 'python3-numpy',
     'packaging': 'python3-packaging',
+    'pandas': None,
     'pyarrow': None,
     'pytest': 'python3-pytest',
     'rosbags': None,

@@ -6,7 +6,6 @@ import itertools
 import json
 import os
 import re
-import shutil
 import zlib
 from collections.abc import Iterator
 from pathlib import Path
@@ -250,25 +249,6 @@ def test_a_report_says_that_it_took_all_markers_as_one_body(tmp_path, capsys) ->
 
 
 # ---- In a browser ----
-
-
-def browser_path() -> str:
-    names = ('chromium', 'chromium-browser', 'google-chrome', 'google-chrome-stable')
-    found = [path for name in names if (path := shutil.which(name))]
-    if not found:
-        pytest.skip(f'no browser: none of {", ".join(names)} is installed')
-    return found[0]
-
-
-@pytest.fixture(scope='module')
-def browser() -> Iterator[Any]:
-    playwright = pytest.importorskip('playwright.sync_api', reason='playwright is not installed')
-    path = browser_path()
-    with playwright.sync_playwright() as driver:
-        # As root, as in containers, it runs without a sandbox only.
-        browser = driver.chromium.launch(executable_path=path, args=['--no-sandbox'])
-        yield browser
-        browser.close()
 
 
 @pytest.fixture(scope='module')

@@ -93,6 +93,30 @@ def test_play_is_anywhere_in_a_circle() -> None:
     np.testing.assert_allclose(parts, sampled, rtol=0.05)
 
 
+def test_play_of_a_slot_lifts_the_slider_off_its_line() -> None:
+    at = np.array([0.7])
+    found = spread_of('slider_crank', at, {}, {'piston': 1e-4}, 2000)
+    q = quantity(found, 'rod.B', 'y')
+    off = found.samples[:, q, 0] - found.value[q, 0]
+    assert 0.99e-4 < np.abs(off).max() <= 1e-4 * (1 + 1e-9)
+    np.testing.assert_allclose(found.deviation[q], 1e-4 / np.sqrt(3), rtol=1e-6)
+    np.testing.assert_allclose(found.deviation[q], off.std(ddof=1), rtol=0.05)
+    # By the rod: across it goes what is along the line over the sine of its angle.
+    rod = found.value[quantity(found, 'rod', 'angle'), 0]
+    along = np.abs(found.parts[0, quantity(found, 'rod.B', 'x'), 0])
+    np.testing.assert_allclose(along, 1e-4 / np.sqrt(3) * np.abs(np.tan(rod)), rtol=1e-4)
+
+
+def test_backlash_of_gears_turns_the_arm_by_the_lever_of_both_contacts() -> None:
+    """By 24 mm sun and 48 mm ring: the sun's teeth move the arm by 1 / 72 mm, the planet by -3."""
+    found = spread_of('planetary_gear', np.array([0.7]), {}, {'sun_teeth': 3e-4}, 500)
+    for body, rate in (('arm', 1 / 0.072), ('planet', 3 / 0.072)):
+        q = quantity(found, body, 'angle')
+        np.testing.assert_allclose(found.deviation[q], 3e-4 / np.sqrt(3) * rate, rtol=1e-6)
+        off = np.abs(found.samples[:, q, 0] - found.value[q, 0])
+        assert off.max() <= 3e-4 * rate * (1 + 1e-6)
+
+
 def test_vectors_and_slides_have_errors_too() -> None:
     scene = load_scene('cardan')
     # The rod's two guides: one turned by 1 mrad moves the rod's end across by its way.
@@ -146,7 +170,10 @@ def test_what_fit_prints_is_taken(tmp_path: Path) -> None:
     ('said', 'words'),
     [
         ('coupler.Q=1mm', 'coupler.Q is no dimension that joints use: give some of'),
-        ('play:Q=1mm', 'Q is no pin: give some of O, C, A, B'),
+        (
+            'play:Q=1mm',
+            'Q is no pin, slot or pair of gears, which alone have play: give some',
+        ),
         ('coupler.B=1 deg', 'coupler.B=1 deg'),
         ('nothing.txt', 'or a file with what `kinpole fit` printed'),
         ('coupler.B=0', 'no dimension has an error'),

@@ -18,7 +18,7 @@ from typing import Any, cast
 import numpy as np
 import pytest
 from rclpy.node import Node
-from test_report import BLUE, GREEN, RED, browser, cell, colored
+from test_report import BLUE, GREEN, RED, cell, colored
 
 from kinpole_ros.bags import BagWriter, read_messages, replay
 from kinpole_ros.messages import STATE, VIEW, String, live_outputs, serialize_message, view_of
@@ -35,7 +35,6 @@ from kinpole_ros.tracking.estimate import POLE_NAMES, RATE_NAMES, Estimate
 from kinpole_ros.tracking.parameters import load_settings
 from kinpole_ros.tracking.plane import XY
 
-__all__ = ['browser']
 ROOT = Path(__file__).parents[1]
 BAG = ROOT / 'bags' / 'four_bar.mcap'
 LIMIT = 20.0

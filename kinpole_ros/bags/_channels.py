@@ -38,6 +38,7 @@ class Channels:
 
     def __init__(self, path: Path, wanted: frozenset[str] | None) -> None:
         self.types: dict[str, str] = {}
+        self.definitions: dict[str, str] = {}  # by type
         # What is wrong with the descriptions; '' if nothing.
         self.doubt = ''
         self._path = path
@@ -58,6 +59,7 @@ class Channels:
             self.doubt = f'it describes {kind.lower()} {record.id} in two ways'
         if isinstance(record, Schema):
             self._schemas[record.id] = record.name
+            self.definitions[record.name] = record.data.decode(errors='replace')
             return
         name = self._schemas.get(record.schema_id, '')
         self.types[record.topic] = name

@@ -30,12 +30,11 @@ _FARTHEST = 2**62  # bytes: beyond the end of any file
 _PIECE = 1 << 20  # bytes unpacked at a time
 # Of YAML and of records: other things than expected.
 _MALFORMED = (ValueError, LookupError, TypeError, AttributeError)
-_FOREIGN = {
-    b'SQLite f': 'is a bag in sqlite3',
-    b'#ROSBAG ': 'is a ROS 1 bag',
-}
+SQLITE_MAGIC = b'SQLite f'
+ROS1_MAGIC = b'#ROSBAG '
 # Endings of files that `kinpole import` reads.
-_POINTS = ('.csv', '.tsv', '.txt', '.trc', '.c3d', '.h5', '.xml')
+_POINTS = ('.csv', '.tsv', '.txt', '.trc', '.c3d', '.h5', '.xml', '.trk', '.json')
+_IMPORT = 'fix: make a bag of it by `kinpole import {} --output {}`'
 _CONVERT = 'fix: `rosbags-convert --src {} --dst NEW --dst-storage mcap` (pip install rosbags)'
 
 
@@ -48,12 +47,12 @@ class Truncated(BagError):
 
 
 def bag_files(path: str | Path) -> list[Path]:
-    """The .mcap files of a bag, in order.
+    """The .mcap or .db3 files of a bag, in order.
 
-    `path` is an .mcap file or a rosbag2 folder, whose metadata.yaml names the files; without
-    one, all .mcap files of the folder by name, numbers in names counted as numbers.
+    `path` is such a file or a rosbag2 folder, whose metadata.yaml names the files; without one, all
+    .mcap files of the folder, or all .db3 files, by name, numbers in names counted as numbers.
 
-    Raises BagError when there is no bag, or one that is not MCAP.
+    Raises BagError when there is no bag, or one in another storage.
     """
     path = Path(path)
     try:
@@ -79,14 +78,13 @@ def _folder_files(folder: Path) -> list[Path]:
     metadata = folder / 'metadata.yaml'
     if not os.path.lexists(metadata):
         plain = {file.name for file in folder.glob('*.mcap')}
+        plain = plain or {file.name for file in folder.glob('*.db3')}
         # What was being compressed when its recorder died is there as both.
         packed = {file.name for file in folder.glob('*.mcap.zstd')}
         names = plain | {name for name in packed if name.removesuffix('.zstd') not in plain}
         if not names:
-            if any(folder.glob('*.db3')):
-                raise BagError(f'{folder} is a bag in sqlite3; {_CONVERT.format(folder)}')
             raise BagError(
-                f'{folder} has neither metadata.yaml nor .mcap files; '
+                f'{folder} has neither metadata.yaml nor .mcap or .db3 files; '
                 'fix: give an .mcap file or a rosbag2 folder'
             )
         return _inside(folder, sorted(names, key=_by_number))
@@ -105,7 +103,7 @@ def _folder_files(folder: Path) -> list[Path]:
             f'{metadata} is not the metadata of a rosbag2 bag{printable(why)}; '
             f'fix: `ros2 bag reindex {folder}`, or remove it to read all .mcap files there'
         ) from error
-    if storage != 'mcap' or compressed not in (None, '', 'zstd'):
+    if storage not in ('mcap', 'sqlite3') or compressed not in (None, '', 'zstd'):
         wrong = f'in {cut(str(storage))}'
         if compressed:
             wrong = f'compressed by rosbag2 ({cut(str(compressed))})'
@@ -162,8 +160,10 @@ def check_magic(path: Path) -> None:
         magic = file.read(len(MCAP0_MAGIC))
     if not magic:
         raise Truncated(f'{path} is empty (0 bytes); fix: record again')
-    if magic in _FOREIGN:
-        raise BagError(f'{path} {_FOREIGN[magic]}; {_CONVERT.format(path)}')
+    if magic == SQLITE_MAGIC:
+        return
+    if magic == ROS1_MAGIC:
+        raise BagError(f'{path} is a ROS 1 bag; {_IMPORT.format(path, path.with_suffix(".mcap"))}')
     if magic.startswith(ZSTD_MAGIC):
         with open_file(path) as unpacked:
             if unpacked.read(len(MCAP0_MAGIC)) == MCAP0_MAGIC:
@@ -175,8 +175,8 @@ def check_magic(path: Path) -> None:
     if not MCAP0_MAGIC.startswith(magic):
         if path.suffix.lower() in _POINTS:
             raise BagError(
-                f'{path} is a file of points, not a bag; fix: make a bag of it by '
-                f'`kinpole import {path} --output {path.with_suffix(".mcap")}`'
+                f'{path} is a file of points, not a bag; '
+                f'{_IMPORT.format(path, path.with_suffix(".mcap"))}'
             )
         raise BagError(
             f'{path} is not an MCAP file: it starts otherwise; '

@@ -56,7 +56,9 @@ def read_frames(
                 break
     if not found:
         why = f': {problem}' if problem else ''
-        raise BagError(f'{bag}: no message on {name} can be read{why}; name another with --topic')
+        raise BagError(
+            f'{bag}: no message on {name} can be read{why}; fix: name another with --topic'
+        )
     return _within(found, first or 0, seconds), name
 
 
@@ -83,5 +85,8 @@ def _topic(bag: str | Path, topic: str | None) -> tuple[str, str]:
     if name in fit:
         return name, fit[name]
     what = f'is {there[name]}, which holds no markers' if name in there else 'is not there'
-    listed = ', '.join(sorted(fit)) or 'no topic of markers'
-    raise BagError(f'{bag}: topic {name} {what}; it holds {listed}; name one with --topic')
+    listed, fix = ', '.join(sorted(fit)), 'name one with --topic'
+    if not fit:
+        listed = 'no topic of markers'
+        fix = f'`kinpole import {bag} --output NEW.mcap` reads poses and messages of trackers'
+    raise BagError(f'{bag}: topic {name} {what}; it holds {listed}; fix: {fix}')

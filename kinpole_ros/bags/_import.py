@@ -3,7 +3,7 @@
 import math
 import os
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +11,7 @@ import numpy as np
 from kinpole_ros.bags._files import BagError
 from kinpole_ros.bags._writer import BagWriter, in_place_of
 from kinpole_ros.bags.formats import Points, Wanted, read_points, shown
-from kinpole_ros.messages import to_message
+from kinpole_ros.messages import INPUT_TYPES, TF, poses_data, to_message
 
 _LONGEST = 2.0**31  # s; the seconds of a ROS stamp are an int32
 
@@ -71,15 +71,24 @@ def import_points(
         raise lacking
     assert used is not None
     turned = read.y_down if y_down is None else y_down
+    factors, poses = [used, -used if turned else used, used], read.poses
     with np.errstate(over='ignore'):
         # In place, as they can be most of what is in memory.
-        points = np.multiply(read.points, [used, -used if turned else used, used], out=read.points)
+        points = np.multiply(read.points, factors, out=read.points)
+        if poses is not None:
+            # The mirror image of a turn is one about the mirror image of its axis, backwards.
+            poses = poses * [*factors, *((-1, 1, -1, 1) if turned else (1, 1, 1, 1))]
     if np.isinf(points).any():
         raise BagError(f'scale is {scale}; fix: give the length of the unit of {path} in m')
     stamps, moved = _stamps(path, read, rate)
-    _write(output, topic, frame_id, read.names, stamps, points, progress)
-    notes = (*read.notes, *moved, *_unseen(read))
-    return Imported(found, tuple(read.names), len(stamps), shown(read.unit), used, notes)
+    _write(output, topic, frame_id, replace(read, poses=poses), stamps, progress)
+    notes = [*read.notes, *moved, *_unseen(read)]
+    if poses is not None:
+        notes.append(
+            f'poses are on {TF}, to be read with marker_type: tf and marker_topic: {TF}: '
+            f'{_listed(read.bodies)}'
+        )
+    return Imported(found, tuple(read.names), len(stamps), shown(read.unit), used, tuple(notes))
 
 
 def import_csv(
@@ -110,7 +119,7 @@ def _lacking(
             '(1 to keep the unit)'
         )
     if rate is None and read.times is None:
-        wrong.append('has no times')
+        wrong.append(read.no_times or 'has no times')
         fixes.append('give --rate, the frames per second')
         if found == 'table':
             fixes[-1] = 'give --rate HZ, or name the column of times t'
@@ -125,23 +134,30 @@ def _unseen(read: Points) -> list[str]:
     names = [name for name, absent in zip(read.names, never.tolist(), strict=True) if absent]
     if not names:
         return []
+    return [f'seen in no frame: {_listed(names)}']
+
+
+def _listed(names: Sequence[str]) -> str:
     more = f' and {len(names) - 5} more' if len(names) > 5 else ''
-    return [f'seen in no frame: {", ".join(map(shown, names[:5]))}{more}']
+    return f'{", ".join(map(shown, names[:5]))}{more}'
 
 
 def _write(
     output: Path,
     topic: str,
     frame_id: str,
-    names: Sequence[str],
+    read: Points,
     stamps: np.ndarray,
-    points: np.ndarray,
     progress: Callable[[float], None] | None,
 ) -> None:
     step = math.ceil(len(stamps) / 200)
+    rows = zip(map(int, stamps), read.points, strict=True)
     with in_place_of(output) as part, BagWriter(part, name=output) as bag:
-        for count, (stamp, row) in enumerate(zip(map(int, stamps), points, strict=True), start=1):
-            bag.write(topic, to_message('marker_array', stamp, frame_id, names, row), stamp)
+        for count, (stamp, row) in enumerate(rows, start=1):
+            bag.write(topic, to_message('marker_array', stamp, frame_id, read.names, row), stamp)
+            if read.poses is not None:
+                seen = poses_data('tf', stamp, frame_id, read.bodies, read.poses[count - 1])
+                bag.write_raw(TF, INPUT_TYPES['tf'], seen, stamp)
             if progress is not None and (count % step == 0 or count == len(stamps)):
                 progress(count / len(stamps))
 
@@ -155,6 +171,8 @@ def _stamps(path: Path, read: Points, rate: float | None) -> tuple[np.ndarray, l
         stamps = frames * 1e9
         stamps /= rate
         return np.rint(stamps, out=stamps).astype(np.int64), []
+    if read.stamps is not None:
+        return read.stamps, []
     assert read.times is not None
     seconds, notes = read.times, []
     if seconds[0] < 0:

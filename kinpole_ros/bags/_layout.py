@@ -247,7 +247,7 @@ def records(file: BinaryIO, span: Span, layout: Layout) -> tuple[bytes, bytes]:
     if chunk.compression == 'zstd':
         content = zstandard.ZstdDecompressor().stream_reader(chunk.data).read(most)
     elif chunk.compression == 'lz4':
-        content = _unpack_lz4(chunk.data, most)
+        content = unpack_lz4(chunk.data, most)
     elif chunk.compression == '':
         content = chunk.data
     else:
@@ -265,7 +265,7 @@ def records(file: BinaryIO, span: Span, layout: Layout) -> tuple[bytes, bytes]:
     return content, index
 
 
-def _unpack_lz4(data: bytes, most: int) -> bytes:
+def unpack_lz4(data: bytes, most: int) -> bytes:
     """Unpack so many bytes at most; in pieces, since lz4 takes twice the memory of each."""
     decompressor = lz4.frame.LZ4FrameDecompressor()
     pieces = [decompressor.decompress(data, min(most, _PIECE))]

@@ -27,6 +27,7 @@ from kinpole_ros.bags._files import (
     unreadable,
 )
 from kinpole_ros.bags._layout import NEVER, lay_out, records
+from kinpole_ros.bags._sqlite import is_sqlite, sqlite_blocks, sqlite_topics
 
 _LATEST = 2**63 - 1  # ns; ROS has no later time
 _LOG_TIME, _TOPIC = attrgetter('log_time'), attrgetter('topic')
@@ -45,14 +46,22 @@ def topics(path: str | Path) -> dict[str, str]:
     A bag that is cut off or damaged gives those found in what is left, without complaint.
     Raises BagError when there is no bag.
     """
-    found: dict[str, str] = {}
+    return described(path)[0]
+
+
+def described(path: str | Path) -> tuple[dict[str, str], dict[str, str]]:
+    """The topics of a bag and their types, and the definitions of types, as far as it has them."""
+    types: dict[str, str] = {}
+    definitions: dict[str, str] = {}
     for one in bag_files(path):
         try:
             with open_file(one) as file:
-                found |= _file_topics(one, file)
+                of_file = sqlite_topics(one) if is_sqlite(file) else _file_topics(one, file)
         except OSError as error:
             raise unreadable(one, error) from error
-    return found
+        types |= of_file[0]
+        definitions |= of_file[1]
+    return types, definitions
 
 
 def read_messages(
@@ -116,14 +125,14 @@ def _blocks(parts: Iterator[list[BagMessage]]) -> Iterator[list[BagMessage]]:
         raise trouble
 
 
-def _file_topics(path: Path, file: BinaryIO) -> dict[str, str]:
+def _file_topics(path: Path, file: BinaryIO) -> tuple[dict[str, str], dict[str, str]]:
     channels = Channels(path, frozenset())
     layout = lay_out(path, file, channels)
     if not channels.types:
         with suppress(Exception):  # damaged bytes: what came before them counts
             for span in layout.spans:
                 channels.read(records(file, span, layout)[0], [])
-    return channels.types
+    return channels.types, channels.definitions
 
 
 def _read_files(
@@ -144,7 +153,10 @@ def _read_files(
         try:
             check_magic(path)
             with open_file(path) as file:
-                yield from _read_file(path, file, wanted, report)
+                if is_sqlite(file):
+                    yield from sqlite_blocks(path, wanted)
+                else:
+                    yield from _read_file(path, file, wanted, report)
         except Truncated as error:
             troubles.append(str(error))
         except OSError as error:

@@ -348,7 +348,8 @@ def _marker_topic(bag: str | Path, settings: Settings, topic: str | None) -> tup
     if there_is not in known:
         raise BagError(
             f'{bag}: topic {name} is {there_is}; markers must be one of '
-            f'{", ".join(sorted(known))}; name another with --topic'
+            f'{", ".join(sorted(known))}; fix: name another with --topic, or have '
+            f'`kinpole import {bag} --output NEW.mcap` read messages of trackers'
         )
     kinds = [one for one, ros in INPUT_TYPE_NAMES.items() if ros == there_is]
     if kind_of(there_is):

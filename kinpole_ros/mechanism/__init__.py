@@ -1,20 +1,21 @@
 """Mechanisms whose motion is known exactly: the truth that measured kinematics is held against."""
 
-from kinpole_ros.mechanism._assembly import GROUND, Revolute, Rolling
+from kinpole_ros.mechanism._assembly import GROUND, Belt, Revolute, Rolling, Slot, Strut
 from kinpole_ros.mechanism._centers import Centers, instant_centers
 from kinpole_ros.mechanism._centrodes import Centrodes, centrodes
+from kinpole_ros.mechanism._constraints import why_no_reactions
 from kinpole_ros.mechanism._equations import Dimension, Equation, Equations, Part
 from kinpole_ros.mechanism._forces import Mass, Spring, Torsion, inertial_loads, spring_loads
 from kinpole_ros.mechanism._freed import Release, freed_reactions, releases
 from kinpole_ros.mechanism._kennedy import center_name, explain
-from kinpole_ros.mechanism._loops import LinkageError
+from kinpole_ros.mechanism._loops import LinkageError, with_laws
 from kinpole_ros.mechanism._mechanism import Mechanism, Motion
 from kinpole_ros.mechanism._motions import BodyMotion, marker_positions, rotation_derivatives
 from kinpole_ros.mechanism._pitch import write_pitch_curves
 from kinpole_ros.mechanism._poles import Poles, poles
 from kinpole_ros.mechanism._polygon import Polygon, polygon
 from kinpole_ros.mechanism._reactions import reactions, undetermined
-from kinpole_ros.mechanism._rewrite import rewritten
+from kinpole_ros.mechanism._rewrite import rewritten, value_spans
 from kinpole_ros.mechanism._scene import Scene, load_scene
 from kinpole_ros.mechanism._scene_file import scene_names, scene_text, scenes_folder
 from kinpole_ros.mechanism._share import share_folder
@@ -31,6 +32,7 @@ from kinpole_ros.mechanism._units import SceneError, quantity
 
 __all__ = [
     'GROUND',
+    'Belt',
     'BodyMotion',
     'Centers',
     'Centrodes',
@@ -53,7 +55,9 @@ __all__ = [
     'Rolling',
     'Scene',
     'SceneError',
+    'Slot',
     'Spring',
+    'Strut',
     'Tolerance',
     'ToleranceSpread',
     'Torque',
@@ -87,5 +91,8 @@ __all__ = [
     'tolerances_of',
     'transmission_angles',
     'undetermined',
+    'value_spans',
+    'why_no_reactions',
+    'with_laws',
     'write_pitch_curves',
 ]

@@ -11,8 +11,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from kinpole_ros.mechanism._laws import Function, Law
 from kinpole_ros.mechanism._loops import LinkageError, Loops
-from kinpole_ros.planar._plane import Real
+from kinpole_ros.planar._plane import Complex, Real
 
 GROUND = 'ground'
 
@@ -83,7 +84,46 @@ class Strut(NamedTuple):
     b: complex
 
 
-Joint = Revolute | Slot | Rolling | Strut
+class Belt(NamedTuple):
+    """
+    One taut strand of a belt, chain or rope, from a wheel on the body `one` to one on `other`.
+
+    The wheels have their hubs at `a` and `b` and `radii` (m), positive where the strand lies to the
+    left of the hub; zero ties its end to the point. It does not slip, and the distance of the hubs
+    is held by nothing else than its length. Its variables are those of a strut: the length of the
+    straight part, which is `length` where this points to `direction` (rad) and the wheels are at
+    angle zero; and the direction, NAME.angle. A `carrier` that holds both hubs turns the strand,
+    whose length then stays.
+    """
+
+    name: str
+    one: str
+    a: complex
+    other: str
+    b: complex
+    radii: tuple[float, float]
+    length: float
+    direction: float
+    carrier: str | None = None
+
+
+class Follower(NamedTuple):
+    """
+    The variable `moved` is a `function` of the angle of the body `of`: of a cam, or Geneva drive.
+
+    The angle is that seen from the body `seen`, and `moved` too if it is that of a body. The
+    function depends on where points with the names `hubs` are.
+    """
+
+    name: str
+    moved: str
+    of: str
+    seen: str
+    function: Function
+    hubs: tuple[str, ...] = ()
+
+
+Joint = Revolute | Slot | Rolling | Strut | Belt
 
 
 class Assembly(NamedTuple):
@@ -144,17 +184,19 @@ class _Terms:
 Chain = dict[int, float]
 
 
-def assemble(bodies: Sequence[str], joints: Sequence[Joint]) -> Assembly:
+def assemble(
+    bodies: Sequence[str], joints: Sequence[Joint], followers: Sequence[Follower] = ()
+) -> Assembly:
     """
-    Write `bodies` (without the ground) and `joints` as loops, without drivers.
+    Write `bodies` (without the ground), `joints` and followers as loops, without drivers.
 
     Raises LinkageError for a body that no joint connects with the ground.
     """
     variables = list(bodies)
     for joint in joints:
-        if isinstance(joint, Slot | Rolling | Strut):
+        if not isinstance(joint, Revolute):
             variables.append(joint.name)
-        if isinstance(joint, Strut):
+        if isinstance(joint, Strut | Belt):
             variables.append(f'{joint.name}.angle')
     terms = _Terms(variables)
     sides = [_sides(terms, joint) for joint in joints]
@@ -162,13 +204,13 @@ def assemble(bodies: Sequence[str], joints: Sequence[Joint]) -> Assembly:
     # The joints on the way from the ground.
     way: dict[str, tuple[str, ...]] = {GROUND: ()}
     used: set[int] = set()
-    # Through joints that hold something first: a strut only places what nothing else does.
+    # Through joints that hold a place first: a strut or belt only places what nothing else does.
     for through_struts in (False, True):
         grown = True
         while grown:
             grown = False
             for k, joint in enumerate(joints):
-                if k in used or (isinstance(joint, Strut) and not through_struts):
+                if k in used or (isinstance(joint, Strut | Belt) and not through_struts):
                     continue
                 known = [body for body in (joint.one, joint.other) if body in places]
                 if len(known) != 1:
@@ -190,7 +232,8 @@ def assemble(bodies: Sequence[str], joints: Sequence[Joint]) -> Assembly:
         )
     chains, around = [], []
     for k, joint in enumerate(joints):
-        if k not in used:
+        # Hubs on a carrier close a loop that never moves.
+        if k not in used and not (isinstance(joint, Belt) and joint.carrier):
             around.append(_around(way[joint.one], joint.name, way[joint.other]))
             one = _sum(places[joint.one], sides[k][0], {})
             chains.append(_sum(one, {}, _sum(places[joint.other], sides[k][1], {})))
@@ -207,6 +250,7 @@ def assemble(bodies: Sequence[str], joints: Sequence[Joint]) -> Assembly:
         tie0,
         np.zeros((0, len(variables))),
         tuple(around),
+        tuple(_law(follower, bodies, variables) for follower in followers),
     )
     starts = {joint.name: joint.start for joint in joints if isinstance(joint, Rolling)}
     return Assembly(
@@ -216,6 +260,15 @@ def assemble(bodies: Sequence[str], joints: Sequence[Joint]) -> Assembly:
         np.eye(len(bodies), len(variables)),
         tuple(joints),
     )
+
+
+def _law(follower: Follower, bodies: Sequence[str], variables: Sequence[str]) -> Law:
+    def seen(name: str) -> Real:
+        less = follower.seen if name in bodies else GROUND
+        return np.array([(name == other) - float(less == other) for other in variables])
+
+    rows = seen(follower.moved), seen(follower.of)
+    return Law(follower.name, *rows, follower.function, follower.hubs)
 
 
 def _around(there: Sequence[str], closing: str, back: Sequence[str]) -> tuple[str, ...]:
@@ -239,9 +292,19 @@ def _sides(terms: _Terms, joint: Joint) -> tuple[Chain, Chain]:
     elif isinstance(joint, Rolling):
         one[terms.add(joint.name, joint.one, joint.along)] = 1.0
         one[terms.add(joint.radius, joint.one, joint.along + np.pi / 2)] = 1.0
-    elif isinstance(joint, Strut):
+    elif isinstance(joint, Strut | Belt):
         one[terms.add(joint.name, f'{joint.name}.angle', 0.0)] = 1.0
+    if isinstance(joint, Belt) and joint.radii[0] != joint.radii[1]:
+        step = joint.radii[0] - joint.radii[1]
+        one[terms.add(step, f'{joint.name}.angle', np.pi / 2)] = 1.0
     return one, other
+
+
+def strand(joint: Belt, hubs: Complex) -> tuple[Real, Complex]:
+    """Length and direction, complex of length 1, of a belt's strand, from hub to hub (complex)."""
+    step = joint.radii[0] - joint.radii[1]
+    length = np.sqrt(np.maximum(np.abs(hubs) ** 2 - step**2, 0.0))
+    return length, hubs / (length + 1j * step)
 
 
 def _point(terms: _Terms, body: str, place: complex) -> Chain:
@@ -249,9 +312,14 @@ def _point(terms: _Terms, body: str, place: complex) -> Chain:
 
 
 def _ties(joints: Sequence[Joint], variables: Sequence[str]) -> tuple[Real, Real]:
-    """Linear equations between the variables: guided angles and rolling without slip."""
+    """Linear equations between the variables: guided angles, and rolling and belts without slip."""
     rows, right = [], []
     for joint in joints:
+        if isinstance(joint, Belt) and joint.carrier:
+            angle = f'{joint.name}.angle'
+            rows += [[float(name == joint.name) for name in variables]]
+            rows += [[float(name == angle) - (name == joint.carrier) for name in variables]]
+            right += [joint.length, joint.direction]
         row = dict.fromkeys(variables, 0.0) | {GROUND: 0.0}
         if isinstance(joint, Slot) and joint.turned is not None:
             row[joint.other], row[joint.one] = 1.0, -1.0
@@ -264,6 +332,12 @@ def _ties(joints: Sequence[Joint], variables: Sequence[str]) -> tuple[Real, Real
         elif isinstance(joint, Rolling):
             row[joint.name], row[joint.other], row[joint.one] = 1.0, joint.radius, -joint.radius
             value = joint.start
+        elif isinstance(joint, Belt):
+            # What a wheel unwinds: s' = r1 (φ' - θ1') - r2 (φ' - θ2').
+            first, last = joint.radii
+            row[joint.name], row[f'{joint.name}.angle'] = 1.0, last - first
+            row[joint.one], row[joint.other] = first, -last
+            value = joint.length + (last - first) * joint.direction
         else:
             continue
         rows.append([row[name] for name in variables])

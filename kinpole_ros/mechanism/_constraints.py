@@ -12,6 +12,7 @@ import numpy as np
 from kinpole_ros.mechanism._assembly import (
     GROUND,
     Assembly,
+    Belt,
     Joint,
     Revolute,
     Rolling,
@@ -135,7 +136,7 @@ def _held(joint: Joint) -> tuple[int, ...]:
     """The directions a joint holds in by itself: 0 along its axis, 1 across."""
     if isinstance(joint, Rolling) and joint.pressure is not None:
         return (0,)
-    return {Revolute: (0, 1), Slot: (1,), Rolling: (0, 1), Strut: ()}[type(joint)]
+    return {Revolute: (0, 1), Slot: (1,), Rolling: (0, 1), Strut: (), Belt: (0,)}[type(joint)]
 
 
 def _place(
@@ -145,8 +146,9 @@ def _place(
     pin = frame.at(joint.other, joint.b)
     if isinstance(joint, Revolute):
         return pin, np.ones_like(pin)
-    if isinstance(joint, Strut):
-        return pin, np.exp(1j * value_of(mechanism, values, f'{joint.name}.angle'))
+    if isinstance(joint, Strut | Belt):
+        along = np.exp(1j * value_of(mechanism, values, f'{joint.name}.angle'))
+        return (pin if isinstance(joint, Strut) else pin + 1j * joint.radii[1] * along), along
     if isinstance(joint, Rolling) and joint.circle:
         normal = np.exp(1j * value_of(mechanism, values, joint.name))
         return pin - joint.radius * normal, -1j * normal
@@ -216,10 +218,32 @@ def value_of(mechanism: Mechanism, values: Real, name: str) -> Real:
     return np.asarray(values[mechanism.assembly.loops.variables.index(name)])
 
 
-def _joints(mechanism: Mechanism) -> tuple[Joint, ...]:
+def why_no_reactions(mechanism: Mechanism) -> str:
+    """
+    Why a linkage does not tell what its joints bear.
+
+    Parameters
+    ----------
+    mechanism
+        The linkage.
+
+    Returns
+    -------
+    str
+        The reason, empty if it does tell.
+
+    """
     if not mechanism.assembly.joints:
-        raise LinkageError(
-            'a linkage of vectors alone has no joints to bear anything: for reactions write it as '
-            'bodies and joints'
+        return 'vectors have no joints: for what these bear write bodies and joints'
+    if mechanism.assembly.loops.laws:
+        return (
+            'what joints bear depends on where a cam or a Geneva wheel is touched, which its law '
+            'does not say: only the efforts of the drivers are determined'
         )
+    return ''
+
+
+def _joints(mechanism: Mechanism) -> tuple[Joint, ...]:
+    if reason := why_no_reactions(mechanism):
+        raise LinkageError(reason)
     return mechanism.assembly.joints

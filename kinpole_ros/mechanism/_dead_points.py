@@ -62,7 +62,7 @@ def locate(on: Way, at: float, here: Solution) -> DeadPoint:
     loop = loop_of(linkage, flattest(here))
     fast = int(np.abs(here.values[1, :, 0]).argmax())
     near = DeadPoint(at, here.values[0, :, 0], True, (linkage.loops.variables[fast],), loop)
-    if on.inputs is not unit_input:
+    if on.inputs is not unit_input or linkage.loops.laws:
         return near
     other, place = _driven_by(linkage, fast)
     x, values = here.values[0, fast, 0], here.values[0, :, 0]

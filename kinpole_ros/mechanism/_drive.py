@@ -66,17 +66,11 @@ def table(times: Sequence[float], values: Sequence[float]) -> Drive:
     linear equations for the rates and accelerations at the inner times.
     """
     knots = np.asarray(times, dtype=float)
-    pieces = _quintics(knots, np.asarray(values, dtype=float))
+    pieces = quintics(knots, np.asarray(values, dtype=float))
 
     def motion(t: Real) -> Real:
         at = np.clip(np.asarray(t, dtype=float), knots[0], knots[-1])
-        piece = np.clip(np.searchsorted(knots, at, side='right') - 1, 0, len(knots) - 2)
-        step, shares = at - knots[piece], pieces[piece]
-        found = np.zeros((_ORDERS, *at.shape))
-        for k in range(_ORDERS):
-            for power in range(5, k - 1, -1):
-                weight = factorial(power) / factorial(power - k)
-                found[k] = found[k] * step + weight * shares[..., power]
+        found = spline(knots, pieces, at)
         # Held outside. At the very ends the jerk is that of the inside.
         found[1:, (np.asarray(t) < knots[0]) | (np.asarray(t) > knots[-1])] = 0.0
         return found
@@ -84,8 +78,24 @@ def table(times: Sequence[float], values: Sequence[float]) -> Drive:
     return motion
 
 
-def _quintics(knots: Real, values: Real) -> Real:
-    """Coefficients (pieces, 6), by rising powers of the time since each piece's beginning."""
+def spline(knots: Real, pieces: Real, at: Real) -> Real:
+    """The spline of `quintics` and its derivatives (5, ...) between the first and last knot."""
+    piece = np.clip(np.searchsorted(knots, at, side='right') - 1, 0, len(knots) - 2)
+    step, shares = at - knots[piece], pieces[piece]
+    found = np.zeros((_ORDERS, *at.shape))
+    for k in range(_ORDERS):
+        for power in range(5, k - 1, -1):
+            weight = factorial(power) / factorial(power - k)
+            found[k] = found[k] * step + weight * shares[..., power]
+    return found
+
+
+def quintics(knots: Real, values: Real, closed: bool = False) -> Real:
+    """
+    Coefficients (pieces, 6), by rising powers of what is past each piece's beginning.
+
+    At rest at both ends, or, if `closed`, as smooth from the last knot to the first as in between.
+    """
     count = len(knots)
     steps = np.diff(knots)
     # Unknowns: rate and acceleration at each knot. A piece's coefficients are linear in the
@@ -122,16 +132,21 @@ def _quintics(knots: Real, values: Real) -> Real:
             weights[2 * knot + 1] = share[side + 2] * h**2
         return weights, float(share[0] * values[piece] + share[3] * values[piece + 1])
 
-    rows, right = [*np.eye(2 * count)[[0, 1, -2, -1]]], [0.0] * 4
-    for knot in range(1, count - 1):
+    ends = np.eye(2 * count)[[0, 1, -2, -1]]
+    rows, right = [*ends], [0.0] * 4
+    joined = [(knot - 1, knot) for knot in range(1, count - 1)]
+    if closed:
+        rows, right = [*(ends[:2] - ends[2:])], [0.0] * 2
+        joined.append((count - 2, 0))
+    for one, other in joined:
         for order in (3, 4):
-            before, had = derivative(knot - 1, True, order)
-            after, has = derivative(knot, False, order)
+            before, had = derivative(one, True, order)
+            after, has = derivative(other, False, order)
             size = np.abs(before).max()
             rows.append((before - after) / size)
             right.append((has - had) / size)
     slopes = np.linalg.solve(np.array(rows), np.array(right)).reshape(-1, 2)
-    ends = np.stack((values, slopes[:, 0], slopes[:, 1]), axis=-1)
+    states = np.stack((values, slopes[:, 0], slopes[:, 1]), axis=-1)
     scale = steps[:, None] ** np.arange(3)
-    both = np.concatenate((ends[:-1] * scale, ends[1:] * scale), axis=1)
+    both = np.concatenate((states[:-1] * scale, states[1:] * scale), axis=1)
     return np.asarray(both @ hermite.T / steps[:, None] ** np.arange(6))

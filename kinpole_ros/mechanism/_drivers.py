@@ -5,7 +5,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from kinpole_ros.mechanism._assembly import GROUND, Assembly, Strut
+from kinpole_ros.mechanism._assembly import GROUND, Assembly, Belt, Strut
 from kinpole_ros.mechanism._drive import Drive, constant_rate, sine, smooth_step, table
 from kinpole_ros.mechanism._joints import mapping, need, refuse_unknown
 from kinpole_ros.mechanism._mechanism import Driver
@@ -36,7 +36,11 @@ def read_drivers(said: Any, assembly: Assembly) -> list[Driven]:
 def _driver(where: str, said: Any, assembly: Assembly) -> Driven:
     mapping(where, said, _RATE_EXAMPLE)
     need(where, said, ('drive',), _RATE_EXAMPLE)
+    belts = [joint.name for joint in assembly.joints if isinstance(joint, Belt)]
     kinds = assembly.kinds
+    for variable in (name for belt in belts for name in (belt, f'{belt}.angle')):
+        if said['drive'] == variable:
+            raise SceneError(f"{where}: '{variable}' is of a belt, which only holds: drive a wheel")
     name, of = said['drive'], said.get('of', GROUND)
     for key, value in (('drive', name), ('of', of)):
         if not isinstance(value, str) or (value not in kinds and (key, value) != ('of', GROUND)):

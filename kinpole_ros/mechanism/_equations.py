@@ -6,10 +6,10 @@ says where a point of one body is on another, whatever drives the mechanism. Eac
 and remembers where the scene's file has it.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 
-from kinpole_ros.mechanism._assembly import GROUND, Joint, Revolute, Rolling, Slot, Strut
+from kinpole_ros.mechanism._assembly import GROUND, Belt, Joint, Revolute, Rolling, Slot, Strut
 from kinpole_ros.mechanism._vectors import Vectors
 
 Path = tuple[str | int, ...]
@@ -99,14 +99,18 @@ class _Dimensions:
 
 
 def equations_of_joints(
-    bodies: Sequence[str], joints: Sequence[Joint], said: Sequence[dict[str, Any]]
+    bodies: Sequence[str], joints: Sequence[Joint], said: Mapping[int, dict[str, Any]]
 ) -> Equations:
-    """Those of bodies (without the ground) on joints; `said` are the last of these in the file."""
+    """
+    Those of bodies (without the ground) on joints.
+
+    `said` are the last of these, by their places in the file's list.
+    """
     rows = _Dimensions()
     found = []
-    first = len(joints) - len(said)
-    for k, joint in enumerate(joints):
-        if isinstance(joint, Strut):
+    places = [-1] * (len(joints) - len(said)) + list(said)
+    for k, joint in zip(places, joints, strict=True):
+        if isinstance(joint, Strut | Belt):
             continue
         if isinstance(joint, Revolute):
             point = joint.name.partition('.')[0]
@@ -114,11 +118,11 @@ def equations_of_joints(
             b = rows.point(joint.other, point, joint.b)
             found.append(Equation(joint.name, joint.one, a, joint.other, b))
             continue
-        words = said[k - first]
+        words = said[k]
         kind = next(key for key in ('slot', 'prismatic', 'rolling') if key in words)
         a = rows.point(joint.one, words['on'].partition('.')[2], joint.a)
         b = rows.point(joint.other, words[kind].partition('.')[2], joint.b)
-        path: Path = ('joints', k - first)
+        path: Path = ('joints', k)
         equation = Equation(joint.name, joint.one, a, joint.other, b)
 
         def number(key: str, value: float, kind: str, at: Path = path, of: Joint = joint) -> int:

@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from kinpole_ros.mechanism._assembly import GROUND, Revolute, Rolling, Slot, assemble
+from kinpole_ros.mechanism._assembly import GROUND, Belt, Revolute, Rolling, Slot, assemble
 from kinpole_ros.mechanism._constraints import Constraints, constraints
 from kinpole_ros.mechanism._loops import LinkageError, reduce
 from kinpole_ros.mechanism._mechanism import Mechanism
@@ -154,7 +154,9 @@ def _freed(
 ) -> Real:
     """Powers (loads, T) with joint k let go along `way` (T,), in the ground's axes, or to turn."""
     old, count, drivers = mechanism.assembly, values.shape[1], len(mechanism.drivers)
-    joint, joints, bodies = old.joints[k], list(old.joints), list(old.bodies)
+    # The hubs of a belt may move apart.
+    joints = [one._replace(carrier=None) if isinstance(one, Belt) else one for one in old.joints]
+    joint, bodies = joints[k], list(old.bodies)
     # What is driven besides the drivers: at which rate, and variables with their weights.
     freed: list[tuple[Real, dict[str, float]]]
     slides, carriages = (f'{k} x', f'{k} y'), (f'{k} carriage x', f'{k} carriage y')

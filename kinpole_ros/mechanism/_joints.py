@@ -1,21 +1,29 @@
 """The usual form of a scene: bodies with named points, pins where they share one, other joints."""
 
 import re
+from cmath import phase
+from collections.abc import Sequence
 from itertools import combinations
-from math import pi
+from math import pi, remainder
 from typing import Any
+
+import numpy as np
 
 from kinpole_ros.mechanism._assembly import (
     GROUND,
     Assembly,
+    Belt,
+    Follower,
     Joint,
     Revolute,
     Rolling,
     Slot,
     Strut,
     assemble,
+    strand,
 )
 from kinpole_ros.mechanism._equations import Equations, equations_of_joints
+from kinpole_ros.mechanism._laws import RISES, cam, geneva
 from kinpole_ros.mechanism._units import SceneError, quantity, vector
 
 Points = dict[str, tuple[str, complex]]
@@ -25,12 +33,18 @@ _KEYS = {
     'prismatic': ('prismatic', 'on', 'along', 'turned', 'name'),
     'rolling': ('rolling', 'radius', 'on', 'along', 'circle', 'start', 'pressure', 'name'),
     'strut': ('strut', 'name'),
+    'belt': ('belt', 'radii', 'length', 'direction', 'name'),
+    'geneva': ('geneva', 'on', 'slots', 'pin', 'slot'),
+    'cam': ('cam', 'moves', 'of', 'angles', 'lift', 'law'),
 }
 _EXAMPLES = {
     'slot': '{slot: rod.B, on: ground.O, along: 0 deg}',
     'prismatic': '{prismatic: block.Q, on: ground.O, along: 90 deg, turned: 0 deg}',
     'rolling': '{rolling: wheel.H, radius: 0.1, on: ground.O, along: 0 deg}',
     'strut': '{strut: [ground.D, lift.E], name: cylinder}',
+    'belt': '{belt: [motor.H, fan.K], radii: [3 cm, 9 cm], name: belt}',
+    'geneva': '{geneva: wheel.W, on: crank.O, slots: 4}',
+    'cam': '{cam: shaft, moves: valve, angles: [0 deg, 90 deg, 360 deg], lift: [0, 1 cm, 0]}',
 }
 
 
@@ -84,7 +98,13 @@ def read_bodies(bodies: Any, joints: Any) -> tuple[Assembly, Points, Equations]:
         raise SceneError(f"'joints' is no list: write each as - {_EXAMPLES['slot']}")
     found: list[Joint] = [*_pins(read)]
     taken = {*read, *(pin.name for pin in found)}
+    described: dict[int, dict[str, Any]] = {}
+    followers: dict[str, dict[str, Any]] = {}
     for k, said in enumerate(joints or []):
+        if isinstance(said, dict) and ('cam' in said or 'geneva' in said):
+            followers[f"'joints: {k + 1}'"] = said
+            continue
+        described[k] = said
         joint = _joint(f"'joints: {k + 1}'", said, points)
         if joint.name in taken and 'name' not in said:
             # The hub of a wheel is often a pin as well.
@@ -102,7 +122,16 @@ def read_bodies(bodies: Any, joints: Any) -> tuple[Assembly, Points, Equations]:
         taken.add(joint.name)
     _refuse_flat(read, found)
     moving = [body for body in read if body != GROUND]
-    return assemble(moving, found), points, equations_of_joints(moving, found, joints or [])
+    laws = [
+        (_geneva if 'geneva' in said else _cam)(where, said, points, found)
+        # A Geneva wheel may carry a cam.
+        for where, said in sorted(followers.items(), key=lambda item: 'cam' in item[1])
+    ]
+    return (
+        assemble(moving, found, laws),
+        points,
+        equations_of_joints(moving, found, described),
+    )
 
 
 def _renamed(joint: Joint, taken: set[str]) -> Joint:
@@ -154,14 +183,15 @@ def _joint(where: str, said: Any, points: Points) -> Joint:
     name = said.get('name')
     if name is not None and not (isinstance(name, str) and _WORD.fullmatch(name)):
         raise SceneError(f'{where}: name is {name!r}: give letters, digits, _ and -')
-    if kind == 'strut':
-        need(where, said, ('strut', 'name'), _EXAMPLES[kind])
-        ends = said['strut']
+    if kind in ('strut', 'belt'):
+        need(where, said, (kind, 'name'), _EXAMPLES[kind])
+        ends = said[kind]
         if not isinstance(ends, list) or len(ends) != 2:
             raise SceneError(f'{where} is {ends!r}: give its two ends, as {_EXAMPLES[kind]}')
         (one, a), (other, b) = (named_point(where, end, points) for end in ends)
         _refuse_same(where, one, other)
-        return Strut(str(name), one, a, other, b)
+        joint = Strut(str(name), one, a, other, b)
+        return joint if kind == 'strut' else _belt(where, said, joint, ends, points)
     need(where, said, ('on',) + (('radius',) if kind == 'rolling' else ()), _EXAMPLES[kind])
     other, b = named_point(where, said[kind], points)
     one, a = named_point(f'{where}: on', said['on'], points)
@@ -175,6 +205,106 @@ def _joint(where: str, said: Any, points: Points) -> Joint:
         return Slot(name, one, a, along, other, b)
     turned = quantity(f'{where}: turned', said.get('turned', 0.0), 'angle')
     return Slot(name, one, a, along, other, b, turned)
+
+
+def _belt(where: str, said: dict[str, Any], ends: Strut, names: list[str], points: Points) -> Belt:
+    need(where, said, ('radii',), _EXAMPLES['belt'])
+    radii = vector(f'{where}: radii', said['radii'])
+    first, last = radii.real, radii.imag
+    belt = Belt(*ends, (first, last), 0.0, 0.0)
+    if held := _carrier(names, points):
+        carrier, hubs = held
+        if abs(hubs) <= abs(first - last):
+            raise SceneError(
+                f'{where}: on {carrier} its hubs are {abs(hubs):.6g} m apart: no strand of radii '
+                f'{first:.6g} and {last:.6g} m fits: move them apart'
+            )
+        size, along = strand(belt, np.array(hubs))
+        return belt._replace(length=float(size), direction=phase(along), carrier=carrier)
+    need(where, said, ('length', 'direction'), '{..., length: 1 m, direction: -90 deg}')
+    length = quantity(f'{where}: length', said['length'], 'length')
+    if length <= 0:
+        raise SceneError(f'{where}: length is {said["length"]!r}: give one greater than 0')
+    return belt._replace(
+        length=length, direction=quantity(f'{where}: direction', said['direction'], 'angle')
+    )
+
+
+def _carrier(names: Sequence[str], points: Points) -> tuple[str, complex] | None:
+    """The third body that has the points of both names, and the second as seen from the first."""
+    (one, a), (other, b) = (name.split('.') for name in names)
+    for carrier in dict.fromkeys(body for body, _ in points.values()):
+        first, last = points.get(f'{carrier}.{a}'), points.get(f'{carrier}.{b}')
+        if carrier not in (one, other) and first and last:
+            return carrier, last[1] - first[1]
+    return None
+
+
+def _geneva(where: str, said: dict[str, Any], points: Points, joints: Sequence[Joint]) -> Follower:
+    """The wheel's angle over the crank's, whose pin runs into its slots without shock."""
+    refuse_unknown(where, said, _KEYS['geneva'])
+    where = f"{where[:-1]}, geneva'"
+    need(where, said, ('on', 'slots'), _EXAMPLES['geneva'])
+    wheel, _ = named_point(where, said['geneva'], points)
+    crank, _ = named_point(f'{where}: on', said['on'], points)
+    _refuse_same(where, crank, wheel)
+    slots = said['slots']
+    if not isinstance(slots, int) or isinstance(slots, bool) or not 3 <= slots <= 100:
+        raise SceneError(f'{where}: slots is {slots!r}: give a whole number from 3 to 100')
+    held = _carrier([said['on'], said['geneva']], points)
+    if held is None or held[1] == 0:
+        raise SceneError(
+            f'{where}: no body holds {said["on"]} and {said["geneva"]} apart: give it points of '
+            'these names, as ground: {O: [0, 0], W: [0.1, 0]}'
+        )
+    carrier, toward = held[0], phase(held[1])
+    pin = quantity(f'{where}: pin', said.get('pin', 0.0), 'angle')
+    slot = quantity(f'{where}: slot', said.get('slot', 0.0), 'angle')
+    # Of the wheel's slots one is as good as another: it starts with the least turn.
+    offset = remainder(toward + pi - slot, 2 * pi / slots)
+    law = geneva(slots, toward - pin, offset)
+    hubs = tuple(said[key].rpartition('.')[2] for key in ('on', 'geneva'))
+    return Follower(where, wheel, crank, carrier, law, hubs)
+
+
+def _cam(where: str, said: dict[str, Any], points: Points, joints: Sequence[Joint]) -> Follower:
+    refuse_unknown(where, said, _KEYS['cam'])
+    where = f"{where[:-1]}, cam'"
+    need(where, said, ('moves', 'angles', 'lift'), _EXAMPLES['cam'])
+    bodies = list(dict.fromkeys(body for body, _ in points.values()))
+    slides = [joint.name for joint in joints if isinstance(joint, Slot)]
+    turning = [body for body in bodies if body != GROUND]
+    seen = said.get('of', GROUND)
+    for key, value, known in (
+        ('cam', said['cam'], turning),
+        ('moves', said['moves'], slides + turning),
+        ('of', seen, bodies),
+    ):
+        if value not in known:
+            raise SceneError(f'{where}: {key} is {value!r}: give one of {", ".join(known)}')
+    if len({said['cam'], said['moves'], seen}) < 3:
+        raise SceneError(f'{where}: cam, moves and of are to be three: {said["cam"]!r} is two')
+    kinds = {'angles': 'angle', 'lift': 'length' if said['moves'] in slides else 'angle'}
+    for key in kinds:
+        if not isinstance(said[key], list):
+            raise SceneError(f'{where}: {key} is {said[key]!r}: give a list, as [0, 1, 0]')
+    angles, lifts = (
+        [quantity(f'{where}: {key}', one, kind) for one in said[key]] for key, kind in kinds.items()
+    )
+    if len(angles) != len(lifts) or len(angles) < 3 or min(np.diff(angles)) <= 0:
+        raise SceneError(
+            f'{where}: {len(angles)} angles and {len(lifts)} lifts: give three or more, as many of '
+            'each, the angles rising'
+        )
+    if abs(angles[-1] - angles[0] - 2 * pi) > 1e-9 or lifts[0] != lifts[-1]:
+        raise SceneError(
+            f'{where}: a cam goes once round: end it 360 deg after its first angle, with the lift '
+            'that it has there'
+        )
+    law = said.get('law', RISES[0])
+    if law not in RISES:
+        raise SceneError(f'{where}: law is {law!r}: give one of {", ".join(RISES)}')
+    return Follower(where, said['moves'], said['cam'], seen, cam(angles, lifts, law))
 
 
 def _rolling(

@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from kinpole_ros.mechanism._assembly import Joint, Revolute, Rolling, Slot, Strut
+from kinpole_ros.mechanism._assembly import Belt, Joint, Revolute, Rolling, Slot, Strut, strand
 from kinpole_ros.mechanism._mechanism import Mechanism
 from kinpole_ros.mechanism._places import (
     Pair,
@@ -39,9 +39,10 @@ class Step(NamedTuple):
     How one center is found: that of the bodies `pair` (i, j), numbers from 0, the ground's.
 
     By `rule` 'joint' it is that of the joint number `by[0]`. By 'lines' it is on the two lines
-    `by`, where k is the line through the centers ik and kj, and ~m the normal to the slot of the
-    joint number m. By 'same' it is where the centers ik and kj are, k = `by[0]`, which are always
-    one. By 'rates' Kennedy's theorem does not reach it, for all it has are the lines `by`.
+    `by`, where k is the line through the centers ik and kj, and ~m the normal to the slot, or the
+    strand of the belt, of the joint number m. By 'same' it is where the centers ik and kj are,
+    k = `by[0]`, which are always one. By 'rates' Kennedy's theorem does not reach
+    it, for all it has are the lines `by`.
     """
 
     pair: Pair
@@ -122,7 +123,10 @@ def explain(mechanism: Mechanism, steps: Sequence[Step]) -> list[str]:
 
     def line(pair: Pair, code: int) -> str:
         if code < 0:
-            return f'the normal to slot {joints[~code].name} through its pin'
+            joint = joints[~code]
+            if isinstance(joint, Belt):
+                return f'the strand of {joint.name}'
+            return f'the normal to slot {joint.name} through its pin'
         return f'line {center(pair[0], code)}-{center(code, pair[1])}'
 
     lines = [', '.join(f'{k + 1} {name}' for k, name in enumerate(bodies))]
@@ -227,8 +231,10 @@ class _Known:
             ends = (ordered(pair[0], code), ordered(code, pair[1]))
             return cross(*(self.centers[end] for end in ends))
         joint = self.joints[~code]
-        pin = homogeneous(self._point(joint.other, joint.b), 1.0)
-        line, _ = cross((pin, np.ones(1)), (self._normal(joint), np.ones(1)))
+        on, far = self._point(joint.other, joint.b), self._normal(joint)
+        if isinstance(joint, Belt):
+            on = on + 1j * joint.radii[1] / self.size * (far[0] + 1j * far[1])
+        line, _ = cross((homogeneous(on, 1.0), np.ones(1)), (far, np.ones(1)))
         return line, np.ones(line.shape[1])
 
     def _joint(self, joint: Joint) -> Real:
@@ -246,7 +252,10 @@ class _Known:
         return homogeneous(hub - joint.radius / self.size * up, 1.0)
 
     def _normal(self, joint: Joint) -> Real:
-        """The point at infinity (3, T) at a right angle to a slot."""
+        """The point at infinity (3, T) at a right angle to a slot, or along a belt."""
+        if isinstance(joint, Belt):
+            hubs = self._point(joint.other, joint.b) - self._point(joint.one, joint.a)
+            return homogeneous(strand(joint, self.size * hubs)[1], 0.0)
         assert isinstance(joint, Slot)
         along = np.exp(1j * joint.along) * self.turn[number_of(self.bodies, joint.one)]
         return homogeneous(1j * along, 0.0)
@@ -257,5 +266,5 @@ class _Known:
 
 
 def _is_line(joint: Joint) -> bool:
-    """Whether all that a joint tells of its bodies' center is a line: a pin in a slot."""
-    return isinstance(joint, Slot) and joint.turned is None
+    """Whether all that a joint tells of its bodies' center is a line: a pin in a slot, a belt."""
+    return isinstance(joint, Belt) or (isinstance(joint, Slot) and joint.turned is None)

@@ -12,6 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from kinpole_ros.mechanism._laws import Law, compose
 from kinpole_ros.planar._plane import Complex, Real
 
 
@@ -26,7 +27,8 @@ class Loops(NamedTuple):
     `variables` names the n variables u; `lengths` and `angles` (terms, n), `length0` and `angle0`
     (terms,). `loops` (m, terms) holds the sign of each term in each closed sum. Each row of `ties`
     (k, n) is a linear equation ties u = tie0; each of `drives` (d, n) one whose right side is an
-    input. `around` names, for people, the joints or vectors that each loop goes around by.
+    input. `around` names, for people, the joints or vectors that each loop goes around by. `laws`
+    are equations that are not linear, whose arguments the inputs alone determine.
     """
 
     variables: tuple[str, ...]
@@ -39,11 +41,13 @@ class Loops(NamedTuple):
     tie0: Real
     drives: Real
     around: tuple[tuple[str, ...], ...]
+    laws: tuple[Law, ...] = ()
 
 
 class Linkage(NamedTuple):
     """
     Loops reduced to their unknowns: u = free @ w + driven @ inputs + fixed, where w = u[unknown].
+    The inputs are those of the drivers, and then what laws make of them (`with_laws`).
 
     The terms are as in Loops, over both w and the inputs (terms, unknowns + inputs). `blocks`
     are to be solved in order. `turns` (A, unknowns + inputs) are the different angles α of the
@@ -91,11 +95,13 @@ def reduce(loops: Loops) -> Linkage:
     """
     Use ties and drivers to leave the unknowns, and find the order to solve them in.
 
-    Raises LinkageError where ties contradict each other, or drivers are too few or too many.
+    Raises LinkageError where ties contradict each other, drivers are too few or too many, or a law
+    is of what the loops determine.
     """
     count = len(loops.variables)
-    inputs = len(loops.drives)
-    rows = np.concatenate((loops.ties, loops.drives))
+    laws = np.array([law.row for law in loops.laws]).reshape(-1, count)
+    inputs = len(loops.drives) + len(laws)
+    rows = np.concatenate((loops.ties, loops.drives, laws))
     right = np.zeros((len(rows), inputs + 1))
     right[: len(loops.ties), -1] = loops.tie0
     right[len(loops.ties) :, :inputs] = np.eye(inputs)
@@ -108,10 +114,17 @@ def reduce(loops: Loops) -> Linkage:
         free[pivot] = -rows[row, unknown]
         driven[pivot] = right[row, :inputs]
         fixed[pivot] = right[row, -1]
+    for k, law in enumerate(loops.laws):
+        later = driven[:, len(loops.drives) + k :]
+        if np.abs(law.of @ np.concatenate((free, later), axis=1)).max(initial=0.0) > 1e-9:
+            raise LinkageError(
+                f'{law.name}: what turns it is not known before loops are closed: drive the body '
+                'that it is on, by itself, by gears or by belts on one body'
+            )
     both = np.concatenate((free, driven), axis=1)
     lengths, angles = loops.lengths @ both, loops.angles @ both
     names = [loops.variables[k] for k in unknown]
-    order = _blocks(loops.loops, lengths, angles, names, inputs)
+    order = _blocks(loops.loops, lengths, angles, names, len(loops.drives))
     stage = np.zeros(len(unknown) + inputs, int)
     for k, (_, some) in enumerate(order):
         stage[list(some)] = k + 1
@@ -134,6 +147,31 @@ def reduce(loops: Loops) -> Linkage:
     return linkage._replace(
         blocks=tuple(_block(linkage, *some, stage, k + 1) for k, some in enumerate(order))
     )
+
+
+def with_laws(linkage: Linkage, inputs: Real) -> Real:
+    """
+    Inputs with what the laws of cams and Geneva drives make of them.
+
+    Parameters
+    ----------
+    linkage
+        The linkage.
+    inputs
+        Values and derivatives of the drivers (orders, d, T).
+
+    Returns
+    -------
+    ndarray
+        The same, and after the d drivers the laws.
+
+    """
+    for law in linkage.loops.laws:
+        by = law.of @ linkage.driven[:, : inputs.shape[1]]
+        at = by @ inputs
+        at[0] += law.of @ linkage.fixed
+        inputs = np.concatenate((inputs, compose(law.function(at[0]), at)[:, None]), axis=1)
+    return inputs
 
 
 def sums(linkage: Linkage, weights: Real) -> tuple[Complex, Complex]:
@@ -237,7 +275,7 @@ def _eliminate(loops: Loops, rows: Real, right: Real) -> list[int]:
     if np.abs(right[row:]).max(initial=0.0) > 1e-9:
         raise LinkageError(
             'drivers and joints contradict each other: two of them fix the same angle or slide; '
-            'leave one out'
+            'leave one out' + (', and drive a cam, not what follows it' if loops.laws else '')
         )
     return pivots
 

@@ -10,7 +10,13 @@ from typing import NamedTuple
 import numpy as np
 
 from kinpole_ros.mechanism._assembly import GROUND, Joint, Rolling, Strut
-from kinpole_ros.mechanism._constraints import NO_SHARE, Constraints, constraints, value_of
+from kinpole_ros.mechanism._constraints import (
+    NO_SHARE,
+    Constraints,
+    constraints,
+    value_of,
+    why_no_reactions,
+)
 from kinpole_ros.mechanism._mechanism import Mechanism
 from kinpole_ros.mechanism._statics import (
     Force,
@@ -155,7 +161,7 @@ def loose_teeth(mechanism: Mechanism, values: Real) -> tuple[str, ...]:
     """The joints with a pressure angle, at one position (n,), if nothing else holds their hubs."""
     joints = mechanism.assembly.joints
     toothed = [j for j in joints if isinstance(j, Rolling) and j.pressure is not None]
-    if not toothed:
+    if not toothed or why_no_reactions(mechanism):
         return ()
     smooth = tuple(j._replace(pressure=None) if j in toothed else j for j in joints)
     assembly = mechanism.assembly._replace(joints=smooth)
@@ -191,7 +197,7 @@ def undetermined(mechanism: Mechanism, values: Real) -> tuple[str, ...]:
     drivers = ', '.join(driver.name for driver in mechanism.drivers) or 'nothing'
     open_ended = f'{drivers} cannot hold it there, and no effort balances every load'
     joints = mechanism.assembly.joints
-    if not joints:
+    if why_no_reactions(mechanism):
         return (f'{dead}: {open_ended}',) if names else ()
     system = constraints(mechanism, here)
     stressed = system.stress[:, 0] > NO_SHARE

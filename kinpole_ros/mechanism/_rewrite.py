@@ -28,19 +28,52 @@ def rewritten(text: str, changes: Mapping[Dimension, float]) -> str:
         The new text.
 
     """
-    root = yaml.compose(text, yaml.SafeLoader)
     by_path: dict[tuple[str | int, ...], list[tuple[Dimension, float]]] = {}
     for dimension, value in changes.items():
         by_path.setdefault(dimension.path, []).append((dimension, value))
     edits = []
-    for path, rows in by_path.items():
-        node = _node(root, path)
-        old = text[node.start_mark.index : node.end_mark.index]
+    for (first, end), rows in zip(value_spans(text, list(by_path)), by_path.values(), strict=True):
         rows.sort(key=lambda row: row[0].axis)
-        edits.append((node.start_mark.index, node.end_mark.index, _written(old, rows)))
+        edits.append((first, end, _written(text[first:end], rows)))
     for first, end, new in sorted(edits, reverse=True):
         text = text[:first] + new + text[end:]
     return text
+
+
+def value_spans(text: str, paths: Sequence[Sequence[str | int]]) -> list[tuple[int, int]]:
+    """
+    Where values are in the text of a scene's file.
+
+    Parameters
+    ----------
+    text
+        As in the file.
+    paths
+        The keys that lead to each value, and places in lists.
+
+    Returns
+    -------
+    list of tuple
+        The first letter of each, and that after the last; for a 'start' that is not there, the end.
+
+    Raises
+    ------
+    SceneError
+        For another value that is not there.
+
+    """
+    root = yaml.compose(text, yaml.SafeLoader)
+    spans = []
+    for path in paths:
+        if list(path) == ['start'] and 'start' not in [key.value for key, _ in root.value]:
+            spans.append((len(text), len(text)))
+            continue
+        first = last = _node(root, path)
+        # A block ends only where the next one begins, after comments.
+        while isinstance(last, yaml.CollectionNode) and not last.flow_style and last.value:
+            last = last.value[-1][1] if isinstance(last, yaml.MappingNode) else last.value[-1]
+        spans.append((first.start_mark.index, last.end_mark.index))
+    return spans
 
 
 def _node(node: yaml.Node | None, path: Sequence[str | int]) -> yaml.Node:

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from kinpole_ros.mechanism._dyads import close_dyad
-from kinpole_ros.mechanism._loops import Block, Linkage, weigh
+from kinpole_ros.mechanism._loops import Block, Linkage, weigh, with_laws
 from kinpole_ros.planar._plane import Complex, Real
 
 # A step below this, of lengths over the largest and of angles in rad, is rounding.
@@ -65,9 +65,10 @@ def solve(
     """
     unknowns = linkage.free.shape[1]
     count = inputs.shape[-1]
+    inputs = with_laws(linkage, inputs[:orders])
     # The rows of `known` are unknowns, then inputs, order by order.
     known = np.empty((orders, unknowns + inputs.shape[1], count))
-    known[:, unknowns:] = inputs[:orders]
+    known[:, unknowns:] = inputs
     if unknowns:
         known[0, :unknowns] = guess if len(guess) == unknowns else guess[list(linkage.unknown)]
     closed, regular = np.ones(count, bool), np.ones(count, bool)

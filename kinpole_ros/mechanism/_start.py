@@ -9,7 +9,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from kinpole_ros.mechanism._assembly import GROUND, Assembly, Slot, Strut
+from kinpole_ros.mechanism._assembly import GROUND, Assembly, Belt, Slot, Strut, strand
 from kinpole_ros.mechanism._loops import Loops
 from kinpole_ros.planar._plane import Complex, Real
 
@@ -34,11 +34,15 @@ def start_near(assembly: Assembly, said: Mapping[str, float], drives: Real, inpu
     right = np.concatenate((loops.tie0, inputs))
     given = np.array([name in said for name in names])
     values = np.array([said.get(name, 0.0) for name in names])
+    for law in loops.laws:
+        at = law.of @ _meet(rows, right, values, given)
+        rows = np.concatenate((rows, law.row[None]))
+        right = np.append(right, law.function(at)[0])
     values = _slide(assembly, rows, right, _meet(rows, right, values, given), given)
     place, turn = _poses(assembly, values)
     known = dict(zip(names, values, strict=True))
     for joint in assembly.joints:
-        if not isinstance(joint, Strut):
+        if not isinstance(joint, Strut | Belt):
             continue
         one, other = (
             place[body] + point * turn[body]
@@ -46,6 +50,11 @@ def start_near(assembly: Assembly, said: Mapping[str, float], drives: Real, inpu
         )
         known[joint.name] = float(abs(other - one))
         known[f'{joint.name}.angle'] = float(np.angle(other - one))
+        if isinstance(joint, Belt):
+            length, along = strand(joint, other - one)
+            near = joint.direction + known.get(joint.carrier or GROUND, 0.0)
+            known[joint.name] = float(length)
+            known[f'{joint.name}.angle'] = near + float(np.angle(along * np.exp(-1j * near)))
     known |= said
     return _meet(rows, right, np.array([known[name] for name in names]), given)
 
@@ -109,10 +118,10 @@ def mobility(assembly: Assembly, values: Real) -> tuple[int, int]:
     Returns
     -------
     count, rank : int
-        The count, variables less ties less two for each loop, is 3 for each body, less 2 for a pin,
-        a prismatic or a rolling joint and 1 for a pin in a slot. It lies where lengths are special,
-        as in a parallelogram with a third crank; the rank does not, but at a dead point it is
-        lower.
+        The count, variables less ties and laws less two for each loop, is 3 for each body, less 2
+        for a pin, a prismatic or a rolling joint and 1 for a pin in a slot, a belt or a cam. It
+        lies where lengths are special, as in a parallelogram with a third crank; the rank does not,
+        but at a dead point it is lower.
 
     """
     loops = assembly.loops
@@ -121,24 +130,29 @@ def mobility(assembly: Assembly, values: Real) -> tuple[int, int]:
     # Lengths as shares of the largest, so that the unit does not decide the rank.
     size = _size(loops, values)
     matrix = matrix * np.where((loops.lengths != 0).any(axis=0), size, 1.0)
-    ties = len(loops.ties)
+    ties = len(loops.ties) + len(loops.laws)
     matrix[:ties] /= np.abs(matrix[:ties]).max(axis=1, keepdims=True, initial=1e-300)
     matrix[ties:] /= size
     singular = np.linalg.svd(matrix, compute_uv=False) if len(matrix) else np.zeros(0)
     rank = int((singular > _LOST * singular.max(initial=1.0)).sum())
-    return count - len(loops.ties) - 2 * len(loops.loops), count - rank
+    return count - ties - 2 * len(loops.loops), count - rank
 
 
 def _gaps(loops: Loops, values: Real) -> tuple[Real, Real]:
-    """What ties and loops lack (k + 2m,), and its Jacobian (k + 2m, n)."""
+    """What ties, laws and loops lack (k + 2m,), and its Jacobian (k + 2m, n)."""
     length = loops.lengths @ values + loops.length0
     turn = np.exp(1j * (loops.angles @ values + loops.angle0))
     gap = loops.loops @ (length * turn)
     by = turn[:, None] * (loops.lengths + 1j * length[:, None] * loops.angles)
     matrix = loops.loops @ by
+    rows, lack = loops.ties, loops.ties @ values - loops.tie0
+    for law in loops.laws:
+        value, slope = law.function(law.of @ values)[:2]
+        lack = np.append(lack, law.row @ values - value)
+        rows = np.concatenate((rows, (law.row - slope * law.of)[None]))
     return (
-        np.concatenate((loops.ties @ values - loops.tie0, gap.real, gap.imag)),
-        np.concatenate((loops.ties, matrix.real, matrix.imag)),
+        np.concatenate((lack, gap.real, gap.imag)),
+        np.concatenate((rows, matrix.real, matrix.imag)),
     )
 
 
@@ -162,11 +176,11 @@ def _slide(assembly: Assembly, rows: Real, right: Real, values: Real, given: np.
     All others held, loops are linear in them, and closed as far as that can be. Loops that go
     through a strut tell nothing yet.
     """
-    loops = assembly.loops._replace(ties=rows, tie0=right)
+    loops = assembly.loops._replace(ties=rows, tie0=right, laws=())
     names = loops.variables
     slots = {joint.name for joint in assembly.joints if isinstance(joint, Slot)}
     slides = np.array([name in slots for name in names]) & ~given
-    struts = {f'{joint.name}.angle' for joint in assembly.joints if isinstance(joint, Strut)}
+    struts = {f'{j.name}.angle' for j in assembly.joints if isinstance(j, Strut | Belt)}
     with_strut = loops.angles[:, [name in struts for name in names]].any(axis=1)
     open_ended = (loops.loops[:, with_strut] != 0).any(axis=1)
     gap, matrix = _gaps(loops, values)

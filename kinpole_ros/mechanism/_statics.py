@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from kinpole_ros.mechanism._assembly import GROUND, Assembly
-from kinpole_ros.mechanism._loops import Linkage, LinkageError
+from kinpole_ros.mechanism._loops import Linkage, LinkageError, with_laws
 from kinpole_ros.mechanism._mechanism import Mechanism
 from kinpole_ros.planar._plane import ROUNDING, Complex, Real
 
@@ -206,7 +206,7 @@ def let_move(linkage: Linkage, assembly: Assembly, values: Real, rates: Real) ->
     by = (loops.lengths @ linkage.free)[:, :, None] * turn[:, None]
     by = by + (loops.angles @ linkage.free)[:, :, None] * arm[:, None]
     columns = np.tensordot(loops.loops, by, 1)
-    given = linkage.driven @ rates
+    given = linkage.driven @ with_laws(linkage, np.stack((loops.drives @ values, rates)))[1]
     driven = (loops.lengths @ given) * turn + (loops.angles @ given) * arm
     gap = loops.loops @ driven
     found = np.zeros((unknowns, values.shape[1]))

@@ -1,5 +1,5 @@
 """
-What errors of dimensions and play in pins make of the motion of a linkage.
+What errors of dimensions and play in joints make of the motion of a linkage.
 
 The loops are closed again for each change of a dimension, from where they are without it: once more
 and once less by its standard deviation for the first order, at random for the samples.
@@ -12,7 +12,14 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from kinpole_ros.mechanism._assembly import Assembly, Revolute
+from kinpole_ros.mechanism._assembly import (
+    Assembly,
+    Joint,
+    Revolute,
+    Rolling,
+    Slot,
+    assemble,
+)
 from kinpole_ros.mechanism._equations import Path
 from kinpole_ros.mechanism._joints import Points, read_bodies
 from kinpole_ros.mechanism._loops import LinkageError, reduce
@@ -25,6 +32,8 @@ from kinpole_ros.mechanism._units import SceneError, vector
 from kinpole_ros.mechanism._vectors import read_vectors
 from kinpole_ros.planar._plane import Real
 
+# Half the width of a flat distribution over its standard deviation.
+_FLAT = np.sqrt(3)
 # A turn, rad/s, of less than this share of the fastest has no center.
 _TURNING = 1e-6
 # The angle of a vector that is said from that of another.
@@ -36,7 +45,8 @@ class Tolerance(NamedTuple):
     A length, m, or angle, rad, of a scene that is not known better than by `deviation`.
 
     `path` and `axis` say where it is in the scene's file. If `is_play`, it is a coordinate of a pin
-    that may be anywhere within a circle of twice that radius.
+    that may be anywhere within a circle of twice that radius; or, with the name of a slot or of
+    gears for a path, that of the joint, which may be anywhere within the square root of 3 of it.
     """
 
     name: str
@@ -81,7 +91,8 @@ def tolerances_of(
         (rocker.B x), of a length or angle (r2.length), or of all of a body, vector or joint;
         'length' and 'angle' are all of a kind. The last that names a dimension holds.
     play
-        Radial play, m, by the name of the pin.
+        Play, m, by the name of the joint: radial of a pin, to either side of a slot or guide, half
+        the backlash of wheels that roll.
 
     Returns
     -------
@@ -91,7 +102,7 @@ def tolerances_of(
     Raises
     ------
     SceneError
-        For what is no dimension of the scene, or no pin.
+        For what is no dimension of the scene, or no joint that has play.
 
     """
     found: dict[tuple[Path, int], Tolerance] = {}
@@ -111,12 +122,22 @@ def tolerances_of(
             raise SceneError(f'{name} is no dimension that joints use: give some of {known}')
         for what, row in own.items():
             found[row.path, row.axis] = Tolerance(what, deviation, row.value, row.path, row.axis)
-    pins = {j.name: j for j in scene.mechanism.assembly.joints if isinstance(j, Revolute)}
+    joints = {
+        joint.name: joint
+        for joint in scene.mechanism.assembly.joints
+        if isinstance(joint, Revolute | Slot | Rolling)
+    }
     extra = []
     for name, radius in play.items():
-        if name not in pins:
-            raise SceneError(f'{name} is no pin: give some of {", ".join(pins) or "none"}')
-        pin = pins[name]
+        if name not in joints:
+            raise SceneError(
+                f'{name} is no pin, slot or pair of gears, which alone have play: give some of '
+                f'{", ".join(joints) or "none"}'
+            )
+        pin = joints[name]
+        if not isinstance(pin, Revolute):
+            extra.append(Tolerance(f'play {name}', radius / _FLAT, 0.0, (name,), 0, True))
+            continue
         path: Path = ('bodies', pin.other, name.partition('.')[0])
         for axis, value in enumerate((pin.b.real, pin.b.imag)):
             # Of a point anywhere in a circle each coordinate has half its radius.
@@ -189,11 +210,14 @@ def propagate_tolerances(
 
 
 def _drawn(errors: Sequence[Tolerance], count: int, rng: np.random.Generator) -> Real:
-    """Changes (N, E) at random: normal, or anywhere in a pin's circle."""
+    """Changes (N, E) at random: normal, or anywhere in a pin's circle or a slot."""
     drawn = rng.normal(size=(count, len(errors))) * [error.deviation for error in errors]
-    pairs = [k for k, error in enumerate(errors) if error.is_play and error.axis == 0]
-    for k in pairs:
-        radius = 2 * errors[k].deviation * np.sqrt(rng.random(count))
+    for k, error in enumerate(errors):
+        if error.is_play and len(error.path) == 1:
+            drawn[:, k] = error.deviation * _FLAT * rng.uniform(-1, 1, count)
+        if not error.is_play or len(error.path) == 1 or error.axis:
+            continue
+        radius = 2 * error.deviation * np.sqrt(rng.random(count))
         turn = 2 * np.pi * rng.random(count)
         drawn[:, k], drawn[:, k + 1] = radius * np.cos(turn), radius * np.sin(turn)
     return np.asarray(drawn)
@@ -205,7 +229,11 @@ def _changed(
     """The linkage and its points with changed dimensions."""
     parts = ('bodies', 'joints', 'vectors', 'loops', 'points')
     new = deepcopy({key: data[key] for key in parts if key in data})
+    play: dict[str, float] = {}
     for error, change in zip(errors, changes.tolist(), strict=True):
+        if error.is_play and len(error.path) == 1:
+            play[str(error.path[0])] = change
+            continue
         where: Any = new
         for key in error.path[:-1]:
             where = where[key]
@@ -222,7 +250,22 @@ def _changed(
         assembly, points, _ = read_vectors(new['vectors'], new['loops'], new.get('points', {}))
     else:
         assembly, points, _ = read_bodies(new['bodies'], new.get('joints'))
+    if play:
+        joints = [_displaced(joint, play.get(joint.name, 0.0)) for joint in assembly.joints]
+        laws = assembly.loops.laws
+        assembly = assemble(assembly.bodies, joints)
+        assembly = assembly._replace(loops=assembly.loops._replace(laws=laws))
     return assembly, points
+
+
+def _displaced(joint: Joint, play: float) -> Joint:
+    """A slot that is off across, m, or a wheel that is off along the pitch line."""
+    if isinstance(joint, Slot):
+        return joint._replace(a=joint.a + 1j * np.exp(1j * joint.along) * play)
+    if isinstance(joint, Rolling):
+        scale = joint.circle + joint.radius if joint.circle else 1.0
+        return joint._replace(start=joint.start + play / scale)
+    return joint
 
 
 def _moving(assembly: Assembly, points: Points) -> dict[str, tuple[int, complex]]:

@@ -8,6 +8,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from kinpole_ros.mechanism._assembly import Belt
 from kinpole_ros.mechanism._loops import LinkageError
 from kinpole_ros.mechanism._mechanism import Mechanism
 from kinpole_ros.mechanism._solution import SINGULAR, solve
@@ -121,7 +122,7 @@ def transmission_angles(mechanism: Mechanism, values: Real) -> dict[tuple[str, .
     dict
         By names of variables (T,), rad, 0 to π/2: the acute angle between the dyad's two links; of
         a link and a slide, that between the link and the normal to the slide. Loops that are no
-        dyads have none.
+        dyads, or have a belt, have none.
 
     Notes
     -----
@@ -134,11 +135,13 @@ def transmission_angles(mechanism: Mechanism, values: Real) -> dict[tuple[str, .
     inputs[0] = np.stack([driver.row for driver in mechanism.drivers]) @ values
     sines = np.abs(solve(linkage, inputs, values, 2, close=False).determinant)
     sines[sines <= SINGULAR] = 0.0
-    return {
+    found = {
         _names(mechanism, block.unknown): np.arcsin(np.minimum(sine, 1.0))
         for block, sine in zip(linkage.blocks, sines, strict=True)
         if block.dyad
     }
+    belts = {joint.name for joint in mechanism.assembly.joints if isinstance(joint, Belt)}
+    return {names: angle for names, angle in found.items() if belts.isdisjoint(names)}
 
 
 def _names(mechanism: Mechanism, unknown: Sequence[int]) -> tuple[str, ...]:

@@ -46,6 +46,7 @@ from kinpole_ros.messages._types import (
     deserialize_message,
     fields,
     message_class,
+    octets,
     serialize_message,
     type_name,
 )
@@ -90,6 +91,7 @@ __all__ = [
     'not_there',
     'nothing_drawn',
     'ns_to_stamp',
+    'octets',
     'outputs_of',
     'plane_words',
     'poses_data',

@@ -8,35 +8,45 @@ one is a module like the others and its line below.
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
+
 from kinpole_ros.bags._files import BagError
 from kinpole_ros.bags.formats import (
+    _bag,
     _c3d,
     _deeplabcut,
+    _keypoints,
     _kinovea,
     _motive,
     _plain,
+    _qualisys,
     _sleap,
     _tracker,
     _trc,
     _vicon,
 )
-from kinpole_ros.bags.formats._file import File, Format, Points, Wanted, not_utf8, shown
+from kinpole_ros.bags.formats._file import File, Format, Points, Wanted, not_utf8
+from kinpole_ros.bags.formats._sheet import shown
 
 __all__ = ['FORMATS', 'Points', 'Wanted', 'read_points', 'shown']
 
 # Looked at in this order: the plain table is the least particular.
 FORMATS: dict[str, Format] = {
-    module.FORMAT.name: module.FORMAT
-    for module in (
-        _deeplabcut,
-        _sleap,
-        _kinovea,
-        _tracker,
-        _motive,
-        _vicon,
-        _trc,
-        _c3d,
-        _plain,
+    found.name: found
+    for found in (
+        _bag.FORMAT,
+        _sleap.FORMAT,
+        _deeplabcut.FORMAT,
+        _kinovea.FORMAT,
+        _tracker.FORMAT,
+        _motive.FORMAT,
+        _vicon.FORMAT,
+        _qualisys.FORMAT,
+        _trc.FORMAT,
+        _c3d.FORMAT,
+        _keypoints.FORMAT,
+        _plain.ANIPOSE,
+        _plain.FORMAT,
     )
 }
 
@@ -52,29 +62,34 @@ def read_points(
     if name != 'auto' and name not in FORMATS:
         raise BagError(f"format '{shown(name)}' is unknown; fix: auto, {', '.join(FORMATS)}")
     file = File(Path(path))
-    if not file.data or file.data.isspace():
+    if not (file.is_folder or file.head.strip() or file.data.strip()):
         raise BagError(f'{path} is empty; fix: give a line of names and a line for each frame')
     for found in FORMATS.values() if name == 'auto' else [FORMATS[name]]:
         if found.recognizes(file):
-            if file.is_text:
+            if file.is_sheet:
                 file.sheet.judge_last_row(found.is_always_ended)
-            points = found.read(file, wanted or Wanted())
+            # Damaged numbers may be any, and what is not finite was not seen.
+            with np.errstate(invalid='ignore', over='ignore'):
+                points = found.read(file, wanted or Wanted())
             if not len(points.frames):
                 raise BagError(f'{path} has no frames; fix: give a line for each frame')
-            notes = file.sheet.notes if file.is_text else ()
-            return found.name, replace(points, notes=(*notes, *points.notes))
+            return found.name, replace(points, notes=tuple(file.notes))
     raise _unknown(file, name)
 
 
 def _unknown(file: File, name: str) -> BagError:
     """What was seen, and what would be read."""
-    if file.data[:2] in (b'\xff\xfe', b'\xfe\xff'):
+    if file.head[:2] in (b'\xff\xfe', b'\xfe\xff'):
         return not_utf8(file.path, 1)
-    if file.is_text:
+    if file.is_folder:
+        seen = 'is a folder'
+    elif file.is_sheet:
         lines = [' '.join(file.sheet.head(row)) for row in range(min(2, len(file.sheet)))]
         seen = f'begins with {" / ".join(repr(shown(line)) for line in lines)}'
+    elif file.is_text:
+        seen = f'begins with {shown(" ".join(file.head[:80].decode(errors="replace").split()))!r}'
     else:
-        seen = f'is binary and begins with {file.data[:8].hex(" ")}'
+        seen = f'is binary and begins with {file.head[:8].hex(" ")}'
     if name == 'auto':
         name = 'table'
         known = ', '.join(other for other in FORMATS if other != name)

@@ -1,87 +1,203 @@
 """
-C3D (c3d.org): the binary format of motion capture, read by the package c3d.
+C3D (c3d.org): the binary format of motion capture.
 
-Units, rate and names are parameters of the group POINT. A point with a negative residual was not
-seen. Models keep angles, forces and the like among the points, and list their names.
+A header block, a section of parameters, then frames: for each point x, y, z and a residual, and the
+analog samples. Integers and floats are in the formats of Intel, DEC or MIPS processors. Units, rate
+and names are parameters of the group POINT. A point with a negative residual was not seen. Models
+keep angles, forces and the like among the points, and list their names.
 """
 
-import io
-import warnings
-from typing import Any
+import struct
+from collections.abc import Callable
+from typing import NamedTuple
 
 import numpy as np
 
 from kinpole_ros.bags._files import BagError
-from kinpole_ros.bags.formats._file import File, Format, Points, Wanted, check_names, frame_times
-from kinpole_ros.packages import install_command
+from kinpole_ros.bags.formats._file import File, Format, Points, Wanted, frame_times
+from kinpole_ros.bags.formats._sheet import check_cells, number_names
 
+_BLOCK = 512
+_INTEL, _DEC, _MIPS = 84, 85, 86  # how a file says which processor its numbers are of
 # Parameters that name points which are none.
 _NO_POINTS = ('ANGLES', 'FORCES', 'MOMENTS', 'POWERS', 'SCALARS')
+_FIX = 'fix: export it again'
+
+
+class _Header(NamedTuple):
+    """The words of the first block, and the order of bytes."""
+
+    points: int
+    analog: int  # samples of all channels in a frame
+    first: int
+    last: int
+    scale: float
+    start: int  # block at which frames begin
+    rate: float
+
+
+class _Parameter(NamedTuple):
+    """A parameter as it lies in the file: type -1 is text, 1 bytes, 2 integers, 4 floats."""
+
+    kind: int
+    size: tuple[int, ...]
+    data: bytes
 
 
 def _recognizes(file: File) -> bool:
     # The number of the block of parameters, then the key of the format.
-    return not file.is_text and len(file.data) >= 512 and file.data[1] == 0x50
+    return not file.is_text and len(file.head) >= _BLOCK and file.head[1] == 0x50
 
 
 def _read(file: File, wanted: Wanted) -> Points:
     try:
-        import c3d
-    except ImportError:
-        raise BagError(
-            f'{file.path} is C3D, which needs c3d; fix: {install_command("formats")}'
-        ) from None
-    try:
-        with warnings.catch_warnings():
-            # Of files without analog channels, among others.
-            warnings.simplefilter('ignore')
-            reader = c3d.Reader(io.BytesIO(file.data))
-            rate = float(reader.point_rate)
-            unit = reader.get('POINT:UNITS')
-            unit_name = unit.string_value.strip('\0 ') if unit is not None else ''
-            labels = _labels(reader, 'POINT:LABELS')
-            left_out = {
-                name for what in _NO_POINTS for name in _labels(reader, f'POINT:{what}') if name
-            }
-            claimed = int(reader.last_frame) - int(reader.first_frame) + 1
-            numbers, rows = [], []
-            for number, points, _ in reader.read_frames():
-                numbers.append(number)
-                rows.append(points[:, :4])
-    except Exception as error:
-        # c3d has no error of its own: what comes depends on the byte that is wrong.
-        raise BagError(
-            f'{file.path} is not a C3D file that can be read ({type(error).__name__}); '
-            'fix: export it again'
-        ) from error
-    if not rows:
-        raise BagError(f'{file.path} has no frames; fix: export it again')
-    if len(rows) < claimed:
-        # The end of the last block is padding, which looks like frames.
-        raise BagError(
-            f'{file.path} says that it has {claimed} frames, and has {len(rows)} at most: it is '
-            'cut off; fix: export it again'
-        )
-    seen = np.array(rows, dtype=np.float64)
+        processor = file.data[_BLOCK * (file.data[0] - 1) + 3]
+        header = _header(file.data, processor)
+        parameters = _parameters(file.data, processor)
+    except (struct.error, IndexError, ValueError) as error:
+        raise BagError(f'{file.path} is not a C3D file that can be read; {_FIX}') from error
+
+    def numbers(name: str) -> list[float]:
+        found = parameters.get(name)
+        return [] if found is None else _numbers(found, processor)
+
+    scale = next(iter(numbers('POINT:SCALE')), header.scale)
+    rate = next(iter(numbers('POINT:RATE')), 0.0) or header.rate
+    first, claimed = _frame_range(header, numbers)
+    seen = _frames(file, header, processor, scale, claimed)
+    frames = first + np.arange(len(seen))
     whole, is_amid = _frames_before_zeros(seen)
-    notes = []
     if whole < len(seen):
         amid = 'amid ' if is_amid else ''
-        notes = [
-            f'{file.path} is zeros from {amid}frame {numbers[whole]} on, as padding of a file is: '
-            f'{len(seen) - whole} of its {len(seen)} frames are left out; fix: export it again if '
-            'it should have them'
-        ]
-        seen, numbers = seen[:whole], numbers[:whole]
-    seen[seen[..., 3] < 0] = np.nan
-    names = [label or f'point {index + 1}' for index, label in enumerate(labels)]
-    names += [f'point {index + 1}' for index in range(len(names), seen.shape[1])]
-    kept = [index for index in range(seen.shape[1]) if names[index] not in left_out]
-    names = [names[index] for index in kept]
-    check_names(file.path, names)
-    frames = np.array(numbers, dtype=np.int64)
+        file.notes.append(
+            f'{file.path} is zeros from {amid}frame {frames[whole]} on, as padding of a file is: '
+            f'{len(seen) - whole} of its {len(seen)} frames are left out; {_FIX} if it should '
+            'have them'
+        )
+        seen, frames = seen[:whole], frames[:whole]
+    labels = _labels(parameters, 'POINT:LABELS')[: header.points]
+    labels += [''] * (header.points - len(labels))
+    left_out = {
+        name for what in _NO_POINTS for name in _labels(parameters, f'POINT:{what}') if name
+    }
+    kept = [index for index, label in enumerate(labels) if label not in left_out]
+    names = [labels[index] or f'point {index + 1}' for index in kept]
+    names = number_names(file.path, names, file.notes)
+    points = seen[:, kept, :3].astype(float) * (1.0 if scale < 0 else scale)
+    points[seen[:, kept, 3] < 0] = np.nan
+    unit = next(iter(_labels(parameters, 'POINT:UNITS')), '')
     times = None if wanted.rate is not None else frame_times(frames, rate)
-    return Points(names, seen[:, kept, :3], frames, times, unit_name, notes=notes)
+    return Points(names, points, frames, times, unit)
+
+
+def _header(data: bytes, processor: int) -> _Header:
+    order = '>' if processor == _MIPS else '<'
+    points, analog, first, last = struct.unpack_from(f'{order}4H', data, 2)
+    (start,) = struct.unpack_from(f'{order}H', data, 16)
+    scale = float(_floats(data[12:16], processor)[0])
+    rate = float(_floats(data[20:24], processor)[0])
+    return _Header(points, analog, first, last, scale, start, rate)
+
+
+def _parameters(data: bytes, processor: int) -> dict[str, _Parameter]:
+    """The parameters by GROUP:NAME; raises where they are cut off."""
+    order = '>' if processor == _MIPS else '<'
+    place = _BLOCK * (data[0] - 1) + 4
+    groups: dict[int, str] = {}
+    found: list[tuple[int, str, _Parameter]] = []
+    step = 1
+    while step > 0 and data[place]:
+        length, number = struct.unpack_from('<bb', data, place)
+        body = place + 2 + abs(length)
+        name = _text(data[place + 2 : body]).upper()
+        (step,) = struct.unpack_from(f'{order}h', data, body)
+        if number < 0:
+            groups[-number] = name
+        else:
+            kind, dimensions = struct.unpack_from('<bB', data, body + 2)
+            size = tuple(data[body + 4 : body + 4 + dimensions])
+            start = body + 4 + dimensions
+            count = abs(kind) * int(np.prod(size, dtype=float))
+            found.append((number, name, _Parameter(kind, size, data[start : start + count])))
+        place = body + step
+    return {f'{groups.get(number, "")}:{name}': value for number, name, value in found}
+
+
+def _floats(data: bytes, processor: int) -> np.ndarray:
+    if processor == _DEC:
+        # The halves are exchanged, and the exponent is larger by 2.
+        halves = np.frombuffer(data, '<u2').reshape(-1, 2)[:, ::-1]
+        return np.ascontiguousarray(halves).view('<f4')[:, 0] / np.float32(4)
+    return np.frombuffer(data, '>f4' if processor == _MIPS else '<f4')
+
+
+def _numbers(parameter: _Parameter, processor: int) -> list[float]:
+    data = parameter.data
+    if parameter.kind == 4:
+        found = _floats(data[: len(data) // 4 * 4], processor)
+    elif parameter.kind == 2:
+        found = np.frombuffer(data[: len(data) // 2 * 2], '>u2' if processor == _MIPS else '<u2')
+    else:
+        found = np.frombuffer(data, np.uint8)
+    return [float(value) for value in found]
+
+
+def _text(data: bytes) -> str:
+    try:
+        return data.decode().strip('\0 ')
+    except UnicodeDecodeError:
+        return data.decode('cp1252', 'replace').strip('\0 ')
+
+
+def _labels(parameters: dict[str, _Parameter], parameter: str) -> list[str]:
+    """A list of names, which goes on in NAME2, NAME3 where it has more than 255."""
+    names: list[str] = []
+    for number in ('', *map(str, range(2, 300))):
+        found = parameters.get(f'{parameter}{number}')
+        if found is None or found.kind != -1 or not found.size:
+            break
+        width = max(1, found.size[0])
+        names += [
+            _text(found.data[place : place + width]) for place in range(0, len(found.data), width)
+        ]
+    return names
+
+
+def _frame_range(header: _Header, numbers: Callable[[str], list[float]]) -> tuple[int, int]:
+    """Number of the first frame and how many there are; counts beyond 16 bits are parameters."""
+    first, count = header.first, (header.last - header.first + 1) % 65536
+    counts = [count, *numbers('POINT:FRAMES')[:1], *numbers('POINT:LONG_FRAMES')[:1]]
+    start, end = numbers('TRIAL:ACTUAL_START_FIELD'), numbers('TRIAL:ACTUAL_END_FIELD')
+    if len(start) == len(end) == 2:
+        first = int(start[0] + 65536 * start[1])
+        counts.append(end[0] + 65536 * end[1] - first + 1)
+    # A count that does not fit in 16 bits is written as the largest that does.
+    known = [count for count in counts if count != 65535] or counts
+    return first, int(max(number for number in known if np.isfinite(number)))
+
+
+def _frames(file: File, header: _Header, processor: int, scale: float, claimed: int) -> np.ndarray:
+    """The points (T, n, 4) of all frames as the file has them: x, y, z and a residual."""
+    check_cells(file.path, 4 * header.points * claimed)
+    data = file.data[_BLOCK * (header.start - 1) :] if header.start else b''
+    size = 4 if scale < 0 else 2
+    words = 4 * header.points + header.analog
+    count = len(data) // (size * words) if words else 0
+    if not count or claimed < 1:
+        raise BagError(f'{file.path} has no frames; {_FIX}')
+    if count < claimed:
+        # The end of the last block is padding, which looks like frames.
+        raise BagError(
+            f'{file.path} says that it has {claimed} frames, and has {count} at most: it is '
+            f'cut off; {_FIX}'
+        )
+    values: np.ndarray
+    data = data[: size * words * claimed]
+    if scale < 0:
+        values = _floats(data, processor)
+    else:
+        values = np.frombuffer(data, '>i2' if processor == _MIPS else '<i2')
+    return values.reshape(claimed, words)[:, : 4 * header.points].reshape(claimed, -1, 4)
 
 
 def _frames_before_zeros(values: np.ndarray) -> tuple[int, bool]:
@@ -101,21 +217,4 @@ def _frames_before_zeros(values: np.ndarray) -> tuple[int, bool]:
     return whole, False
 
 
-def _labels(reader: Any, parameter: str) -> list[str]:
-    """A list of names, which goes on in NAME2, NAME3 where it has more than 255."""
-    names: list[str] = []
-    for number in ('', *map(str, range(2, 300))):
-        values = reader.get(f'{parameter}{number}')
-        if values is None or not values.dimensions:
-            break
-        names += [str(name).strip('\0 ') for name in np.atleast_1d(values.string_array)]
-    return names
-
-
-FORMAT = Format(
-    'c3d',
-    f'C3D ({install_command("formats")})',
-    '(binary)',
-    _recognizes,
-    _read,
-)
+FORMAT = Format('c3d', 'C3D', '(binary)', _recognizes, _read)

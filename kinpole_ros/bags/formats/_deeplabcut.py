@@ -11,29 +11,18 @@ import pickle
 import pickletools
 import re
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
 from itertools import islice, product
 from typing import Any, NamedTuple, NoReturn
 
 import numpy as np
 
 from kinpole_ros.bags._files import BagError
-from kinpole_ros.bags.formats._file import (
-    File,
-    Format,
-    Points,
-    Wanted,
-    check_cells,
-    check_names,
-    shown,
-    whole_numbers,
-)
-from kinpole_ros.packages import install_command
+from kinpole_ros.bags.formats._file import File, Format, Points, Wanted
+from kinpole_ros.bags.formats._hdf import HDF, errors_of_hdf, open_hdf, own_item
+from kinpole_ros.bags.formats._sheet import check_cells, check_names, shown, whole_numbers
 
 # What DeepLabCut itself takes as seen ("pcutoff").
 _LIKELIHOOD = 0.6
-_HDF = b'\x89HDF\r\n\x1a\n'
-_CHUNK = 32 << 20  # bytes that one chunk may unpack to; those of PyTables have some 100 kB
 _SLICE = 8 << 20  # bytes of rows read at a time
 _AXES = ('x', 'y', 'z')
 _FIX = 'give the .csv or .h5 that analyze_videos wrote'
@@ -49,16 +38,16 @@ class _Table(NamedTuple):
 
 
 def _recognizes(file: File) -> bool:
-    if file.data.startswith(_HDF):
+    if file.head.startswith(HDF):
         return True
-    if not file.is_text:
+    if not file.is_sheet:
         return False
     first = [file.sheet.cell(row, 0) for row in range(4)]
     return 'bodyparts' in first and 'coords' in first
 
 
 def _read(file: File, wanted: Wanted) -> Points:
-    read = _of_hdf if file.data.startswith(_HDF) else _of_csv
+    read = _of_hdf if file.head.startswith(HDF) else _of_csv
     labels, lines, index_name, blocks = read(file)
     least = _LIKELIHOOD if wanted.likelihood is None else wanted.likelihood
     columns = {label: column for column, label in enumerate(labels)}
@@ -94,6 +83,8 @@ def _of_csv(file: File) -> _Table:
     """Find the columns of a .csv, and read the numbers of its frames."""
     sheet = file.sheet
     titles = {sheet.cell(row, 0): row for row in reversed(range(min(5, len(sheet))))}
+    if 'coords' not in titles:
+        raise BagError(f'{file.path} has no frames; fix: {_FIX}')
     first = titles['coords'] + 1
     levels = [titles[title] for title in ('individuals', 'bodyparts', 'coords') if title in titles]
     labels, columns = [], []
@@ -122,28 +113,10 @@ def _label(levels: 'list[str] | tuple[str, ...]') -> tuple[str, str]:
     return '.'.join(level for level in levels[:-1] if level), levels[-1]
 
 
-@contextmanager
-def _errors_of_hdf(file: File) -> Iterator[None]:
-    """Turn what h5py and pickle raise, which depends on the byte that is wrong, into BagError."""
-    try:
-        yield
-    except BagError:
-        raise
-    except Exception as error:
-        raise BagError(f'{file.path} is not an .h5 of DeepLabCut; fix: {_FIX}') from error
-
-
 def _of_hdf(file: File) -> _Table:
     """Read a table that pandas wrote; PyTables keeps the names of columns as pickles."""
-    try:
-        import h5py
-    except ImportError:
-        raise BagError(
-            f'{file.path} is HDF5, which needs h5py; fix: {install_command("formats")}, or give '
-            'the .csv'
-        ) from None
-    with _errors_of_hdf(file):
-        table = _hdf_table(file, h5py.File(io.BytesIO(file.data), 'r'))
+    with errors_of_hdf(file, 'DeepLabCut', _FIX):
+        table = _hdf_table(file, open_hdf(file))
         labels: list[tuple[str, str]] = []
         fields = [name for name in table.dtype.names if name.startswith('values_block_')]
         for name in fields:
@@ -166,7 +139,7 @@ def _hdf_blocks(
 ) -> Iterator[tuple[np.ndarray, np.ndarray]]:
     step = max(1, _SLICE // max(table.dtype.itemsize, 8 * width))
     for first in range(0, len(table), step):
-        with _errors_of_hdf(file):
+        with errors_of_hdf(file, 'DeepLabCut', _FIX):
             rows = table[first : first + step]
             values = [rows[name].reshape(len(rows), -1) for name in fields]
             block = rows['index'], np.concatenate(values, axis=1, dtype=np.float64)
@@ -175,37 +148,24 @@ def _hdf_blocks(
 
 def _hdf_table(file: File, content: Any) -> Any:
     """
-    The table of positions in an open .h5 file, all of whose bytes are in that file.
+    The table of positions in an open .h5 file.
 
-    Raises BagError for links and storage that lead to other files, for fields that are not
-    numbers, and where a row or a chunk alone unpacks to more than `_CHUNK`.
+    Raises BagError where it is elsewhere, and for fields that are not numbers.
     """
     import h5py
 
     for name in content:
-        if not isinstance(content.get(name, getlink=True), h5py.HardLink):
-            raise BagError(f"{file.path}: '{shown(name)}' is a link; fix: {_FIX}")
-        group = content[name]
+        group = own_item(file, content, name, _FIX)
         if not isinstance(group, h5py.Group) or 'table' not in group:
             continue
-        if not isinstance(group.get('table', getlink=True), h5py.HardLink):
-            raise BagError(f"{file.path}: the table in '{shown(name)}' is a link; fix: {_FIX}")
-        table = group['table']
+        table = own_item(file, group, 'table', _FIX)
         if not isinstance(table, h5py.Dataset) or table.ndim != 1 or table.dtype.names is None:
             raise BagError(f"{file.path}: '{shown(name)}' is not a table; fix: {_FIX}")
-        if table.external or table.is_virtual:
-            raise BagError(f"{file.path}: the rows of '{shown(name)}' are elsewhere; fix: {_FIX}")
         for field in table.dtype.names:
             if table.dtype[field].base.kind not in 'iuf':
                 raise BagError(
                     f"{file.path}: column '{shown(field)}' is not of numbers; fix: {_FIX}"
                 )
-        # HDF5 unpacks one chunk as a whole.
-        rows = table.chunks[0] if table.chunks else 1
-        if rows * table.dtype.itemsize > _CHUNK:
-            raise BagError(
-                f'{file.path}: a chunk of {rows} rows is more than {_CHUNK >> 20} MiB; fix: {_FIX}'
-            )
         return table
     raise BagError(f'{file.path} has no table of DeepLabCut; fix: {_FIX}')
 

@@ -1,46 +1,41 @@
 """What every format is read from, a file as bytes or as a sheet of cells, and what it becomes."""
 
-import csv
 import errno
 import math
 import re
-from array import array
 from codecs import getincrementaldecoder
-from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from io import BytesIO, TextIOWrapper
+from io import BytesIO
 from itertools import islice
 from pathlib import Path
 from typing import NamedTuple
+from xml.etree import ElementTree
 
 import numpy as np
 
 from kinpole_ros.bags._files import BagError
-from kinpole_ros.files import printable, read_limited
+from kinpole_ros.bags.formats._sheet import ROW_CHARACTERS, Sheet, number_in
+from kinpole_ros.files import open_regular, read_limited
 
 # Bytes of a file; hours of tracked points are less.
 MOST = 256 << 20
-# m in the units that programs write, by their names in small letters.
+# m in the units that programs write, by their names in small letters. C3D cuts some to four.
 UNITS = {
-    **dict.fromkeys(('m', 'meter', 'meters', 'metre', 'metres'), 1.0),
+    **dict.fromkeys(('m', 'meter', 'meters', 'metre', 'metres', 'mete', 'metr'), 1.0),
     **dict.fromkeys(('dm', 'decimeters', 'decimetres'), 0.1),
-    **dict.fromkeys(('cm', 'centimeter', 'centimeters', 'centimetres'), 0.01),
-    **dict.fromkeys(('mm', 'millimeter', 'millimeters', 'millimetres'), 0.001),
+    **dict.fromkeys(('cm', 'centimeter', 'centimeters', 'centimetres', 'cent'), 0.01),
+    **dict.fromkeys(('mm', 'millimeter', 'millimeters', 'millimetres', 'mill'), 0.001),
     **dict.fromkeys(('um', 'µm', 'micrometers'), 1e-6),
     **dict.fromkeys(('in', 'inch', 'inches'), 0.0254),
     **dict.fromkeys(('ft', 'foot', 'feet'), 0.3048),
 }
-MOST_COLUMNS = 10_000
-# Cells of a file, two more a row: 1e6 frames of 10 markers in space, and times.
-MOST_CELLS = 33_000_000
-_NUMBER = re.compile(r'[+-]?(?:(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:e[+-]?[0-9]+)?|nan)', re.I | re.A)
-_HEAD_ROWS = 50  # rows held as text; they show what separates cells
-_ROW_CHARACTERS = 1 << 20  # of a row with all its cells
-_BLOCK_CELLS = 1 << 16  # held as text at a time, at some 60 bytes each
+_MARKUP = re.compile(rb'(?:\xef\xbb\xbf)?\s*(?:<|\{|\[\s*\{)')
+_HEAD = 4096  # bytes by which a file is recognized
+_MOST_XML = 48 << 20  # bytes
+_MOST_ELEMENTS = 400_000  # of XML, at some 200 bytes each, and as much for each attribute
 _MOST_DECIMALS = 17  # no number in float64 needs more digits
-_SHOWN = 40  # characters of a cell
 
 
 class Wanted(NamedTuple):
@@ -62,7 +57,12 @@ class Points:
     y_down: bool = False
     lines: Sequence[int] = ()  # of each frame, in a text file
     time_column: str = 'Time'
+    no_times: str = 'has no times'  # why `times` is None
     notes: Sequence[str] = field(default=())  # what the user should know, a line each
+    stamps: np.ndarray | None = None  # (T,), ns: `times` as they were written, where they were
+    # Poses (T, B, 7) of the bodies: a point, in the unit of the file, and a quaternion x, y, z, w.
+    bodies: Sequence[str] = ()
+    poses: np.ndarray | None = None
 
     @property
     def scale(self) -> float | None:
@@ -82,369 +82,80 @@ class Format(NamedTuple):
 
 
 class File:
-    """A file that is to be recognized. Raises BagError when it cannot be read."""
+    """A file or folder that is to be recognized. Raises BagError when it cannot be read."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        self.data = _read(path)
+        self.notes: list[str] = []  # what the user should know, a line each
+        self.is_folder = path.is_dir()
+        self.head = b''
+        if not self.is_folder:
+            try:
+                with open_regular(path) as file:
+                    self.head = file.read(_HEAD)
+            except OSError as error:
+                raise _unreadable(path, error) from error
 
     @cached_property
-    def sheet(self) -> 'Sheet':
+    def data(self) -> bytes:
+        """All its bytes."""
+        try:
+            return read_limited(self.path, MOST)
+        except OSError as error:
+            raise _unreadable(self.path, error) from error
+
+    @cached_property
+    def sheet(self) -> Sheet:
         """Its cells, where it is text; what is not UTF-8 is taken as of Windows."""
         fault = _not_utf8_line(self.data)
         if b'\0' in self.data:
             # UTF-16, or no text at all.
             raise not_utf8(self.path, fault or 1)
-        return Sheet(self.path, self.data, fault)
+        return Sheet(self.path, self.data, self.notes, fault)
 
     @property
     def is_text(self) -> bool:
-        """Whether it can be a sheet."""
-        return b'\0' not in self.data[:4096]
+        """Whether it can be text."""
+        return not self.is_folder and b'\0' not in self.data[:_HEAD]
 
+    @property
+    def is_sheet(self) -> bool:
+        """Whether it can be rows of cells, which XML and JSON are not."""
+        return self.is_text and not _MARKUP.match(self.head)
 
-class Sheet:
-    """
-    Rows of cells of a text file, without its empty lines and the rows of empty cells at its end.
-
-    Cells are separated by what most lines have of tab, semicolon and comma; where it is not
-    commas, numbers may have decimal commas. Only the bytes of the file and the number of each line
-    are held: cells are split again whenever numbers are asked for. Raises BagError when quotes do
-    not match.
-    """
-
-    def __init__(self, path: Path, data: bytes, not_utf8_line: int = 0) -> None:
-        self.path = path
-        self.not_utf8_line = not_utf8_line  # 0: it is
-        self._data = data
-        self._encoding = 'cp1252' if not_utf8_line else 'utf-8-sig'
-        text = data[:_ROW_CHARACTERS].decode(self._encoding, 'replace')
-        first = [line for line in text.splitlines() if line.strip()][:_HEAD_ROWS]
-        self.delimiter = next(
-            (mark for mark in '\t;' if sum(mark in line for line in first) * 2 > len(first)), ','
-        )
-        self.lines = array('I')  # number of the line that each row ends in
-        self.notes: list[str] = []
-        self._uneven_row: int | None = None  # the first of another width than the first row
-        self._most_columns = 1
-        self._top: list[list[str]] = []
-        self._near: tuple[int, list[list[str]]] = 0, []
-        self._row_separators = self._row_characters = self._row_lines = 0
-        self._last_row_is_open = False
-        self._count_rows()
-
-    def __len__(self) -> int:
-        """Return the number of rows."""
-        return len(self.lines)
-
-    def _stream(self) -> TextIOWrapper:
-        return TextIOWrapper(BytesIO(self._data), self._encoding, 'replace', newline='')
-
-    def _bounded_lines(self) -> Iterator[str]:
-        """Yield lines; raise BagError where a row has more cells or letters than are held."""
-        with self._stream() as stream:
-            number = 0
-            while line := stream.readline(_ROW_CHARACTERS):
-                number += 1
-                self._row_lines += 1
-                self._row_separators += line.count(self.delimiter)
-                self._row_characters += len(line)
-                if (columns := self._row_separators + 1) > MOST_COLUMNS:
-                    raise BagError(
-                        f'{self.path}, line {number}: {columns} columns; '
-                        f'fix: give {MOST_COLUMNS} at most'
-                    )
-                if self._row_characters >= _ROW_CHARACTERS:
-                    raise BagError(
-                        f'{self.path}, line {number}: a row has more than {_ROW_CHARACTERS} '
-                        'characters; fix: check its quotes and ends of lines'
-                    )
-                yield line
-
-    def _count_rows(self) -> None:
-        """Find the number, lines and widths of rows, keep the first ones, leave out a cut one."""
-        reader = csv.reader(self._bounded_lines(), delimiter=self.delimiter, strict=True)
-        is_ended = self._data.endswith((b'\n', b'\r'))
-        cell_count = row_count = 0
-        before: list[str] = []
-        row: list[str] = []
+    def xml(self, fix: str) -> ElementTree.Element:
+        """Parse it as XML; raises BagError, with this fix, where it is damaged or too large."""
         try:
-            for cells in reader:
-                self._row_separators = self._row_characters = self._row_lines = 0
-                # A row takes as much memory as some cells.
-                cell_count += len(cells) + 2
-                if cell_count > MOST_CELLS:
-                    check_cells(self.path, cell_count)
-                if not cells:
-                    continue
-                before, row = row, cells
-                self.lines.append(reader.line_num)
-                if any(map(str.strip, row)):
-                    row_count = len(self.lines)
-                if len(self._top) < _HEAD_ROWS:
-                    self._top.append(row)
-                self._most_columns = max(self._most_columns, len(row))
-                if self._uneven_row is None and len(row) != len(self._top[0]):
-                    self._uneven_row = len(self.lines) - 1
-        except csv.Error as error:
-            # Quotes that are open for more than the last line were left open before the cut.
-            if is_ended or 'end of data' not in str(error) or self._row_lines != 1:
-                raise BagError(
-                    f'{self.path}, line {reader.line_num}: {shown(str(error))}; '
-                    'fix: save it as plain CSV, with commas'
-                ) from error
-            self._keep_rows(row_count)
-            self.notes.append(
-                f'{self.path}, line {reader.line_num}: the file is cut off amid a cell in quotes; '
-                'the row is left out'
-            )
-            return
-        is_last_row_full = row_count == len(self.lines)
-        self._keep_rows(row_count)
-        if is_ended or not is_last_row_full or row_count < 3:
-            return
-        if len(row) < len(before):
-            self.notes.append(
-                f'{self.path}, line {self.lines[-1]}: the file is cut off after {len(row)} of '
-                f'{len(before)} cells; the row is left out'
-            )
-            self._keep_rows(row_count - 1)
-            return
-        # A last cell that is closed by a quote, or empty in the row before, too, lacks nothing.
-        self._last_row_is_open = not self._data.endswith(b'"') and bool(row[-1] or before[-1])
-
-    def _keep_rows(self, count: int) -> None:
-        del self.lines[count:], self._top[count:]
-
-    def judge_last_row(self, is_always_ended: bool) -> None:
-        """
-        Note that the last number of the file may be cut off, where no end of line follows it.
-
-        The row is left out where the program that writes such files always ends the last line.
-        """
-        if not self._last_row_is_open:
-            return
-        end = (
-            'the row is left out'
-            if is_always_ended
-            else 'end the line if it is not, or delete the line'
-        )
-        self.notes.append(
-            f'{self.path}, line {self.lines[-1]}: the file ends without the end of a line, so the '
-            f'last number may be cut off; {end}'
-        )
-        if is_always_ended:
-            self._keep_rows(len(self) - 1)
-
-    def rows(self) -> Iterator[list[str]]:
-        """Split the file into rows of cells, from its beginning."""
-        reader = csv.reader(self._stream(), delimiter=self.delimiter, strict=True)
-        return islice(filter(None, reader), len(self))
-
-    def _row(self, index: int) -> list[str]:
-        if index >= len(self):
-            return []
-        if index < len(self._top):
-            return self._top[index]
-        first, rows = self._near
-        if not first <= index < first + len(rows):
-            first, rows = index, list(islice(self.rows(), index, index + _HEAD_ROWS))
-            self._near = first, rows
-        return rows[index - first]
-
-    def cell(self, row: int, column: int) -> str:
-        """A cell without the spaces around it; '' where there is none."""
-        cells = self._row(row)
-        return cells[column].strip() if column < len(cells) else ''
-
-    def head(self, row: int) -> list[str]:
-        """The cells of a row, without spaces around them."""
-        return [cell.strip() for cell in self._row(row)]
-
-    def uneven_row(self) -> int | None:
-        """Index of the first row with another number of cells than the first; None without."""
-        row = self._uneven_row
-        return row if row is not None and row < len(self) else None
-
-    def texts(self, column: int, first: int) -> Iterator[str]:
-        """Yield the cells of a column from row `first` on, without the spaces around them."""
-        for row in islice(self.rows(), first, None):
-            yield row[column].strip() if column < len(row) else ''
-
-    def blocks(
-        self, columns: Sequence[int], names: Sequence[str], first: int, end: int | None = None
-    ) -> Iterator[np.ndarray]:
-        """
-        Yield numbers (rows, columns) of the rows from `first` to `end`, some thousand at a time.
-
-        They are float64, NaN where a cell is empty. Raises BagError for a cell that is no number,
-        with the name of its column.
-        """
-        rows = islice(self.rows(), first, end)
-        step = max(1, _BLOCK_CELLS // self._most_columns)
-        done = first
-        while block := list(islice(rows, step)):
-            cells = [row[c] if c < len(row) else '' for row in block for c in columns]
-            numbers = np.array(_numbers_or_inf(cells, self.delimiter != ','))
-            if (bad := np.isinf(numbers)).any():
-                place = int(bad.argmax())
-                row, column = divmod(place, len(columns))
-                raise BagError(
-                    f'{self.path}, line {self.lines[done + row]}, column {shown(names[column])}: '
-                    f"'{shown(cells[place])}' is not a number; fix: write it with a decimal "
-                    'point, and nothing where a marker was not seen'
-                )
-            yield numbers.reshape(len(block), len(columns))
-            done += len(block)
-
-    def column(self, index: int, first: int, name: str) -> np.ndarray:
-        """Numbers of a column from row `first` on, float64, NaN where a cell is empty."""
-        numbers = np.empty(max(0, len(self) - first))
-        done = 0
-        for block in self.blocks([index], [name], first):
-            numbers[done : done + len(block)] = block[:, 0]
-            done += len(block)
-        return numbers
-
-    def points(
-        self,
-        columns: Sequence[Sequence[int]],
-        names: Sequence[str],
-        first: int,
-        end: int | None = None,
-        also: tuple[int, str] | None = None,
-        *,
-        separator: str = ' ',
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """
-        Points (T, n, 3) of rows first to end, from two or three columns each; z is else 0.
-
-        With them come numbers (T,) of a column `also`, an index and a name. The `separator` is
-        between the name of a marker and the axis where a message names a column.
-        """
-        count = max(0, len(self.lines[first:end]))
-        points, numbers = np.zeros((count, len(columns), 3)), np.empty(count)
-        sources = [column for axes in columns for column in axes]
-        targets = [3 * k + axis for k, axes in enumerate(columns) for axis in range(len(axes))]
-        titles = [
-            f'{name}{separator}{axis}'
-            for name, axes in zip(names, columns, strict=True)
-            for axis, _ in zip('xyz', axes, strict=False)
-        ]
-        if also is not None:
-            sources.append(also[0])
-            titles.append(also[1])
-        flat = points.reshape(count, 3 * len(columns))
-        done = 0
-        for block in self.blocks(sources, titles, first, end):
-            flat[done : done + len(block), targets] = block[:, : len(targets)]
-            if also is not None:
-                numbers[done : done + len(block)] = block[:, -1]
-            done += len(block)
-        return points, numbers
-
-    def frames(
-        self,
-        columns: dict[str, list[int]],
-        first: int,
-        title: str = 'Frame',
-        end: int | None = None,
-    ) -> tuple[list[str], np.ndarray, np.ndarray, Sequence[int]]:
-        """
-        Names of markers, points (T, n, 3), numbers of the frames, and the lines of these.
-
-        `columns` are those of each marker; numbers of frames are in the first, called `title`.
-        """
-        names, lines = list(columns), self.lines[first:end]
-        check_names(self.path, names)
-        points, numbers = self.points(list(columns.values()), names, first, end, (0, title))
-        return names, points, whole_numbers(self.path, numbers, lines, title), lines
-
-    def check_axes(self, columns: dict[str, list[int]], axes: int, program: str) -> None:
-        """Raise BagError where the `columns` of a marker are not X, Y, Z, as the row says."""
-        for name, places in columns.items():
-            if [self.cell(axes, column) for column in places] != ['X', 'Y', 'Z']:
-                raise BagError(
-                    f"{self.path}: marker '{shown(name)}' has other columns than X, Y, Z; fix: "
-                    f'give each marker a name of its own in {program}'
-                )
+            # Entities can multiply, and no program that tracks points writes them.
+            if b'<!DOCTYPE' in self.data:
+                raise ValueError('it defines entities')
+            if len(self.data) > _MOST_XML or self.data.count(b'=') > 2 * _MOST_ELEMENTS:
+                raise ValueError('it is too large')
+            elements = ElementTree.iterparse(BytesIO(self.data), ['start'])
+            root: ElementTree.Element = next(elements)[1]
+            if sum(1 for _ in islice(elements, _MOST_ELEMENTS)) == _MOST_ELEMENTS:
+                raise ValueError(f'it has more than {_MOST_ELEMENTS} elements')
+        except (ElementTree.ParseError, ValueError, LookupError) as error:
+            raise BagError(f'{self.path} is not XML that can be read: {error}; {fix}') from error
+        return root
 
 
-def number_in(cell: str) -> float:
-    """A number of a file's head, maybe with a decimal comma; 0 where there is none."""
-    number = _number_or_inf(cell.strip().replace(',', '.'))
-    return number if math.isfinite(number) else 0.0
-
-
-def _read(path: Path) -> bytes:
-    try:
-        return read_limited(path, MOST)
-    except OSError as error:
-        if error.errno == errno.EFBIG:
-            raise BagError(
-                f'{path} is larger than {MOST >> 20} MiB; fix: cut it into parts'
-            ) from error
-        raise BagError(
-            f'{path} cannot be read: {error.strerror}; fix: check the path and its rights'
-        ) from error
+def _unreadable(path: Path, error: OSError) -> BagError:
+    if error.errno == errno.EFBIG:
+        return BagError(f'{path} is larger than {MOST >> 20} MiB; fix: cut it into parts')
+    return BagError(f'{path} cannot be read: {error.strerror}; fix: check the path and its rights')
 
 
 def not_utf8(path: Path, line: int) -> BagError:
     return BagError(f'{path}, line {line}: not UTF-8; fix: save it as CSV UTF-8')
 
 
-def shown(text: str) -> str:
-    """Text of a file for a message: cut, and harmless to a terminal."""
-    return printable(text if len(text) <= _SHOWN else f'{text[:_SHOWN]}...')
-
-
-def no_points(path: Path, why: str, fix: str) -> BagError:
-    return BagError(f'{path} {why}; fix: {fix}')
-
-
-def check_cells(path: Path, count: int) -> None:
-    """Raise BagError when a file has more cells than are held in memory."""
-    if count > MOST_CELLS:
-        raise BagError(
-            f'{path} has more than {MOST_CELLS} cells; fix: cut it into parts, or leave out '
-            'columns that are not positions'
-        )
-
-
-def check_names(path: Path, names: Sequence[str]) -> None:
-    """Raise BagError when two markers have one name, or there is none."""
-    if not names:
-        raise no_points(path, 'has no markers', 'export positions of markers, too')
-    name, count = Counter(names).most_common(1)[0]
-    if count > 1:
-        raise BagError(f"{path}: marker '{shown(name)}' is there {count} times; fix: rename one")
-
-
-def whole_numbers(path: Path, numbers: np.ndarray, lines: Sequence[int], name: str) -> np.ndarray:
-    """Numbers of frames as int64; raises BagError when they are not, or do not rise."""
-    whole = np.empty(len(numbers), np.int64)
-    # Some at a time, since there can be millions.
-    for first in range(0, len(numbers), _BLOCK_CELLS):
-        part = slice(first, first + _BLOCK_CELLS)
-        whole[part] = np.rint(np.nan_to_num(numbers[part], nan=-1.0))
-        bad = ~(np.abs(whole[part] - numbers[part]) < 1e-6)
-        before = whole[max(0, first - 1) : part.stop]
-        bad[len(bad) - len(before) + 1 :] |= np.diff(before) <= 0
-        if bad.any():
-            row = first + int(bad.argmax())
-            raise BagError(
-                f'{path}, line {lines[row]}, column {name}: {numbers[row]:.10g} is not the number '
-                'of a frame after the one before; fix: a number for each frame, in order'
-            )
-    return whole
-
-
-def claimed_frames(path: Path, claim: str, count: int) -> list[str]:
+def claimed(path: Path, claim: str, count: int, things: str = 'frames') -> list[str]:
     """Note that the head of a file claims another number of frames than the file has."""
     said = number_in(claim)
     if not said or said == count:
         return []
-    return [f'{path} says that it has {said:.0f} frames, and has {count}']
+    return [f'{path} says that it has {said:.0f} {things}, and has {count}']
 
 
 def frame_times(
@@ -482,30 +193,11 @@ def _not_utf8_line(data: bytes) -> int:
     if data.isascii():
         return 0
     decoder = getincrementaldecoder('utf-8')()
-    for first in range(0, len(data), _ROW_CHARACTERS):
-        piece = data[first : first + _ROW_CHARACTERS]
+    for first in range(0, len(data), ROW_CHARACTERS):
+        piece = data[first : first + ROW_CHARACTERS]
         begun = first - len(decoder.getstate()[0])
         try:
             decoder.decode(piece, final=first + len(piece) == len(data))
         except UnicodeDecodeError as error:
             return data.count(b'\n', 0, begun + error.start) + 1
     return 0
-
-
-def _numbers_or_inf(cells: Sequence[str], have_decimal_commas: bool) -> list[float]:
-    """Numbers of cells, NaN where they are empty, infinity where they are no numbers."""
-    text = ''.join(cells)
-    if have_decimal_commas and ',' in text:
-        cells = [cell.replace(',', '.') for cell in cells]
-    if text.isascii() and '_' not in text:
-        # All else that float takes and _NUMBER does not is infinite.
-        try:
-            return [float(cell) if cell else math.nan for cell in cells]
-        except ValueError:
-            pass
-    return [_number_or_inf(cell.strip() or 'nan') for cell in cells]
-
-
-def _number_or_inf(cell: str) -> float:
-    """A number in ASCII digits, or NaN; infinity for all else, such as 1_000 or Arabic digits."""
-    return float(cell) if _NUMBER.fullmatch(cell) else math.inf

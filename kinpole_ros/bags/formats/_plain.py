@@ -1,21 +1,20 @@
-"""The plain table, which anyone can write: a line of names, then a line a frame."""
+"""
+The plain table, which anyone can write: a line of names, then a line a frame.
+
+Anipose writes such a table, too: fnum, and x, y, z, error, ncams and score of each point, in the
+unit of its calibration.
+"""
 
 import re
 from collections import Counter
+from collections.abc import Sequence
 from itertools import product
 
 import numpy as np
 
 from kinpole_ros.bags._files import BagError
-from kinpole_ros.bags.formats._file import (
-    File,
-    Format,
-    Points,
-    Sheet,
-    Wanted,
-    not_utf8,
-    shown,
-)
+from kinpole_ros.bags.formats._file import File, Format, Points, Wanted, not_utf8
+from kinpole_ros.bags.formats._sheet import Sheet, shown, whole_numbers
 
 # "time", "Time (s)", "t [s]", "timestamp_ns", "time_ms".
 _TIME = re.compile(
@@ -31,19 +30,57 @@ _SECONDS = {
     **dict.fromkeys(('min', 'minute', 'minutes'), 60.0),
 }
 _AXES = ('_x', '_y', '_z')
+# Where no column is named NAME_x: "x", "X (mm)", "x1", "tip x", "tip.x [cm]".
+_COORDINATE = re.compile(
+    r'(?:(?P<name>.+)[ _.:/-])?(?P<axis>[xyz])(?P<number>[0-9]*)\s*(?:[(\[](?P<unit>.*)[)\]])?',
+    re.IGNORECASE,
+)
 
 
 def _recognizes(file: File) -> bool:
-    return file.is_text and any(cell.endswith(_AXES) for cell in file.sheet.head(0))
+    return file.is_sheet and bool(_axes_by_marker(_header(file.sheet))[0])
+
+
+def _is_anipose(file: File) -> bool:
+    header = _header(file.sheet) if file.is_sheet else []
+    return 'fnum' in header and any(name.endswith('_ncams') for name in header)
+
+
+def _header(sheet: Sheet) -> list[str]:
+    """Names of columns; numpy puts a # before the first."""
+    return [name.removeprefix('#').strip() for name in sheet.head(0)]
+
+
+def _axes_by_marker(header: Sequence[str]) -> tuple[dict[str, dict[str, int]], str]:
+    """
+    Columns by marker and axis, in the order of the header, and the unit that they say, else ''.
+
+    Where no column is named NAME_x, those with x and y in another writing count.
+    """
+    found: dict[str, dict[str, int]] = {}
+    for column, title in enumerate(header):
+        if title[:-2] and title[-2:] in _AXES:
+            found.setdefault(title[:-2], {})[title[-1]] = column
+    if found:
+        return found, ''
+    units = set()
+    for column, title in enumerate(header):
+        if match := _COORDINATE.fullmatch(title):
+            name = match['name'] or f'point{match["number"]}'
+            found.setdefault(name, {}).setdefault(match['axis'].lower(), column)
+            units.add((match['unit'] or '').strip())
+    found = {name: axes for name, axes in found.items() if 'x' in axes and 'y' in axes}
+    return found, ' and '.join(sorted(units))
 
 
 def _read(file: File, wanted: Wanted) -> Points:
     """
     NAME_x and NAME_y for each marker, NAME_z where there is one (else z is 0), and t, in s,
-    or another column named as one of times.
+    or another column named as one of times. One marker may have columns x and y alone.
 
     Other columns are ignored. A cell that is empty or 'nan' means that its marker was not seen in
-    that frame. The unit is m. Raises BagError naming line and column when it is not so.
+    that frame. The unit is m, if no column says another. Raises BagError naming line and column
+    when it is not so.
     """
     sheet, path = file.sheet, file.path
     if sheet.not_utf8_line:
@@ -51,7 +88,7 @@ def _read(file: File, wanted: Wanted) -> Points:
     if len(sheet) < 2:
         has = 'has no frames, only a line of names' if len(sheet) else 'is empty'
         raise BagError(f'{path} {has}; fix: give a line of names and a line for each frame')
-    header, head_line = sheet.head(0), sheet.lines[0]
+    header, head_line = _header(sheet), sheet.lines[0]
     for name, count in Counter(header).items():
         if name and count > 1:
             raise BagError(
@@ -62,22 +99,23 @@ def _read(file: File, wanted: Wanted) -> Points:
             f'{path}, line {sheet.lines[uneven]}: {len(sheet.head(uneven))} cells under '
             f'{len(header)} names; fix: as many separators in each line'
         )
-    places = {name: index for index, name in enumerate(header)}
-    # A dict, not a set: markers keep the order of the columns.
-    names = list(dict.fromkeys(c[:-2] for c in header if c[:-2] and c[-2:] in _AXES))
+    axes, unit = _axes_by_marker(header)
+    names = list(axes)
     if not names:
         raise BagError(
             f'{path}, line {head_line}: no column is named NAME_x; fix: name the columns of each '
             'marker NAME_x and NAME_y, with commas between them'
         )
-    for name, end in product(names, _AXES[:2]):
-        if f'{name}{end}' not in places:
+    for name, axis in product(names, 'xy'):
+        if axis not in axes[name]:
             raise BagError(
                 f"{path}, line {head_line}: marker '{shown(name)}' has no column "
-                f'{shown(name + end)}; fix: add it'
+                f'{shown(f"{name}_{axis}")}; fix: add it'
             )
-    columns = [[places[name + end] for end in _AXES if name + end in places] for name in names]
-    time_column = None if wanted.rate is not None else _time_column(sheet)
+    columns = [[axes[name][axis] for axis in 'xyz' if axis in axes[name]] for name in names]
+    if _is_anipose(file):
+        return _of_anipose(file, names, columns, wanted)
+    time_column = None if wanted.rate is not None else _time_column(sheet, header)
     title = 't' if time_column is None else header[time_column[0]]
     also = None if time_column is None else (time_column[0], title)
     points, numbers = sheet.points(columns, names, 1, also=also, separator='_')
@@ -86,20 +124,33 @@ def _read(file: File, wanted: Wanted) -> Points:
         points,
         np.arange(len(points)),
         None if time_column is None else numbers * time_column[1],
-        'm',
+        unit or 'm',
         lines=sheet.lines[1:],
         time_column=shown(title),
     )
 
 
-def _time_column(sheet: Sheet) -> tuple[int, float] | None:
+def _of_anipose(file: File, names: list[str], columns: list[list[int]], wanted: Wanted) -> Points:
+    """Points by the number of their frame, less those of little score where that is wanted."""
+    sheet = file.sheet
+    header = _header(sheet)
+    number = (header.index('fnum'), 'fnum')
+    points, numbers = sheet.points(columns, names, 1, also=number, separator='_')
+    for k, name in enumerate(names):
+        if wanted.likelihood is not None and f'{name}_score' in header:
+            score = sheet.column(header.index(f'{name}_score'), 1, f'{name}_score')
+            points[~(score >= wanted.likelihood), k] = np.nan
+    frames = whole_numbers(file.path, numbers, sheet.lines[1:], 'fnum')
+    return Points(names, points, frames, None, '', lines=sheet.lines[1:])
+
+
+def _time_column(sheet: Sheet, header: list[str]) -> tuple[int, float] | None:
     """
     Index of the column of times and the seconds of its unit; None where there is none.
 
     A column t is that of times, whatever others there are. Raises BagError where several others
     could be, or one is in a unit that is not known.
     """
-    header = sheet.head(0)
     if 't' in header:
         return header.index('t'), 1.0
     found = {}
@@ -122,6 +173,14 @@ def _time_column(sheet: Sheet) -> tuple[int, float] | None:
     return None
 
 
+ANIPOSE = Format(
+    'anipose',
+    'Anipose .csv of points in space',
+    'tip_x,tip_y,tip_z,tip_error,tip_ncams,tip_score,fnum\n1.25,2.5,3.3,0.4,3,0.98,0',
+    _is_anipose,
+    _read,
+    is_always_ended=True,
+)
 FORMAT = Format(
     'table',
     'columns NAME_x, NAME_y, maybe NAME_z, and t in seconds',

@@ -13,12 +13,10 @@ from kinpole_ros.bags.formats._file import (
     File,
     Format,
     Points,
-    Sheet,
     Wanted,
     frame_times,
-    number_in,
-    shown,
 )
+from kinpole_ros.bags.formats._sheet import Sheet, number_in, shown
 
 _SECTION = 'Trajectories'
 _FIX = 'export trajectories as ASCII from Nexus again'
@@ -26,7 +24,7 @@ _FIX = 'export trajectories as ASCII from Nexus again'
 
 def _recognizes(file: File) -> bool:
     title = _SECTION.encode()
-    return file.is_text and title in file.data and _section(file.sheet) is not None
+    return file.is_sheet and title in file.data and _section(file.sheet) is not None
 
 
 def _section(sheet: Sheet) -> int | None:
@@ -46,14 +44,9 @@ def _read(file: File, wanted: Wanted) -> Points:
     if row is None:
         raise BagError(f'{path} has no section {_SECTION}; fix: {_FIX}')
     names_row, axes, units, first = row + 2, row + 3, row + 4, row + 5
-    columns: dict[str, list[int]] = {}
-    name = ''
-    for column in range(2, len(sheet.head(axes))):
-        name = sheet.cell(names_row, column) or name
-        # With velocities there are X', too.
-        if name and sheet.cell(axes, column) in ('X', 'Y', 'Z'):
-            columns.setdefault(name, []).append(column)
-    sheet.check_axes(columns, axes, 'Nexus')
+    # With velocities there are X', too.
+    places = [c for c, axis in enumerate(sheet.head(axes)) if c > 1 and axis in ('X', 'Y', 'Z')]
+    columns = sheet.markers(names_row, axes, places)
     named = {sheet.cell(units, column) for places in columns.values() for column in places}
     if len(named) > 1:
         raise BagError(
@@ -66,10 +59,6 @@ def _read(file: File, wanted: Wanted) -> Points:
     )
     names, points, frames, lines = sheet.frames(columns, first, end=end)
     rate = number_in(sheet.cell(row + 1, 0))
-    if wanted.rate is None and not rate > 0:
-        raise BagError(
-            f'{path}, line {sheet.lines[row + 1]}: no rate under {_SECTION}; fix: give --rate HZ'
-        )
     times = None if wanted.rate is not None else frame_times(frames, rate)
     return Points(names, points, frames, times, named.pop(), lines=lines)
 

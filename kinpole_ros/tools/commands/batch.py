@@ -54,7 +54,7 @@ def add(commands: Any) -> None:
         'bags',
         metavar='BAG',
         nargs='*',
-        help='.mcap files and rosbag2 folders, or URLs such as s3://lab/run.mcap',
+        help='.mcap and .db3 files and rosbag2 folders, or URLs such as s3://lab/run.mcap',
     )
     batch.add_argument(
         '--list',

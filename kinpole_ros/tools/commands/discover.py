@@ -38,7 +38,7 @@ def add(commands: Any) -> None:
     discover.add_argument(
         'source',
         metavar='BAG_OR_TOPIC',
-        help='an .mcap file or a rosbag2 folder, or a topic that is being published',
+        help='an .mcap or .db3 file or a rosbag2 folder, or a topic that is being published',
     )
     discover.add_argument(
         '--topic', metavar='T', help='topic of the markers in the bag (/markers, or the only one)'

@@ -31,7 +31,7 @@ def add(commands: Any) -> None:
         metavar='SCENE',
         help='the scene to fit: a file, or a name that `kinpole simulate --list` has',
     )
-    fit.add_argument('bag', metavar='BAG', help='an .mcap file or a rosbag2 folder')
+    fit.add_argument('bag', metavar='BAG', help='an .mcap or .db3 file or a rosbag2 folder')
     fit.add_argument(
         '--config',
         metavar='FILE',

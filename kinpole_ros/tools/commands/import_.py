@@ -21,25 +21,32 @@ def add(commands: Any) -> None:
         description='Reads tracked points as other programs write them. What a file says of units\n'
         'and times is used; what it does not say is asked for. Pixels count y down.\n'
         '\n'
-        '  table       columns NAME_x, NAME_y, maybe NAME_z, and t in s (or time_ms ...), in m\n'
-        '  deeplabcut  .csv or .h5 (which needs h5py), one animal or several\n'
-        '  sleap       analysis .csv\n'
-        '  kinovea     trajectories as .csv\n'
-        '  tracker     data files of Tracker (Open Source Physics), one track or several\n'
+        '  table       columns NAME_x, NAME_y, maybe NAME_z, and t in s (or time_ms ...), in m;\n'
+        '              or t, x, y of one point\n'
+        '  deeplabcut  .csv or .h5, one animal or several\n'
+        '  sleap       analysis .csv or .h5\n'
+        '  anipose     .csv of points in space\n'
+        '  keypoints   OpenPose, a folder of .json; COCO .json\n'
+        '  kinovea     trajectories as .csv, .txt or .xml, and angles as .csv\n'
+        '  tracker     data files and .trk of Tracker (Open Source Physics)\n'
         '  motive      .csv of OptiTrack\n'
         '  vicon       .csv of Nexus\n'
+        '  qualisys    .tsv, 3D or 6D\n'
         '  trc         .trc of OpenSim, Cortex and others\n'
-        '  c3d         .c3d (which needs c3d)\n'
+        '  c3d         .c3d\n'
+        '  bag         .bag of ROS 1; .db3, .mcap or a folder of ROS 2: markers, poses, or what\n'
+        '              mocap4r2, motion_capture_tracking and VRPN publish\n'
         '\n'
-        f'The two packages: {install_command("formats")}\n'
+        f'.h5 needs h5py: {install_command("formats")}\n'
         'Cells are separated by commas, semicolons or tabs; with the latter two, decimals may be\n'
-        'commas. Empty cells are markers that were not seen.',
+        'commas. Empty cells are markers that were not seen. Poses of bodies are written to /tf.',
         epilog='examples:\n'
         '  kinpole import walk.trc --output walk.mcap\n'
+        '  kinpole import run_6D.tsv --output run.mcap\n'
         '  kinpole import videoDLC_resnet50.csv --rate 240 --scale 0.00051 --output video.mcap\n',
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    imported.add_argument('file', metavar='FILE', help='the file of points')
+    imported.add_argument('file', metavar='FILE', help='the file of points, or a folder')
     imported.add_argument('--output', metavar='BAG', required=True, help='.mcap file to write')
     imported.add_argument(
         '--format', default='auto', metavar='NAME', help='one of the above (auto: by content)'

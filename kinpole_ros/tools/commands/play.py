@@ -13,7 +13,7 @@ def add(commands: Any) -> None:
         help='publish a bag, where there is no ros2 bag play',
         description='Publishes a bag at the pace it was recorded, once somebody listens.',
     )
-    play.add_argument('bag', metavar='BAG', help='an .mcap file or a rosbag2 folder')
+    play.add_argument('bag', metavar='BAG', help='an .mcap or .db3 file or a rosbag2 folder')
     play.add_argument('--topic', action='append', metavar='T', help='only this one; repeatable')
     play.add_argument(
         '--speed',

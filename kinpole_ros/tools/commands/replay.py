@@ -34,7 +34,7 @@ def add(commands: Any) -> None:
     replay.add_argument(
         'bag',
         metavar='BAG',
-        help='an .mcap file or a rosbag2 folder; one without metadata.yaml is read as one '
+        help='an .mcap or .db3 file or a rosbag2 folder; one without metadata.yaml is read as one '
         'recording of all its .mcap files',
     )
     replay.add_argument(

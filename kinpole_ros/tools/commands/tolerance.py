@@ -30,8 +30,9 @@ def add(commands: Any) -> None:
         default=(),
         metavar='NAME=DEVIATION',
         help='standard deviations of a point, a length or an angle (coupler.B=0.1mm), of all of a '
-        'body, vector or joint, or of every length or angle; radial play of a pin (play:B=0.05mm); '
-        'or a file with what `kinpole fit` printed (length=0.1mm angle=0.1deg)',
+        'body, vector or joint, or of every length or angle; play (play:B=0.05mm): radial of pins, '
+        'to either side of a slot, half the backlash of gears; or a file with what `kinpole fit` '
+        'printed (length=0.1mm angle=0.1deg)',
     )
     tolerance.add_argument(
         '--samples',

@@ -40,6 +40,8 @@ _SCRIPTS = (
     'polygons',
     'input',
     'live',
+    'solver',
+    'edit',
     'page',
 )
 # Nothing may be loaded from anywhere; a live page has its stream.
@@ -136,7 +138,8 @@ def page(data: dict[str, Any]) -> str:
     If `data` has `live` instead, the page of a stream of events beside it.
     """
     live = 'live' in data
-    scripts = [name for name in _SCRIPTS if live or name != 'live']
+    wanted = {'live': live, 'solver': 'edit' in data, 'edit': 'edit' in data}
+    scripts = [name for name in _SCRIPTS if wanted.get(name, True)]
     parts = {
         'POLICY': f"{_POLICY}; connect-src 'self'" if live else _POLICY,
         'TITLE': html.escape(printable(data['title'])),

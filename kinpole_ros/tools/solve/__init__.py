@@ -9,7 +9,14 @@ from pathlib import Path
 
 import numpy as np
 
-from kinpole_ros.mechanism import Scene, SceneError, centrodes, load_scene, write_pitch_curves
+from kinpole_ros.mechanism import (
+    Scene,
+    SceneError,
+    centrodes,
+    load_scene,
+    scene_text,
+    write_pitch_curves,
+)
 from kinpole_ros.tools.solve._lines import (
     center_lines,
     course_lines,
@@ -116,7 +123,7 @@ def solve_scene(
         from kinpole_ros.tools.solve._page import write_page
 
         with writing(page) as part:
-            write_page(part, _whole(asked), there)
+            write_page(part, _whole(asked), there, text=scene_text(scene))
         lines.append(f'written to {page}')
     if picture:
         from kinpole_ros.tools.solve._picture import draw

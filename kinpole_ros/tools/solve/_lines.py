@@ -16,6 +16,7 @@ from kinpole_ros.mechanism import (
     reactions,
     transmission_angles,
     undetermined,
+    why_no_reactions,
 )
 from kinpole_ros.tools.solve._solved import (
     Acting,
@@ -211,8 +212,8 @@ def static_lines(solved: Solved) -> list[str]:
         loads = [*loads, load]
     else:
         lines += _effort_lines(scene, first, acts)
-    if not scene.mechanism.assembly.joints:
-        return [*lines, 'vectors have no joints: for what these bear write bodies and joints']
+    if reason := why_no_reactions(scene.mechanism):
+        return [*lines, reason]
     found = reactions(scene.mechanism, first, loads)
     rows = [
         [

@@ -12,8 +12,9 @@ import numpy as np
 
 from kinpole_ros import __version__
 from kinpole_ros.files import printable
-from kinpole_ros.mechanism import Rolling, Scene, poles
+from kinpole_ros.mechanism import Belt, Rolling, Scene, poles
 from kinpole_ros.tools.report import Record, pack, page
+from kinpole_ros.tools.solve._edit import editable
 from kinpole_ros.tools.solve._solved import Solved, acting, centers_of, rates_of
 from kinpole_ros.tools.solve._work import work_lines
 from kinpole_ros.tracking.estimate import POLE_NAMES, RATE_NAMES
@@ -27,12 +28,14 @@ def write_page(
     solved: Solved,
     here: Solved,
     deviations: Mapping[tuple[str, str], np.ndarray] | None = None,
+    text: str = '',
 ) -> None:
     """
     Write the motion over time, or over a range at the rate it is driven at, as one HTML file.
 
     The statics step by step, where there are loads, are those of the position `here`. Deviations
-    are columns (T, ...) of bodies as a `Record` has them.
+    are columns (T, ...) of bodies as a `Record` has them. With the `text` of the scene's file its
+    points can be dragged.
     """
     record = _record(solved, deviations or {})
     scene = solved.scene
@@ -63,16 +66,24 @@ def write_page(
         'exact': deviations is None,
         'made': f'kinpole {__version__}',
     }
+    if text and (edit := editable(solved, text, _by_time(solved))):
+        data['edit'] = edit
     path.write_text(page(data), encoding='utf-8')
+
+
+def _by_time(solved: Solved) -> np.ndarray:
+    """The order (T,) of rising time."""
+    return np.argsort(_times(solved))
+
+
+def _times(solved: Solved) -> np.ndarray:
+    return solved.inputs[0] / solved.rates[0] if solved.times is None else solved.times
 
 
 def _record(solved: Solved, deviations: Mapping[tuple[str, str], np.ndarray]) -> Record:
     """The motion as a report has it, by rising time."""
     mechanism, motion = solved.scene.mechanism, solved.motion
-    times = solved.times
-    if times is None:
-        times = solved.inputs[0] / solved.rates[0]
-    order = np.argsort(times)
+    times, order = _times(solved), _by_time(solved)
     stamp = np.round((times - times.min())[order] * 1e9).astype(np.int64)
     count = len(stamp)
     none, even = np.full(count, np.nan), np.full((count, 2, 2), np.nan)
@@ -121,13 +132,18 @@ def _record(solved: Solved, deviations: Mapping[tuple[str, str], np.ndarray]) ->
 
 
 def _rims(scene: Scene, body: str) -> list[tuple[complex, float]]:
-    """Circles of a body that roll: middles, complex, m, in its frame, and radii, m."""
+    """Circles of a body that roll or carry belts: middles in its frame, complex, and radii, m."""
     found = []
     for joint in scene.mechanism.assembly.joints:
         if isinstance(joint, Rolling) and joint.other == body:
             found.append((joint.b, joint.radius))
         if isinstance(joint, Rolling) and joint.one == body and joint.circle:
             found.append((joint.a, abs(joint.circle)))
+        if isinstance(joint, Belt):
+            ends = ((joint.one, joint.a), (joint.other, joint.b))
+            for (of, hub), radius in zip(ends, joint.radii, strict=True):
+                if of == body and radius:
+                    found.append((hub, abs(radius)))
     return list(dict.fromkeys(found))
 
 

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from kinpole_ros.mechanism import Rolling, center_name, poles, polygon
+from kinpole_ros.mechanism import Belt, Rolling, center_name, poles, polygon
 from kinpole_ros.tools.solve._solved import (
     Solved,
     centers_of,
@@ -218,24 +218,35 @@ def _draw_vectors(axis: Any, at: Solved) -> dict[int, complex]:
 
 def _wheels(at: Solved) -> list[tuple[int, np.ndarray]]:
     """
-    Circles that roll, complex, by the numbers of their bodies, -1 for the ground's.
+    Circles that roll or carry belts, complex, by the numbers of their bodies, -1 for the ground's.
 
-    A wheel with a spoke, and the circle that it rolls on.
+    A wheel with a spoke, the circle that it rolls on, and the strand of a belt.
     """
     mechanism, wheels = at.scene.mechanism, []
     circle = np.exp(1j * np.linspace(0, 2 * np.pi, 73))
     for joint in mechanism.assembly.joints:
-        if not isinstance(joint, Rolling):
+        if isinstance(joint, Rolling):
+            radii = abs(joint.circle), joint.radius
+        elif isinstance(joint, Belt):
+            radii = abs(joint.radii[0]), abs(joint.radii[1])
+        else:
             continue
+        spoke = np.append(0, circle)
         for body, hub, rim in (
-            (joint.other, joint.b, joint.radius * np.append(0, circle)),
-            (joint.one, joint.a, abs(joint.circle) * circle),
+            (joint.other, joint.b, radii[1] * spoke),
+            (joint.one, joint.a, radii[0] * (spoke if isinstance(joint, Belt) else circle)),
         ):
             b = mechanism.bodies.index(body) if body in mechanism.bodies else -1
             place, turn = (at.motion.position[0, b, 0], at.motion.angle[0, b, 0])
             place, turn = (place, np.exp(1j * turn)) if b >= 0 else (0j, 1.0)
             if rim.any():
                 wheels.append((b, place + (hub + rim) * turn))
+        if isinstance(joint, Belt):
+            values = dict(zip(mechanism.assembly.loops.variables, at.values[:, 0], strict=True))
+            along = np.exp(1j * values[f'{joint.name}.angle'])
+            # From the wheel on the body `one`, the last of the two above.
+            ends = np.array([0.0, values[joint.name]]) + 1j * joint.radii[0]
+            wheels.append((-1, place + joint.a * turn + ends * along))
     return wheels
 
 

@@ -13,6 +13,7 @@ from kinpole_ros.mechanism import (
     poles,
     reactions,
     transmission_angles,
+    why_no_reactions,
 )
 from kinpole_ros.tools.solve._solved import (
     Solved,
@@ -87,7 +88,7 @@ def write_table(path: Path, solved: Solved, centers: bool, statics: bool) -> Non
         borne = efforts(solved.scene.mechanism, solved.values, loads)
         for k, driver in enumerate(solved.scene.mechanism.drivers):
             columns[f'{driver.name}_effort'] = borne.effort[k]
-        if solved.scene.mechanism.assembly.joints:
+        if not why_no_reactions(solved.scene.mechanism):
             forces = reactions(solved.scene.mechanism, solved.values, loads)
             for j, joint in enumerate(forces.joints):
                 columns[f'{joint}_force_x'] = forces.force[j].real

@@ -16,6 +16,7 @@ from kinpole_ros.mechanism import (
     holding,
     load_rates,
     releases,
+    why_no_reactions,
 )
 from kinpole_ros.tools.solve._lines import table_lines
 from kinpole_ros.tools.solve._solved import Solved, loaded_by, shown
@@ -120,8 +121,8 @@ def _parts(load: Load, z: complex) -> tuple[float | str, float | str]:
 def _bearings(here: Solved, named: dict[str, Load]) -> list[str]:
     """Each bearing let go in one direction after the other: the loads' power is what it bears."""
     mechanism = here.scene.mechanism
-    if not mechanism.assembly.joints:
-        return ['', 'vectors have no joints: for what these bear write bodies and joints']
+    if reason := why_no_reactions(mechanism):
+        return ['', reason]
     released, loads = releases(mechanism, here.values, list(named.values()))
     names: Sequence[str] = [name.partition(' ')[0] for name in named]
     names = [*names, *('teeth' for _ in loads[len(named) :])]

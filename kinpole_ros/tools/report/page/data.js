@@ -93,6 +93,18 @@ function instantAt(data, time) {
   return low > 0 && time - data.t[low - 1] < data.t[low] - time ? low - 1 : low;
 }
 
+// All columns of instants.
+function* columnsIn(data) {
+  yield data.t;
+  const parts = [...data.bodies, ...data.pairs.flatMap(({ icr, rate }) => [icr, rate])];
+  for (const part of parts) {
+    for (const column of Object.values(part)) {
+      if (column instanceof Float64Array) yield column;
+      else if (column?.constructor === Object) yield* Object.values(column).filter((c) => c instanceof Float64Array);
+    }
+  }
+}
+
 // Why a figure of a body is not there at instant k; what is of the ICR needs the ICR.
 function reasonAt(body, name, k) {
   const of = (one) => [...body.missing, ...(body.withheld[one] ?? [])];

@@ -133,17 +133,6 @@ function emptyRecord(rig) {
   return { live: true, t, along: rig.along, bodies, pairs, joints: [], notes: [], deviations: [] };
 }
 
-function* columnsIn(data) {
-  yield data.t;
-  const parts = [...data.bodies, ...data.pairs.flatMap(({ icr, rate }) => [icr, rate])];
-  for (const part of parts) {
-    for (const column of Object.values(part)) {
-      if (column instanceof Float64Array) yield column;
-      else if (column?.constructor === Object) yield* Object.values(column).filter((c) => c instanceof Float64Array);
-    }
-  }
-}
-
 // One more instant, and the oldest gone. Stamps that jump begin anew.
 function append(data, { t, bodies, pairs }) {
   const last = data.n - 1;

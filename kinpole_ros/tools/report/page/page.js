@@ -21,9 +21,9 @@ function makePage(data, off = HIDDEN, moved = () => {}) {
   let waiting = '';
   let time = 0;
 
-  // Drawn again is what moves in the picture, for 'pose'; for 'move' what moves with the cursor; for
-  // 'rest' all. Once a frame, however often asked for.
-  const parts = ['', 'pose', 'move', 'rest'];
+  // Drawn again is what moves in the picture, for 'pose'; all of the picture, for 'shape'; for 'move'
+  // what moves with the cursor; for 'rest' all. Once a frame, however often asked for.
+  const parts = ['', 'pose', 'shape', 'move', 'rest'];
   function redraw(what = 'move') {
     if (!waiting) requestAnimationFrame(show);
     if (parts.indexOf(what) > parts.indexOf(waiting)) waiting = what;
@@ -32,12 +32,12 @@ function makePage(data, off = HIDDEN, moved = () => {}) {
   function show() {
     const what = waiting;
     waiting = '';
-    if (what !== 'pose') {
+    if (what === 'move' || what === 'rest') {
       charts[what]();
       table.move();
     }
-    stage[what === 'rest' ? 'rest' : 'move']();
-    polygons?.draw();
+    stage[what === 'rest' || what === 'shape' ? 'rest' : 'move']();
+    if (what === 'move' || what === 'rest') polygons?.draw();
     by('scrub').value = page.k;
     by('clock').textContent = `t = ${data.t[page.k].toFixed(3)} s`;
   }
@@ -259,6 +259,7 @@ function show(data) {
   by('work').querySelector('pre').textContent = (data.work || []).join('\n').trim();
   if (data.solved) by('now').after(by('polygons'));
   const actions = makePage(data);
+  if (data.edit) makeEditor(actions);
   actions.open();
   const still = matchMedia('(prefers-reduced-motion: reduce)').matches;
   if (!toAddress(actions) && !still) actions.play(true);

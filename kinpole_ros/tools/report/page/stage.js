@@ -30,9 +30,14 @@ function makeStage(element, page, data) {
     jump = frame(data, jump);
     extent = Math.hypot(jump.width, jump.height) || 1;
     thickness = 0.022 * extent;
-    points = data.bodies.map((body) => anchors(data, body));
+    reshape();
     fastest = Math.max(fastest, topSpeed(data, points));
     if (sizes && !view.held && known !== Object.values(jump).join()) fit();
+  }
+
+  // Bodies that have other points than before.
+  function reshape() {
+    points = data.bodies.map((body) => anchors(data, body));
   }
 
   // All of the motion that is known now.
@@ -70,14 +75,14 @@ function makeStage(element, page, data) {
 
   // Lines in the world, thinned for this scale: made anew when it changes.
   function lociOf(body) {
-    if (!loci.has(body)) loci.set(body, lociPaths(data, body, points, 0.7 / view.scale, extent));
+    if (!loci.has(body)) loci.set(body, lociPaths(data, body, points, (page.dragging ? 4 : 0.7) / view.scale, extent));
     return loci.get(body);
   }
 
   // What rests: the grid, tracks of markers, fixed centrodes.
   function rest() {
     sizes = fitted(under, page.printing);
-    if (data.live || loci.scale !== view.scale) loci = Object.assign(new Map(), { scale: view.scale });
+    if (data.live || data.edited || loci.scale !== view.scale) loci = Object.assign(new Map(), { scale: view.scale });
     const { context } = sizes;
     drawGrid(context);
     for (const body of shown()) {
@@ -165,8 +170,15 @@ function makeStage(element, page, data) {
 
   // What moves, at the instant of the cursor.
   function move() {
-    moving.draw(fitted(over, page.printing).context, page.k);
+    const { context } = fitted(over, page.printing);
+    moving.draw(context, page.k);
+    page.drawOver?.(context);
   }
 
-  return { fit, whole, learn, rest, move, view, get sizes() { return sizes; } };
+  // The place in the plane that is at so many pixels.
+  const plane = (left, top) => [
+    view.x + (left - sizes.width / 2) / view.scale, view.y + (sizes.height / 2 - top) / view.scale,
+  ];
+
+  return { fit, whole, learn, reshape, rest, move, view, screen, plane, get sizes() { return sizes; } };
 }

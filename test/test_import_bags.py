@@ -1,0 +1,300 @@
+"""Bags of other storages, and messages of trackers, are read by the definitions in the bag."""
+
+import sqlite3
+from collections.abc import Callable
+from functools import cache
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from rosbags.rosbag1 import Writer as Ros1Writer
+from rosbags.rosbag2 import StoragePlugin
+from rosbags.rosbag2 import Writer as Ros2Writer
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+from kinpole_ros.bags import BagError, import_points, read_messages, replay, topics
+from kinpole_ros.messages import PoseReader, deserialize_message
+from kinpole_ros.messages._types import MarkerArray
+from kinpole_ros.tools.cli import main
+from kinpole_ros.tracking.parameters import load_settings
+
+ROOT = Path(__file__).parents[1]
+FIRST = 1_700_000_000_123_456_789  # ns
+STEP = 10_000_000  # ns
+PLACES = np.random.default_rng(3).normal(size=(5, 2, 3)).round(3)
+HEAD = 'std_msgs/Header header\nuint32 frame_number\n'
+# As the packages of these types define them.
+TYPES = {
+    'mocap4r2_msgs/msg/Marker': 'int8 USE_NAME=0\nint8 USE_INDEX=1\nint8 USE_BOTH=2\nint8 id_type\n'
+    'int32 marker_index\nstring marker_name\ngeometry_msgs/Point translation\n',
+    'mocap4r2_msgs/msg/Markers': f'{HEAD}mocap4r2_msgs/Marker[] markers\n',
+    'mocap4r2_msgs/msg/RigidBody': 'string rigid_body_name\nmocap4r2_msgs/Marker[] markers\n'
+    'geometry_msgs/Pose pose\n',
+    'mocap4r2_msgs/msg/RigidBodies': f'{HEAD}mocap4r2_msgs/RigidBody[] rigidbodies\n',
+    'motion_capture_tracking_interfaces/msg/NamedPose': 'string name\ngeometry_msgs/Pose pose\n',
+    'motion_capture_tracking_interfaces/msg/NamedPoseArray': 'std_msgs/Header header\n'
+    'motion_capture_tracking_interfaces/NamedPose[] poses\n',
+}
+
+
+class Maker:
+    """Makes messages of ROS 1 or 2 with the classes of rosbags."""
+
+    def __init__(self, stores: Stores) -> None:
+        self.store: Any = get_typestore(stores)
+        self.is_ros1 = stores == Stores.ROS1_NOETIC
+        for name, text in TYPES.items():
+            self.store.register(get_types_from_msg(text, name))
+
+    def make(self, name: str, *values: Any) -> Any:
+        package, short = name.split('/')
+        return self.store.types[f'{package}/msg/{short}'](*values)
+
+    def header(self, stamp: int) -> Any:
+        time = self.make('builtin_interfaces/Time', stamp // 10**9, stamp % 10**9)
+        return self.make('std_msgs/Header', *[7][: self.is_ros1], time, 'world')
+
+    def point(self, place: Any) -> Any:
+        return self.make('geometry_msgs/Point', *map(float, place))
+
+    def pose(self, place: Any, turn: Any = (0, 0, 0.6, 0.8)) -> Any:
+        quaternion = self.make('geometry_msgs/Quaternion', *map(float, turn))
+        return self.make('geometry_msgs/Pose', self.point(place), quaternion)
+
+
+def mocap_markers(m: Maker, k: int, topic: str) -> Any:
+    first, second = PLACES[k]
+    markers = [
+        m.make('mocap4r2_msgs/Marker', 2, 0, 'tip', m.point(first)),
+        m.make('mocap4r2_msgs/Marker', 1, 7, '', m.point(second)),
+    ]
+    return m.make('mocap4r2_msgs/Markers', m.header(FIRST + k * STEP), k, markers)
+
+
+def rigid_bodies(m: Maker, k: int, topic: str) -> Any:
+    bodies = [
+        m.make('mocap4r2_msgs/RigidBody', name, [], m.pose(place))
+        for name, place in zip(('arm', 'rod'), PLACES[k], strict=True)
+    ]
+    return m.make('mocap4r2_msgs/RigidBodies', m.header(FIRST + k * STEP), k, bodies)
+
+
+def named_poses(m: Maker, k: int, topic: str) -> Any:
+    package = 'motion_capture_tracking_interfaces'
+    poses = [
+        m.make(f'{package}/NamedPose', name, m.pose(place))
+        for name, place in zip(('arm', 'rod'), PLACES[k], strict=True)
+    ]
+    return m.make(f'{package}/NamedPoseArray', m.header(FIRST + k * STEP), poses)
+
+
+def stamped_pose(m: Maker, k: int, topic: str) -> Any:
+    """The second body is stamped a little later."""
+    body = int('rod' in topic)
+    header = m.header(FIRST + k * STEP + body * 2000)
+    return m.make('geometry_msgs/PoseStamped', header, m.pose(PLACES[k, body]))
+
+
+def pose_array(m: Maker, k: int, topic: str) -> Any:
+    poses = [m.pose(place) for place in PLACES[k]]
+    return m.make('geometry_msgs/PoseArray', m.header(FIRST + k * STEP), poses)
+
+
+def marker_array(m: Maker, k: int, topic: str) -> Any:
+    """In the layout of ROS 1, which has no textures."""
+    ones = m.make('geometry_msgs/Vector3', 1.0, 1.0, 1.0)
+    color = m.make('std_msgs/ColorRGBA', 1.0, 1.0, 1.0, 1.0)
+    life = m.make('builtin_interfaces/Duration', 0, 0)
+    markers = [
+        m.make('visualization_msgs/Marker', m.header(FIRST + k * STEP), 'rig', number, 2, 0,
+               m.pose(place), ones, color, life, False, [], [], 'text', '', False)
+        for number, place in enumerate(PLACES[k])
+    ]  # fmt: skip
+    return m.make('visualization_msgs/MarkerArray', markers)
+
+
+def cloud(m: Maker, k: int, topic: str) -> Any:
+    fields = [m.make('sensor_msgs/PointField', axis, 8 * n, 8, 1) for n, axis in enumerate('xyz')]
+    data = np.frombuffer(PLACES[k].astype('<f8').tobytes(), np.uint8)
+    header = m.header(FIRST + k * STEP)
+    return m.make('sensor_msgs/PointCloud2', header, 1, 2, fields, False, 24, 48, data, True)
+
+
+Kind = tuple[dict[str, str], Callable[[Maker, int, str], Any], tuple[str, ...]]
+KINDS: dict[str, Kind] = {
+    'mocap4r2 markers': ({'/m': 'mocap4r2_msgs/msg/Markers'}, mocap_markers, ('tip', '7')),
+    'mocap4r2 bodies': ({'/b': 'mocap4r2_msgs/msg/RigidBodies'}, rigid_bodies, ('arm', 'rod')),
+    'named poses': (
+        {'/poses': 'motion_capture_tracking_interfaces/msg/NamedPoseArray'},
+        named_poses,
+        ('arm', 'rod'),
+    ),
+    'a topic each': (
+        {f'/vrpn/{name}/pose': 'geometry_msgs/msg/PoseStamped' for name in ('arm', 'rod')},
+        stamped_pose,
+        ('arm', 'rod'),
+    ),
+    'pose array': ({'/markers': 'geometry_msgs/msg/PoseArray'}, pose_array, ('0', '1')),
+    'point cloud': ({'/points': 'sensor_msgs/msg/PointCloud2'}, cloud, ('0', '1')),
+    'marker array': (
+        {'/markers': 'visualization_msgs/msg/MarkerArray'},
+        marker_array,
+        ('rig/0', 'rig/1'),
+    ),
+}
+POSED = ('mocap4r2 bodies', 'named poses', 'a topic each')
+STORAGES: dict[str, Any] = {
+    'mcap': StoragePlugin.MCAP,
+    'db3': StoragePlugin.SQLITE3,
+    'bag': None,
+    'bz2': Ros1Writer.CompressionFormat.BZ2,
+    'lz4': Ros1Writer.CompressionFormat.LZ4,
+}
+# Messages of ROS 1 have a MarkerArray of their own.
+CASES = [
+    (kind, storage)
+    for kind in KINDS
+    for storage in STORAGES
+    if kind != 'marker array' or storage in ('bag', 'bz2', 'lz4')
+]
+
+
+@cache
+def makers() -> SimpleNamespace:
+    return SimpleNamespace(ros1=Maker(Stores.ROS1_NOETIC), ros2=Maker(Stores.ROS2_JAZZY))
+
+
+def write_bag(folder: Path, kind: str, storage: str) -> Path:
+    """A bag of five frames."""
+    types, make, _ = KINDS[kind]
+    if storage in ('mcap', 'db3'):
+        maker, path = makers().ros2, folder / 'bag'
+        writer: Any = Ros2Writer(path, version=9, storage_plugin=STORAGES[storage])
+        serialize = maker.store.serialize_cdr
+    else:
+        maker, path = makers().ros1, folder / 'run.bag'
+        writer = Ros1Writer(path)
+        if STORAGES[storage]:
+            writer.set_compression(STORAGES[storage])
+        serialize = maker.store.serialize_ros1
+    with writer:
+        links = {
+            topic: writer.add_connection(topic, name, typestore=maker.store)
+            for topic, name in types.items()
+        }
+        for k in range(len(PLACES)):
+            for topic, name in types.items():
+                message = serialize(make(maker, k, topic), name)
+                writer.write(links[topic], FIRST + k * STEP + 500, message)
+    return path
+
+
+def markers_in(bag: Path) -> tuple[list[int], dict[str, np.ndarray]]:
+    stamps, found = [], {}
+    for message in read_messages(bag, ['/markers']):
+        stamps.append(message.log_time)
+        for marker in deserialize_message(message.data, MarkerArray).markers:
+            place = marker.pose.position
+            found.setdefault(marker.ns, []).append([place.x, place.y, place.z])
+    return stamps, {name: np.array(rows) for name, rows in found.items()}
+
+
+@pytest.mark.parametrize(('kind', 'storage'), CASES)
+def test_markers_and_poses_are_exact(tmp_path, kind, storage):
+    names = KINDS[kind][2]
+    done = import_points(write_bag(tmp_path, kind, storage), tmp_path / 'out.mcap')
+    assert (done.format, done.markers, done.unit) == ('bag', names, 'm')
+    stamps, found = markers_in(tmp_path / 'out.mcap')
+    assert stamps == [FIRST + k * STEP for k in range(len(PLACES))]
+    for column, name in enumerate(names):
+        np.testing.assert_array_equal(found[name], PLACES[:, column])
+    assert ('/tf' in topics(tmp_path / 'out.mcap')) == (kind in POSED)
+    if kind in POSED:
+        reader = PoseReader('tf', names)
+        (frames,) = reader.read([m.data for m in read_messages(tmp_path / 'out.mcap', ['/tf'])])
+        np.testing.assert_array_equal(frames.points, PLACES)
+        # The quaternion (0, 0, 0.6, 0.8).
+        np.testing.assert_allclose(frames.axes[..., 0, :], [[[0.28, 0.96, 0]] * 2] * 5)
+
+
+def test_markers_of_one_name_in_a_message_are_numbered(tmp_path, monkeypatch):
+    make = Maker.make
+
+    def renamed(self: Maker, name: str, *values: Any) -> Any:
+        is_body = name.endswith('NamedPose')
+        return make(self, name, *(('arm', *values[1:]) if is_body else values))
+
+    monkeypatch.setattr(Maker, 'make', renamed)
+    done = import_points(write_bag(tmp_path, 'named poses', 'mcap'), tmp_path / 'out.mcap')
+    assert done.markers == ('arm', 'arm_2')
+    assert "they are numbered: 'arm_2'" in done.notes[0]
+
+
+def test_an_old_db3_has_no_definitions(tmp_path):
+    path = write_bag(tmp_path, 'mocap4r2 bodies', 'db3') / 'bag.db3'
+    with sqlite3.connect(path) as file:
+        file.execute('DROP TABLE message_definitions')
+    file.close()
+    assert import_points(path, tmp_path / 'out.mcap').markers == ('arm', 'rod')
+
+
+def test_a_db3_is_replayed_as_an_mcap_is(tmp_path):
+    source, store = ROOT / 'bags' / 'four_bar.mcap', makers().ros2.store
+    with Ros2Writer(tmp_path / 'run', version=9, storage_plugin=StoragePlugin.SQLITE3) as writer:
+        link = writer.add_connection(
+            '/markers', 'visualization_msgs/msg/MarkerArray', typestore=store
+        )
+        for message in read_messages(source, ['/markers']):
+            writer.write(link, message.log_time, message.data)
+    settings = load_settings(ROOT / 'config' / 'four_bar.yaml')
+    for name, bag in (
+        ('mcap', source), ('db3', tmp_path / 'run' / 'run.db3'), ('folder', tmp_path / 'run'),
+    ):  # fmt: skip
+        replay(bag, settings, csv=tmp_path / f'{name}.csv')
+    tables = {(tmp_path / f'{name}.csv').read_bytes() for name in ('mcap', 'db3', 'folder')}
+    assert len(tables) == 1
+
+
+def test_stamps_of_zero_are_those_of_the_log(tmp_path, monkeypatch):
+    header = Maker.header
+    monkeypatch.setattr(Maker, 'header', lambda self, stamp: header(self, 0))
+    done = import_points(write_bag(tmp_path, 'named poses', 'mcap'), tmp_path / 'out.mcap')
+    assert any('log times are taken' in note for note in done.notes)
+    assert markers_in(tmp_path / 'out.mcap')[0][0] == FIRST + 500
+
+
+def test_a_ros1_bag_that_is_cut_gives_what_comes_before(tmp_path):
+    path = write_bag(tmp_path, 'pose array', 'bag')
+    content = path.read_bytes()
+    path.write_bytes(content[: content.index(b'op=\x04') - 8])
+    done = import_points(path, tmp_path / 'out.mcap')
+    assert (done.frames, done.notes) == (5, ())
+    path.write_bytes(content[: len(content) // 3])
+    with pytest.raises(BagError, match='cut off or damaged before byte'):
+        import_points(path, tmp_path / 'out.mcap')
+
+
+@pytest.mark.parametrize('command', ['replay', 'discover'])
+def test_messages_of_trackers_in_place_of_markers_are_sent_to_import(tmp_path, capsys, command):
+    path = write_bag(tmp_path, 'mocap4r2 markers', 'mcap')
+    assert main([command, str(path), '--topic', '/m']) == 2
+    assert f'`kinpole import {path} --output ' in capsys.readouterr().err
+
+
+@pytest.mark.parametrize('command', ['replay', 'discover'])
+def test_a_ros1_bag_in_place_of_a_bag_is_sent_to_import(tmp_path, capsys, command):
+    path = write_bag(tmp_path, 'pose array', 'bag')
+    assert main([command, str(path)]) == 2
+    assert f'`kinpole import {path} --output ' in capsys.readouterr().err
+
+
+def test_a_bag_without_markers_says_what_it_has(tmp_path):
+    store = makers().ros2.store
+    with Ros2Writer(tmp_path / 'run', version=9, storage_plugin=StoragePlugin.MCAP) as writer:
+        link = writer.add_connection('/said', 'std_msgs/msg/String', typestore=store)
+        message = store.types['std_msgs/msg/String']('a')
+        writer.write(link, 1, store.serialize_cdr(message, 'std_msgs/msg/String'))
+    with pytest.raises(BagError, match=r'only /said \(std_msgs/msg/String\); fix: record one'):
+        import_points(tmp_path / 'run', tmp_path / 'out.mcap')
