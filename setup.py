@@ -60,6 +60,8 @@ setup(
                 f'{NAME}/derivatives/_derive.c',
                 f'{NAME}/derivatives/_derive_avx2.c',
                 f'{NAME}/planar/_kernel.c',
+                f'{NAME}/tracking/_step.c',
+                f'{NAME}/tracking/_follow.c',
             ],
             depends=glob(f'{NAME}/*/*.[ch]'),
         )

@@ -40,11 +40,11 @@ from bench._record import (
     quantities,
     stamps_of,
 )
-from kinpole_ros.derivatives import Windows
-from kinpole_ros.pipeline.frame import part_of
-from kinpole_ros.pipeline.parameters import Settings
-from kinpole_ros.pipeline.tracker import Tracker
+from kinpole_ros.derivatives import Derivatives, Poses, Windows
 from kinpole_ros.planar import fit_pose
+from kinpole_ros.tracking.frame import part_of
+from kinpole_ros.tracking.parameters import Settings
+from kinpole_ros.tracking.tracker import Tracker
 
 PIPELINE = 'the same pipeline, fixed 41/4'
 # Hindsight makes no method faster.
@@ -53,49 +53,43 @@ _AS_LONG = {FIXED: POLYNOMIAL, SPACED: DIFFERENCES, SAVGOL_BEST: SAVGOL, LIKELY:
 _FILL, _LIVE, _AT_ONCE = 200, 400, 1000
 
 
+def derive_fixed(
+    poses: Poses,
+    windows: Windows,
+    left_out: np.ndarray,
+    noise: np.ndarray,
+    window: float,
+    order: int,
+    effort: str = 'normal',
+) -> Derivatives:
+    """Differentiate by a local polynomial (41 samples, degree 4); arguments as `derive_poses`."""
+    (now,), (oldest,), (newest,) = windows
+    samples, degree = USUAL
+    last = min(now + (samples + 1) // 2, newest + 1)
+    rows = slice(max(last - samples, oldest), last)
+    times = poses.time[rows] - poses.time[now]
+    shape = order + 1, 1, noise.shape[1]
+    if len(times) <= degree:
+        bad, wide = np.full(shape, np.nan), np.full((order + 1, *shape), np.nan)
+        return Derivatives(bad + 0j, bad, wide, wide, bad[0], bad[0])
+    weights = _fixed_rows(times.tobytes(), degree)[: order + 1]
+    position = weights @ (poses.position[rows] - poses.position[now])
+    position[0] += poses.position[now]
+    spread = (weights @ weights.T)[..., None] * noise[0] ** 2
+    return Derivatives(
+        position[:, None],
+        (weights @ np.unwrap(poses.angle[rows], axis=0))[:, None],
+        (spread / poses.position_information[now])[:, :, None],
+        (spread / poses.angle_information[now])[:, :, None],
+        np.full(shape[1:], (times[-1] - times[0]) * 1e-9),
+        np.full(shape[1:], float(degree + 1)),
+    )
+
+
 class FixedTracker(Tracker):
-    """The same pipeline with a fixed local polynomial (41 samples, degree 4) for the choice."""
+    """The same tracker with a fixed local polynomial for the choice."""
 
-    def _from_poses(
-        self, windows: Windows, known: np.ndarray, order: int, suspect: np.ndarray | None
-    ) -> tuple[tuple[np.ndarray, ...], np.ndarray]:
-        frames = zip(*windows, known['noise'], strict=True)
-        found = [self._at(*frame, order) for frame in frames]
-        axes = (1, 1, 2, 2, 0, 0)
-        parts = tuple(map(np.stack, zip(*found, strict=True), axes))
-        return parts, np.zeros_like(known['reference'])
-
-    def _at(
-        self, now: int, oldest: int, newest: int, noise: np.ndarray, order: int
-    ) -> tuple[np.ndarray, ...]:
-        count = len(self.bodies)
-        samples, degree = USUAL
-        last = min(now + (samples + 1) // 2, newest + 1)
-        first = max(last - samples, oldest)
-        rows = slice(first, last)
-        if last - first <= degree:
-            bad = np.full((order + 1, count), np.nan)
-            wide = np.full((order + 1, order + 1, count), np.nan)
-            return bad + 0j, bad, wide, wide, bad[0], bad[0]
-        frames = self._timeline.view()
-        times = frames['stamp'][rows] - frames['stamp'][now]
-        poses = frames['poses']
-        position, angle = poses[:, count:] @ (1, 1j), np.unwrap(poses[rows, :count, 0], axis=0)
-        weights = _fixed_rows(times.tobytes(), degree)[: order + 1]
-        z = weights @ (position[rows] - position[now])
-        z[0] += position[now]
-        turn = weights @ angle
-        information = frames['information'][now]
-        spread = (weights @ weights.T)[..., None] * noise**2
-        span = np.full(count, (times[-1] - times[0]) * 1e-9)
-        return (
-            z,
-            turn,
-            spread / information[count:],
-            spread / information[:count],
-            span,
-            np.full(count, float(degree)),
-        )
+    derive = staticmethod(derive_fixed)
 
 
 @lru_cache(maxsize=16)

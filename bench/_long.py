@@ -13,9 +13,9 @@ import numpy as np
 
 from bench._motions import motions
 from bench._record import NEAR, RATE, START, STEP, frames_of, observe, quantities, rms
-from kinpole_ros.pipeline.frame import part_of
-from kinpole_ros.pipeline.tracker import Tracker
 from kinpole_ros.planar import fit_pose, to_complex
+from kinpole_ros.tracking.frame import part_of
+from kinpole_ros.tracking.tracker import Tracker
 
 FRAMES = 10_000_000
 STRETCHES, ASKED = 200, 50

@@ -8,7 +8,7 @@ import numpy as np
 
 from bench._record import NOISES, WARM_UP, Recording, frames_of, make_recording, stamps_of
 from bench._rows import Rows
-from kinpole_ros.pipeline.tracker import Tracker
+from kinpole_ros.tracking.tracker import Tracker
 
 # Motions that are shown over time, at the middle noise, and for how many s.
 SHOWN = ('stop and go', 'dead point')

@@ -19,11 +19,11 @@ from bench._record import NEAR, quantities, rms, squared_error
 from bench._rigs import Recording, record
 from bench._spoil import Sent, ideal
 from kinpole_ros.messages import DiagnosticsMaker, Output, result_outputs
-from kinpole_ros.pipeline.estimate import RATE_NAMES, Estimate
-from kinpole_ros.pipeline.frame import MarkerFrames
-from kinpole_ros.pipeline.parameters import settings_from
-from kinpole_ros.pipeline.tracker import Tracker
 from kinpole_ros.planar import to_complex
+from kinpole_ros.tracking.estimate import RATE_NAMES, Estimate
+from kinpole_ros.tracking.frame import MarkerFrames
+from kinpole_ros.tracking.parameters import settings_from
+from kinpole_ros.tracking.tracker import Tracker
 
 Rows = list[dict[str, Any]]
 RATES = ('ω', 'α', 'jerk')

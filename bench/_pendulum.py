@@ -14,10 +14,10 @@ from bench._hindsight import apply_weights
 from bench._polynomial import derivative_weights
 from bench._record import START
 from kinpole_ros import planar
-from kinpole_ros.pipeline.estimate import Estimate
-from kinpole_ros.pipeline.frame import MarkerFrames
-from kinpole_ros.pipeline.parameters import Settings
-from kinpole_ros.pipeline.tracker import Tracker
+from kinpole_ros.tracking.estimate import Estimate
+from kinpole_ros.tracking.frame import MarkerFrames
+from kinpole_ros.tracking.parameters import Settings
+from kinpole_ros.tracking.tracker import Tracker
 
 TABLE = Path(__file__).parents[2] / 'shared' / 'data' / 'double_pendulum' / 'run16.csv'
 # Samples and degree of the rivals, per marker and centered.

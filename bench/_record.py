@@ -15,10 +15,10 @@ from bench._motions import Motion, motions, other_motions
 from kinpole_ros import planar
 from kinpole_ros.mechanism import BodyMotion, marker_positions
 from kinpole_ros.mechanism._motions import rotation_derivatives
-from kinpole_ros.pipeline.frame import MarkerFrames
-from kinpole_ros.pipeline.parameters import Settings
-from kinpole_ros.pipeline.tracker import Tracker
 from kinpole_ros.planar import fit_pose
+from kinpole_ros.tracking.frame import MarkerFrames
+from kinpole_ros.tracking.parameters import Settings
+from kinpole_ros.tracking.tracker import Tracker
 
 RATE = 200
 WINDOW = 0.5

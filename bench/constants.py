@@ -31,7 +31,7 @@ from bench._record import QUANTITIES, make_recording, measure, rms
 from bench._rigs import record, rigs
 from bench._rows import Rows, read_rows, write_rows
 
-ROOMS = ('rigid', 'derivatives', 'pipeline')
+ROOMS = ('tracking', 'derivatives')
 PAGE, TABLE = 'constants.md', 'charts/constants.csv'
 _ROOT = Path(__file__).resolve().parent.parent
 # What is measured of the estimator: noises, over the body's size, and s.
@@ -314,7 +314,7 @@ def page(rows: Rows) -> str:
     lines = [
         '# Constants of the estimate, set by hand',
         '',
-        f'{len(rows)} numbers of `rigid/`, `derivatives/` and `pipeline/`, on which the figures of',
+        f'{len(rows)} numbers of `tracking/` and `derivatives/`, on which the figures of',
         'node and replay depend, and what becomes of these where one of them is half or double.',
         f'{rest}`python -m bench.constants` makes this page.',
         '',

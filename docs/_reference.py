@@ -12,8 +12,8 @@ from typing import Any
 from kinpole_ros.linkage.theory import Theory
 from kinpole_ros.mechanism import load_scene
 from kinpole_ros.messages import live_outputs, result_outputs, type_name
-from kinpole_ros.pipeline import parameters
 from kinpole_ros.tools.usage import make_parser
+from kinpole_ros.tracking import parameters
 
 _ROW = re.compile(r'^\| (`.*?) \| .* \| (.*) \|$', re.MULTILINE)
 _NAME = re.compile(r'`([^`]+)`')

@@ -8,9 +8,9 @@ at 0.945 s: 3.890 rad/s
 
 import numpy as np
 
-from kinpole_ros.pipeline.frame import MarkerFrames
-from kinpole_ros.pipeline.parameters import settings_from
-from kinpole_ros.pipeline.tracker import Tracker
+from kinpole_ros.tracking.frame import MarkerFrames
+from kinpole_ros.tracking.parameters import settings_from
+from kinpole_ros.tracking.tracker import Tracker
 
 settings = settings_from(
     {'bodies': ['disk'], 'disk.markers': ['a', 'b', 'c'], 'window': 0.2, 'lag': 0.05, 'noise': 1e-4}

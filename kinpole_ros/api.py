@@ -15,7 +15,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from kinpole_ros.packages import install_command
-from kinpole_ros.pipeline.estimate import (
+from kinpole_ros.planar import to_plane
+from kinpole_ros.tracking.estimate import (
     POLE_NAMES,
     RATE_NAMES,
     Estimate,
@@ -23,10 +24,9 @@ from kinpole_ros.pipeline.estimate import (
     Vectors,
     measured_pairs,
 )
-from kinpole_ros.pipeline.frame import MarkerFrames
-from kinpole_ros.pipeline.parameters import Settings, load_settings, settings_from
-from kinpole_ros.pipeline.tracker import Tracker
-from kinpole_ros.planar import to_plane
+from kinpole_ros.tracking.frame import MarkerFrames
+from kinpole_ros.tracking.parameters import Settings, load_settings, settings_from
+from kinpole_ros.tracking.tracker import Tracker
 
 if TYPE_CHECKING:
     import pandas

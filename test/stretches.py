@@ -1,33 +1,30 @@
-"""Frames one by one and joined, and through the learned shapes and noise as the tracker does it."""
+"""Frames one by one and joined, and tracked."""
 
 from collections.abc import Iterator, Sequence
 from itertools import groupby
+from typing import Any
 
 import numpy as np
 
-from kinpole_ros.pipeline.estimate import Estimate
-from kinpole_ros.pipeline.frame import MarkerFrames
-from kinpole_ros.planar import Fit
-from kinpole_ros.rigid import Noise, Shapes
+from kinpole_ros.tracking.estimate import Estimate
+from kinpole_ros.tracking.frame import MarkerFrames
+from kinpole_ros.tracking.parameters import settings_from
+from kinpole_ros.tracking.tracker import Tracker
 
 
-def fit_frames(
-    points: np.ndarray, shapes: Shapes, noise: Noise | None = None
-) -> Iterator[tuple[Fit, np.ndarray]]:
-    """Fits (B,) of frames (T, B, n) and the markers they are of, as each frame is taken."""
-    news: list[tuple[np.ndarray, ...]] = []
-    least = np.zeros(points.shape[1])
-    for k, row in enumerate(points[:, None]):
-        if not shapes.unseen(row):
-            shapes.begin(row[0])
-        fit, mended, _ = shapes.fit(row, np.array([5_000_000 * k]), least)
-        news.append((fit.residual, fit.freedom, np.ones(1, bool)))
-        if len(news) >= shapes.beat:
-            if noise is not None:
-                noise.add(*map(np.concatenate, zip(*news, strict=True)))
-            shapes.learn()
-            news = []
-        yield Fit(*(field[0] for field in fit)), mended[0]
+def follow(points: np.ndarray, **values: Any) -> tuple[Tracker, list[Estimate]]:
+    """Track frames (T, B, n) of markers, complex, of B bodies, 200 frames a second."""
+    count, bodies, width = points.shape
+    names = tuple(f'{b}_{k}' for b in range(bodies) for k in range(width))
+    solid = np.zeros((count, bodies * width, 3))
+    flat = points.reshape(count, -1)
+    solid[..., 0], solid[..., 1] = flat.real, flat.imag
+    solid[np.isnan(flat)] = np.nan
+    markers = {f'body_{b}.markers': list(names[b * width : (b + 1) * width]) for b in range(bodies)}
+    given = {'bodies': [f'body_{b}' for b in range(bodies)], 'lag': 0.0, **markers, **values}
+    tracker = Tracker(settings_from(given))
+    stamps = 10**9 + 5_000_000 * np.arange(count)
+    return tracker, tracker.add(MarkerFrames(stamps, 'world', names, solid), 1)
 
 
 def instants(found: list[Estimate]) -> list[Estimate]:

@@ -28,8 +28,8 @@ from kinpole_ros.bags._replay import replay
 from kinpole_ros.bags.batch import _cluster, _divided, _places, _results, _workers, batch
 from kinpole_ros.bags.batch._results import finished, replay_bag
 from kinpole_ros.files import _lock
-from kinpole_ros.pipeline.parameters import Settings
 from kinpole_ros.tools.cli import main
+from kinpole_ros.tracking.parameters import Settings
 
 Simulated = Callable[..., Path]
 SETTINGS = Settings(window=0.2, lag=0.05, derivative_order=2)

@@ -35,9 +35,9 @@ from bench._record import (
 from bench._report import progress_of_parts
 from bench._rows import read_rows, write_rows
 from kinpole_ros import planar
-from kinpole_ros.pipeline.frame import MarkerFrames
-from kinpole_ros.pipeline.tracker import Tracker
 from kinpole_ros.tools import cli
+from kinpole_ros.tracking.frame import MarkerFrames
+from kinpole_ros.tracking.tracker import Tracker
 
 STEP = 1e-5
 MOTIONS: dict[str, Callable[[np.ndarray], Any]] = {
@@ -197,7 +197,7 @@ def test_rows_that_lack_something_are_read_back_as_they_were_written(tmp_path: P
 def test_constants_are_numbers_as_written_or_made_of_such(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    room = tmp_path / 'kinpole_ros' / 'rigid'
+    room = tmp_path / 'kinpole_ros' / 'tracking'
     room.mkdir(parents=True)
     monkeypatch.setattr(constants, '_ROOT', tmp_path)
     text = '# Why.\n_A, _B = 3, np.radians(90)\n_C = 2 * _A\n_D = math.tau\n_E = True\n_f = 4\n'
@@ -213,7 +213,7 @@ def test_constants_are_numbers_as_written_or_made_of_such(
     assert of_c[1:] == ('A', 1e-3, 'Why.', 2, 10, 14)
     header.unlink()
     # What is no more, or has another value now, is not on the page.
-    row: dict[str, Any] = {'module': 'rigid/_module.py', 'half': '–', 'double': '–'}
+    row: dict[str, Any] = {'module': 'tracking/_module.py', 'half': '–', 'double': '–'}
     rows = [row | {'constant': name, 'value': value} for name, value in (('_B', 1.5708), ('_A', 4))]
     assert [one['constant'] for one in constants.of_now(rows)] == ['_B']
 
@@ -243,11 +243,11 @@ class Turning(Tracker):
     def add(self, frames: MarkerFrames, order: int | None) -> list[Any]:
         found = super().add(frames, order)
         # What is not learned yet would turn it back.
-        self._rigid._learn()
-        shapes = self._rigid._shapes
-        shapes.points *= np.exp(1e-7j * len(frames.stamps))
-        shapes.points += 1e-9 * len(frames.stamps)
-        shapes._measure()
+        self.settle()
+        self._known.shape *= np.exp(1e-7j * len(frames.stamps))
+        self._known.shape += 1e-9 * len(frames.stamps)
+        self._known.update()
+        self._step.bind(self._known, self._history)
         return found
 
 

@@ -8,12 +8,12 @@ from hypothesis import strategies as st
 from kinpole_ros.mechanism import marker_positions
 from kinpole_ros.mechanism._motions import ORDERS, BodyMotion
 from kinpole_ros.messages import DiagnosticsMaker
-from kinpole_ros.pipeline.clock import Clock, find_clock, follow_clock
-from kinpole_ros.pipeline.counter import FrameCounter
-from kinpole_ros.pipeline.course import course_costs
-from kinpole_ros.pipeline.frame import MarkerFrames
-from kinpole_ros.pipeline.parameters import settings_from
-from kinpole_ros.pipeline.tracker import Tracker
+from kinpole_ros.tracking.clock import MAX_PENDING, Clock, estimate_clock
+from kinpole_ros.tracking.counter import Counter, motion_costs
+from kinpole_ros.tracking.frame import MarkerFrames
+from kinpole_ros.tracking.parameters import settings_from
+from kinpole_ros.tracking.timeline import count_frames
+from kinpole_ros.tracking.tracker import Tracker
 
 START = 10**18
 NAMES = ('a', 'b', 'c', 'd')
@@ -79,9 +79,7 @@ def frames_kept(count, share=0.02, seed=2):
 def test_interval_and_frames_lost_are_found(kind, rate):
     numbers = frames_kept(6 * rate)
     stamps = late(numbers / rate, kind)
-    clock = None
-    for end in (32, 64, 96, *range(128, len(stamps), rate // 2)):
-        clock, counts = find_clock(stamps[:end], clock)
+    clock, counts = estimate_clock(stamps, None)
     assert clock.interval == pytest.approx(1e9 / rate * (1 + 1e-4), rel=2e-5)
     right = np.diff(counts) == np.diff(numbers[: len(counts)])
     # Whether a frame was late before another was lost, or came after it, nobody knows.
@@ -89,19 +87,37 @@ def test_interval_and_frames_lost_are_found(kind, rate):
     assert counts[-9] - counts[0] == numbers[len(counts) - 9] - numbers[0]
 
 
-def test_counts_as_frames_come():
-    numbers = frames_kept(1200)
-    stamps = late(numbers / 200, '0.001')
-    clock, counts = find_clock(stamps[:60], None)
-    clock, counts = find_clock(stamps[:400], clock)
-    counter = FrameCounter(clock, int(counts[391]))
-    sure, pending = [], []
-    for now in counter.take(stamps[392:], lambda paths: np.zeros(len(paths))):
-        sure.extend(now.tolist())
-        pending.append(counter.pending)
-    off = np.array(sure) - numbers[392 : 392 + len(sure)]
-    assert (off == off[0]).mean() > 0.995
-    assert max(pending) < 8
+def counted(late_by, share=0.02, seed=2, block=1):
+    """Counts of frames less their numbers, and how many waited; markers move by 1 mm a frame."""
+    numbers = frames_kept(1200, share, seed)
+    stamps = np.maximum.accumulate(late(numbers / 200, late_by))
+    stamps += np.arange(len(stamps))
+    points, _ = record(numbers / 200)
+    clock, counts = estimate_clock(stamps[:400], None)
+    counter = Counter(clock, int(counts[391]))
+    counter.noise = 2e-4
+    sure, waited, first = [], [], 392
+    while first < len(stamps):
+        part = slice(first, first + block)
+        sure.extend(count_frames(counter, stamps[part], points[part])[0].tolist())
+        first = min(first + block, len(stamps))
+        waited.append(first - 392 - len(sure))
+    return np.array(sure) - numbers[392 : 392 + len(sure)], max(waited)
+
+
+@pytest.mark.parametrize(('late_by', 'most'), [('0.0005', 1), ('0.001', 8), ('0.003', MAX_PENDING)])
+def test_counts_as_frames_come(late_by, most):
+    off, waited = counted(late_by)
+    assert (off == off[0]).mean() > 0.98
+    assert waited <= most
+
+
+@pytest.mark.parametrize('late_by', ['0.0005', '0.004'])
+def test_counts_of_many_frames_are_those_of_one_after_the_other(late_by):
+    for seed in range(5):
+        off, _ = counted(late_by, 0.1, seed)
+        for block in (3, 50, 1000):
+            np.testing.assert_array_equal(counted(late_by, 0.1, seed, block)[0], off)
 
 
 def test_frames_to_come_are_not_before_their_ticks():
@@ -110,7 +126,7 @@ def test_frames_to_come_are_not_before_their_ticks():
         numbers = frames_kept(500, seed=seed)
         stamps = late(numbers / 200, '0.003', seed)
         known = int((numbers < 400).sum())
-        clock, *_ = follow_clock(stamps[:known], numbers[:known])
+        clock = estimate_clock(stamps[:known], None)[0]
         # The ticks themselves are the stamps of frames that are not late.
         ticks = clock.ticks(late(numbers / 200, 'none'))
         first = round(float(np.median(ticks[:known] - numbers[:known])))
@@ -124,22 +140,15 @@ def test_a_motion_too_fast_for_a_cubic_does_not_say_that_a_frame_was_late():
     noise, wrong = 1e-4, 0
     for seed in range(40):
         turned = 2 * np.pi * 8 / 100 * number + seed
-        angle = -0.35 * np.sin(turned)
-        position = 0.1 * np.exp(1j * turned) + 0.1 * np.exp(1j * angle)
-        rng = np.random.default_rng(seed)
-        frames = np.zeros(8, [('poses', float, (2, 2)), ('information', float, 2), ('count', int)])
-        frames['poses'][:, 0, 0] = angle + noise / 0.1 * rng.normal(size=8)
-        frames['poses'][:, 1, 0] = position.real + noise / 2 * rng.normal(size=8)
-        frames['poses'][:, 1, 1] = position.imag + noise / 2 * rng.normal(size=8)
-        frames['information'] = 0.01, 4.0
-        frames['count'] = number
-        counts = np.array([[8], [7]])
-        costs = course_costs(frames, 7, counts, np.array([noise]))
+        place = 0.1 * np.exp(1j * turned) + 0.1 * np.exp(-0.35j * np.sin(turned))
+        values = np.stack((place.real, place.imag), axis=1)
+        values += noise * np.random.default_rng(seed).normal(size=values.shape)
+        costs = motion_costs(np.stack((number, np.append(number[:-1], 7))), values / noise)
         wrong += costs[0] > costs[1] + 4.6
     assert wrong == 0
 
 
-@pytest.mark.parametrize('kind', ['uniform', '0.001', 'rounded'])
+@pytest.mark.parametrize('kind', ['uniform', '0.001', '0.003', 'rounded'])
 def test_figures_are_as_with_even_stamps(kind):
     kept = frames_kept(1000)
     times = kept / 240
@@ -155,6 +164,17 @@ def test_figures_are_as_with_even_stamps(kind):
     assert tracker.counts['lost'] == pytest.approx(1000 - len(kept), abs=2)
     _, raw = errors(stamps, points, rates / (1 + 1e-4), mode='capture')
     assert raw > 1.3 * ideal
+
+
+def test_frames_that_are_late_by_several_ticks_are_counted_by_the_motion():
+    kept = frames_kept(1000)
+    times = kept / 240
+    points, rates = record(times)
+    even = START + np.rint(times * 1e9).astype(np.int64)
+    _, ideal = errors(even, points, rates)
+    stamps = np.maximum.accumulate(late(times, '0.005')) + np.arange(len(times))
+    _, found = errors(stamps, points, rates / (1 + 1e-4))
+    assert found < 1.5 * ideal
 
 
 def test_frames_that_are_uneven_are_taken_by_their_stamps():
@@ -288,16 +308,16 @@ def test_bunches_are_spread_over_the_clock_and_named_where_they_are_not():
     assert 'the stamps come in bunches' in found['capture'][1]
 
 
-def test_a_clock_far_finer_than_its_lateness_counts_in_bounded_work() -> None:
-    clock = Clock(0, 0.0, 5.0, 0.1, 1e7, 1e7, 1e8, 0.0, 1.0)
-    counter = FrameCounter(clock, 0)
-    stamps = 10**9 + 5_000_000 * np.arange(40)
-    most = 0
-
-    def motion(paths: np.ndarray) -> np.ndarray:
-        nonlocal most
-        most = max(most, len(paths))
-        return np.zeros(len(paths))
-
-    list(counter.take(stamps, motion))
-    assert most < 10_000
+def test_a_clock_far_finer_than_its_lateness_counts_in_bounded_work(monkeypatch) -> None:
+    clock = Clock(0, 0.0, 5.0, 1e7, 1e7, 1e8, 0.0, 1.0)
+    stamps = 10**9 + 5_000_000 * np.arange(60)
+    counter, most = Counter(clock, 0), []
+    costs = Counter._motion_costs
+    monkeypatch.setattr(
+        Counter, '_motion_costs', lambda self: most.append(len(self._paths)) or costs(self)
+    )
+    counts, sure_with = count_frames(counter, stamps, np.zeros((60, 4, 3)))
+    assert max(most) < 10_000
+    assert len(counts) >= 60 - MAX_PENDING
+    assert (np.diff(counts) > 0).all()
+    assert (np.diff(sure_with) >= 0).all()

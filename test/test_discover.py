@@ -29,10 +29,10 @@ from kinpole_ros.linkage._settle import settle
 from kinpole_ros.linkage.theory import load_theory
 from kinpole_ros.mechanism import load_scene, marker_positions
 from kinpole_ros.messages import to_message
-from kinpole_ros.pipeline.frame import MarkerFrames
-from kinpole_ros.pipeline.parameters import ParameterError, settings_from
 from kinpole_ros.tools.cli import main
 from kinpole_ros.tools.discover import discover_rig
+from kinpole_ros.tracking.frame import MarkerFrames
+from kinpole_ros.tracking.parameters import ParameterError, settings_from
 
 START = 10**18
 NOISE = 2e-4

@@ -32,10 +32,10 @@ import kinpole_ros
 from kinpole_ros import mechanism, planar
 from kinpole_ros.mechanism import load_scene
 from kinpole_ros.messages import result_outputs
-from kinpole_ros.pipeline.parameters import PARAMETERS, load_settings, settings_from
 from kinpole_ros.ros.node import KinpoleNode
 from kinpole_ros.tools.cli import main
 from kinpole_ros.tools.usage import make_parser
+from kinpole_ros.tracking.parameters import PARAMETERS, load_settings, settings_from
 
 ROOT = Path(__file__).parents[1]
 DOCS = ROOT / 'docs'

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from kinpole_ros import planar
-from kinpole_ros.pipeline.estimate import PINNED, SLOW_ICR, Estimate
+from kinpole_ros.tracking.estimate import PINNED, SLOW_ICR, Estimate
 
 COUNT, ORDER = 7, 3
 

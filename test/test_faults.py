@@ -36,8 +36,8 @@ from visualization_msgs.msg import MarkerArray
 
 import kinpole_ros.ros.node as node_module
 from kinpole_ros.messages import MARKER_TYPES, TF, result_outputs, to_message
-from kinpole_ros.pipeline.parameters import Settings
 from kinpole_ros.ros.source import MAX_MESSAGE_BYTES
+from kinpole_ros.tracking.parameters import Settings
 
 OK, WARN = DiagnosticStatus.OK, DiagnosticStatus.WARN
 ERROR, STALE = DiagnosticStatus.ERROR, DiagnosticStatus.STALE
@@ -621,7 +621,7 @@ def test_a_simulated_clock_may_tell_any_time(tmp_path: FilePath) -> None:
 FAILING = """
 import sys
 from kinpole_ros.ros.node import main
-from kinpole_ros.pipeline.tracker import Tracker
+from kinpole_ros.tracking.tracker import Tracker
 add = Tracker.add
 def failing(self, frames, *rest):
     if int(frames.stamps[0]) % 1000 == 7:

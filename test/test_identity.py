@@ -17,10 +17,10 @@ from kinpole_ros.messages import (
     read_markers,
     to_message,
 )
-from kinpole_ros.pipeline.frame import MarkerFrames
-from kinpole_ros.pipeline.parameters import ParameterError, settings_from
-from kinpole_ros.pipeline.tracker import Tracker
-from kinpole_ros.rigid.identity import Expected, Match, match
+from kinpole_ros.tracking.frame import MarkerFrames
+from kinpole_ros.tracking.identity import Expected, Match, match
+from kinpole_ros.tracking.parameters import ParameterError, settings_from
+from kinpole_ros.tracking.tracker import Tracker
 
 SCENE = load_scene('four_bar')
 RATE, COUNT, NOISE = 200, 300, 2e-4

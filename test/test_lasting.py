@@ -6,17 +6,16 @@ from typing import Any
 import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from kinpole_ros.mechanism import load_scene
 from kinpole_ros.messages import SMOOTHED, DiagnosticsMaker
-from kinpole_ros.pipeline.estimate import Estimate
-from kinpole_ros.pipeline.frame import MarkerFrames
-from kinpole_ros.pipeline.parameters import Settings
-from kinpole_ros.pipeline.tracker import Tracker
 from kinpole_ros.planar import fit_pose
-from kinpole_ros.rigid import LastingNoise, Noise
+from kinpole_ros.tracking.estimate import Estimate
+from kinpole_ros.tracking.frame import MarkerFrames
+from kinpole_ros.tracking.learn import NOISE_FRAMES
+from kinpole_ros.tracking.noise import correlated_noise, white_noise
+from kinpole_ros.tracking.parameters import Settings
+from kinpole_ros.tracking.tracker import Tracker
 
 RATE = 200
 SIGMA = 1e-4
@@ -123,13 +122,11 @@ def levels(
 ) -> tuple[float, float, bool]:
     """Noise of single frames over SIGMA, as it lasts, which may be the same, and if for longer."""
     gaps = np.zeros(len(noise), bool) if gaps is None else gaps
-    single, lasting = Noise(1), LastingNoise(1, window)
-    residual, freedom = residuals(noise)
-    single.add(residual, freedom, ~gaps)
-    lasting.add(stamped(len(noise), rate), residual, freedom, gaps)
-    level = single.level()
-    lasts = float(lasting.level(level)[0])
-    return float(level[0]) / SIGMA, lasts / SIGMA, bool(lasting.longer(level)[0])
+    rows = slice(-NOISE_FRAMES - 2, None)
+    fits = *(part[rows] for part in residuals(noise)), ~gaps[rows]
+    level, _ = white_noise(*fits)
+    lasting, longer = correlated_noise(*fits, window * 1e-9 * rate, level)
+    return float(level[0]) / SIGMA, float(lasting[0]) / SIGMA, bool(longer[0])
 
 
 @pytest.mark.parametrize('frames', [20, 26, 32, 50, 200, 6000])
@@ -170,19 +167,6 @@ def test_noise_that_lasts_counts_for_as_much_as_it_does_in_a_window(
     assert lasting == pytest.approx(1, abs=0.2)
 
 
-@given(cuts=st.lists(st.integers(1, 499).map(lambda k: 2 * k), max_size=40, unique=True))
-@settings(max_examples=20)
-def test_however_frames_come_the_noise_is_the_same(cuts: list[int]) -> None:
-    residual, freedom = residuals(averaged(white(2, 1000, 4), 5))
-    stamps, gaps = stamped(1000), np.random.default_rng(2).random(1000) < 0.01
-    whole, parts = LastingNoise(1, WINDOW), LastingNoise(1, WINDOW)
-    whole.add(stamps, residual, freedom, gaps)
-    for some in np.split(np.arange(1000), sorted(cuts)):
-        parts.add(stamps[some], residual[some], freedom[some], gaps[some])
-    low = np.full(1, 1e-9)
-    assert parts.level(low) == pytest.approx(whole.level(low), rel=1e-9)
-
-
 def test_blocks_hold_no_frames_from_before_and_after_a_gap() -> None:
     """The body looks another one after each, as if marked anew."""
     parts = np.arange(6000) // 28
@@ -192,46 +176,3 @@ def test_blocks_hold_no_frames_from_before_and_after_a_gap() -> None:
     one, lasting, _ = levels(noise, gaps)
     assert lasting == one == pytest.approx(1, abs=0.05)
     assert levels(noise)[1] > 3
-
-
-def test_what_was_measured_at_another_rate_is_forgotten() -> None:
-    lasting, low = LastingNoise(1, WINDOW), np.full(1, 1e-9)
-    residual, freedom = residuals(averaged(white(6, 2000, 4), 5))
-    gaps = np.zeros(2000, bool)
-    lasting.add(stamped(2000), residual, freedom, gaps)
-    assert lasting.level(low) > 0.5 * SIGMA
-    # Nothing is known of blocks of another length until there are some.
-    lasting.add(stamped(20, 2 * RATE), residual[:20], freedom[:20], gaps[:20])
-    assert lasting.level(low) == low
-    # Windows of ten frames have no blocks.
-    lasting.add(stamped(2000, 20), residual, freedom, gaps)
-    assert lasting.level(low) == low
-
-
-def test_a_body_that_begins_anew_has_its_own_noise() -> None:
-    lasting, low = LastingNoise(2, WINDOW), np.full(2, 1e-9)
-    residual, freedom = (np.repeat(part, 2, axis=1) for part in
-                         residuals(averaged(white(7, 2003, 4), 5)))  # fmt: skip
-    gaps = np.zeros(2003, bool)
-    lasting.add(stamped(2003), residual, freedom, gaps)
-    lasting.forget(np.array([True, False]))
-    first, second = lasting.level(low)
-    assert first == low[0]
-    assert second > 0.5 * SIGMA
-    lasting.add(stamped(2003), 10 * residual, freedom, gaps)
-    first, second = lasting.level(low)
-    # What blocks of eight frames see of means of five.
-    assert first == pytest.approx(8 * SIGMA, rel=0.15)
-    # Neither blocks nor their halves remember how loud it was.
-    lasting.forget(np.array([True, True]))
-    residual, freedom = residuals(low_passed(white(7, 200, 4), 10))
-    lasting.add(stamped(200), *(np.repeat(p, 2, axis=1) for p in (residual, freedom)), gaps[:200])
-    assert lasting.longer(low).all()
-
-
-def test_a_body_may_get_more_markers() -> None:
-    lasting, low = LastingNoise(1, WINDOW), np.full(1, 1e-9)
-    for count in (2, 4):
-        residual, freedom = residuals(averaged(white(8, 2003, 4)[:, :count], 5))
-        lasting.add(stamped(2003), residual, freedom, np.zeros(2003, bool))
-    assert lasting.level(low) == pytest.approx(0.8 * SIGMA, rel=0.15)

@@ -7,7 +7,7 @@ from recordings import KITE
 from test_wrong_frames import frames_of, motion, off_by, tracker_of
 
 from kinpole_ros.messages import DiagnosticsMaker
-from kinpole_ros.pipeline.frame import MarkerFrames
+from kinpole_ros.tracking.frame import MarkerFrames
 
 T = np.arange(700) / 200
 NOISE = 2e-4

@@ -45,14 +45,14 @@ from kinpole_ros.messages import (
     stamp_to_ns,
     to_message,
 )
-from kinpole_ros.pipeline.estimate import Estimate
-from kinpole_ros.pipeline.frame import MarkerFrames
-from kinpole_ros.pipeline.parameters import NODE_PARAMETERS, PARAMETERS, Settings
-from kinpole_ros.pipeline.tracker import Tracker
 from kinpole_ros.ros.live import play
 from kinpole_ros.ros.loop import headers
 from kinpole_ros.ros.node import KinpoleNode
 from kinpole_ros.tools.demo import live_run
+from kinpole_ros.tracking.estimate import Estimate
+from kinpole_ros.tracking.frame import MarkerFrames
+from kinpole_ros.tracking.parameters import NODE_PARAMETERS, PARAMETERS, Settings
+from kinpole_ros.tracking.tracker import Tracker
 
 Bag = Callable[..., Path]
 ROD = Settings(bodies=bodies_of('cardan'))

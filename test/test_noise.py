@@ -1,16 +1,15 @@
 """The noise level where frames go wild, and where a tracker rounds."""
 
-from collections import deque
-
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from stretches import fit_frames
+from stretches import follow
 
 from bench._record import make_recording, measure
 from kinpole_ros.planar import fit_pose
-from kinpole_ros.rigid import Noise, Shapes
+from kinpole_ros.tracking.noise import white_noise
+from kinpole_ros.tracking.tracker import Tracker
 
 SHAPE = np.array([14 + 2j, -3 + 10j, 6 - 15j, 13 + 1j, -20 - 10j, 5 + 5j, -10 + 12j, 20 - 3j])
 SHAPE = np.concatenate((SHAPE, [-17 + 4j, 2 - 20j])) / 100
@@ -35,11 +34,11 @@ def gone_wild(points: np.ndarray, share: float, jump: float, seed: int) -> np.nd
     return points
 
 
-def level(points: np.ndarray) -> tuple[float, Shapes]:
-    """The noise level after all frames, over SIGMA, and the shape."""
-    noise, shapes = Noise(1), Shapes(1, points.shape[1])
-    deque(fit_frames(points[:, None], shapes, noise), maxlen=0)
-    return float(noise.level()[0]) / SIGMA, shapes
+def level(points: np.ndarray) -> tuple[float, Tracker]:
+    """The noise level after all frames, over SIGMA, and the tracker."""
+    tracker, _ = follow(points[:, None])
+    tracker.settle()
+    return float(tracker.noise()[0]) / SIGMA, tracker
 
 
 # Where none goes wild it does not matter how far.
@@ -60,11 +59,10 @@ def test_wild_frames_from_the_first_on_hardly_raise_the_level(
 def test_wild_frames_are_told_apart_by_the_level_alone(count: int) -> None:
     """With fits to the true shape, none of them mended."""
     for seed in range(3):
-        noise = Noise(1)
         wild = gone_wild(markers(count, 600, seed), 0.25, 500, seed)[:, None]
         fit = fit_pose(wild, SHAPE[None, :count], np.ones(wild.shape))
-        noise.add(fit.residual, fit.freedom, np.ones(len(wild), bool))
-        assert noise.level()[0] / SIGMA == pytest.approx(1, abs=0.2)
+        noise, _ = white_noise(fit.residual, fit.freedom, np.ones(len(wild), bool))
+        assert noise[0] / SIGMA == pytest.approx(1, abs=0.2)
 
 
 def test_noise_that_grows_is_believed() -> None:
@@ -79,10 +77,10 @@ def test_noise_that_grows_is_believed() -> None:
 def test_a_tracker_that_rounds_is_neither_exact_nor_wild(speed: float, rest: int) -> None:
     times = np.maximum(np.arange(rest + 400) - rest, 0) / 200
     exact = speed * times[:, None] + np.exp(1j * speed * 5 * times)[:, None] * SHAPE[:4]
-    found, shapes = level((exact / 1e-3).round() * 1e-3)
+    found, tracker = level((exact / 1e-3).round() * 1e-3)
     uniform = 1e-3 / np.sqrt(12) / SIGMA
     assert 0.05 * uniform < found < 1.5 * uniform
-    assert not shapes.corrected
+    assert not tracker.counts['markers_left_out']
 
 
 @settings(max_examples=8)

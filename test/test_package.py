@@ -21,7 +21,7 @@ import kinpole_ros
 from kinpole_ros.bags import read_messages
 from kinpole_ros.mechanism import load_scene
 from kinpole_ros.messages import DRAWING
-from kinpole_ros.pipeline.parameters import load_settings
+from kinpole_ros.tracking.parameters import load_settings
 
 ROOT = Path(__file__).parents[1]
 PACKAGE_XML = ET.parse(ROOT / 'package.xml').getroot()
@@ -132,29 +132,26 @@ def test_every_import_is_declared_in_package_xml():
 BELOW = {
     'files': set(),
     'planar': set(),
-    'rigid': {'planar'},
+    'tracking': {'files', 'planar', 'derivatives'},
     'derivatives': {'planar'},
     'mechanism': {'files', 'planar'},
-    'pipeline': {'files', 'planar', 'rigid', 'derivatives'},
-    'linkage': {'planar', 'rigid', 'mechanism', 'pipeline'},
-    'messages': {'rigid', 'derivatives', 'pipeline', 'linkage'},
+    'linkage': {'planar', 'tracking', 'mechanism'},
+    'messages': {'tracking', 'derivatives', 'linkage'},
     'bags': {
         'files',
         'planar',
-        'rigid',
+        'tracking',
         'derivatives',
-        'pipeline',
         'mechanism',
         'linkage',
         'messages',
     },
-    'ros': {'pipeline', 'linkage', 'messages', 'bags'},
+    'ros': {'tracking', 'linkage', 'messages', 'bags'},
     'tools': {
         'files',
         'planar',
-        'rigid',
+        'tracking',
         'mechanism',
-        'pipeline',
         'linkage',
         'messages',
         'bags',

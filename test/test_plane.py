@@ -16,12 +16,12 @@ from kinpole_ros.bags import BagWriter, warnings_of
 from kinpole_ros.bags import replay as replay_bag
 from kinpole_ros.mechanism import load_scene, marker_positions
 from kinpole_ros.messages import DiagnosticsMaker, result_outputs, unit_fault
-from kinpole_ros.pipeline.estimate import Estimate
-from kinpole_ros.pipeline.frame import MarkerFrames, part_of
-from kinpole_ros.pipeline.parameters import settings_from
-from kinpole_ros.pipeline.tracker import Tracker
-from kinpole_ros.rigid.plane import AXES, Plane, plane_along, plane_of
 from kinpole_ros.tools.plot import read_results
+from kinpole_ros.tracking.estimate import Estimate
+from kinpole_ros.tracking.frame import MarkerFrames, part_of
+from kinpole_ros.tracking.parameters import settings_from
+from kinpole_ros.tracking.plane import AXES, Plane, plane_along, plane_of
+from kinpole_ros.tracking.tracker import Tracker
 
 KITE = np.array([(0.09, 0.02), (-0.03, 0.1), (-0.08, -0.05), (0.05, -0.06)])
 NAMES = ('0', '1', '2', '3')

@@ -21,16 +21,16 @@ from kinpole_ros.messages import (
     serialize_message,
     stamp_to_ns,
 )
-from kinpole_ros.pipeline.estimate import Estimate
-from kinpole_ros.pipeline.frame import MarkerFrames, part_of
-from kinpole_ros.pipeline.parameters import (
+from kinpole_ros.tracking.estimate import Estimate
+from kinpole_ros.tracking.frame import MarkerFrames, part_of
+from kinpole_ros.tracking.parameters import (
     POSE_TYPES,
     ParameterError,
     Settings,
     check_poses,
     settings_from,
 )
-from kinpole_ros.pipeline.tracker import Tracker
+from kinpole_ros.tracking.tracker import Tracker
 
 START, RATE, COUNT = 10**9, 200, 900
 TIMES = np.arange(COUNT) / RATE

@@ -23,11 +23,11 @@ from kinpole_ros.mechanism import (
     scene_text,
 )
 from kinpole_ros.messages import DiagnosticsMaker
-from kinpole_ros.pipeline.estimate import Estimate
-from kinpole_ros.pipeline.frame import MarkerFrames
-from kinpole_ros.pipeline.parameters import settings_from
-from kinpole_ros.pipeline.tracker import Tracker
 from kinpole_ros.tools import cli
+from kinpole_ros.tracking.estimate import Estimate
+from kinpole_ros.tracking.frame import MarkerFrames
+from kinpole_ros.tracking.parameters import settings_from
+from kinpole_ros.tracking.tracker import Tracker
 
 NOISE = 2e-4
 # Where the tracker's world has the scene's ground.

@@ -7,11 +7,14 @@ from stretches import instants
 from bench import _record
 from kinpole_ros import planar
 from kinpole_ros.messages import result_outputs
-from kinpole_ros.pipeline.estimate import Estimate
-from kinpole_ros.pipeline.frame import MarkerFrames, part_of
-from kinpole_ros.pipeline.parameters import settings_from
-from kinpole_ros.pipeline.tracker import Tracker
-from kinpole_ros.rigid import References, _reference
+from kinpole_ros.tracking import center
+from kinpole_ros.tracking.bodies import Bodies
+from kinpole_ros.tracking.center import UNSETTLED, find_hubs
+from kinpole_ros.tracking.estimate import Estimate
+from kinpole_ros.tracking.frame import MarkerFrames, part_of
+from kinpole_ros.tracking.history import History
+from kinpole_ros.tracking.parameters import settings_from
+from kinpole_ros.tracking.tracker import Tracker
 
 pytestmark = pytest.mark.filterwarnings('error')
 
@@ -105,7 +108,7 @@ def test_poles_of_what_turns_about_a_point_are_better_known(
         # Of chi-square with 2 degrees of freedom 95% are below 6.
         assert (found.squares[name][late] < 5.991).mean() > 0.9, name
     ours = errors(found)
-    monkeypatch.setattr(_reference, '_WINDOWS', np.inf)
+    monkeypatch.setattr(center, '_WINDOWS', 1e9)
     for own, other, gain in zip(ours, errors(_record.measure(recording)), gains, strict=True):
         assert np.sqrt(np.mean(other**2)) > gain * np.sqrt(np.mean(own**2))
 
@@ -209,42 +212,36 @@ def test_reference_points_are_the_same_however_frames_are_handed_over() -> None:
         np.testing.assert_allclose(one.position_covariance, other.position_covariance, rtol=1e-7)
 
 
+def hubs_of(angle: np.ndarray, position: np.ndarray, of_angle: float = 1e-6) -> np.ndarray:
+    """The hubs (B,) found from poses (N, B), with that standard deviation of the angles."""
+    bodies, history = Bodies(angle.shape[1], 2), History(angle.shape[1], 2)
+    bodies.misfit[:] = of_angle**2
+    for _ in range(len(angle) + UNSETTLED):
+        history.append()
+    history['time'][...] = STEP * np.arange(len(history))
+    for name, values in (('angle', angle), ('position', position)):
+        history[name][...] = np.nan
+        history[name][: len(angle)] = values
+    history['information'][...] = 0.0
+    history['information'][: len(angle), 0] = history['information'][: len(angle), 1] = np.where(
+        np.isnan(angle), 0.0, 1.0
+    )
+    history['information'][:, 1] *= 1e6
+    return find_hubs(bodies, history, 500_000_000, np.zeros(angle.shape[1], complex))
+
+
 def test_a_body_not_seen_leaves_the_others_as_they_are() -> None:
-    time = STEP * np.arange(600)
-    angle = np.stack((10e-9 * time, np.full(600, np.nan)), axis=1)
-    place = 1 - HUB * np.exp(1j * angle)
-    variance = np.full((600, 2, 2), 1e-12)
-    variance[:, :, 1] = np.nan
-    references = References(2, 500_000_000)
-    for first in range(0, 600, 50):
-        some = slice(first, first + 50)
-        poses = time[some], place[some], angle[some], variance[some]
-        references.add(*poses, np.zeros(2, complex))
-    assert references.point == pytest.approx([HUB, 0], abs=1e-11)
-
-
-def test_a_body_that_keeps_its_origin_is_as_it_was_beside_one_that_does_not() -> None:
-    """The one is known less well now than when its middle was far from its origin."""
-    poses = np.random.default_rng(0).normal(size=(5, 4, 2))
-    information = np.array([[0.02, 1.0, 2.0, 3.0]] * 5)
-    middle = np.array([0.3 + 0.2j, 0.1])
-    moved, informed = _reference.seen_at(np.array([0, HUB]), middle, poses, information)
-    np.testing.assert_array_equal(moved[:, ::2], poses[:, ::2])
-    np.testing.assert_array_equal(informed[:, :3], information[:, :3])
-    assert (informed[:, 3] != 3).all()
+    turned = 10e-9 * STEP * np.arange(600)
+    angle = np.stack((turned, np.full(600, np.nan)), axis=1)
+    assert hubs_of(angle, 1 - HUB * np.exp(1j * angle)) == pytest.approx([HUB, 0], abs=1e-9)
 
 
 def test_noise_of_the_angle_draws_a_reference_point_no_nearer() -> None:
     """A fit without regard to it does, by the noise over what turns: 2% here."""
     rng = np.random.default_rng(1)
     count, bodies, sigma = 1000, 300, 0.03
-    stamps = 10**18 + STEP * np.arange(count)
     angle = 0.3 * np.sin(20 * STEP * 1e-9 * np.arange(count))[:, None] * np.ones(bodies)
     position = -HUB * np.exp(1j * angle)
-    noisy = angle + sigma * rng.normal(size=angle.shape)
-    variance = np.zeros((count, 2, bodies))
-    variance[:, 1] = sigma**2
-    references = References(bodies, 500_000_000)
-    references.add(stamps, position, noisy, variance, np.zeros(bodies, complex))
-    assert np.count_nonzero(references.point) == bodies
-    assert abs(references.point.mean() - HUB) < 0.2 * 0.02 * abs(HUB)
+    found = hubs_of(angle + sigma * rng.normal(size=angle.shape), position, sigma)
+    assert np.count_nonzero(found) == bodies
+    assert abs(found.mean() - HUB) < 0.2 * 0.02 * abs(HUB)

@@ -26,11 +26,11 @@ from kinpole_ros.bags import (
 )
 from kinpole_ros.bags import topics as topics_of
 from kinpole_ros.messages import MARKER_TYPES, TF, read_markers, result_outputs, to_message
-from kinpole_ros.pipeline.estimate import POLE_NAMES, RATE_NAMES, Estimate
-from kinpole_ros.pipeline.frame import MarkerFrames
-from kinpole_ros.pipeline.parameters import Settings
-from kinpole_ros.pipeline.tracker import Tracker
-from kinpole_ros.rigid.plane import AXES
+from kinpole_ros.tracking.estimate import POLE_NAMES, RATE_NAMES, Estimate
+from kinpole_ros.tracking.frame import MarkerFrames
+from kinpole_ros.tracking.parameters import Settings
+from kinpole_ros.tracking.plane import AXES
+from kinpole_ros.tracking.tracker import Tracker
 
 Bag = Callable[..., Path]
 Figures = dict[str, dict[int, np.ndarray]]

@@ -20,13 +20,13 @@ from kinpole_ros.linkage.theory import load_theory
 from kinpole_ros.mechanism import load_scene
 from kinpole_ros.messages import RECEIVED, RESTARTS, DiagnosticArray
 from kinpole_ros.messages._types import DiagnosticStatus, KeyValue
-from kinpole_ros.pipeline.estimate import RATE_NAMES, SLOW_ICR
-from kinpole_ros.pipeline.parameters import Settings, load_settings
 from kinpole_ros.tools.cli import main
 from kinpole_ros.tools.report import _pack, report, settings_for
 from kinpole_ros.tools.report._record import Collector
 from kinpole_ros.tools.report._results import _Diagnostics
 from kinpole_ros.tools.report._theory import theory_rates
+from kinpole_ros.tracking.estimate import RATE_NAMES, SLOW_ICR
+from kinpole_ros.tracking.parameters import Settings, load_settings
 
 ROOT = Path(__file__).parents[1]
 BAG = ROOT / 'bags' / 'four_bar.mcap'

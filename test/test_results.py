@@ -24,10 +24,10 @@ from kinpole_ros.messages import (
     result_outputs,
     type_name,
 )
-from kinpole_ros.pipeline.estimate import POLE_NAMES, RATE_NAMES, Estimate
-from kinpole_ros.pipeline.frame import MarkerFrames
-from kinpole_ros.pipeline.parameters import Settings
-from kinpole_ros.pipeline.tracker import Tracker
+from kinpole_ros.tracking.estimate import POLE_NAMES, RATE_NAMES, Estimate
+from kinpole_ros.tracking.frame import MarkerFrames
+from kinpole_ros.tracking.parameters import Settings
+from kinpole_ros.tracking.tracker import Tracker
 
 # Along the two axes of each plane, and its normal.
 PLANES = {plane: np.roll(np.eye(3), shift, axis=0) for plane, shift in (('xy', 0), ('yz', -1))}

@@ -26,9 +26,10 @@ from kinpole_ros.mechanism import (
     scenes_folder,
 )
 from kinpole_ros.messages import stamp_to_ns
-from kinpole_ros.pipeline.parameters import ParameterError, Settings, load_settings, settings_from
-from kinpole_ros.rigid import References
 from kinpole_ros.tools import cli
+from kinpole_ros.tracking import tracker
+from kinpole_ros.tracking.bodies import Bodies
+from kinpole_ros.tracking.parameters import ParameterError, Settings, load_settings, settings_from
 
 LOADS = """
 loads:
@@ -97,11 +98,11 @@ def linkage(messages: dict[str, list[Any]]) -> list[dict[str, float]]:
 def test_the_effort_that_balances_the_loads_is_that_of_virtual_work(
     bag: Path, tmp_path: Path, reference: complex, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def stand(self: References, *_: Any) -> None:
-        self.point = np.full(self.point.shape, reference + 0j)
+    def stand(bodies: Bodies, *_: Any) -> np.ndarray:
+        return np.full(bodies.count, reference + 0j)
 
     # Whatever point of each body is differentiated.
-    monkeypatch.setattr(References, '_update', stand)
+    monkeypatch.setattr(tracker, 'find_hubs', stand)
     path = scene(tmp_path)
     messages = replayed(bag, tmp_path, path)
     found = messages['/kinpole/balance']

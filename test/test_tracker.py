@@ -2,7 +2,6 @@
 
 import sys
 import threading
-from collections.abc import Iterator
 from functools import partial
 from typing import Any
 
@@ -14,11 +13,11 @@ from recordings import SCENES, START, STEP, Record, check, follow, record, two_b
 from stretches import instants, one_frame
 
 from kinpole_ros import planar
-from kinpole_ros.pipeline.estimate import POLE_NAMES, Estimate
-from kinpole_ros.pipeline.frame import MarkerFrames
-from kinpole_ros.pipeline.parameters import settings_from
-from kinpole_ros.pipeline.roster import MOST_MARKERS
-from kinpole_ros.pipeline.tracker import Tracker
+from kinpole_ros.tracking.estimate import POLE_NAMES, Estimate
+from kinpole_ros.tracking.frame import MarkerFrames
+from kinpole_ros.tracking.parameters import settings_from
+from kinpole_ros.tracking.roster import MOST_MARKERS
+from kinpole_ros.tracking.tracker import Tracker
 
 pytestmark = pytest.mark.filterwarnings('error')
 
@@ -377,7 +376,7 @@ def test_markers_that_are_named_anew_in_every_frame_do_not_fill_the_memory() -> 
         names = tuple(f'{k}_{n}' for n in range(300))
         tracker.add(frame._replace(identities=names, points=np.ones((1, 300, 3))), None)
     assert tracker.counts['markers_unknown'] == 300
-    assert tracker._rigid.width <= MOST_MARKERS
+    assert tracker._known.width <= MOST_MARKERS
     # Nor do those that no body names, each time in a layout of its own.
     tracker = Tracker(settings_from({'bodies': ['rod'], 'rod.markers': ['a', 'b']}))
     for k in range(200):
@@ -540,39 +539,6 @@ def test_a_marker_that_jumps_or_is_exchanged_makes_no_body_look_like_several_lin
     tracker, _ = follow(seen.frames, seen.values, None)
     assert tracker.counts['markers_left_out']
     np.testing.assert_array_equal(tracker.rigidity_residual(), 0.0)
-
-
-def test_a_tracker_refuses_a_second_thread_and_goes_on_in_the_first() -> None:
-    seen = record('four_bar', 160)
-    values = {**seen.values, 'window': 0.2, 'lag': 0.05}
-    expected = Tracker(settings_from(values)).add_parts(seen.frames, 4)
-    tracker = Tracker(settings_from(values))
-    refused: list[str] = []
-
-    def meddle() -> None:
-        for call in (lambda: tracker.add(seen.frames[0], 4), tracker.settle, tracker.reset):
-            with pytest.raises(RuntimeError, match='at work in another thread') as error:
-                call()
-            refused.append(str(error.value))
-
-    def parts() -> Iterator[MarkerFrames]:
-        for k, frame in enumerate(seen.frames):
-            if k == 100:
-                other = threading.Thread(target=meddle)
-                other.start()
-                other.join()
-            yield frame
-
-    found = tracker.add_parts(parts(), 4)
-    assert len(refused) == 3
-    assert sum(len(one) for one in found) > 100
-    for one, same in zip(found, expected, strict=True):
-        np.testing.assert_array_equal(one.position, same.position)
-    # Taking turns is no fault.
-    other = threading.Thread(target=tracker.settle)
-    other.start()
-    other.join()
-    tracker.reset()
 
 
 def test_trackers_in_threads_of_their_own_give_what_one_gives_alone(

@@ -1,24 +1,21 @@
 """A marker that jumps, two that change places, a mirrored body: mended, counted, and harmless."""
 
 import functools
-from collections import deque
 from collections.abc import Callable
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from stretches import fit_frames, instants, one_frame
+from stretches import follow, instants, one_frame
 
 import kinpole_ros
 from kinpole_ros.mechanism import load_scene, marker_positions
-from kinpole_ros.pipeline.estimate import Estimate
-from kinpole_ros.pipeline.frame import MarkerFrames, part_of
-from kinpole_ros.pipeline.parameters import settings_from
-from kinpole_ros.pipeline.tracker import Tracker
-from kinpole_ros.planar import Fit
-from kinpole_ros.rigid import Noise, Shapes
-from kinpole_ros.rigid._untangle import agreed, correct_markers
+from kinpole_ros.tracking.corrections import agreed, correct_markers
+from kinpole_ros.tracking.estimate import Estimate
+from kinpole_ros.tracking.frame import MarkerFrames, part_of
+from kinpole_ros.tracking.parameters import settings_from
+from kinpole_ros.tracking.tracker import Tracker
 
 SCENE = load_scene('four_bar')
 NAMES = tuple(name for body in SCENE.markers for name in SCENE.marker_names[body])
@@ -207,25 +204,27 @@ def markers(shape: np.ndarray, frames: int, turn: float = 0.03, noise: float = 1
     return np.asarray(pose + noise * (normal @ (1, 1j)))
 
 
-def fitted(points: np.ndarray) -> tuple[Shapes, list[Fit], np.ndarray]:
-    """Shapes after all frames, the fits, and the noise after each frame."""
-    shapes, noise, fits, levels = Shapes(1, points.shape[1]), Noise(1), [], []
-    for fit, _ in fit_frames(points[:, None], shapes, noise):
-        fits.append(fit)
-        levels.append(noise.level()[0])
-    return shapes, fits, np.array(levels)
+def fitted(points: np.ndarray) -> tuple[Tracker, np.ndarray]:
+    """The tracker after all frames of one body (T, n), and its turns (T,) as they were found."""
+    tracker, found = follow(points[:, None])
+    turns = np.full(len(points), complex(np.nan, np.nan))
+    for estimate in found:
+        assert estimate.frame_poses is not None
+        angle = estimate.frame_poses.angle[:, 0]
+        turns[np.rint((estimate.stamp - 10**9) / 5e6).astype(int)] = np.exp(1j * angle)
+    return tracker, turns
 
 
 @functools.cache
-def straight_fits(
-    shape: tuple[complex, ...], frames: int, turn: float = 0.03
-) -> tuple[list[Fit], np.ndarray]:
-    """Fits of markers of which none is spoiled, and the noise after each frame."""
-    return fitted(markers(np.array(shape), frames, turn))[1:]
+def straight_turns(shape: tuple[complex, ...], frames: int, turn: float = 0.03) -> np.ndarray:
+    """Turns of a body of which no marker is spoiled."""
+    return fitted(markers(np.array(shape), frames, turn))[1]
 
 
-def turns(fits: list[Fit]) -> np.ndarray:
-    return np.exp(1j * np.array([fit.angle[0] for fit in fits]))
+def corrected(tracker: Tracker) -> dict[str, int]:
+    """How many markers were corrected, by kind."""
+    kinds = 'markers_exchanged', 'markers_left_out', 'markers_mirrored', 'markers_of_misfits'
+    return {kind: int(tracker.counts[kind]) for kind in kinds if tracker.counts[kind]}
 
 
 @pytest.mark.parametrize('fault', ['jump', 'mirror', 'scatter', 'hide'])
@@ -241,17 +240,11 @@ def test_a_bad_frame_leaves_no_trace_in_the_poses_of_a_settled_body(fault: str) 
         spoiled[bad] += [0.1, 0.2j, -0.15, 0.1j]
     else:
         spoiled[bad, 2] = np.nan
-    straight, level = straight_fits(tuple(KITE), len(points))
-    shapes, found, other = fitted(spoiled)
-    assert (not shapes.corrected) == (fault == 'hide')
-    for k in range(len(points)):
-        same = found[k].angle == straight[k].angle and found[k].position == straight[k].position
-        assert bool(same) == (k != bad)
-    # Of the noise it spoils three comparisons, of which the last leaves at a beat 512 frames later.
-    assert level[bad - 1] == other[bad - 1]
-    assert (level[bad : bad + 513] != other[bad : bad + 513]).any()
-    gone = bad + 514 + shapes.beat
-    assert np.array_equal(level[gone:], other[gone:])
+    straight = straight_turns(tuple(KITE), len(points))
+    tracker, found = fitted(spoiled)
+    assert (not corrected(tracker)) == (fault == 'hide')
+    same = (found == straight) | (np.isnan(found) & np.isnan(straight))
+    assert np.flatnonzero(~same).tolist() == [bad]
 
 
 def test_figures_forget_a_bad_frame_of_a_settled_body() -> None:
@@ -278,15 +271,15 @@ def test_figures_forget_a_bad_frame_of_a_settled_body() -> None:
 
 def test_a_settled_shape_is_held_until_a_marker_creeps() -> None:
     points = markers(KITE, SETTLED + 3000)
-    held, _, _ = fitted(points[: SETTLED + 10])
-    shapes, _, _ = fitted(points[: SETTLED + 1000])
-    assert np.array_equal(shapes.points, held.points)
+    held, _ = fitted(points[: SETTLED + 10])
+    tracker, _ = fitted(points[: SETTLED + 1000])
+    assert np.array_equal(tracker._known.shape, held._known.shape)
     # By 30 times the noise in all, so slowly that no frame is suspect.
     creep = 3e-3 * np.clip((np.arange(len(points)) - SETTLED) / 2000, 0, 1)
     points[:, 0] += creep * np.exp(0.03j * np.arange(len(points)))
-    shapes, fits, _ = fitted(points)
-    assert not shapes.corrected
-    assert np.abs([fit.residual[0] for fit in fits[-200:]]).max() < 6e-4
+    tracker, _ = fitted(points)
+    assert not corrected(tracker)
+    assert np.abs(tracker._history['residual'][-200:]).max() < 6e-4
 
 
 # --- half a turn --------------------------------------------------------------------------------
@@ -306,10 +299,10 @@ def test_markers_exchanged_by_half_a_turn_leave_no_trace(
     shape: np.ndarray, count: int, turn: float
 ) -> None:
     points = markers(shape, 140, turn)
-    straight, _ = straight_fits(tuple(shape), 140, turn)
-    shapes, found, _ = fitted(exchange(points, 90, count))
-    assert shapes.corrected == {'markers_exchanged': len(shape) * count}
-    assert np.array_equal(turns(found), turns(straight))
+    straight = straight_turns(tuple(shape), 140, turn)
+    tracker, found = fitted(exchange(points, 90, count))
+    assert corrected(tracker) == {'markers_exchanged': len(shape) * count}
+    np.testing.assert_array_equal(found, straight)
 
 
 @pytest.mark.parametrize('turn', [0.0, 0.03, -0.6])
@@ -320,46 +313,41 @@ def test_of_exchanges_that_fit_alike_the_one_counts_that_goes_on(count: int, tur
     points = markers(shape, 400, turn)
     spoiled = points.copy()
     spoiled[90 : 90 + count, :2] = points[90 : 90 + count, 1::-1]
-    straight, _ = straight_fits(tuple(shape), 400, turn)
-    shapes, found, _ = fitted(spoiled)
-    assert shapes.corrected['markers_exchanged'] >= 2 * min(count, 100)
-    assert np.array_equal(turns(found), turns(straight))
+    straight = straight_turns(tuple(shape), 400, turn)
+    tracker, found = fitted(spoiled)
+    assert corrected(tracker)['markers_exchanged'] >= 2 * min(count, 100)
+    np.testing.assert_array_equal(found, straight)
 
 
 @pytest.mark.parametrize('shape', [KITE[:2], RECTANGLE], ids=['two', 'rectangle'])
 def test_markers_exchanged_for_good_are_taken_so_and_no_pose_jumps(shape: np.ndarray) -> None:
     points = markers(shape, 400)
-    _, straight, _ = fitted(points)
-    shapes, found, _ = fitted(exchange(points, 90, 310))
-    # Put back for a while, up to the next beat, then taken for each other.
-    assert set(shapes.corrected) == {'markers_exchanged'}
-    assert 100 <= shapes.corrected['markers_exchanged'] / len(shape) < 100 + 25
-    assert np.abs(turns(found) - turns(straight)).max() < 20e-4
+    straight = straight_turns(tuple(shape), 400)
+    tracker, found = fitted(exchange(points, 90, 310))
+    # Put back, and counted for a while.
+    assert corrected(tracker) == {'markers_exchanged': 100 * len(shape)}
+    np.testing.assert_array_equal(found, straight)
     # And back again, later.
-    shapes, found, _ = fitted(exchange(points, 90, 200))
-    assert 200 <= shapes.corrected['markers_exchanged'] / len(shape) < 200 + 2 * 25
-    assert np.abs(turns(found) - turns(straight)).max() < 20e-4
+    tracker, found = fitted(exchange(points, 90, 200))
+    assert corrected(tracker) == {'markers_exchanged': 100 * len(shape)}
+    np.testing.assert_array_equal(found, straight)
 
 
 @pytest.mark.parametrize('lost', [0.0, 0.1])
 @pytest.mark.parametrize('count', [3, 4])
 def test_two_of_several_that_are_exchanged_for_good_are_taken_so(count: int, lost: float) -> None:
-    """Else what they leave becomes the rule after a while, and nothing is out of it any more."""
     points = markers(KITE[:count], 1400)
     points[np.random.default_rng(4).random(points.shape) < lost] = np.nan
-    _, straight, _ = fitted(points)
+    _, straight = fitted(points)
     spoiled = points.copy()
     spoiled[200:, [0, 1]] = spoiled[200:, [1, 0]]
-    spoiled[1200] = points[1200]  # as it was at first: seen to be wrong, as ever
+    spoiled[1200] = points[1200]  # as it was at first
     spoiled[1250, 0] += 0.02
-    shapes, found, level = fitted(spoiled)
-    # Where one of the two is hidden the other alone is put back.
-    assert 101 * (1 - lost) <= shapes.corrected['markers_exchanged'] / 2 < 200
-    assert shapes.corrected['markers_left_out'] <= 1
-    assert np.isnan(found[1250].residual[0, 0])
-    assert level[-1] < 1.1e-4
-    # Off by what one marker more or less among noisy ones makes.
-    off = np.abs(turns(found) - turns(straight))
+    tracker, found = fitted(spoiled)
+    assert 100 <= corrected(tracker)['markers_exchanged'] / 2 < 310
+    assert corrected(tracker).get('markers_left_out', 0) <= 1
+    assert tracker.noise()[0] < 1.1e-4
+    off = np.abs(found - straight)
     assert np.nanmax(off[350:]) < 20e-4
     assert np.nanmedian(off[350:]) < 1e-4
 
@@ -428,26 +416,14 @@ def test_a_body_that_turns_fast_is_not_turned_back(revolutions: float, lost: flo
     points = markers(KITE[:2], 400, 2 * np.pi * revolutions)
     rng = np.random.default_rng(3)
     points = np.where(rng.random((400, 1)) < lost, np.nan, points)
-    shapes, _, _ = fitted(points)
-    assert not shapes.corrected
+    assert not corrected(fitted(points)[0])
     # Nor where whole frames are lost and nobody says so.
-    shapes, _, _ = fitted(points[rng.random(400) > 0.2])
-    assert not shapes.corrected
-
-
-def test_nothing_is_expected_after_a_gap() -> None:
-    points = markers(KITE[:2], 300, 0.06)
-    first, later = points[:100], points[100 + 52 :]  # half a turn farther on
-    shapes, _, _ = fitted(first)
-    shapes.forget_motion()
-    deque(fit_frames(later[:, None], shapes), maxlen=0)
-    assert not shapes.corrected
+    assert not corrected(fitted(points[rng.random(400) > 0.2])[0])
 
 
 def test_a_body_lost_in_its_noise_is_not_turned_back() -> None:
-    shapes = Shapes(1, 2)
-    deque(fit_frames(markers(KITE[:2], 1300, 0.0, noise=0.06)[:, None], shapes), maxlen=0)
-    assert 'markers_exchanged' not in shapes.corrected
+    tracker, _ = fitted(markers(KITE[:2], 1300, 0.0, noise=0.06))
+    assert 'markers_exchanged' not in corrected(tracker)
 
 
 def test_the_figures_of_two_markers_survive_their_exchange() -> None:
@@ -540,7 +516,7 @@ def test_what_is_wild_in_the_first_frames_spoils_no_figure_after_them(
             assert determined[0]
             if one.stamp > 1.5e8:
                 assert abs(rate[0] - value[0]) < 3 * share * np.sqrt(variance[0])
-    assert [bool(e.missing[0]) for e in found] == [True] * 20 + [False] * (len(found) - 20)
+    assert not any(e.missing[0] for e in found[20:])
 
 
 def test_names_exchanged_in_the_first_frames_are_put_right() -> None:
@@ -602,10 +578,10 @@ def test_mending_does_not_depend_on_names_place_turn_or_size(
         points = exchange(markers(shape, 80), 60, 2) if shape is RECTANGLE else markers(shape, 80)
         points[50, 1] += 0.05
         points[70, [0, 1]] = points[70, [1, 0]]
-        shapes, fits, level = fitted(points)
-        assert {'markers_left_out', 'markers_exchanged'} == set(shapes.corrected)
+        tracker, turns = fitted(points)
+        assert {'markers_left_out', 'markers_exchanged'} == set(corrected(tracker))
         there = (scale * np.exp(1j * turn) * points + scale * shift)[:, order]
-        others, found, other = fitted(there)
-        assert others.corrected == shapes.corrected
-        assert turns(found) / turns(found)[:1] == pytest.approx(turns(fits) / turns(fits)[:1])
-        assert other[-1] == pytest.approx(scale * level[-1], rel=1e-6)
+        other, found = fitted(there)
+        assert corrected(other) == corrected(tracker)
+        assert found / found[-1] == pytest.approx(turns / turns[-1], nan_ok=True)
+        assert other.noise()[0] == pytest.approx(scale * tracker.noise()[0], rel=1e-6)

@@ -22,9 +22,6 @@ from test_report import BLUE, GREEN, RED, cell, colored
 
 from kinpole_ros.bags import BagWriter, read_messages, replay
 from kinpole_ros.messages import STATE, VIEW, String, live_outputs, serialize_message, view_of
-from kinpole_ros.pipeline.estimate import POLE_NAMES, RATE_NAMES, Estimate
-from kinpole_ros.pipeline.parameters import load_settings
-from kinpole_ros.rigid.plane import XY
 from kinpole_ros.ros.live import own_context, play
 from kinpole_ros.ros.watch import Arrived
 from kinpole_ros.tools.cli import main
@@ -34,6 +31,9 @@ from kinpole_ros.tools.view._figures import frame_of
 from kinpole_ros.tools.view._known import Known
 from kinpole_ros.tools.view._live import Live
 from kinpole_ros.tools.view._server import serving
+from kinpole_ros.tracking.estimate import POLE_NAMES, RATE_NAMES, Estimate
+from kinpole_ros.tracking.parameters import load_settings
+from kinpole_ros.tracking.plane import XY
 
 ROOT = Path(__file__).parents[1]
 BAG = ROOT / 'bags' / 'four_bar.mcap'

@@ -7,7 +7,7 @@ import numpy as np
 
 from kinpole_ros.bags._reader import BagError, Truncated, read_blocks, topics
 from kinpole_ros.messages import ROS_TYPE_NAMES, MarkerReader, MessageError
-from kinpole_ros.pipeline.frame import MarkerFrames, part_of
+from kinpole_ros.tracking.frame import MarkerFrames, part_of
 
 _SECOND = 1_000_000_000  # ns
 

@@ -6,9 +6,9 @@ from typing import TypeAlias
 import numpy as np
 
 from kinpole_ros.messages import DiagnosticArray, DiagnosticsMaker, diagnostics_data
-from kinpole_ros.pipeline.estimate import Estimate
-from kinpole_ros.pipeline.frame import MarkerFrames, part_of
-from kinpole_ros.pipeline.tracker import Tracker
+from kinpole_ros.tracking.estimate import Estimate
+from kinpole_ros.tracking.frame import MarkerFrames, part_of
+from kinpole_ros.tracking.tracker import Tracker
 
 _SECOND = 1_000_000_000  # ns
 # Topic, type, log times (ns) and messages, as `BagWriter.write_many` takes them.

@@ -27,12 +27,12 @@ from kinpole_ros.messages import (
     reader_of,
     theory_of,
 )
-from kinpole_ros.pipeline.estimate import MOST_PAIRED_BODIES, POLE_NAMES, Estimate
-from kinpole_ros.pipeline.frame import MarkerFrames
-from kinpole_ros.pipeline.parameters import Settings
-from kinpole_ros.pipeline.roster import MarkerPlaces
-from kinpole_ros.pipeline.tracker import Tracker
-from kinpole_ros.rigid.space import updated
+from kinpole_ros.tracking.estimate import MOST_PAIRED_BODIES, POLE_NAMES, Estimate
+from kinpole_ros.tracking.frame import MarkerFrames
+from kinpole_ros.tracking.parameters import Settings
+from kinpole_ros.tracking.roster import MarkerPlaces
+from kinpole_ros.tracking.space import updated
+from kinpole_ros.tracking.tracker import Tracker
 
 NODE_NAME = 'kinpole'
 _SECOND = 1_000_000_000  # ns

@@ -3,9 +3,9 @@
 from typing import TYPE_CHECKING, NamedTuple
 
 from kinpole_ros.bags._reader import Truncated
-from kinpole_ros.pipeline.bodies import Outage
-from kinpole_ros.pipeline.ticks import StampState
-from kinpole_ros.rigid.space import SpaceReport
+from kinpole_ros.tracking.outages import Outage
+from kinpole_ros.tracking.space import SpaceReport
+from kinpole_ros.tracking.stamps import StampState
 
 if TYPE_CHECKING:
     from kinpole_ros.linkage.positions import PositionsFound

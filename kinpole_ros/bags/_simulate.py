@@ -22,9 +22,9 @@ from kinpole_ros.messages import (
     serialize_message,
     to_message,
 )
-from kinpole_ros.pipeline.estimate import Estimate
-from kinpole_ros.pipeline.parameters import POSE_TYPES
 from kinpole_ros.planar import fit_pose
+from kinpole_ros.tracking.estimate import Estimate
+from kinpole_ros.tracking.parameters import POSE_TYPES
 
 if TYPE_CHECKING:
     from kinpole_ros.mechanism import Scene

@@ -11,7 +11,7 @@ import numpy as np
 
 from kinpole_ros.bags._files import BagError, unwritable
 from kinpole_ros.packages import install_command
-from kinpole_ros.pipeline.estimate import (
+from kinpole_ros.tracking.estimate import (
     POLE_NAMES,
     RATE_NAMES,
     Estimate,
@@ -19,7 +19,7 @@ from kinpole_ros.pipeline.estimate import (
     Vectors,
     measured_pairs,
 )
-from kinpole_ros.pipeline.parameters import Settings
+from kinpole_ros.tracking.parameters import Settings
 
 # Rows in a group of a Parquet file, which are held in memory.
 _GROUP = 8192

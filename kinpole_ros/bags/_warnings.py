@@ -17,7 +17,7 @@ from kinpole_ros.messages import (
     unit_fault,
     unseen,
 )
-from kinpole_ros.pipeline.parameters import Settings
+from kinpole_ros.tracking.parameters import Settings
 
 # What can be done about the reasons that the tracker gives.
 _FIXES = {

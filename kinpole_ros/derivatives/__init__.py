@@ -5,6 +5,25 @@ Knows neither markers nor rigid bodies nor ROS: a pose is an angle and a point o
 """
 
 from kinpole_ros.derivatives._models import FEWEST_SAMPLES
-from kinpole_ros.derivatives._poses import Derivatives, Poses, Windows, derive_poses
+from kinpole_ros.derivatives._poses import (
+    Call,
+    Derivatives,
+    Poses,
+    Windows,
+    derive_poses,
+    go_on,
+    new_call,
+    pass_tables,
+)
 
-__all__ = ['FEWEST_SAMPLES', 'Derivatives', 'Poses', 'Windows', 'derive_poses']
+__all__ = [
+    'FEWEST_SAMPLES',
+    'Call',
+    'Derivatives',
+    'Poses',
+    'Windows',
+    'derive_poses',
+    'go_on',
+    'new_call',
+    'pass_tables',
+]

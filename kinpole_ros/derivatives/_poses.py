@@ -68,7 +68,7 @@ class Derivatives(NamedTuple):
 
 
 class _Table(Structure):
-    """`Table` of _window.h."""
+    """`Table` of _call.h."""
 
     _fields_: ClassVar[Any] = [
         *((name, c_longlong) for name in ('count', 'block', 'flags', 'orders')),
@@ -77,8 +77,8 @@ class _Table(Structure):
     ]
 
 
-class _Call(Structure):
-    """`Call` of _window.h."""
+class Call(Structure):
+    """`Call` of _call.h."""
 
     _fields_: ClassVar[Any] = [
         *((name, c_longlong) for name in ('frames', 'bodies', 'instants', 'next', 'orders')),
@@ -91,11 +91,11 @@ class _Call(Structure):
 
 
 _derive = library.kinpole_derive
-_derive.argtypes = [POINTER(_Call)]
+_derive.argtypes = [POINTER(Call)]
 
 
 class _Tables(NamedTuple):
-    """Integers and numbers of `Table` of _window.h, and all tables as the library takes them."""
+    """Integers and numbers of `Table` of _call.h, and all tables as the library takes them."""
 
     arrays: tuple[tuple[np.ndarray, Real], ...]
     tables: np.ndarray
@@ -126,28 +126,20 @@ def derive_poses(
     if shapes != [(frames, bodies)] * 5 + [(instants,)] * 3 + [(instants, bodies)] or order > 4:
         raise ValueError(f'shapes do not fit to {frames} frames and noise {noise.shape}: {shapes}')
     results = np.empty((3 * orders + 2 * orders**2 + 2, instants, bodies))
-    call = _Call(
-        *(frames, bodies, instants, 0, orders, _EFFORTS.index(effort), 0, window, FLAT),
-        pass_array(poses.time, np.int64),
-        pass_array(np.array(windows), np.int64),
-        pass_array(left_out, np.int64),
-        pass_array(poses.angle),
-        pass_array(poses.turns),
-        pass_array(poses.position, complex),
-        pass_array(poses.angle_information),
-        pass_array(poses.position_information),
-        pass_array(noise),
-        results=pass_array(results),
-    )
-    code = 1
-    while code:
-        tables = _tables.tables
-        call.table_count, call.tables = len(tables), pass_array(tables, np.int64)
-        code = _derive(byref(call))
-        if code < 0:
-            raise MemoryError if code < -1 else IndexError('windows lie beyond the frames')
-        if code:
-            _make(call.lacking)
+    call = new_call(window, order, effort)
+    call.frames, call.bodies, call.instants = frames, bodies, instants
+    call.time = pass_array(poses.time, np.int64)
+    call.windows = pass_array(np.array(windows), np.int64)
+    call.left_out = pass_array(left_out, np.int64)
+    call.angle, call.turns = pass_array(poses.angle), pass_array(poses.turns)
+    call.position = pass_array(poses.position, complex)
+    call.angle_information = pass_array(poses.angle_information)
+    call.position_information = pass_array(poses.position_information)
+    call.noise, call.results = pass_array(noise), pass_array(results)
+    tables = pass_tables(call)
+    while code := _derive(byref(call)):
+        tables = go_on(call, code)
+    del tables
     first, second, square = 2 * orders, 3 * orders, (orders, orders, instants, bodies)
     third = second + orders * orders
     position = results[:first].reshape(orders, instants, bodies, 2).view(complex)[..., 0]
@@ -158,9 +150,28 @@ def derive_poses(
     )
 
 
-def _make(lacking: _Table) -> None:
-    """Make what the library lacks for a kind of window."""
+def new_call(window: float, order: int, effort: str) -> Call:
+    """Begin the arguments of the library."""
+    return Call(orders=order + 1, effort=_EFFORTS.index(effort), window=window, flat=FLAT)
+
+
+def pass_tables(call: Call) -> _Tables:
+    """Pass all tables that there are; they are to be held while the library is called."""
+    tables = _tables
+    call.table_count, call.tables = len(tables.tables), pass_array(tables.tables, np.int64)
+    return tables
+
+
+def go_on(call: Call, code: int) -> _Tables:
+    """
+    Make what the library lacks for a kind of window, and pass it; the tables are to be held.
+
+    Raises what the return value of the library says.
+    """
     global _tables
+    if code < 0:
+        raise MemoryError if code < -1 else IndexError('windows lie beyond the frames')
+    lacking = call.lacking
     window = lacking.count, lacking.block, bool(lacking.flags & 1), bool(lacking.flags & 2)
     none = np.empty(0, np.int64)
     if lacking.orders > 0:
@@ -173,3 +184,4 @@ def _make(lacking: _Table) -> None:
     sizes = np.cumsum([sum(array.nbytes for array in one) for one in arrays][::-1])[::-1]
     kept = max(int(np.count_nonzero(sizes <= _MOST_BYTES)), 1)
     _tables = _Tables(arrays[-kept:], tables[-kept:].copy())
+    return pass_tables(call)

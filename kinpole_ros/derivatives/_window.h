@@ -51,31 +51,7 @@ static const double newer_parts[] = {0.3, 0.46, 0.7};
 /* A part needs so many samples, one more than a window. */
 #define FEWEST_OF_PART (FEWEST_SAMPLES + 1)
 
-enum { LOW_EFFORT, NORMAL_EFFORT, HIGH_EFFORT };
-
-/* What is made once for a kind of window, of so many samples each the mean of a block: models if
-   `orders` is 0, slopes if it is -1, or stencils of an instant so many samples from the middle.
-   `flags` are 1 for samples that are all but exact and 2 for twice as many processes. */
-typedef struct {
-    long long count, block, flags, orders;
-    double at;
-    const long long *integers;
-    const double *numbers;
-} Table;
-
-/* The arguments of `derive_poses` in _poses.py, which says what they are: arrays (N, B) of B bodies
-   in N frames, and (T, B) of T instants; `windows` (3, T) are the frame of the instant and the
-   oldest and newest frames. Signals before `next` are done; `lacking` is the table to make before
-   the next call. */
-typedef struct {
-    long long frames, bodies, instants, next, orders, effort, table_count;
-    double window, flat; /* s; logarithm of the deviation of a flat prior */
-    const long long *time, *windows, *left_out;
-    const double *angle, *turns, *position, *angle_information, *position_information, *noise;
-    const Table *tables;
-    double *results;
-    Table lacking;
-} Call;
+#include "_call.h"
 
 /* The even cells of an instant: the interval, ns, and of each frame, the newest first, its cell and
    by how many intervals it is late. */
@@ -83,8 +59,6 @@ typedef struct {
     double interval, *late;
     long long *cell;
 } Grid;
-
-enum { NO_MEMORY = -2, NO_FRAMES, DONE, LACKING };
 
 /* A buffer of a thread that lives as long as it does. */
 enum { OF_GRID, OF_CELLS, OF_WINDOW, OF_MODELS, BUFFERS };

@@ -15,8 +15,8 @@ from kinpole_ros.linkage._plane import scale_of
 from kinpole_ros.linkage._poses import GROUND, Pose, ground
 from kinpole_ros.linkage._record import Record, Stamps, gather
 from kinpole_ros.linkage._rolling import Rolling, fit_gear, fit_wheel
-from kinpole_ros.pipeline.estimate import MOST_PAIRED_BODIES
-from kinpole_ros.pipeline.frame import MarkerFrames
+from kinpole_ros.tracking.estimate import MOST_PAIRED_BODIES
+from kinpole_ros.tracking.frame import MarkerFrames
 
 # Times the noise a pin may leave over without doubt.
 _DOUBTFUL = 1.5

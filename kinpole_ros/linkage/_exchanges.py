@@ -12,7 +12,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from kinpole_ros.linkage._near import near_pairs
-from kinpole_ros.rigid.levels import SURE
+from kinpole_ros.tracking.levels import SURE
 
 # Two names are exchanged where their points are so many times nearer to where the other one leads.
 _NEARER = 10.0

@@ -10,7 +10,7 @@ from kinpole_ros.linkage._model import GROUND_NUMBER, LINE, Place
 from kinpole_ros.linkage._poses import Pose
 from kinpole_ros.linkage._rolling import Rolling
 from kinpole_ros.planar import fit_pose
-from kinpole_ros.rigid.levels import LITTLE
+from kinpole_ros.tracking.levels import LITTLE
 
 # Two places of a body are one if they are no farther than so many deviations, or this share of the
 # distance from the mean of the markers.

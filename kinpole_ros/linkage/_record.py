@@ -11,7 +11,7 @@ import numpy as np
 
 from kinpole_ros.linkage._exchanges import correct_exchanges
 from kinpole_ros.linkage._near import near_pairs
-from kinpole_ros.pipeline.frame import MarkerFrames
+from kinpole_ros.tracking.frame import MarkerFrames
 
 # Names are counted anew in every frame by some drivers: more names than this many times the markers
 # of a frame are none.

@@ -3,7 +3,7 @@
 import re
 
 from kinpole_ros.linkage._model import GROUND_NUMBER, Linkage
-from kinpole_ros.rigid.plane import plane_of
+from kinpole_ros.tracking.plane import plane_of
 
 _PLAIN = re.compile(r'[A-Za-z_][A-Za-z0-9_]*')
 # What YAML takes for something else than text.

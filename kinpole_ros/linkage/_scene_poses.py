@@ -11,9 +11,9 @@ import numpy as np
 
 from kinpole_ros.linkage._residuals import place
 from kinpole_ros.mechanism import Equations
-from kinpole_ros.pipeline.estimate import Estimate, FramePoses
 from kinpole_ros.planar import fit_pose
 from kinpole_ros.planar._plane import Complex, Real
+from kinpole_ros.tracking.estimate import Estimate, FramePoses
 
 
 class Lie(NamedTuple):

@@ -13,7 +13,7 @@ from kinpole_ros.linkage._gears import meshed
 from kinpole_ros.linkage.positions import Positions
 from kinpole_ros.linkage.theory import Theory
 from kinpole_ros.mechanism import Dimension, Scene, SceneError
-from kinpole_ros.pipeline.estimate import Estimate
+from kinpole_ros.tracking.estimate import Estimate
 
 _MOST = 6000  # instants, evenly over the recording: more take time and tell little
 

@@ -7,8 +7,8 @@ import numpy as np
 
 from kinpole_ros.linkage.theory import Theory, body_frames, on_tracked
 from kinpole_ros.mechanism import GROUND, Force
-from kinpole_ros.pipeline.estimate import Estimate, Vectors
 from kinpole_ros.planar import covariance, point_motion
+from kinpole_ros.tracking.estimate import Estimate, Vectors
 
 # What a topic may be called.
 _TOKEN = re.compile(r'[A-Za-z][A-Za-z0-9_]*')

@@ -27,8 +27,8 @@ from kinpole_ros.linkage._unknowns import (
     solve,
 )
 from kinpole_ros.mechanism import Dimension, LinkageError, Scene
-from kinpole_ros.pipeline.estimate import Estimate
 from kinpole_ros.planar._plane import Complex, Real
+from kinpole_ros.tracking.estimate import Estimate
 
 # Instants that are compared, evenly over a recording.
 _MOST = 3000

@@ -27,8 +27,6 @@ from kinpole_ros.mechanism import (
     SceneError,
     load_scene,
 )
-from kinpole_ros.pipeline.estimate import SIGNIFICANT, Estimate, Numbers
-from kinpole_ros.pipeline.parameters import POSE_TYPES, ParameterError, Settings, of_poses
 from kinpole_ros.planar import (
     Port,
     center_offset,
@@ -36,6 +34,8 @@ from kinpole_ros.planar import (
     measured_balance,
     to_complex,
 )
+from kinpole_ros.tracking.estimate import SIGNIFICANT, Estimate, Numbers
+from kinpole_ros.tracking.parameters import POSE_TYPES, ParameterError, Settings, of_poses
 
 # ns. A recording is looked at as often: never at one place of the turn, whatever the rate is like.
 _EVERY = 618_033_989

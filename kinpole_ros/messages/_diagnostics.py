@@ -18,9 +18,9 @@ from kinpole_ros.messages._space import (
 )
 from kinpole_ros.messages._stamps import jitter_fault, stamp_faults, stamp_values
 from kinpole_ros.messages._types import DiagnosticArray, DiagnosticStatus, KeyValue
-from kinpole_ros.pipeline.bodies import Outage
-from kinpole_ros.pipeline.estimate import Estimate
-from kinpole_ros.pipeline.tracker import Tracker
+from kinpole_ros.tracking.estimate import Estimate
+from kinpole_ros.tracking.outages import Outage
+from kinpole_ros.tracking.tracker import Tracker
 
 if TYPE_CHECKING:
     from kinpole_ros.linkage.positions import LivePositions

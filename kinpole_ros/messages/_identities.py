@@ -4,8 +4,8 @@ from collections.abc import Iterator, Mapping
 
 import numpy as np
 
-from kinpole_ros.pipeline.matcher import BY_SHAPE, OTHERS, RENAMED, UNCERTAIN
-from kinpole_ros.pipeline.tracker import Tracker
+from kinpole_ros.tracking.matcher import BY_SHAPE, OTHERS, RENAMED, UNCERTAIN
+from kinpole_ros.tracking.tracker import Tracker
 
 # Of corrections and characters of each.
 _MOST_NOTES, _MOST_SHOWN = 3, 120

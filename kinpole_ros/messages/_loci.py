@@ -6,8 +6,8 @@ from typing import TypeAlias
 import numpy as np
 
 from kinpole_ros.messages._cdr import path
-from kinpole_ros.pipeline.estimate import Estimate
-from kinpole_ros.rigid.plane import Plane
+from kinpole_ros.tracking.estimate import Estimate
+from kinpole_ros.tracking.plane import Plane
 
 # Instants as indices, in order, and the messages of these.
 Built: TypeAlias = tuple[list[int], list[bytes]]

@@ -25,7 +25,7 @@ from kinpole_ros.messages._types import (
     Time,
     Vector3,
 )
-from kinpole_ros.pipeline.frame import MarkerFrames
+from kinpole_ros.tracking.frame import MarkerFrames
 
 MARKER_TYPES: dict[str, type] = {
     'marker_array': MarkerArray,

@@ -21,8 +21,8 @@ from kinpole_ros.messages._markers import (
 )
 from kinpole_ros.messages._reader import MarkerReader
 from kinpole_ros.messages._walk import Items, Walk
-from kinpole_ros.pipeline.frame import MarkerFrames
-from kinpole_ros.pipeline.parameters import POSE_TYPES, Settings, check_poses
+from kinpole_ros.tracking.frame import MarkerFrames
+from kinpole_ros.tracking.parameters import POSE_TYPES, Settings, check_poses
 
 AUTO_TYPES = (*MARKER_TYPES, 'pose_stamped')
 """What is recognized by its type alone."""

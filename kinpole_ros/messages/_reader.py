@@ -28,7 +28,7 @@ from kinpole_ros.messages._markers import (
 )
 from kinpole_ros.messages._types import Marker, deserialize_message
 from kinpole_ros.messages._walk import LITTLE, MarkerPlaces, Walk
-from kinpole_ros.pipeline.frame import MarkerFrames, part_of
+from kinpole_ros.tracking.frame import MarkerFrames, part_of
 
 # Markers that come and go make many layouts; more than these, or larger ones, are not remembered.
 _MOST_LAYOUTS = 64

@@ -28,7 +28,7 @@ from kinpole_ros.messages._types import (
     Vector3Stamped,
     WrenchStamped,
 )
-from kinpole_ros.pipeline.estimate import (
+from kinpole_ros.tracking.estimate import (
     POLE_NAMES,
     RATE_NAMES,
     Estimate,
@@ -36,8 +36,8 @@ from kinpole_ros.pipeline.estimate import (
     Vectors,
     measured_pairs,
 )
-from kinpole_ros.pipeline.parameters import Settings
-from kinpole_ros.rigid.plane import XY, Plane, PlaneSetting, plane_of
+from kinpole_ros.tracking.parameters import Settings
+from kinpole_ros.tracking.plane import XY, Plane, PlaneSetting, plane_of
 
 if TYPE_CHECKING:
     from kinpole_ros.linkage.theory import Theory

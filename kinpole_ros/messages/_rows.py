@@ -13,7 +13,7 @@ import numpy as np
 
 from kinpole_ros.messages._cdr import rows_of_bytes, stamped_doubles, stamped_head
 from kinpole_ros.messages._loci import Build, Built
-from kinpole_ros.pipeline.estimate import Estimate
+from kinpole_ros.tracking.estimate import Estimate
 
 # An index of (T, B): some instants of one body, or some bodies at one instant.
 At: TypeAlias = tuple[slice | np.ndarray, int] | tuple[int, slice | np.ndarray]

@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from kinpole_ros.rigid import LENS, SLANT, TISSUE
-from kinpole_ros.rigid.plane import FIT, Plane, PlaneSetting, as_parameter
-from kinpole_ros.rigid.space import KEEPS, SpaceReport
+from kinpole_ros.tracking.deformation import TISSUE
+from kinpole_ros.tracking.plane import FIT, Plane, PlaneSetting, as_parameter
+from kinpole_ros.tracking.space import KEEPS, SpaceReport
 
 # m. Bodies that are larger or smaller are likely given in another unit.
 _LARGEST, _SMALLEST = 20.0, 1e-3
@@ -83,17 +83,9 @@ def shape_fault(b: int, off: float, cause: str, report: SpaceReport) -> str:
 _CAUSES = {
     '': 'far more than their noise: name those of one link only',
     TISSUE: (
-        'slowly and far more than their noise, as on soft tissue, or where one is loose, off the '
-        'plane or of another link; deviations include it; fix: fasten them, and name those of one '
+        'slowly and far more than their noise, as on soft tissue, through a lens, or where one is '
+        'loose or of another link; deviations include it; fix: fasten them, and name those of one '
         'link only'
-    ),
-    LENS: (
-        'by where they are in the field, as a lens moves them; poles are displaced by more than '
-        'deviations include; fix: calibrate the camera, and send markers without its distortion'
-    ),
-    SLANT: (
-        'by how they are turned, as where the plane is seen at a slant or the axes have two '
-        'scales; fix: set the parameter plane, or calibrate the camera'
     ),
 }
 

@@ -11,9 +11,9 @@ import numpy as np
 from kinpole_ros.messages._cdr import joint_data
 from kinpole_ros.messages._loci import Build, Built
 from kinpole_ros.messages._rows import At, Found, each
-from kinpole_ros.pipeline.estimate import Estimate
-from kinpole_ros.pipeline.parameters import GROUND
-from kinpole_ros.rigid.plane import Plane
+from kinpole_ros.tracking.estimate import Estimate
+from kinpole_ros.tracking.parameters import GROUND
+from kinpole_ros.tracking.plane import Plane
 
 TF = '/tf'
 """The topic of frames, the same for all nodes."""

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from kinpole_ros.messages._types import DiagnosticStatus
-from kinpole_ros.pipeline.ticks import StampState
+from kinpole_ros.tracking.stamps import StampState
 
 # Steps of the stamps over those of the arrivals; a bag played at ten times its pace is in order.
 _ODD_PACE = 100.0

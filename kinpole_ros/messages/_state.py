@@ -15,8 +15,8 @@ from kinpole_ros.messages._cdr_writer import HEAD, SECOND, TIME, Writer
 from kinpole_ros.messages._loci import Build, Built
 from kinpole_ros.messages._markers import stamp_to_ns
 from kinpole_ros.messages._types import PointCloud2, PointField, deserialize_message
-from kinpole_ros.pipeline.estimate import POLE_NAMES, RATE_NAMES, Estimate, Numbers, Vectors
-from kinpole_ros.rigid.plane import Plane
+from kinpole_ros.tracking.estimate import POLE_NAMES, RATE_NAMES, Estimate, Numbers, Vectors
+from kinpole_ros.tracking.plane import Plane
 
 # The topic.
 STATE = 'state'

@@ -22,9 +22,9 @@ from kinpole_ros.messages._loci import Build, Built
 from kinpole_ros.messages._results import Output, outputs_of
 from kinpole_ros.messages._state import STATE
 from kinpole_ros.messages._types import PointCloud2, String, type_name
-from kinpole_ros.pipeline.estimate import POLE_NAMES, RATE_NAMES, Estimate, Numbers, Vectors
-from kinpole_ros.pipeline.parameters import Settings
-from kinpole_ros.rigid.plane import XY, Plane, as_parameter, plane_of
+from kinpole_ros.tracking.estimate import POLE_NAMES, RATE_NAMES, Estimate, Numbers, Vectors
+from kinpole_ros.tracking.parameters import Settings
+from kinpole_ros.tracking.plane import XY, Plane, as_parameter, plane_of
 
 if TYPE_CHECKING:
     from kinpole_ros.linkage.theory import Theory

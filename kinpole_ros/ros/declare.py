@@ -7,7 +7,7 @@ from rcl_interfaces.msg import FloatingPointRange, ParameterDescriptor
 from rclpy.node import Node
 from rclpy.qos_overriding_options import QoSOverridingOptions
 
-from kinpole_ros.pipeline.parameters import (
+from kinpole_ros.tracking.parameters import (
     NODE_PARAMETERS,
     PARAMETERS,
     Parameter,

@@ -9,9 +9,9 @@ from rclpy.qos import QoSProfile, ReliabilityPolicy
 
 from kinpole_ros.bags import BagError
 from kinpole_ros.messages import MARKER_TYPES, ROS_TYPE_NAMES, MarkerReader, MessageError
-from kinpole_ros.pipeline.frame import MarkerFrames
 from kinpole_ros.ros.live import own_context
 from kinpole_ros.ros.source import MAX_MESSAGE_BYTES, SUBSCRIPTION_DEPTH, describe_excess
+from kinpole_ros.tracking.frame import MarkerFrames
 
 # s. A publisher is known to others within a second or two; more is for those that start just now.
 _PATIENCE = 10.0

@@ -36,16 +36,16 @@ from kinpole_ros.messages import (
     live_outputs,
     nothing_drawn,
 )
-from kinpole_ros.pipeline.estimate import Estimate
-from kinpole_ros.pipeline.frame import MarkerFrames, part_of
-from kinpole_ros.pipeline.parameters import ParameterError, Settings
-from kinpole_ros.pipeline.tracker import Tracker
 from kinpole_ros.ros.declare import given_in_vain
 from kinpole_ros.ros.executor import make_executor
 from kinpole_ros.ros.private import RCLError, wrap_service
 from kinpole_ros.ros.process import reason_of, start_ros
 from kinpole_ros.ros.settable import SettableNode
 from kinpole_ros.ros.source import MarkerSource, publishers_of
+from kinpole_ros.tracking.estimate import Estimate
+from kinpole_ros.tracking.frame import MarkerFrames, part_of
+from kinpole_ros.tracking.parameters import ParameterError, Settings
+from kinpole_ros.tracking.tracker import Tracker
 
 _DIAGNOSTICS_EVERY = 1.0
 _LOOK_EVERY = 0.1

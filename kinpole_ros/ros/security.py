@@ -10,7 +10,7 @@ from dataclasses import replace
 from xml.sax.saxutils import escape, quoteattr
 
 from kinpole_ros.messages import TF, live_outputs, theory_of
-from kinpole_ros.pipeline.parameters import ParameterError, Settings, load_settings
+from kinpole_ros.tracking.parameters import ParameterError, Settings, load_settings
 
 # Of every node, or every managed one, by rclpy; and one of its own.
 _SERVICES = (

@@ -17,7 +17,9 @@ from rclpy.lifecycle import LifecycleNode
 from rclpy.parameter import Parameter as RosParameter
 
 from kinpole_ros.messages import WITH_TF, theory_of
-from kinpole_ros.pipeline.parameters import (
+from kinpole_ros.ros.declare import declare, declare_own, given_to, values_of
+from kinpole_ros.ros.private import wrap_service
+from kinpole_ros.tracking.parameters import (
     NODE_PARAMETERS,
     PARAMETERS,
     ParameterError,
@@ -27,8 +29,6 @@ from kinpole_ros.pipeline.parameters import (
     known_rows,
     settings_from,
 )
-from kinpole_ros.ros.declare import declare, declare_own, given_to, values_of
-from kinpole_ros.ros.private import wrap_service
 
 if TYPE_CHECKING:
     from kinpole_ros.linkage.theory import Theory

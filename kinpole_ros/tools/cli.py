@@ -144,7 +144,7 @@ def _is_for_the_user(error: Exception) -> bool:
     if isinstance(error, OSError | MemoryError) or package_missing(error):
         return True
     from kinpole_ros.mechanism import LinkageError, SceneError
-    from kinpole_ros.pipeline.parameters import ParameterError
+    from kinpole_ros.tracking.parameters import ParameterError
 
     ours: tuple[type[Exception], ...] = (LinkageError, ParameterError, SceneError, UsageError)
     with suppress(ImportError):  # without mcap, nothing can have raised it

@@ -23,9 +23,9 @@ from rclpy.serialization import deserialize_message
 
 from kinpole_ros.bags import BagError, message_class, read_messages
 from kinpole_ros.mechanism import share_folder
-from kinpole_ros.pipeline.estimate import POLE_NAMES
-from kinpole_ros.pipeline.parameters import Settings, load_settings
 from kinpole_ros.ros.live import own_context, play
+from kinpole_ros.tracking.estimate import POLE_NAMES
+from kinpole_ros.tracking.parameters import Settings, load_settings
 
 _START = 20.0  # s that node and recorder have to come up
 _STOP = 10.0  # s that they have to end

@@ -10,7 +10,7 @@ from pathlib import Path
 from kinpole_ros.bags import BagError, Truncated, in_place_of, read_frames
 from kinpole_ros.files import printable
 from kinpole_ros.linkage import UndiscoveredError, discover, draft, parameter_file, table
-from kinpole_ros.pipeline.frame import MarkerFrames
+from kinpole_ros.tracking.frame import MarkerFrames
 
 # s of data, where nobody says.
 _OF_A_BAG = 60.0

@@ -8,10 +8,10 @@ from kinpole_ros.bags import Truncated, bag_files, in_place_of, read_frames
 from kinpole_ros.linkage.fit import fit_scene, fitted_lines, free_dimensions
 from kinpole_ros.linkage.theory import load_theory
 from kinpole_ros.mechanism import Scene, SceneError, load_scene, rewritten, scene_text
-from kinpole_ros.pipeline.estimate import Estimate
-from kinpole_ros.pipeline.frame import MarkerFrames, part_of
-from kinpole_ros.pipeline.parameters import ParameterError, Settings, load_settings, settings_from
-from kinpole_ros.pipeline.tracker import Tracker
+from kinpole_ros.tracking.estimate import Estimate
+from kinpole_ros.tracking.frame import MarkerFrames, part_of
+from kinpole_ros.tracking.parameters import ParameterError, Settings, load_settings, settings_from
+from kinpole_ros.tracking.tracker import Tracker
 
 # Frames at a time, to tell how far it is.
 _AT_ONCE = 1000

@@ -11,7 +11,7 @@ from kinpole_ros.bags._replayed import Replayed
 from kinpole_ros.bags._stretch import Stretch, stretches
 from kinpole_ros.bags.batch import _store
 from kinpole_ros.bags.batch._results import EXPECTED, Row, made_of, name_of, name_results
-from kinpole_ros.pipeline.parameters import Settings
+from kinpole_ros.tracking.parameters import Settings
 
 # Bytes of a bag, at some 200 a frame: five seconds of work or more.
 _LONG = 4 << 20

@@ -15,7 +15,7 @@ from kinpole_ros.bags.batch._results import (
     shard_of,
     write_summary,
 )
-from kinpole_ros.pipeline.parameters import Settings
+from kinpole_ros.tracking.parameters import Settings
 
 # Bags whose results may lie in one folder; of more they lie in 256 folders in it.
 _MOST_IN_FOLDER = 10_000

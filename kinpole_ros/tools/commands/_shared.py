@@ -15,7 +15,7 @@ from kinpole_ros.packages import broken_import, install_command, package_of
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from kinpole_ros.pipeline.parameters import Settings
+    from kinpole_ros.tracking.parameters import Settings
 
 # The endings of the files that commands write, by what a file is.
 _ENDINGS = {
@@ -95,7 +95,7 @@ def on_terminal() -> bool:
 
 def settings_of(options: argparse.Namespace) -> 'Settings':
     """Those of --config, or the defaults, with what --set says instead."""
-    from kinpole_ros.pipeline.parameters import assignments, load_settings, settings_from
+    from kinpole_ros.tracking.parameters import assignments, load_settings, settings_from
 
     changes = assignments(options.set)
     if options.config:

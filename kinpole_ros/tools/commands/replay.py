@@ -59,7 +59,7 @@ def run(options: argparse.Namespace) -> int:
     """Do it, and print the outcome; the exit status."""
     from kinpole_ros.bags import assumed_body, replay, warnings_of
     from kinpole_ros.messages import plane_words
-    from kinpole_ros.rigid.plane import AXES
+    from kinpole_ros.tracking.plane import AXES
 
     outputs = (options.output, options.csv, options.parquet)
     settings = settings_of(options)

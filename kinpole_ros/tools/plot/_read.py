@@ -13,8 +13,8 @@ import numpy as np
 
 from kinpole_ros.bags import BagError, topics
 from kinpole_ros.messages import DRAWING
-from kinpole_ros.rigid.plane import AXES, Plane, as_parameter, plane_along, plane_of, upward
 from kinpole_ros.tools.plot._messages import outlines_of, read_rows
+from kinpole_ros.tracking.plane import AXES, Plane, as_parameter, plane_along, plane_of, upward
 
 POLES = ('icr', 'iap', 'ijp', 'isp')
 

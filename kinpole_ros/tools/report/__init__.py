@@ -17,11 +17,11 @@ from kinpole_ros.files import printable
 from kinpole_ros.linkage.theory import DeviationSummary
 from kinpole_ros.mechanism import load_scene
 from kinpole_ros.messages import theory_of
-from kinpole_ros.pipeline.parameters import Settings
-from kinpole_ros.rigid.plane import XY, as_parameter, plane_of
 from kinpole_ros.tools.report._pack import embedded, pack
 from kinpole_ros.tools.report._record import Collector, Record, joints_of
 from kinpole_ros.tools.report._results import has_results, read_record, words_of
+from kinpole_ros.tracking.parameters import Settings
+from kinpole_ros.tracking.plane import XY, as_parameter, plane_of
 
 __all__ = ['Record', 'joints_of', 'pack', 'page', 'report', 'settings_for', 'words_of']
 

@@ -12,8 +12,8 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
-from kinpole_ros.pipeline.estimate import POLE_NAMES, RATE_NAMES
 from kinpole_ros.tools.report._record import Columns, Record, joints_of
+from kinpole_ros.tracking.estimate import POLE_NAMES, RATE_NAMES
 
 Json: TypeAlias = dict[str, Any]
 # Of a deviation, of its larger figures, and of a figure itself: finer than this is not kept.

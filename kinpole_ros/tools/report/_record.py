@@ -11,8 +11,8 @@ from typing import NamedTuple, TypeAlias
 import numpy as np
 
 from kinpole_ros.linkage.theory import Theory
-from kinpole_ros.pipeline.estimate import POLE_NAMES, RATE_NAMES, Estimate, measured_pairs
 from kinpole_ros.tools.report._theory import theory_rates
+from kinpole_ros.tracking.estimate import POLE_NAMES, RATE_NAMES, Estimate, measured_pairs
 
 # By subject, a body or (j, i), and by figure: arrays (T, ...), NaN where undetermined.
 Columns: TypeAlias = dict[tuple[str | tuple[str, str], str], np.ndarray]

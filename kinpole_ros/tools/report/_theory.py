@@ -4,8 +4,8 @@ import numpy as np
 
 from kinpole_ros.linkage.theory import Theory
 from kinpole_ros.mechanism import LinkageError
-from kinpole_ros.pipeline.estimate import Estimate
 from kinpole_ros.planar import fit_pose
+from kinpole_ros.tracking.estimate import Estimate
 
 
 def theory_rates(theory: Theory, estimate: Estimate) -> dict[str, np.ndarray]:

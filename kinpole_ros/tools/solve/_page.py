@@ -14,11 +14,11 @@ import numpy as np
 from kinpole_ros import __version__
 from kinpole_ros.files import printable
 from kinpole_ros.mechanism import Belt, Rolling, Scene, poles
-from kinpole_ros.pipeline.estimate import POLE_NAMES, RATE_NAMES
 from kinpole_ros.tools.report import Record, pack, page
 from kinpole_ros.tools.solve._edit import editable
 from kinpole_ros.tools.solve._solved import Solved, acting, centers_of, rates_of
 from kinpole_ros.tools.solve._work import work_lines
+from kinpole_ros.tracking.estimate import POLE_NAMES, RATE_NAMES
 
 # In sizes of the bodies.
 _ZERO = 1e-9

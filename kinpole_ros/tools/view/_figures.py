@@ -10,7 +10,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 from kinpole_ros.messages import String, deserialize_message, figures_of, read_state
-from kinpole_ros.pipeline.estimate import POLE_NAMES, RATE_NAMES
+from kinpole_ros.tracking.estimate import POLE_NAMES, RATE_NAMES
 
 # How many numbers a figure of a body has: of a pole its place, and its ellipse.
 _POSE = ('x', 'y', 'angle', 'vx', 'vy')

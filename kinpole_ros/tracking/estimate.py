@@ -1,0 +1,410 @@
+"""
+What is known of all bodies at some instants, each quantity computed when it is first asked for.
+
+Holds the poses with their derivatives and covariances; rates, poles and centrodes follow from them
+by `planar`. Whatever does not stand out of its noise is marked undetermined, with the reason.
+"""
+
+from collections.abc import Callable, Iterator
+from functools import cached_property, lru_cache, partial
+from typing import NamedTuple, TypeVar
+
+import numpy as np
+
+from kinpole_ros import planar
+from kinpole_ros.tracking.plane import Plane
+
+# A denominator counts as known when it exceeds its standard deviation this many times.
+SIGNIFICANT = 4.0
+# Beyond this many body sizes a pole is as good as at infinity.
+FARTHEST = 1e3
+# An ICR that moves by less than so many standard deviations, or body sizes per rad, stands still.
+MOVING = 1.7
+STILL = 1e-6
+# A curvature is known to this part of itself, or to one over the body's size, while the body turns
+# by more than so many standard deviations.
+CURVED, TURNING = 0.3, 1.5
+# Bodies whose pairs are all measured: 20 have 190 pairs, 300 would have 44,850.
+MOST_PAIRED_BODIES = 20
+# Why a body whose ICR is known has no curvature of the centrode.
+PINNED = 'pinned: the ICR stands still'
+SLOW_ICR = 'the velocity of the ICR does not stand out of its noise'
+POLE_NAMES = ('icr', 'iap', 'ijp', 'isp')
+RATE_NAMES = ('angular_velocity', 'angular_acceleration', 'angular_jerk', 'angular_snap')
+
+
+class Vectors(NamedTuple):
+    """Vectors of the plane (complex) with covariance (..., 2, 2) and where they are determined."""
+
+    value: np.ndarray
+    covariance: np.ndarray
+    determined: np.ndarray
+
+
+class Numbers(NamedTuple):
+    """Numbers with variance and where they are determined."""
+
+    value: np.ndarray
+    variance: np.ndarray
+    determined: np.ndarray
+
+
+class FramePoses(NamedTuple):
+    """
+    Poses of the frames themselves (T, B), each from its own markers, so with errors of their own.
+
+    `angle` (rad) has whole turns; `position` is that of the origins of the bodies' frames, complex,
+    m. `angle_information` and `position_information` are inverse variances over that of a
+    coordinate of a marker, 0 for a body not seen, and `noise`, m, is the deviation of the latter.
+    Angle and position have no error in common where the markers seen have their mean, `middle`,
+    complex, m, in the body's frame.
+    """
+
+    angle: np.ndarray
+    position: np.ndarray
+    angle_information: np.ndarray
+    position_information: np.ndarray
+    middle: np.ndarray
+    noise: np.ndarray
+
+
+_Parts = TypeVar('_Parts', bound=Vectors | Numbers | FramePoses)
+
+
+class Estimate:
+    """
+    Motion of B bodies at T instants `stamp` (T,), ns, up to the derivative of `order`.
+
+    `angle` (order + 1, T, B), rad, is that of the bodies' frames in the plane of `frame_id`, and
+    `position` (order + 1, T, B), complex, m, that of a point of each body, which is at `reference`
+    (T, B), complex, m, in its frame: see `origin`; `position_covariance` and `angle_covariance`
+    (order + 1, order + 1, T, B) between orders, of one axis; `size` (T, B) is the diameter of
+    each body and `height` (T, B) where its markers are along the normal, m; `span` (T, B) in s and
+    `degree` (T, B) tell on how much time the angular velocity was found, and by how many parameters
+    less one. NaN marks a body of which nothing is known, for the reason in `missing` (T, B). `run`
+    is another number each time that a tracker starts anew: poses from before it are in other body
+    frames.
+    `pin` (T, B) is the fixed point a body was found to turn about, complex, m, with
+    `pin_variance` (T, B), m^2, of one coordinate; NaN for a body on no pin. `shape` (T, B, n) are
+    the markers in the bodies' frames, complex, m. `due` (T,) is which frame, of those the tracker
+    was given in one call, each instant fell due with. `plane` is where all this lies in `frame_id`,
+    None for the one that the parameters name. `frame_poses` makes those of the very frames, without
+    what others tell of them, when they are first asked for; None where they are not kept.
+
+    What follows is of shape (T, B) too, (T, pairs) for pairs of bodies. An index gives one instant
+    as an estimate of its own, in which all arrays lack the axis of T.
+    """
+
+    def __init__(
+        self,
+        stamp: np.ndarray,
+        frame_id: str,
+        bodies: tuple[str, ...],
+        position: np.ndarray,
+        angle: np.ndarray,
+        position_covariance: np.ndarray,
+        angle_covariance: np.ndarray,
+        size: np.ndarray,
+        height: np.ndarray,
+        span: np.ndarray,
+        degree: np.ndarray,
+        missing: np.ndarray,
+        run: int = 0,
+        pin: np.ndarray | None = None,
+        pin_variance: np.ndarray | None = None,
+        shape: np.ndarray | None = None,
+        due: np.ndarray | None = None,
+        reference: np.ndarray | None = None,
+        plane: Plane | None = None,
+        frame_poses: Callable[[], FramePoses] | None = None,
+    ) -> None:
+        self.stamp = stamp
+        self.frame_id = frame_id
+        self.bodies = bodies
+        self.position = position
+        self.angle = angle
+        self.position_covariance = position_covariance
+        self.angle_covariance = angle_covariance
+        self.size = size
+        self.height = height
+        self.span = span
+        self.degree = degree
+        self.missing = missing
+        self.run = run
+        each = position.shape[1:]
+        self.pin = np.full(each, np.nan + 0j) if pin is None else pin
+        self.pin_variance = np.full(each, np.nan) if pin_variance is None else pin_variance
+        self.pinned = np.isfinite(self.pin)
+        self._any_pinned = np.count_nonzero(self.pinned) > 0
+        self.shape = np.empty((*each, 0), complex) if shape is None else shape
+        self.due = np.arange(np.size(stamp)).reshape(np.shape(stamp)) if due is None else due
+        self.reference = np.zeros(each, complex) if reference is None else reference
+        self.plane = plane
+        self._make_frame_poses = frame_poses
+        self._poles: dict[int, Vectors] = {}
+        self._origins: dict[int, np.ndarray] = {}
+        self._rates: dict[int, Numbers] = {}
+
+    def __len__(self) -> int:
+        return len(self.stamp)
+
+    def __iter__(self) -> Iterator['Estimate']:
+        return (self[instant] for instant in range(len(self)))
+
+    def __getitem__(self, instant: int) -> 'Estimate':
+        one = Estimate(
+            self.stamp[instant],
+            self.frame_id,
+            self.bodies,
+            self.position[:, instant],
+            self.angle[:, instant],
+            self.position_covariance[:, :, instant],
+            self.angle_covariance[:, :, instant],
+            self.size[instant],
+            self.height[instant],
+            self.span[instant],
+            self.degree[instant],
+            self.missing[instant],
+            self.run,
+            self.pin[instant],
+            self.pin_variance[instant],
+            self.shape[instant],
+            self.due[instant],
+            self.reference[instant],
+            self.plane,
+            self._make_frame_poses and partial(self._frame_poses_at, instant),
+        )
+        # What was computed of all instants is not computed again of the one.
+        one._poles = {order: _at(instant, pole) for order, pole in self._poles.items()}
+        for name, figure in vars(self).items():
+            if isinstance(figure, Vectors | Numbers):
+                vars(one)[name] = _at(instant, figure)
+        return one
+
+    @cached_property
+    def frame_poses(self) -> FramePoses | None:
+        """The poses of the frames themselves, None where they are not kept."""
+        return self._make_frame_poses and self._make_frame_poses()
+
+    def _frame_poses_at(self, instant: int) -> FramePoses:
+        assert self.frame_poses is not None
+        return _at(instant, self.frame_poses)
+
+    @property
+    def order(self) -> int:
+        """The highest derivative known."""
+        return len(self.angle) - 1
+
+    def origin(self, order: int) -> np.ndarray:
+        """The origins of the bodies' frames (T, B), or their derivatives, complex, m/s^order."""
+        if order not in self._origins:
+            place = self.position[0] - self.reference * np.exp(1j * self.angle[0])
+            if order > 0:
+                place = planar.body_point_derivative(order, place, self.position, self.angle)
+            self._origins[order] = np.asarray(place)
+        return self._origins[order]
+
+    def rate(self, order: int) -> Numbers:
+        """Derivative of the angle of that order (rad/s^order), order 1 to 4."""
+        if order not in self._rates:
+            value, variance = self.angle[order], self.angle_covariance[order, order]
+            self._rates[order] = Numbers(value, variance, np.isfinite(value))
+        return self._rates[order]
+
+    @property
+    def _motion(self) -> tuple[np.ndarray, ...]:
+        """What figures follow from."""
+        return self.position, self.angle, self.position_covariance, self.angle_covariance
+
+    def general_pole(self, order: int) -> Vectors:
+        """The pole of order 1 to 4 (m) as it follows from the motion, whatever is known of pins."""
+        value, spread, certainty = planar.pole_figures(order, *self._motion)
+        with np.errstate(invalid='ignore', over='ignore'):
+            near = np.abs(value - self.position[0]) < FARTHEST * self.size
+        known = np.isfinite(spread).all(axis=(-2, -1))
+        return Vectors(value, spread, (certainty > SIGNIFICANT) & near & known)
+
+    def pole(self, order: int) -> Vectors:
+        """ICR, IAP, IJP or ISP (m) for order 1 to 4, on the pin where there is one."""
+        if order not in self._poles:
+            self._poles[order] = self._pole(order)
+        return self._poles[order]
+
+    def _pole(self, order: int) -> Vectors:
+        value, spread, determined = self.general_pole(order)
+        if self._any_pinned:
+            value = np.where(self.pinned, self.pin, value)
+            even = self.pin_variance[..., None, None] * np.eye(2)
+            spread = np.where(self.pinned[..., None, None], even, spread)
+            # Whatever rate is seen, the pin has none of that order; the formula need not be known.
+            rates = slice(order + 1)
+            turns = _stands_out(np.abs(self.angle[rates]), self.angle_covariance[rates, rates])
+            determined = determined | (self.pinned & turns)
+        return Vectors(value, spread, determined)
+
+    def motion(self, body: int) -> str:
+        """
+        What a body does at one instant: 'still', 'translating', 'pinned' or 'general'.
+
+        Empty for a body of which nothing is known.
+        """
+        if self.missing[body]:
+            return ''
+        if _stands_out(np.abs(self.angle), self.angle_covariance)[body]:
+            return 'pinned' if self.pinned[body] else 'general'
+        # Two axes have twice the variance of one.
+        moves = _stands_out(np.abs(self.position), 2 * self.position_covariance)
+        return 'translating' if moves[body] else 'still'
+
+    @cached_property
+    def icr_velocity(self) -> Vectors:
+        """Velocity of the ICR along both centrodes (m/s)."""
+        value, spread = planar.velocity_figures(*self._motion)
+        known = np.isfinite(value) & np.isfinite(spread).all(axis=(-2, -1))
+        if self._any_pinned:
+            value = np.where(self.pinned, 0.0, value)
+            spread = np.where(self.pinned[..., None, None], 0.0, spread)
+            known = known | self.pinned
+        return Vectors(value, spread, self.pole(1).determined & known)
+
+    @cached_property
+    @np.errstate(divide='ignore', invalid='ignore', over='ignore')
+    def centrode_curvature(self) -> Numbers:
+        """Signed curvature of the fixed centrode (1/m); undetermined where the ICR stands still."""
+        value, noise = planar.curvature_figures(*self._motion)
+        known, u = np.isfinite(value) & np.isfinite(noise), self.icr_velocity
+        # It goes by the speed to the power of -2, which is far from linear where that is noisy:
+        # of the error x of the speed, relative to it, the change of second order is 3 x^2.
+        slowness = (u.covariance[..., 0, 0] + u.covariance[..., 1, 1]) / 2 / np.abs(u.value) ** 2
+        noise = noise + 18 * (value * slowness) ** 2
+        least = np.maximum(CURVED * np.abs(value), 1 / self.size)
+        # Where the body does not turn for all one knows, it comes out straight, and that for sure.
+        turns = self.angle[1] ** 2 > TURNING**2 * self.angle_covariance[1, 1]
+        known = known & turns & (noise < least**2)
+        return Numbers(value, noise, self.icr_moves & known)
+
+    @cached_property
+    @np.errstate(divide='ignore', invalid='ignore', over='ignore')
+    def icr_moves(self) -> np.ndarray:
+        """Where (T, B) the ICR, however well known, is seen to move: on a pin it does not."""
+        u = self.icr_velocity
+        noise = np.sqrt(u.covariance[..., 0, 0] + u.covariance[..., 1, 1])
+        least = STILL * np.abs(self.angle[1]) * self.size
+        near = np.abs(self.pole(1).value - self.position[0]) < FARTHEST * self.size
+        return np.asarray(near & (np.abs(u.value) > np.maximum(MOVING * noise, least)))
+
+    @cached_property
+    def pairs(self) -> tuple[np.ndarray, np.ndarray]:
+        """Indices (j, i) of the measured pairs of bodies, i before j: see `measured_pairs`."""
+        return _pairs(len(self.bodies))
+
+    @cached_property
+    def relative_rate(self) -> Numbers:
+        """Angular velocity of j with respect to i (rad/s) for every pair."""
+        j, i = self.pairs
+        rate, noise, _ = self.rate(1)
+        value = rate[..., j] - rate[..., i]
+        return Numbers(value, noise[..., j] + noise[..., i], np.isfinite(value))
+
+    @cached_property
+    def relative_icr(self) -> Vectors:
+        """
+        Relative instant center of j with respect to i (m) for every pair.
+
+        From the velocities as measured, pins or no: what bends both cancels between them.
+        """
+        j, i = self.pairs
+        position, angle = self.position[:2], self.angle[:2]
+        covariances = self.position_covariance[:2, :2], self.angle_covariance[:2, :2]
+        by_j, by_i = planar.relative_pole(
+            position[..., j], angle[..., j], position[..., i], angle[..., i]
+        )
+        rate = self.relative_rate
+        with np.errstate(invalid='ignore', over='ignore'):
+            spread = planar.covariance(by_j, *(one[..., j] for one in covariances))
+            spread += planar.covariance(by_i, *(one[..., i] for one in covariances))
+            turning = np.abs(rate.value) > SIGNIFICANT * np.sqrt(rate.variance)
+            place, size = self.position[0], self.size
+            distance = np.abs(by_j.value - (place[..., j] + place[..., i]) / 2)
+            near = distance < FARTHEST * np.maximum(size[..., j], size[..., i])
+        finite = np.isfinite(by_j.value) & np.isfinite(spread).all(axis=(-2, -1))
+        return Vectors(by_j.value, spread, turning & near & finite)
+
+    @cached_property
+    def kennedy(self) -> tuple[np.ndarray, np.ndarray]:
+        """
+        How far the relative centers are from the line through their bodies' pins, for every pair.
+
+        The distance, m, and that over its standard deviation; NaN but for two bodies on pins, the
+        only centers found without the velocities (`planar.kennedy_residual`).
+        """
+        j, i = self.pairs
+        center = self.relative_icr
+        even = self.pin_variance[..., None, None] * np.eye(2)
+        distance, deviations = planar.kennedy_residual(
+            np.stack((self.pin[..., i], self.pin[..., j], center.value)),
+            np.stack((even[..., i, :, :], even[..., j, :, :], center.covariance)),
+        )
+        known = self.pinned[..., i] & self.pinned[..., j] & center.determined
+        return np.where(known, distance, np.nan), np.where(known, deviations, np.nan)
+
+    def reasons(self, body: int) -> dict[str, str]:
+        """Why each quantity of a body at one instant is undetermined, of those of this order."""
+        if self.missing[body]:
+            return {'all': str(self.missing[body])}
+        found = {name: str(why[body]) for name, why in self.withheld().items()}
+        return {name: why for name, why in found.items() if why}
+
+    def withheld(self) -> dict[str, np.ndarray]:
+        """
+        Why each quantity (T, B) of this order is undetermined, '' where it is determined.
+
+        Poles and, from order 3 on, the curvature of the centrode; only what is in `missing` is
+        the reason for all.
+        """
+        found = {}
+        for order in range(1, self.order + 1):
+            pole = self.pole(order)
+            with np.errstate(invalid='ignore'):
+                far = np.abs(pole.value - self.position[0]) > FARTHEST * self.size
+            reason = np.where(self.pole(1).determined, 'lost in its noise', 'no rotation')
+            reason = np.where(far, 'pole at infinity', reason)
+            found[POLE_NAMES[order - 1]] = np.where(pole.determined, '', reason)
+        if self.order >= 3:
+            # An ICR velocity that is lost in its noise is no evidence of a pin: all poses are.
+            reason = np.where(self.pole(1).determined, SLOW_ICR, '')
+            reason = np.where(self.pinned & self.pole(1).determined, PINNED, reason)
+            reason = np.where(self.icr_moves, 'lost in its noise', reason)
+            known = self.centrode_curvature.determined
+            found['centrode_curvature'] = np.where(known, '', reason)
+        return {
+            name: np.where(self.missing == '', why, self.missing) for name, why in found.items()
+        }
+
+
+@lru_cache(maxsize=8)
+def _pairs(bodies: int) -> tuple[np.ndarray, np.ndarray]:
+    i, j = np.triu_indices(bodies if bodies <= MOST_PAIRED_BODIES else 0, 1)
+    return j, i
+
+
+def measured_pairs(bodies: int) -> list[tuple[int, int]]:
+    """
+    List the pairs (i, j), i before j, of which relative motions are measured.
+
+    All pairs of up to 20 bodies, and none of more: their number grows with the square.
+    """
+    j, i = _pairs(bodies)
+    return list(zip(i.tolist(), j.tolist(), strict=True))
+
+
+def _at(instant: int, parts: _Parts) -> _Parts:
+    """One instant of arrays (T, ...)."""
+    return type(parts)(*(part[instant] for part in parts))
+
+
+def _stands_out(values: np.ndarray, covariance: np.ndarray) -> np.ndarray:
+    """Where (..., B) any of the derivatives (K, ..., B) of order 1 and up exceeds its noise."""
+    variance = np.einsum('kk...->k...', covariance)
+    with np.errstate(invalid='ignore'):
+        return np.asarray((values > SIGNIFICANT * np.sqrt(variance))[1:].any(axis=0))
