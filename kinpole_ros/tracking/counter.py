@@ -34,6 +34,8 @@ class Counter:
 
     def __init__(self, clock: Clock, count: int) -> None:
         self.count, self.noise = count, np.nan
+        # Of a frame that was lost.
+        self._loss_nats = LOSS_NATS
         # Coordinates of the markers of the pending frames, and of some before them.
         self._values: deque[Real] = deque(maxlen=UNSETTLED + MAX_PENDING + 1)
         self._before = np.zeros(0, np.int64)
@@ -105,6 +107,12 @@ class Counter:
         known = max(int(sure[-1]) + 1 if len(sure) else 0, number - MAX_PENDING)
         return self._settle(known, paths, self._costs[order])
 
+    def learn_losses(self, counts: np.ndarray) -> None:
+        """Learn from `counts` (T,) how often a frame is lost."""
+        if len(counts):
+            lost = max(int(counts[-1] - counts[0]) + 1 - len(counts), 0)
+            self._loss_nats = math.log((len(counts) + lost + math.exp(LOSS_NATS)) / (lost + 1))
+
     def take_pending(self) -> np.ndarray:
         """Count all that are pending as is likeliest; returns the counts."""
         return self._settle(self.pending, self._paths, self._costs)
@@ -125,7 +133,7 @@ class Counter:
         lost = np.unique(np.concatenate((before, np.arange(least, most + 1))))
         path, which = ((lost >= before[:, None]) & (lost <= most)).nonzero()
         more = lost[which] - before[path]
-        self._costs = self._costs[path] + LOSS_NATS * np.minimum(more, 2)
+        self._costs = self._costs[path] + self._loss_nats * np.minimum(more, 2)
         # No frame tells more: a driver hangs for once about as often as frames are lost.
         self._costs += np.minimum((most - lost[which]) * self._late_nats, LOSS_NATS)
         self._paths = np.column_stack((self._paths[path], lost[which]))
