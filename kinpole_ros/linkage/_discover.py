@@ -20,33 +20,42 @@ from kinpole_ros.tracking.frame import MarkerFrames
 
 # Times the noise a pin may leave over without doubt.
 _DOUBTFUL = 1.5
+# Two places nearer than this share of a body's size are one, even without noise.
+_SAME_PLACE = 1e-5
 # Share of the points that may be of no body: passing others, they cannot always be identified.
 _LEFT_OVER = 0.03
 
 
 def discover(
-    parts: Sequence[MarkerFrames], progress: Callable[[float], None] | None = None
+    parts: Sequence[MarkerFrames],
+    progress: Callable[[float], None] | None = None,
+    normal: np.ndarray | None = None,
 ) -> Linkage:
     """
     The linkage whose markers `parts` hold, in order; identities need not be right.
+
+    The plane has this `normal` (3,), or is found from the motion.
 
     Raises UndiscoveredError, with the fix, where there is too little to find anything.
     """
     record, stamps = gather(parts)
     most = None if progress is None else (lambda share: progress(0.8 * share))
-    found = identify(record, most)
+    found = identify(record, normal, most)
     return _linkage_from(record, stamps, found)
 
 
 def _linkage_from(record: Record, stamps: Stamps, found: Bodies) -> Linkage:
     scale = scale_of(max(pose.size for pose in found.poses))
-    found = _in_order(found)
+    if found.space is None:
+        found = _in_order(found)
     poses = [_scaled(pose, scale) for pose in found.poses]
     standing = ground(len(record.stamps))
     bodies = {**dict(enumerate(poses)), GROUND_NUMBER: standing}
     notes: list[str] = []
     names = body_names([[found.labels[k] for k in body] for body in found.groups.bodies])
-    pins = _pins(bodies, names, notes)
+    # Joints of a plane say nothing of bodies that leave it.
+    is_planar = found.space is None
+    pins = _pins(bodies, names, notes) if is_planar else []
     freedom = 3 * len(poses) - 2 * _independent(pins)
     # Where more is held than lets it move, what fits worst is no pin but nearly one.
     while freedom < 1 and pins and pins[-1].ratio > _DOUBTFUL:
@@ -56,7 +65,7 @@ def _linkage_from(record: Record, stamps: Stamps, found: Bodies) -> Linkage:
     joints: list[Joint] = list(pins)
     rolling: list[Rolling] = []
     pinned = {frozenset((joint.one, joint.other)) for joint in pins}
-    slides = _slides(bodies, pinned)
+    slides = _slides(bodies, pinned) if is_planar else []
     for joint, is_only_one in slides:
         held = 2 if joint.kind in ('trammel', 'slide') else 1
         # With one that holds more, nothing could move.
@@ -82,12 +91,13 @@ def _linkage_from(record: Record, stamps: Stamps, found: Bodies) -> Linkage:
         if freedom > 1:
             rolling.append(gear)
             freedom -= 1
-    if len(poses) > MOST_PAIRED_BODIES + 1:
+    if is_planar and len(poses) > MOST_PAIRED_BODIES + 1:
         notes.append(
             f'joints of each of the {len(poses)} bodies are sought with the ground and the '
             f'{MOST_PAIRED_BODIES} nearest bodies only'
         )
-    _note_loose(joints, rolling, names, notes)
+    if is_planar:
+        _note_loose(joints, rolling, names, notes)
     _note_exchanged(record, notes)
     _note_left_over(record, found, notes)
     return Linkage(
@@ -110,6 +120,7 @@ def _linkage_from(record: Record, stamps: Stamps, found: Bodies) -> Linkage:
         make_places(bodies, joints, rolling),
         freedom,
         notes,
+        found.space,
     )
 
 
@@ -242,7 +253,8 @@ def _gears(bodies: dict[int, Pose], pins: Sequence[Joint]) -> list[Rolling]:
         for other, center, same, there, deviation in sides:
             if one in (GROUND_NUMBER, other) or same != arm:
                 continue
-            if abs(at - there) < 10 * deviation:
+            # Two wheels on one axle.
+            if abs(at - there) < max(10 * deviation, _SAME_PLACE * bodies[arm].size):
                 continue
             if any({g.one, g.other} == {one, other} for g in found):
                 continue
