@@ -20,6 +20,8 @@ _PLAY = 0.002
 # Deviations of the relative turn without which no point of it is determined.
 _TURNS = 6.0
 _FEWEST = 50
+# Deviation of the place of a pin in its slot, over the sizes of the bodies, that says nothing.
+_VAGUE = 0.05
 
 
 class Joint(NamedTuple):
@@ -163,6 +165,8 @@ def fit_slide(one: Pose, other: Pose, numbers: tuple[int, int]) -> Joint | None:
         return None
     inverse = np.linalg.inv(rows.T @ rows)
     deviation = max(residual, expected) * float(np.sqrt(inverse[0, 0] + inverse[1, 1]))
+    if deviation > _VAGUE * (one.size + other.size):
+        return None
     middle = normal * d + direction * float(np.median(along))
     line = max(residual, expected) * float(np.sqrt(inverse[2, 2]))
     return Joint(
