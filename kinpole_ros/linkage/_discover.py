@@ -7,7 +7,7 @@ import numpy as np
 
 from kinpole_ros.linkage._columns import medians
 from kinpole_ros.linkage._identify import Bodies, identify
-from kinpole_ros.linkage._joints import Joint, fit_pin, fit_slide
+from kinpole_ros.linkage._joints import GIVES, Joint, fit_pin, fit_slide
 from kinpole_ros.linkage._model import GROUND_NUMBER, Linkage
 from kinpole_ros.linkage._names import body_names, marker_names
 from kinpole_ros.linkage._places import connected, make_places
@@ -15,6 +15,7 @@ from kinpole_ros.linkage._plane import scale_of
 from kinpole_ros.linkage._poses import GROUND, Pose, ground
 from kinpole_ros.linkage._record import Record, Stamps, gather
 from kinpole_ros.linkage._rolling import Rolling, fit_gear, fit_wheel
+from kinpole_ros.linkage._space import tree_of
 from kinpole_ros.tracking.estimate import MOST_PAIRED_BODIES
 from kinpole_ros.tracking.frame import MarkerFrames
 
@@ -55,7 +56,7 @@ def _linkage_from(record: Record, stamps: Stamps, found: Bodies) -> Linkage:
     names = body_names([[found.labels[k] for k in body] for body in found.groups.bodies])
     # Joints of a plane say nothing of bodies that leave it.
     is_planar = found.space is None
-    pins = _pins(bodies, names, notes) if is_planar else []
+    pins = _pins(bodies, names, notes, found.is_soft) if is_planar else []
     freedom = 3 * len(poses) - 2 * _independent(pins)
     # Where more is held than lets it move, what fits worst is no pin but nearly one.
     while freedom < 1 and pins and pins[-1].ratio > _DOUBTFUL:
@@ -65,7 +66,8 @@ def _linkage_from(record: Record, stamps: Stamps, found: Bodies) -> Linkage:
     joints: list[Joint] = list(pins)
     rolling: list[Rolling] = []
     pinned = {frozenset((joint.one, joint.other)) for joint in pins}
-    slides = _slides(bodies, pinned) if is_planar else []
+    # On skin anything seems to slide a little.
+    slides = [] if found.is_soft else _slides(bodies, pinned)
     for joint, is_only_one in slides:
         held = 2 if joint.kind in ('trammel', 'slide') else 1
         # With one that holds more, nothing could move.
@@ -87,7 +89,7 @@ def _linkage_from(record: Record, stamps: Stamps, found: Bodies) -> Linkage:
                 f'{one} on {other}: a line on either of them fits, and which it is cannot be told '
                 'from so little motion; fix: move them farther, or correct the draft'
             )
-    for gear in _gears(bodies, pins):
+    for gear in [] if found.is_soft else _gears(bodies, pins):
         if freedom > 1:
             rolling.append(gear)
             freedom -= 1
@@ -99,6 +101,11 @@ def _linkage_from(record: Record, stamps: Stamps, found: Bodies) -> Linkage:
     if is_planar:
         _note_loose(joints, rolling, names, notes)
     _note_exchanged(record, notes)
+    if found.ordered and record.doubted:
+        notes.append(
+            'names of markers that pass each other seem to be exchanged; the bodies are rigid by '
+            'them, so they are taken as they are'
+        )
     _note_left_over(record, found, notes)
     return Linkage(
         names,
@@ -184,22 +191,26 @@ def _scaled(pose: Pose, scale: float) -> Pose:
     )
 
 
-def _pins(bodies: dict[int, Pose], names: list[str], notes: list[str]) -> list[Joint]:
-    pins = []
+def _pins(
+    bodies: dict[int, Pose], names: list[str], notes: list[str], is_soft: bool
+) -> list[Joint]:
+    pins: list[Joint] = []
     for one, other in _candidates({k: bodies[k] for k in range(len(names))}):
-        joint, turns = fit_pin(bodies[one], bodies[other], (one, other))
+        joint, turns = fit_pin(bodies[one], bodies[other], (one, other), GIVES * is_soft)
         if joint is not None:
             pins.append(joint)
-        elif not turns:
+        elif not turns and not is_soft:
             notes.append(
                 f'{names[one]} and {names[other]} do not turn against each other: whether a pin '
                 'joins them, and where, cannot be determined'
             )
+    if is_soft:
+        pins = tree_of(pins, len(names))
     for one in range(len(names)):
         joint, turns = fit_pin(bodies[one], bodies[GROUND_NUMBER], (one, GROUND_NUMBER))
         if joint is not None:
             pins.append(joint)
-        elif not turns:
+        elif not turns and not is_soft:
             notes.append(
                 f'{names[one]} does not turn: it has no pin to the ground that can be seen'
             )

@@ -6,12 +6,14 @@ or more that are not on one line has a pose in each frame, and its rotation vect
 Joints are fitted to pairs of poses (Ehrig et al. 2006 and 2007).
 """
 
+from collections.abc import Sequence
 from itertools import combinations, permutations
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 
 from kinpole_ros.linkage._columns import quantiles
+from kinpole_ros.linkage._joints import GIVES, Joint
 from kinpole_ros.planar._plane import Real
 
 _FRAMES = 1000  # that are looked at: more would not tell more
@@ -23,6 +25,9 @@ _SOFTER = 3.0  # times the spread of two groups up to which both together are on
 # Spread of a distance over the usual distance of two markers of one body: below the first all are
 # rigid (a loose marker), beyond the second none is (skin over a joint).
 _LOOSE, _SOFTEST = 0.002, 0.04
+_NOISIEST = (
+    0.1  # noise over the usual distance of two markers of one body, that hides what is rigid
+)
 _OVER = 2.0  # times the softness of the bodies, for a marker over a joint
 # The same over the distance itself, and times the largest of a body, for skin over a joint.
 _STRAIN, _OVER_JOINT = 0.025, 1.3
@@ -30,9 +35,8 @@ _SEGMENT = 1 / 3  # usual distance of two markers of one body over that of any t
 _THIN = 0.1  # width over length: markers nearer to one line do not show the turn about it
 _TURNED = np.radians(8)  # rms turn of two bodies below which they cannot be told apart, or joined
 _ROUNDS = 4  # of poses by the shape, and the shape by the poses
-# What a joint may leave over: times the residuals of the two bodies, or as a share of its distances
-# from their markers; and times these residuals where it closes a loop.
-_FITS, _GIVES, _CLOSES = 3.0, 0.022, 1.5
+# Times the residuals of two bodies that a joint may leave over; the same where it closes a loop.
+_FITS, _CLOSES = 3.0, 1.5
 _ALONG = np.cos(np.radians(25))  # of the axis of a hinge, for two markers on it
 _HINGE = 0.4  # turn about other axes over that about the main one, up to which it is a hinge
 _FAR = 5.0  # sizes of a body that a joint may be away from its markers
@@ -130,17 +134,7 @@ def find_bodies(points: Real, noise: Real) -> SpaceBodies:
 
     `noise` (n,) is that of the markers per axis.
     """
-    spread, usual = distance_spreads(points)
-    segment = _SEGMENT * float(np.median(usual[usual > 0])) if usual.any() else 0.0
-    nearest = spread.min(axis=1, initial=np.inf)
-    nearest = nearest[np.isfinite(nearest)]
-    soft = min(float(np.median(nearest)) if len(nearest) else 0.0, _SOFTEST / 2 * segment)
-    bodies, heights = _clusters(spread, usual, noise, soft, segment)
-    # As soft as the bodies are that are clear, others may be, too.
-    clear = [height for body, height in zip(bodies, heights, strict=True) if len(body) > 2]
-    if clear:
-        soft = max(soft, float(np.median(clear)))
-        bodies, heights = _clusters(spread, usual, noise, soft, segment)
+    bodies, heights, spread, usual, soft, segment = _groups(points, noise)
     some = sampled(points)
     solid = [fit_solid(some[:, body]) for body in bodies]
     limit = _SOFTEST * segment
@@ -156,6 +150,43 @@ def find_bodies(points: Real, noise: Real) -> SpaceBodies:
     return SpaceBodies(grown, solid, space_joints(solid), spread)
 
 
+def soft_bodies(points: Real, noise: Real, bodies: list[list[int]]) -> list[list[int]] | None:
+    """
+    Group the markers (T, n, 3) of a plane anew where a body of `bodies` is none, or there is none.
+
+    None where distances of all these change by no more than those of markers on skin.
+    """
+    new, _, spread, _, _, segment = _groups(points, noise)
+    inside = [
+        float(spread[np.ix_(body, body)][np.triu_indices(len(body), 1)].max()) for body in bodies
+    ]
+    if inside and max(inside) <= _SOFTEST * segment:
+        return None
+    return sorted(new, key=lambda body: -len(body))
+
+
+def _groups(
+    points: Real, noise: Real
+) -> tuple[list[list[int]], list[float], Real, Real, float, float]:
+    """
+    Markers (T, n, 3) that keep their distances, and by how much these change in each group.
+
+    Also the spreads and medians (n, n) of all distances, how soft bodies are, and how large.
+    """
+    spread, usual = distance_spreads(points)
+    segment = _SEGMENT * float(np.median(usual[usual > 0])) if usual.any() else 0.0
+    nearest = spread.min(axis=1, initial=np.inf)
+    nearest = nearest[np.isfinite(nearest)]
+    soft = min(float(np.median(nearest)) if len(nearest) else 0.0, _SOFTEST / 2 * segment)
+    bodies, heights = _clusters(spread, usual, noise, soft, segment)
+    # As soft as the bodies are that are clear, others may be, too.
+    clear = [height for body, height in zip(bodies, heights, strict=True) if len(body) > 2]
+    if clear:
+        soft = max(soft, float(np.median(clear)))
+        bodies, heights = _clusters(spread, usual, noise, soft, segment)
+    return bodies, heights, spread, usual, soft, segment
+
+
 def _clusters(
     spread: Real, usual: Real, noise: Real, soft: float, segment: float
 ) -> tuple[list[list[int]], list[float]]:
@@ -168,7 +199,7 @@ def _clusters(
     count = len(spread)
     groups = [[k] for k in range(count)]
     height, between, width = np.zeros(count), spread.copy(), usual.copy()
-    white = _RIGID * np.where(np.isfinite(noise), noise, 0.0)
+    white = np.minimum(_RIGID * np.where(np.isfinite(noise), noise, 0.0), _NOISIEST * segment)
     while count > 1:
         one, other = np.unravel_index(between.argmin(), between.shape)
         merged = between[one, other]
@@ -262,26 +293,34 @@ def _on_axis(one: SolidPose, other: SolidPose) -> list[tuple[int, int]]:
 
 
 def space_joints(solid: list[SolidPose | None]) -> list[SpaceJoint]:
-    """
-    Joints of all pairs of bodies, those that fit best first, as long as they close no loop.
-
-    A joint that closes one must fit to within the residuals of the markers: two thighs on a pelvis
-    that hardly turns seem to have one.
-    """
+    """Joints of all pairs of bodies, as `tree_of` leaves them."""
     tried = [
         joint
         for one, other in combinations(range(len(solid)), 2)
         if (joint := fit_space_joint(solid[one], solid[other], (one, other))) is not None
     ]
-    joints: list[SpaceJoint] = []
+    return tree_of(tried, len(solid))
+
+
+AnyJoint = TypeVar('AnyJoint', SpaceJoint, Joint)
+
+
+def tree_of(tried: list[AnyJoint], count: int) -> list[AnyJoint]:
+    """
+    Joints of `count` bodies, those that fit best first, as long as they close no loop.
+
+    A joint that closes one must fit to within the residuals of the markers: two thighs on a pelvis
+    that hardly turns seem to have one.
+    """
+    joints: list[AnyJoint] = []
     for joint in sorted(tried, key=lambda joint: joint.residual):
-        part = _parts(len(solid), joints)
+        part = _parts(count, joints)
         if part[joint.one] != part[joint.other] or joint.residual < _CLOSES * joint.expected:
             joints.append(joint)
     return joints
 
 
-def _parts(count: int, joints: list[SpaceJoint]) -> list[int]:
+def _parts(count: int, joints: Sequence[SpaceJoint | Joint]) -> list[int]:
     """For each of `count` bodies a number, the same for those that joints connect."""
     part = list(range(count))
     for joint in joints:
@@ -308,27 +347,33 @@ def fit_solid(points: Real) -> SolidPose | None:
     seen = np.isfinite(points[..., 0])
     full = int(seen.sum(axis=1).argmax())
     shape = np.where(seen[full, :, None], points[full], np.nan)
-    shape = shape - np.nanmean(shape, axis=0)
+    if not seen.any():
+        return None
+    shape = shape - mean_of(shape)
     for _ in range(_ROUNDS):
         known = np.isfinite(shape[:, 0])
         rotation, position = _poses(np.nan_to_num(shape), points, seen & known)
         local = np.einsum('fji,fnj->fni', rotation, points - position[:, None])
-        count = np.isfinite(local[..., 0]).sum(axis=0)
-        mean = np.nansum(local, axis=0) / np.maximum(count, 1)[:, None]
-        shape = np.where(count[:, None] > 0, mean, np.nan)
+        shape = mean_of(local)
         if not np.isfinite(shape).any():
             return None
-        shape = shape - np.nanmean(shape, axis=0)
-    off = local - np.nanmean(local, axis=0)
+        shape = shape - mean_of(shape)
+    off = local - mean_of(local)
     used = np.isfinite(off[..., 0])
     freedom = np.maximum(3 * used.sum(axis=1) - 6, 0).sum()
     noise = float(np.sqrt(np.nansum(off**2) / max(freedom, 1)))
     shape = np.nan_to_num(shape)
     values = np.linalg.svd(shape - shape.mean(axis=0), compute_uv=False)
-    if len(shape) < 3 or values[1] < _THIN * values[0] or not used.any():
+    if len(shape) < 3 or values[1] <= _THIN * values[0] or not used.any():
         return None
     size = float(np.linalg.norm(shape[:, None] - shape, axis=-1).max())
     return SolidPose(rotation, position, shape, noise, size)
+
+
+def mean_of(values: Real) -> Real:
+    """Compute the means of `values` (T, ...) over the first axis without NaN, NaN for none."""
+    count = np.isfinite(values).sum(axis=0)
+    return np.where(count > 0, np.nansum(values, axis=0) / np.maximum(count, 1), np.nan)
 
 
 def _poses(shape: Real, points: Real, used: np.ndarray) -> tuple[Real, Real]:
@@ -360,7 +405,7 @@ def rotation_vectors(rotation: Real) -> Real:
 
 def mean_rotation(rotation: Real) -> Real:
     """The rotation (3, 3) nearest to the mean of rotations (F, 3, 3), NaN for none."""
-    left, _, right = np.linalg.svd(np.nanmean(rotation, axis=0))
+    left, _, right = np.linalg.svd(mean_of(rotation))
     left[:, 2] *= np.sign(np.linalg.det(left @ right))
     return np.asarray(left @ right)
 
@@ -383,7 +428,8 @@ def out_of_plane(pose: SolidPose, normal: Real) -> tuple[float, float, float]:
 
     The last value is the rms turn about the normal.
     """
-    off = float(np.nanstd(pose.position @ normal))
+    height = pose.position @ normal
+    off = float(np.sqrt(mean_of((height - mean_of(height)) ** 2)))
     turns = turn_scatter(pose)
     about = float(normal @ turns @ normal)
     return off, float(np.sqrt(max(np.trace(turns) - about, 0.0))), float(np.sqrt(max(about, 0.0)))
@@ -418,7 +464,7 @@ def fit_space_joint(
     expected = float(np.hypot(_lever(one, on_one), _lever(other, on_other)))
     reach = float(np.linalg.norm(on_one)), float(np.linalg.norm(on_other))
     far = reach[0] > _FAR * one.size or reach[1] > _FAR * other.size
-    if far or residual > max(_FITS * expected, _GIVES * sum(reach)):
+    if far or residual > max(_FITS * expected, GIVES * sum(reach)):
         return None
     if axis is not None:
         axis = axis / np.linalg.norm(axis)
