@@ -260,11 +260,16 @@ def test_a_report_of_a_table_imports_it(tmp_path, capsys) -> None:
 
 
 def test_a_report_says_that_it_took_all_markers_as_one_body(tmp_path, capsys) -> None:
-    output = tmp_path / 'a.html'
-    assert main(['report', str(BAG), '--output', str(output)]) == 0
-    assumption = next(line for line in capsys.readouterr().out.splitlines() if 'one rigid' in line)
-    assert 'all 10 markers are taken as one rigid body, "body"' in assumption
-    assert f'kinpole discover {BAG} --output rig.yaml' in assumption
+    t = np.arange(300) / 100
+    rows = np.stack((t, np.cos(5 * t), np.sin(5 * t), 0.5 * np.sin(2 * t), np.cos(3 * t)), axis=1)
+    table, output = tmp_path / 'loose.csv', tmp_path / 'a.html'
+    np.savetxt(table, rows, delimiter=',', header='t,a_x,a_y,b_x,b_y', comments='')
+    assert main(['report', str(table), '--scale', '1', '--output', str(output)]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert any(line.startswith('bodies: not found: ') for line in lines)
+    assumption = next(line for line in lines if 'one rigid' in line)
+    assert 'all 2 markers are taken as one rigid body, "body"' in assumption
+    assert f'kinpole discover {table} --output rig.yaml' in assumption
     assert data_of(output)['notes'][0] == assumption
     config = str(ROOT / 'config' / 'four_bar.yaml')
     assert main(['report', str(BAG), '--config', config, '--output', str(output)]) == 0

@@ -34,6 +34,8 @@ _STRAIN, _OVER_JOINT = 0.025, 1.3
 _SEGMENT = 1 / 3  # usual distance of two markers of one body over that of any two
 _THIN = 0.1  # width over length: markers nearer to one line do not show the turn about it
 _TURNED = np.radians(8)  # rms turn of two bodies below which they cannot be told apart, or joined
+# The same for a marker that both have, and for a body between both.
+_TURNED_OVER, _TURNED_BETWEEN = np.radians(12), np.radians(15)
 _ROUNDS = 4  # of poses by the shape, and the shape by the poses
 # Times the residuals of two bodies that a joint may leave over; the same where it closes a loop.
 _FITS, _CLOSES = 3.0, 1.5
@@ -238,7 +240,7 @@ def _grow(
     if own is None:
         return body
     for other, pose in zip(bodies, solid, strict=True):
-        if pose is None or pose is own or _turn(own, pose) < _TURNED:
+        if pose is None or pose is own or _turn(own, pose) < _TURNED_OVER:
             continue
         worst = spread[np.ix_(other, body)].max(axis=1)
         near = [other[k] for k in np.argsort(worst, kind='stable')[:2] if worst[k] <= limit]
@@ -262,6 +264,8 @@ def _bridges(
         for number, other in permutations(range(len(bodies)), 2):
             one, end = solid[number], solid[other]
             if part[number] == part[other] or one is None or end is None:
+                continue
+            if _turn(one, end) < _TURNED_BETWEEN:
                 continue
             for a, b in _on_axis(one, end):
                 two = [bodies[number][a], bodies[number][b]]

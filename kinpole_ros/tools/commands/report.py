@@ -72,7 +72,13 @@ def run(options: argparse.Namespace) -> int:
     ):
         assumptions += ready.assumed
         record = report(
-            ready.bag, options.output, ready.settings, options.topic, progress, assumptions.append
+            ready.bag,
+            options.output,
+            ready.settings,
+            options.topic,
+            progress,
+            assumptions.append,
+            options.bag,
         )
     thinned = '' if len(record.stamp) == record.total else f' of {record.total}'
     for line in assumptions:
