@@ -121,6 +121,37 @@ def test_a_chain_that_sways_is_not_planar_and_its_joints_are_in_space(seed, soft
     assert 'degrees of freedom' not in lines
 
 
+def test_several_walkers_are_kept_apart():
+    walkers = []
+    for k in range(4):
+        frames = leg(0.2, 0.003, 20, seed=k)
+        points = frames.points[25 * k : 25 * k + 500] * (1 + 0.05 * k) + [0, 1.5 * k, 0]
+        names = tuple(f'{name}_{k}' for name in frames.identities)
+        walkers.append((names, points))
+    stamps = leg(0.0).stamps[:500]
+    names = tuple(name for own, _ in walkers for name in own)
+    points = np.concatenate([own for _, own in walkers], axis=1)
+    found = discover([MarkerFrames(stamps, 'world', names, points)])
+    assert len(found.names) == 16
+    assert all(len({name[-1] for name in markers}) == 1 for markers in found.markers)
+    assert found.space is not None
+    assert len(found.space.joints) == 12
+
+
+def test_a_film_of_a_chain_on_skin_has_its_segments_and_pins():
+    """A camera shows what sways as bodies that are not quite rigid: nothing slides or rolls."""
+    frames = leg(0.1, 0.004, hidden=0.0)
+    points = frames.points[..., [0, 2, 1]] * [1, 1, 0]
+    found = discover([frames._replace(points=points)])
+    names = segments(found)
+    assert found.space is None
+    assert found.plane.name == 'xy'
+    assert {joint.kind for joint in found.joints} == {'pin'}
+    assert not found.rolling
+    pins = {frozenset(names.get(k, '') for k in (j.one, j.other)) for j in found.joints}
+    assert {frozenset(pair) for pair in pairwise(LEG)} <= pins
+
+
 def test_a_hinge_has_its_axis_and_a_ball_joint_its_center():
     """A plate that turns anyhow, an arm on a hinge of it, and a hand on a ball joint of the arm."""
     rng = np.random.default_rng(3)

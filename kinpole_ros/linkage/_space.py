@@ -6,7 +6,7 @@ or more that are not on one line has a pose in each frame, and its rotation vect
 Joints are fitted to pairs of poses (Ehrig et al. 2006 and 2007).
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from itertools import combinations, permutations
 from typing import NamedTuple, TypeVar
 
@@ -16,7 +16,7 @@ from kinpole_ros.linkage._columns import quantiles
 from kinpole_ros.linkage._joints import GIVES, Joint
 from kinpole_ros.planar._plane import Real
 
-_FRAMES = 1000  # that are looked at: more would not tell more
+_FRAMES, _POSED = 1000, 400  # of distances and of poses: more would not tell more
 _FEWEST = 30  # frames in which two markers or bodies must be seen together
 _TAIL = 0.01  # share of the frames at either end of a range that may be of another marker
 _TAIL_WIDTH = 4.6527  # that range of a normal distribution, in standard deviations
@@ -31,7 +31,9 @@ _NOISIEST = (
 _OVER = 2.0  # times the softness of the bodies, for a marker over a joint
 # The same over the distance itself, and times the largest of a body, for skin over a joint.
 _STRAIN, _OVER_JOINT = 0.025, 1.3
-_SEGMENT = 1 / 3  # usual distance of two markers of one body over that of any two
+# Usual distance of two markers of one body over that of any two, or of so many that are nearest
+# where several people or machines are in view.
+_SEGMENT, _NEAREST = 1 / 3, 48
 _THIN = 0.1  # width over length: markers nearer to one line do not show the turn about it
 _TURNED = np.radians(8)  # rms turn of two bodies below which they cannot be told apart, or joined
 # The same for a marker that both have, and for a body between both.
@@ -103,9 +105,9 @@ class SpaceBodies(NamedTuple):
         return SpaceBodies(bodies, solid, joints, self.spread)
 
 
-def sampled(points: Real) -> Real:
-    """Some frames of `points` (T, ...), evenly spaced: enough to see what is rigid."""
-    return points[:: max(1, len(points) // _FRAMES)]
+def _sampled(points: Real, frames: int) -> Real:
+    """Some `frames` of `points` (T, ...), evenly spaced."""
+    return points[:: max(1, len(points) // frames)]
 
 
 def distance_spreads(points: Real) -> tuple[Real, Real]:
@@ -115,7 +117,7 @@ def distance_spreads(points: Real) -> tuple[Real, Real]:
     The spread is a standard deviation by the range without its tails, infinite for pairs that are
     hardly ever seen together.
     """
-    rows = np.ascontiguousarray(sampled(points).transpose(1, 0, 2))
+    rows = np.ascontiguousarray(_sampled(points, _FRAMES).transpose(1, 0, 2))
     spread = np.full((len(rows), len(rows)), np.inf)
     usual = np.zeros(spread.shape)
     for k in range(len(rows) - 1):
@@ -137,7 +139,7 @@ def find_bodies(points: Real, noise: Real) -> SpaceBodies:
     `noise` (n,) is that of the markers per axis.
     """
     bodies, heights, spread, usual, soft, segment = _groups(points, noise)
-    some = sampled(points)
+    some = _sampled(points, _POSED)
     solid = [fit_solid(some[:, body]) for body in bodies]
     limit = _SOFTEST * segment
     limits = np.minimum(_STRAIN * usual, _OVER_JOINT * limit) + 1e-300
@@ -149,7 +151,8 @@ def find_bodies(points: Real, noise: Real) -> SpaceBodies:
     grown += _bridges(some, grown, solid, spread / limits)
     grown.sort(key=lambda body: -len(body))
     solid = [fit_solid(some[:, body]) for body in grown]
-    return SpaceBodies(grown, solid, space_joints(solid), spread)
+    joints = tree_of(_joints_of(solid, combinations(range(len(solid)), 2)), len(solid))
+    return SpaceBodies(grown, solid, joints, spread)
 
 
 def soft_bodies(points: Real, noise: Real, bodies: list[list[int]]) -> list[list[int]] | None:
@@ -176,7 +179,9 @@ def _groups(
     Also the spreads and medians (n, n) of all distances, how soft bodies are, and how large.
     """
     spread, usual = distance_spreads(points)
-    segment = _SEGMENT * float(np.median(usual[usual > 0])) if usual.any() else 0.0
+    near = np.sort(np.where(usual > 0, usual, np.inf), axis=1)[:, :_NEAREST]
+    near = near[np.isfinite(near)]
+    segment = _SEGMENT * float(np.median(near)) if len(near) else 0.0
     nearest = spread.min(axis=1, initial=np.inf)
     nearest = nearest[np.isfinite(nearest)]
     soft = min(float(np.median(nearest)) if len(nearest) else 0.0, _SOFTEST / 2 * segment)
@@ -258,14 +263,16 @@ def _bridges(
     turns against the other, keep their distances (`apart` (n, n) up to 1) to one or two of that.
     """
     found: list[list[int]] = []
+    tried = _joints_of(solid, combinations(range(len(solid)), 2))
+    turned = [[_turn(one, other) for other in solid] for one in solid]
     while True:
-        part = _parts(len(solid), space_joints(solid))
+        part = _parts(len(solid), tree_of(tried, len(solid)))
         best: tuple[float, list[int], SolidPose] | None = None
         for number, other in permutations(range(len(bodies)), 2):
             one, end = solid[number], solid[other]
             if part[number] == part[other] or one is None or end is None:
                 continue
-            if _turn(one, end) < _TURNED_BETWEEN:
+            if turned[number][other] < _TURNED_BETWEEN:
                 continue
             for a, b in _on_axis(one, end):
                 two = [bodies[number][a], bodies[number][b]]
@@ -282,6 +289,7 @@ def _bridges(
             return found
         found.append(best[1])
         solid = [*solid, best[2]]
+        tried += _joints_of(solid, ((k, len(solid) - 1) for k in range(len(solid) - 1)))
 
 
 def _on_axis(one: SolidPose, other: SolidPose) -> list[tuple[int, int]]:
@@ -296,14 +304,9 @@ def _on_axis(one: SolidPose, other: SolidPose) -> list[tuple[int, int]]:
     ]
 
 
-def space_joints(solid: list[SolidPose | None]) -> list[SpaceJoint]:
-    """Joints of all pairs of bodies, as `tree_of` leaves them."""
-    tried = [
-        joint
-        for one, other in combinations(range(len(solid)), 2)
-        if (joint := fit_space_joint(solid[one], solid[other], (one, other))) is not None
-    ]
-    return tree_of(tried, len(solid))
+def _joints_of(solid: list[SolidPose | None], pairs: Iterable[tuple[int, int]]) -> list[SpaceJoint]:
+    joints = (fit_space_joint(solid[one], solid[other], (one, other)) for one, other in pairs)
+    return [joint for joint in joints if joint is not None]
 
 
 AnyJoint = TypeVar('AnyJoint', SpaceJoint, Joint)
@@ -333,9 +336,9 @@ def _parts(count: int, joints: Sequence[SpaceJoint | Joint]) -> list[int]:
     return part
 
 
-def _turn(one: SolidPose, other: SolidPose | None) -> float:
+def _turn(one: SolidPose | None, other: SolidPose | None) -> float:
     """Rms turn of two bodies against each other, rad; infinite where one does not show its turn."""
-    if other is None:
+    if one is None or other is None:
         return np.inf
     turns = rotation_vectors(one.rotation.transpose(0, 2, 1) @ other.rotation)
     seen = np.isfinite(turns[:, 0])
@@ -445,26 +448,32 @@ def fit_space_joint(
     """
     The center that two bodies have in common, least squares (Ehrig et al. 2006), None without one.
 
-    R₁ c₁ + t₁ = R₂ c₂ + t₂ in all frames. Of a hinge any point of the axis will do: the right
-    singular vector of the smallest singular value is along it; the point taken is that nearest to
-    the markers of both.
+    R₁ c₁ + t₁ = R₂ c₂ + t₂ in all frames. Of a hinge any point of the axis will do: the eigenvector
+    of the smallest eigenvalue of the normal equations is along it; the point taken is that nearest
+    to the markers of both.
     """
     if one is None or other is None:
         return None
     both = np.isfinite(one.rotation[:, 0, 0]) & np.isfinite(other.rotation[:, 0, 0])
     if both.sum() < _FEWEST or _turn(one, other) < _TURNED:
         return None
-    rows = np.concatenate((one.rotation[both], -other.rotation[both]), axis=2).reshape(-1, 6)
-    right = (other.position - one.position)[both].reshape(-1)
-    left, values, ways = np.linalg.svd(rows, full_matrices=False)
-    relative = rotation_vectors(one.rotation[both].transpose(0, 2, 1) @ other.rotation[both])
-    spread = np.linalg.eigvalsh(np.cov(relative.T))
+    first, second = one.rotation[both], other.rotation[both]
+    offset = (other.position - one.position)[both]
+    between = first.transpose(0, 2, 1) @ second
+    spread = np.linalg.eigvalsh(np.cov(rotation_vectors(between).T))
     hinge = bool(spread[1] < _HINGE**2 * spread[2])
-    kept = 5 if hinge else 6
-    found = ways[:kept].T @ (left[:, :kept].T @ right / values[:kept])
-    residual = float(np.sqrt(np.mean((rows @ found - right) ** 2)))
+    # Of rows [R₁, -R₂], and of right sides t₂ - t₁.
+    cross = -between.mean(axis=0)
+    values, ways = np.linalg.eigh(np.block([[np.eye(3), cross], [cross.T, np.eye(3)]]))
+    on_first = np.einsum('fij,fi->j', first, offset) / len(offset)
+    on_second = -np.einsum('fij,fi->j', second, offset) / len(offset)
+    kept = slice(1 if hinge else 0, None)
+    values = np.maximum(values[kept], 1e-12)
+    found = ways[:, kept] @ (ways[:, kept].T @ np.concatenate((on_first, on_second)) / values)
+    rest = first @ found[:3] - second @ found[3:] - offset
+    residual = float(np.sqrt(np.mean(rest**2)))
     on_one, on_other = found[:3], found[3:]
-    axis = mean_rotation(other.rotation) @ ways[5, 3:] if hinge else None
+    axis = mean_rotation(second) @ ways[3:, 0] if hinge else None
     expected = float(np.hypot(_lever(one, on_one), _lever(other, on_other)))
     reach = float(np.linalg.norm(on_one)), float(np.linalg.norm(on_other))
     far = reach[0] > _FAR * one.size or reach[1] > _FAR * other.size
