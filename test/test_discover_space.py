@@ -140,7 +140,7 @@ def test_several_walkers_are_kept_apart():
 
 def test_a_film_of_a_chain_on_skin_has_its_segments_and_pins():
     """A camera shows what sways as bodies that are not quite rigid: nothing slides or rolls."""
-    frames = leg(0.1, 0.004, hidden=0.0)
+    frames = leg(0.05, 0.002, hidden=0.0)
     points = frames.points[..., [0, 2, 1]] * [1, 1, 0]
     found = discover([frames._replace(points=points)])
     names = segments(found)

@@ -6,7 +6,7 @@ import numpy as np
 
 from kinpole_ros.linkage._check import Checked
 from kinpole_ros.linkage._model import Linkage
-from kinpole_ros.linkage._space import main_axis, out_of_plane
+from kinpole_ros.linkage._solid import main_axis, out_of_plane
 
 # Intervals that stamps are uneven by that cost more than noise does.
 _UNEVEN = 0.02
