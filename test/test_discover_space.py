@@ -13,6 +13,8 @@ from kinpole_ros.bags import import_points, read_frames
 from kinpole_ros.linkage import Linkage, UndiscoveredError, discover, draft, table
 from kinpole_ros.tools.discover import discover_rig
 from kinpole_ros.tracking.frame import MarkerFrames
+from kinpole_ros.tracking.parameters import settings_from
+from kinpole_ros.tracking.space import Space
 
 DATA = Path(__file__).parents[2] / 'shared' / 'data'
 RATE, NOISE = 100, 2e-4
@@ -226,6 +228,22 @@ def test_a_line_does_not_show_its_plane_and_one_may_be_given(tmp_path):
 def test_a_bad_plane_is_refused(plane):
     with pytest.raises(ValueError, match='auto, xy, yz, zx or a normal'):
         discover_rig('none.mcap', plane=plane)
+
+
+def test_a_plane_to_be_fitted_settles_on_a_motion_that_leaves_any_plane():
+    frames = leg(0.15, 0.003, 20, hidden=0.0)
+    space = Space('fit', 4, 4)
+    solid = frames.points.reshape(len(frames.stamps), 4, 4, 3)
+    for first in range(0, len(solid), 16):
+        space.add(solid[first : first + 16])
+    assert space.plane is not None
+    assert degrees_between(space.plane.normal, rotation(20)[:, 1]) < 8
+    assert (space.report().off_plane > 0.01).any()
+
+
+@pytest.mark.parametrize('name, plane', [('xz', 'zx'), ('yx', 'xy'), ('zy', 'yz'), ('zx', 'zx')])
+def test_a_plane_may_be_named_by_its_axes_in_either_order(name, plane):
+    assert settings_from({'plane': name}).plane == plane
 
 
 # --- real captures ------------------------------------------------------------------------------
