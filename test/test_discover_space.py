@@ -10,7 +10,7 @@ import pytest
 from test_discover import START, rotation
 
 from kinpole_ros.bags import import_points, read_frames
-from kinpole_ros.linkage import Linkage, UndiscoveredError, discover, draft, table
+from kinpole_ros.linkage import Checked, Linkage, UndiscoveredError, discover, draft, table
 from kinpole_ros.tools.discover import discover_rig
 from kinpole_ros.tracking.frame import MarkerFrames
 from kinpole_ros.tracking.parameters import settings_from
@@ -195,6 +195,21 @@ def test_a_hinge_has_its_axis_and_a_ball_joint_its_center():
     true = shapes[2]
     distances = np.linalg.norm(shape - on_hand, axis=1)
     assert distances == pytest.approx(np.linalg.norm(true, axis=1), abs=5 * NOISE)
+
+
+@pytest.mark.parametrize(
+    'checked, words',
+    [
+        (Checked('', 1e-4, 1e-4, 1e-4), '(1.0 x noise), 0.1 mm over 2 s'),
+        (Checked('', 1e-4, 1e-2, 1e-4), 'its drivers are a first guess'),
+        (Checked('', 1e-2, 1e-2, 1e-4), 'does not explain the markers'),
+        (Checked('no loop', np.nan, np.nan, 1e-4), 'does not close: no loop'),
+    ],
+)
+def test_a_draft_is_said_to_explain_the_markers_or_not(checked, words):
+    line = table(discover([leg(0.0, hidden=0.0)]), checked)[-1]
+    assert words in line
+    assert checked.explains == (checked.first < 1e-3)
 
 
 def test_markers_that_stand_still_are_said_to():

@@ -247,10 +247,15 @@ def _closing(checked: Checked) -> str:
         return f'the draft scene does not close: {checked.problem}'
     if not np.isfinite(checked.first):
         return 'the draft scene closes'
-    return (
-        f'the draft scene closes: its markers are {checked.first * 1e3:.2g} mm rms off those '
-        f'measured at the first frame, {checked.later * 1e3:.2g} mm over 2 s'
+    off = (
+        f'its markers are {checked.first * 1e3:.2g} mm rms off those measured at the first frame '
+        f'({checked.first / max(checked.noise, 1e-9):.1f} x noise), {checked.later * 1e3:.2g} mm '
+        'over 2 s'
     )
+    if not checked.explains:
+        return f'the draft scene closes, but does not explain the markers: {off}'
+    drives = '' if checked.drives else ': lengths fit, but its drivers are a first guess'
+    return f'the draft scene closes: {off}{drives}'
 
 
 def _columns(rows: Sequence[tuple[str, ...]]) -> list[str]:
