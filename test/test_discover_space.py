@@ -123,6 +123,22 @@ def test_a_chain_that_sways_is_not_planar_and_its_joints_are_in_space(seed, soft
     assert 'degrees of freedom' not in lines
 
 
+def test_a_body_on_a_fixed_ball_joint_has_its_center():
+    rng = np.random.default_rng(1)
+    t = np.arange(600) / RATE
+    turns = turned(0.5 * np.sin(2 * np.pi * np.array([0.41, 0.27, 0.33]) * t[:, None]))
+    shape, center = 0.1 * rng.normal(size=(5, 3)) - [0, 0, 0.3], np.array([1.0, 2.0, 0.5])
+    points = center + np.einsum('tij,nj->tni', turns, shape)
+    points += NOISE * rng.normal(size=points.shape)
+    stamps = START + np.rint(t * 1e9).astype(np.int64)
+    found = discover([MarkerFrames(stamps, 'world', tuple('abcde'), points)])
+    assert found.space is not None
+    (joint,) = found.space.joints
+    assert found.name(joint.other) == 'ground'
+    assert np.abs(joint.on_other - center).max() < 1e-3
+    assert 'body_1 ground' in '\n'.join(table(found, None))
+
+
 def test_several_walkers_are_kept_apart():
     walkers = []
     for k in range(4):

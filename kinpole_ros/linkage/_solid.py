@@ -12,6 +12,7 @@ import numpy as np
 from kinpole_ros.linkage._joints import GIVES
 from kinpole_ros.planar._plane import Real
 
+GROUND_NUMBER = -1  # of the ground, where bodies go by number
 _FEWEST = 30  # frames in which two bodies must be seen together
 _THIN = 0.1  # width over length: markers nearer to one line do not show the turn about it
 _ROUNDS = 4  # of poses by the shape, and the shape by the poses
@@ -42,8 +43,9 @@ class SpaceJoint(NamedTuple):
     A joint of two bodies, by number, where both have one point in common, or one axis.
 
     `on_one` and `on_other` (3,) are the center about the means of their markers; `axis` (3,) is
-    that of a hinge on the other body at the mean orientation, None for a ball joint. `residual` is
-    the rms of what is left over per axis, `expected` what the residuals of the markers explain.
+    that of a hinge on the other body at the mean orientation, None for a ball joint. The number of
+    the ground is -1, and it is never `one`. `residual` is the rms of what is left over per axis,
+    `expected` what the residuals of the markers explain.
     """
 
     one: int
@@ -168,10 +170,15 @@ def turn_between(one: SolidPose | None, other: SolidPose | None) -> float:
 
 
 def fit_space_joint(
-    one: SolidPose | None, other: SolidPose | None, numbers: tuple[int, int]
+    one: SolidPose | None,
+    other: SolidPose | None,
+    numbers: tuple[int, int],
+    gives: float = GIVES,
 ) -> SpaceJoint | None:
     """
     Fit the center that two bodies have in common (Ehrig et al. 2006); None where they have none.
+
+    It may give by this share of its distances from their markers.
 
     R₁ c₁ + t₁ = R₂ c₂ + t₂ in all frames. Of a hinge any point of the axis will do: the eigenvector
     of the smallest eigenvalue of the normal equations is along it; the point taken is that nearest
@@ -202,11 +209,28 @@ def fit_space_joint(
     expected = float(np.hypot(_lever(one, on_one), _lever(other, on_other)))
     reach = float(np.linalg.norm(on_one)), float(np.linalg.norm(on_other))
     far = reach[0] > _FAR * one.size or reach[1] > _FAR * other.size
-    if far or residual > max(_FITS * expected, GIVES * sum(reach)):
+    if far or residual > max(_FITS * expected, gives * sum(reach)):
         return None
     if axis is not None:
         axis = axis / np.linalg.norm(axis)
     return SpaceJoint(*numbers, on_one, on_other, axis, residual, expected)
+
+
+def fit_fixed_point(pose: SolidPose | None, number: int) -> SpaceJoint | None:
+    """
+    Fit the point, or axis, of a body that stands still; None where it has none.
+
+    `on_other` is where it is in the frame of the markers.
+    """
+    if pose is None:
+        return None
+    # The ground about where the body is, so that distances from it mean something.
+    middle = mean_of(pose.position)
+    still = np.broadcast_to(np.eye(3), pose.rotation.shape)
+    at = np.broadcast_to(middle, pose.position.shape)
+    ground = SolidPose(still, at, np.zeros((1, 3)), 0.0, pose.size)
+    joint = fit_space_joint(pose, ground, (number, GROUND_NUMBER), 0.0)
+    return joint and joint._replace(on_other=middle + joint.on_other)
 
 
 def _lever(pose: SolidPose, place: Real) -> float:

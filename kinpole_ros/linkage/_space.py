@@ -13,8 +13,10 @@ import numpy as np
 from kinpole_ros.linkage._columns import quantiles
 from kinpole_ros.linkage._joints import Joint
 from kinpole_ros.linkage._solid import (
+    GROUND_NUMBER,
     SolidPose,
     SpaceJoint,
+    fit_fixed_point,
     fit_solid,
     fit_space_joint,
     relative_turns,
@@ -59,7 +61,7 @@ class SpaceBodies(NamedTuple):
 
     def only(self, kept: list[int]) -> 'SpaceBodies':
         """The same with some of the bodies, in this order."""
-        place = {number: k for k, number in enumerate(kept)}
+        place = {number: k for k, number in enumerate(kept)} | {GROUND_NUMBER: GROUND_NUMBER}
         joints = [
             joint._replace(one=place[joint.one], other=place[joint.other])
             for joint in self.joints
@@ -116,6 +118,8 @@ def find_bodies(points: Real, noise: Real) -> SpaceBodies:
     grown.sort(key=lambda body: -len(body))
     solid = [fit_solid(some[:, body]) for body in grown]
     joints = tree_of(_joints_of(solid, combinations(range(len(solid)), 2)), len(solid))
+    fixed = [fit_fixed_point(pose, number) for number, pose in enumerate(solid)]
+    joints += [joint for joint in fixed if joint is not None]
     return SpaceBodies(grown, solid, joints, spread)
 
 
