@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from test_discover import START, rotation
+from test_discover import START, rotation, shuffled
 
 from kinpole_ros.bags import import_points, read_frames
 from kinpole_ros.linkage import Checked, Linkage, UndiscoveredError, discover, draft, table
@@ -226,6 +226,13 @@ def test_a_draft_is_said_to_explain_the_markers_or_not(checked, words):
     line = table(discover([leg(0.0, hidden=0.0)]), checked)[-1]
     assert words in line
     assert checked.explains == (checked.first < 1e-3)
+
+
+def test_points_without_names_that_leave_any_plane_are_refused_with_the_reason():
+    with pytest.raises(
+        UndiscoveredError, match=r'leave any plane by .*fix: give the markers names'
+    ):
+        discover(shuffled(leg(0.2, hidden=0.0)))
 
 
 def test_markers_that_stand_still_are_said_to():
