@@ -114,6 +114,10 @@ def find_bodies(points: Real, noise: Real) -> SpaceBodies:
         for body, height in zip(bodies, heights, strict=True)
     ]
     solid = [fit_solid(some[:, body]) for body in grown]
+    for k, pose in enumerate(solid):
+        # A marker off a thin body may turn it about its length: then it is not of it.
+        if pose is not None and pose.noise > limit:
+            grown[k], solid[k] = bodies[k], fit_solid(some[:, bodies[k]])
     grown += _bridges(some, grown, solid, spread / limits)
     grown.sort(key=lambda body: -len(body))
     solid = [fit_solid(some[:, body]) for body in grown]
