@@ -18,12 +18,23 @@ from kinpole_ros.linkage.theory import DeviationSummary
 from kinpole_ros.mechanism import load_scene
 from kinpole_ros.messages import theory_of
 from kinpole_ros.tools.report._pack import embedded, pack
+from kinpole_ros.tools.report._prepare import Points, prepared
 from kinpole_ros.tools.report._record import Collector, Record, joints_of
 from kinpole_ros.tools.report._results import has_results, read_record, words_of
 from kinpole_ros.tracking.parameters import Settings
 from kinpole_ros.tracking.plane import XY, as_parameter, plane_of
 
-__all__ = ['Record', 'joints_of', 'pack', 'page', 'report', 'settings_for', 'words_of']
+__all__ = [
+    'Points',
+    'Record',
+    'joints_of',
+    'pack',
+    'page',
+    'prepared',
+    'report',
+    'settings_for',
+    'words_of',
+]
 
 _PAGE = Path(__file__).parent / 'page'
 # In this order: each uses those before it.
@@ -72,12 +83,14 @@ def report(
     topic: str | None = None,
     progress: Callable[[float], None] | None = None,
     tell: Callable[[str], None] | None = None,
+    source: str | Path | None = None,
 ) -> Record:
     """
     Write the report of a bag to `output`, an .html file; returns what is in it.
 
     A bag of results is shown as it is, unless a `topic` of markers is named; markers are replayed
-    with `settings` first, and `tell` is called with what the replay assumed. Raises BagError when
+    with `settings` first, and `tell` is called with what the replay assumed. `source` is the file
+    that the bag was made of, if any: the page names it. Raises BagError when
     there is nothing to show, or `output` cannot be written.
     """
     theory: list[DeviationSummary] = []
@@ -89,10 +102,10 @@ def report(
             )
         record, notes = read_record(bag, _most_instants, progress)
     else:
-        record, notes, theory = _replayed(bag, settings, topic, progress, tell)
+        record, notes, theory = _replayed(bag, settings, topic, progress, tell, source or bag)
     data = {
         **pack(record),
-        'title': printable(Path(bag).resolve().name),
+        'title': printable(Path(source or bag).resolve().name),
         'about': _about(record),
         'notes': notes,
         'scene': Path(settings.scene).stem,
@@ -112,18 +125,19 @@ def _replayed(
     topic: str | None,
     progress: Callable[[float], None] | None,
     tell: Callable[[str], None] | None,
+    source: str | Path,
 ) -> tuple[Record, list[str], list[DeviationSummary]]:
     collector = Collector(_most_instants(len(settings.bodies)), theory_of(settings))
     result = replay(bag, settings, topic=topic, progress=progress, take=collector.add)
     notes = warnings_of(result, settings)
-    if assumption := assumed_body(len(result.identities), settings, bag):
+    if assumption := assumed_body(len(result.identities), settings, source):
         notes.insert(0, assumption)
         if tell is not None:
             tell(assumption)
     if result.truncated is not None:
         notes.append(str(result.truncated))
     if not collector.total:
-        raise BagError(f'{bag}: {notes[-1] if notes else "no results"}')
+        raise BagError(f'{source}: {notes[-1] if notes else "no results"}')
     plane = result.space.plane or plane_of(settings.plane) or XY
     along = (plane.name[0], plane.name[1])
     if plane.axes is None:
