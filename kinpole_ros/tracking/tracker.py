@@ -47,6 +47,8 @@ from kinpole_ros.tracking.timeline import Timeline
 LEARNED_FRAMES, LEARNED_WINDOWS = 1024, 4
 # Frames between two updates: this share of those that have come, at most so many.
 UPDATE_SHARE, MOST_BETWEEN_UPDATES = 1 / 8, 128
+# Frames between two searches for the names of markers, if those before found none.
+MOST_BETWEEN_SEARCHES = 16
 # Markers that are off by this share of the size of their body are of other bodies: no tissue moves
 # so far.
 OTHER_BODIES = 0.05
@@ -98,6 +100,8 @@ class Tracker:
         self.matcher = Matcher(settings, self._roster, self._known, self._history, self._counts)
         self._step = Step(settings, self._known, self._pins, self._history, self._posed)
         self._frames = self._new = self._counted = 0
+        # Searches for the names of markers, in a row, that found none.
+        self._futile = self._next_search = 0
         self._next_update = 1
         self._names_changed = False
 
@@ -453,7 +457,13 @@ class Tracker:
             doubtful = self.matcher.doubtful(fit, unseen[None])
             if doubtful is None or not doubtful.any():
                 return False
-        return self.matcher.correct()
+        # Bodies that are not rigid stay in doubt, and a search takes long.
+        if self._frames < self._next_search:
+            return False
+        corrected = self.matcher.correct()
+        self._futile = 0 if corrected else self._futile + 1
+        self._next_search = self._frames + min(2 ** max(self._futile - 1, 0), MOST_BETWEEN_SEARCHES)
+        return corrected
 
     def _note_outages(self, stamp: int) -> None:
         """Note which bodies are seen again after a window or more."""

@@ -11,6 +11,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from kinpole_ros import __version__
 from kinpole_ros.bags import BagError, assumed_body, in_place_of, replay, warnings_of
 from kinpole_ros.files import printable
@@ -22,7 +24,7 @@ from kinpole_ros.tools.report._prepare import Points, prepared
 from kinpole_ros.tools.report._record import Collector, Record, joints_of
 from kinpole_ros.tools.report._results import has_results, read_record, words_of
 from kinpole_ros.tracking.parameters import Settings
-from kinpole_ros.tracking.plane import XY, as_parameter, plane_of
+from kinpole_ros.tracking.plane import XY, plane_of
 
 __all__ = [
     'Points',
@@ -141,8 +143,16 @@ def _replayed(
     plane = result.space.plane or plane_of(settings.plane) or XY
     along = (plane.name[0], plane.name[1])
     if plane.axes is None:
-        along = (f'along {as_parameter(plane.basis[0])}', f'along {as_parameter(plane.basis[1])}')
+        along = (_axis_name(plane.basis[0], 'e1'), _axis_name(plane.basis[1], 'e2'))
     return collector.record(along), notes, result.scene_deviations
+
+
+def _axis_name(axis: np.ndarray, otherwise: str) -> str:
+    """The axis of the frame that a unit vector (3,) is within 15 deg of, if there is one."""
+    nearest = int(np.abs(axis).argmax())
+    if abs(axis[nearest]) < np.cos(np.radians(15)):
+        return otherwise
+    return f'≈ {"−" if axis[nearest] < 0 else ""}{"xyz"[nearest]}'
 
 
 def page(data: dict[str, Any]) -> str:
