@@ -16,7 +16,7 @@ from kinpole_ros.tracking.clock import LOSS_NATS, MAX_PENDING, TOLERANCE, UNSETT
 # Paths that are looked at: those that are likeliest, within so many nats.
 MOST_PATHS, SURE_NATS = 32, 20.0
 # A count is sure if it is wrong with this probability.
-UNSURE = 1 / 100
+WRONG = 1 / 100
 # Frames that are ahead of the clock by more than so many ticks are of another rate.
 MOST_AHEAD = 1
 # The highest degree of the polynomials that the motion is held against.
@@ -103,7 +103,7 @@ class Counter:
         paths = self._paths[order]
         weights = np.exp(costs[order[0]] - costs[order])
         doubt = weights @ (paths != paths[0]) / weights.sum()
-        sure = (doubt < UNSURE).nonzero()[0]
+        sure = (doubt < WRONG).nonzero()[0]
         known = max(int(sure[-1]) + 1 if len(sure) else 0, number - MAX_PENDING)
         return self._settle(known, paths, self._costs[order])
 
@@ -161,12 +161,12 @@ class Counter:
         newest = self._values[-1]
         pending = self.pending
         values = list(self._values)[-(pending + len(self._before)) :]
-        alike = [k for k, one in enumerate(values) if one.shape == newest.shape]
-        values = np.array([values[k] for k in alike])
+        same_layout = [k for k, one in enumerate(values) if one.shape == newest.shape]
+        values = np.array([values[k] for k in same_layout])
         before = np.broadcast_to(self._before, (len(self._paths), len(self._before)))
         sure = self.count + np.arange(1, pending + 1) + self._paths
         counts = np.concatenate((before, sure), axis=1)[:, -len(self._values) :]
-        counts = counts[:, alike] - counts[0, -1]
+        counts = counts[:, same_layout] - counts[0, -1]
         seen = ~np.isnan(values)
         deviation = self.noise if self.noise > 0 else np.finfo(float).tiny ** 0.5
         costs = np.zeros(len(counts))
