@@ -3,19 +3,19 @@
 import numpy as np
 import pytest
 
-from kinpole_ros.planar import _figures, centrode_curvature, icr_velocity
-from kinpole_ros.planar._linear import covariance, mean_square, variance
+from kinpole_ros.planar import _uncertainty, centrode_curvature, icr_velocity
 from kinpole_ros.planar._poles import pole, rotation
+from kinpole_ros.planar._uncertainty import covariance, mean_square, variance
 
 pytestmark = pytest.mark.filterwarnings('error')
 
 FIGURES = {
     **{
-        f'pole of order {n}': lambda *motion, n=n: _figures.pole_figures(n, *motion)
+        f'pole of order {n}': lambda *motion, n=n: _uncertainty.pole_figures(n, *motion)
         for n in range(1, 5)
     },
-    'velocity': _figures.velocity_figures,
-    'curvature': _figures.curvature_figures,
+    'velocity': _uncertainty.velocity_figures,
+    'curvature': _uncertainty.curvature_figures,
 }
 # The lowest derivatives that it takes.
 LEAST = {'velocity': 2, 'curvature': 3} | {f'pole of order {n}': n for n in range(1, 5)}
@@ -92,9 +92,9 @@ def test_arrays_that_do_not_fit() -> None:
         (position, angle, covariances[0], covariances[1][..., 1:]),
     ):
         with pytest.raises(ValueError, match='of one shape, are needed'):
-            _figures.velocity_figures(*given)
+            _uncertainty.velocity_figures(*given)
     for order in (0, 4, 7):
         with pytest.raises(ValueError, match='of one shape, are needed'):
-            _figures.pole_figures(order, position, angle, *covariances)
+            _uncertainty.pole_figures(order, position, angle, *covariances)
     with pytest.raises(ValueError, match='of one shape, are needed'):
-        _figures.curvature_figures(*(array[:3] for array in motion(2, (5,))))
+        _uncertainty.curvature_figures(*(array[:3] for array in motion(2, (5,))))

@@ -1,14 +1,13 @@
 /*
- * Poles, the velocity of the ICR and the curvature of the centrode, with their covariances, of one
- * instant after the other: numpy takes 50 calls for each of them, however few instants there are.
- * The formulas are those of _poles.py, _centrode.py and _linear.py, which test_figures.py holds
- * them against.
+ * Poles, the velocity of the ICR and the curvature of the centrode with their covariances. The
+ * formulas are those of _poles.py, _centrode.py and _uncertainty.py; test_figures.py compares both.
+ * It is in C since the node needs them for few instants at a time, where numpy takes 50 calls each.
  */
 
 #include <complex.h>
 #include <math.h>
 
-/* Products without a look at infinities, as numpy's: a third of the time. */
+/* Complex products that do not check for infinities take a third of the time. */
 #ifndef __clang__
 #pragma GCC optimize("O3", "cx-limited-range")
 #endif
@@ -17,35 +16,36 @@
 typedef double complex Number;
 enum { VELOCITY = HIGHEST + 1, CURVATURE };
 
-/* A figure, and its derivatives by each of those of the position and of the angle. */
+/* A quantity with its partial derivatives by the derivatives of position and angle. */
 typedef struct {
     Number value, by_position[HIGHEST + 1], by_angle[HIGHEST + 1];
 } Linear;
 
-/* Mean products of the parts x and y of the sum of factors times errors: xx, xy and yy. Covariances
-   of the errors (K, K) are `step` apart, and the last factor is that of `highest`. */
+/* Adds to `moments` (xx, xy, yy) the covariance of sum(by * errors), 0 to `highest`. `errors` has
+   shape (orders, orders); its elements are `step` apart. */
 static void
-products(const double *errors, long long orders, long long step, int highest, const Number *by, double *mean)
+add_moments(const double *errors, long long orders, long long step, int highest, const Number *by,
+            double *moments)
 {
-    mean[0] = mean[1] = mean[2] = 0.0;
     for (int k = 0; k <= highest; k++) {
         double x = 0.0, y = 0.0;
         for (int l = 0; by[k] != 0.0 && l <= highest; l++) {
             double error = errors[(k * orders + l) * step];
             x += error * creal(by[l]), y += error * cimag(by[l]);
         }
-        mean[0] += creal(by[k]) * x, mean[1] += creal(by[k]) * y, mean[2] += cimag(by[k]) * y;
+        moments[0] += creal(by[k]) * x, moments[1] += creal(by[k]) * y;
+        moments[2] += cimag(by[k]) * y;
     }
 }
 
-/* As in numpy, not a number for 0. */
+/* NaN for 0, as in numpy. */
 static Number
 inverse_of(Number number)
 {
     return number == 0.0 ? NAN : 1.0 / number;
 }
 
-/* `turn` gets the coefficient of the turn, and its derivatives by those of the angle. */
+/* `turn` gets the rotation coefficient of that order and its derivatives by those of the angle. */
 static void
 pole(int order, const Number *z, const double *rate, Linear *turn, Linear *out)
 {
@@ -80,7 +80,7 @@ curvature(const Number *z, const double *rate, Linear *out)
     velocity(z, rate, out);
     Number u = out->value, *p = out->by_position, *a = out->by_angle, q = p[2];
     Number n = I * rate[2] * q, m = I * rate[3] * q, iqq = I * q * q, c = m + n * n;
-    /* Of the acceleration. */
+    /* Partial derivatives of the acceleration of the ICR. */
     Number dp[] = {0.0, (c + n * n) * q, p[1] + n * q, q};
     Number da[] = {0.0, 2 * n * a[1] + iqq * (z[3] + 2 * n * z[2] + 2 * c * z[1]), 2 * a[1], a[2]};
     Number du = dp[1] * z[1] + dp[2] * z[2] + dp[3] * z[3];
@@ -92,38 +92,43 @@ curvature(const Number *z, const double *rate, Linear *out)
     out->value = cimag(g) * slowness;
 }
 
-/* A pole of the order `what`, 1 to 4, or 5 or 6 of the enum above, at `count` instants. Position and
-   angle are (orders, count) with covariances (orders, orders, count); `values` (count,) are complex,
-   `spreads` (count, 2, 2) their covariances, and `sure` (count,) is how sure the turn is. */
+/* Computes the pole of order 1 to 4, or VELOCITY or CURVATURE, at `count` instants. `position` and
+   `angle` are (orders, count), their covariances (orders, orders, count). Writes `values` (count,),
+   their covariances (count, 2, 2), and for poles the `significance` (count,): the size of the
+   rotation coefficient over its standard deviation. */
 #ifdef _WIN32
 __declspec(dllexport)
 #endif
 void
-kinpole_figures(int what, long long count, long long orders, const Number *position,
+kinpole_figures(int quantity, long long count, long long orders, const Number *position,
                 const double *angle, const double *of_position, const double *of_angle,
-                Number *values, double *spreads, double *sure)
+                Number *values, double *covariances, double *significance)
 {
-    int highest = what > HIGHEST ? what - 3 : what;
+    int highest = quantity > HIGHEST ? quantity - 3 : quantity;
     for (long long t = 0; t < count; t++) {
-        double rate[HIGHEST + 1], mean[3], *spread = spreads + 4 * t;
+        double rate[HIGHEST + 1], by_turn[3] = {0}, by_angle[3] = {0}, by_position[3] = {0};
+        double *covariance = covariances + 4 * t;
         Number z[HIGHEST + 1];
-        Linear found = {0}, turn = {0};
+        Linear result = {0}, turn = {0};
         for (int k = 0; k <= highest; k++) {
             z[k] = position[k * count + t];
             rate[k] = angle[k * count + t];
         }
-        if (what > HIGHEST)
-            (what == VELOCITY ? velocity : curvature)(z, rate, &found);
+        if (quantity > HIGHEST)
+            (quantity == VELOCITY ? velocity : curvature)(z, rate, &result);
         else {
-            pole(what, z, rate, &turn, &found);
-            products(of_angle + t, orders, count, highest, turn.by_angle, mean);
+            pole(quantity, z, rate, &turn, &result);
+            add_moments(of_angle + t, orders, count, highest, turn.by_angle, by_turn);
             double square = creal(turn.value * conj(turn.value));
-            sure[t] = sqrt(square / (mean[0] + mean[2]));
+            significance[t] = sqrt(square / (by_turn[0] + by_turn[2]));
         }
-        products(of_angle + t, orders, count, highest, found.by_angle, mean);
-        spread[0] = mean[0], spread[1] = spread[2] = mean[1], spread[3] = mean[2];
-        products(of_position + t, orders, count, highest, found.by_position, mean);
-        spread[0] += mean[0] + mean[2], spread[3] += mean[0] + mean[2];
-        values[t] = found.value;
+        add_moments(of_angle + t, orders, count, highest, result.by_angle, by_angle);
+        add_moments(of_position + t, orders, count, highest, result.by_position, by_position);
+        /* The two coordinates of the position have independent errors of one covariance. */
+        double isotropic = by_position[0] + by_position[2];
+        covariance[0] = by_angle[0] + isotropic;
+        covariance[1] = covariance[2] = by_angle[1];
+        covariance[3] = by_angle[2] + isotropic;
+        values[t] = result.value;
     }
 }
