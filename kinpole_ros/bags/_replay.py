@@ -173,7 +173,7 @@ def replay(
                 _count(found, estimate)
                 unknown = _still_unknown(unknown, estimate)
                 if comparison is not None:
-                    comparison.add(estimate)
+                    comparison.append(estimate)
                 for table in tables:
                     table.add(estimate)
                 if take is not None:
@@ -214,7 +214,7 @@ def replay(
         identities,
         unknown,
         concatenated,
-        comparison.found() if comparison is not None else [],
+        comparison.rates() if comparison is not None else [],
         comparison.positions() if comparison is not None else None,
         space,
         counts['lost'],

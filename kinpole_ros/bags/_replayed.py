@@ -8,7 +8,7 @@ from kinpole_ros.tracking.space import SpaceReport
 from kinpole_ros.tracking.stamps import StampState
 
 if TYPE_CHECKING:
-    from kinpole_ros.linkage.positions import PositionsFound
+    from kinpole_ros.linkage.positions import PositionReport
     from kinpole_ros.linkage.theory import DeviationSummary
 
 
@@ -57,7 +57,7 @@ class Replayed(NamedTuple):
     unknown: dict[str, str]
     concatenated: list[str]
     scene_deviations: 'list[DeviationSummary]'
-    scene_positions: 'PositionsFound | None'
+    scene_positions: 'PositionReport | None'
     space: SpaceReport
     lost: int
     stamps: StampState | None

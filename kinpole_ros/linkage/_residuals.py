@@ -1,7 +1,8 @@
 """
-What the joints of a scene lack at given poses, g(poses, dimensions), with its derivatives.
+Residuals of a scene's joints at given poses, with their derivatives by poses and dimensions.
 
-All functions take T instants at once. A pose is complex m and an angle with whole turns.
+All functions take T instants at once. A pose is a complex position, m, and an angle with whole
+turns.
 """
 
 from collections.abc import Sequence
@@ -15,9 +16,9 @@ from kinpole_ros.planar._plane import Complex, Real
 
 class Residuals(NamedTuple):
     """
-    What is lacking (T, m), m or rad: two rows for a pin, in the ground's axes, less for others.
+    Residuals (T, m), m or rad: two rows for a pin, in the ground's axes, or those of its kind.
 
-    `by_pose` (T, m, bodies, 3) are its derivatives by x, y (m) and angle of each body, and
+    `by_pose` (T, m, bodies, 3) are their derivatives by x, y (m) and angle of each body, and
     `by_dimension` (T, m, dimensions) those by the dimensions. `joint` (m,) numbers the joints.
     """
 
@@ -27,28 +28,43 @@ class Residuals(NamedTuple):
     joint: np.ndarray
 
     def without(self, rows: np.ndarray) -> 'Residuals':
-        """The same without some rows."""
-        left = ~rows
-        value, by_pose, by_dimension = (part[:, left] for part in self[:3])
-        return Residuals(value, by_pose, by_dimension, self.joint[left])
+        """The same without the rows of a mask (m,)."""
+        value, by_pose, by_dimension = (array[:, ~rows] for array in self[:3])
+        return Residuals(value, by_pose, by_dimension, self.joint[~rows])
 
 
-# How each wheel stood first, by its joint: slide or direction of the hub, angles of both bodies.
+# First pose of each wheel, by its joint: slide or direction of the hub, and angles of both bodies.
 Anchors = dict[int, tuple[float, float, float]]
 
 
-def place(parts: Sequence[Part], values: Real) -> tuple[complex, Complex]:
-    """A sum of parts (complex, m), and its derivatives by the dimensions, of which `values` are."""
+class _Row(NamedTuple):
+    """An equation (T,) with its derivatives by poses (T, bodies, 3) and by dimensions (T, n)."""
+
+    value: Complex
+    by_pose: Complex
+    by_dimension: Complex
+
+    def times(self, factor: Complex | complex) -> '_Row':
+        factor = np.broadcast_to(factor, self.value.shape)
+        return _Row(
+            factor * self.value,
+            factor[:, None, None] * self.by_pose,
+            factor[:, None] * self.by_dimension,
+        )
+
+
+def point_position(parts: Sequence[Part], values: Real) -> tuple[complex, Complex]:
+    """A point as a sum of parts (complex, m), and its derivatives by the dimensions (n,)."""
     total, by = 0j, np.zeros(len(values), complex)
     for part in parts:
-        one, other = values[part.first], values[part.second]
+        first, second = values[part.first], values[part.second]
         if part.polar:
-            turn = part.sign * np.exp(1j * other)
-            total += one * turn
+            turn = part.sign * np.exp(1j * second)
+            total += first * turn
             by[part.first] += turn
-            by[part.second] += 1j * one * turn
+            by[part.second] += 1j * first * turn
         else:
-            total += part.sign * (one + 1j * other)
+            total += part.sign * (first + 1j * second)
             by[part.first] += part.sign
             by[part.second] += 1j * part.sign
     return total, by
@@ -58,164 +74,129 @@ def residuals(
     equations: Equations, values: Real, position: Complex, angle: Real, anchors: Anchors
 ) -> Residuals:
     """
-    Of the bodies of `equations` at (T, bodies), with the dimensions at `values`.
+    Residuals of the bodies of `equations` at poses (T, bodies), with dimensions of these `values`.
 
-    How wheels stand at the first instant is kept in `anchors` and held against the others, since
-    no scene knows which tooth is in which gap.
+    No scene says which tooth is in which gap: the first pose of each wheel is kept in `anchors`,
+    and its later poses are compared with it.
     """
-    rows = _Rows(equations, values, position, angle, anchors)
-    for k, joint in enumerate(equations.joints):
-        rows.add(k, joint)
-    return Residuals(
-        np.stack(rows.value, axis=1),
-        np.stack(rows.by_pose, axis=1),
-        np.stack(rows.by_dimension, axis=1),
-        np.array(rows.joint),
+    poses = _Poses(equations, values, position, angle, anchors)
+    rows = [(k, row) for k, joint in enumerate(equations.joints) for row in poses.rows(k, joint)]
+    columns = zip(*(row for _, row in rows), strict=True)
+    value, by_pose, by_dimension = (
+        np.stack([array.real for array in column], axis=1) for column in columns
     )
+    return Residuals(value, by_pose, by_dimension, np.array([k for k, _ in rows]))
 
 
-class _Rows:
-    """A growing list of rows, each the real part of a complex equation."""
+class _Poses:
+    """Poses of the bodies, of which the rows of each joint are computed."""
 
     def __init__(
-        self,
-        equations: Equations,
-        values: Real,
-        position: Complex,
-        angle: Real,
-        anchors: Anchors,
+        self, equations: Equations, values: Real, position: Complex, angle: Real, anchors: Anchors
     ) -> None:
-        self._bodies = {body: k for k, body in enumerate(equations.bodies)}
+        self._number = {body: k for k, body in enumerate(equations.bodies)}
         self._values, self._position, self._angle = values, position, angle
         self._turn = np.exp(1j * angle)
-        self._anchors, self._starts = anchors, equations.dimensions
-        self.value: list[Real] = []
-        self.by_pose: list[Real] = []
-        self.by_dimension: list[Real] = []
-        self.joint: list[int] = []
+        self._anchors, self._dimensions = anchors, equations.dimensions
 
-    def add(self, number: int, joint: Equation) -> None:
-        """Add the rows of a joint."""
-        one, other = self._bodies[joint.one], self._bodies[joint.other]
+    def rows(self, number: int, joint: Equation) -> list[_Row]:
+        """The rows of a joint; their real parts are its residuals."""
+        i, j = self._number[joint.one], self._number[joint.other]
         values, turn = self._values, self._turn
-        (a, by_a), (b, by_b) = place(joint.a, values), place(joint.b, values)
+        (a, by_a), (b, by_b) = point_position(joint.a, values), point_position(joint.b, values)
         # From the point of the one body to that of the other.
-        between = (
-            self._position[:, other]
-            + b * turn[:, other]
-            - self._position[:, one]
-            - a * turn[:, one]
-        )
-        count, bodies = self._angle.shape
-        poses = np.zeros((count, bodies, 3), complex)
-        poses[:, one] -= np.stack((np.ones(count), np.full(count, 1j), 1j * a * turn[:, one]), -1)
-        poses[:, other] += np.stack(
-            (np.ones(count), np.full(count, 1j), 1j * b * turn[:, other]), -1
-        )
-        dimensions = turn[:, other, None] * by_b - turn[:, one, None] * by_a
-        whole = between, poses, dimensions
+        between = self._position[:, j] + b * turn[:, j] - self._position[:, i] - a * turn[:, i]
+        by_pose = np.zeros((*self._angle.shape, 3), complex)
+        by_pose[:, i, :2] -= 1.0, 1j
+        by_pose[:, j, :2] += 1.0, 1j
+        by_pose[:, i, 2] -= 1j * a * turn[:, i]
+        by_pose[:, j, 2] += 1j * b * turn[:, j]
+        row = _Row(between, by_pose, turn[:, j, None] * by_b - turn[:, i, None] * by_a)
         if joint.circle is not None:
-            self._on_circle(number, joint, one, other, whole)
-            return
+            return self._on_circle(number, joint, i, j, row)
         if joint.along is None:
-            for axis in (1.0, -1j):
-                self._row(number, *(axis * part for part in whole))
-            return
-        # Along the line, and off it.
-        line = turn[:, one].conj() * np.exp(-1j * values[joint.along])
-        between, poses, dimensions = (
-            line * between,
-            line[:, None, None] * poses,
-            line[:, None] * dimensions,
+            return [row, row.times(-1j)]
+        # The real part is along the line of the joint, the imaginary part off it.
+        row = row.times(turn[:, i].conj() * np.exp(-1j * values[joint.along]))
+        row.by_pose[:, i, 2] -= 1j * row.value
+        row.by_dimension[:, joint.along] -= 1j * row.value
+        off = row.times(-1j)
+        if joint.radius is not None:
+            return self._on_line(number, joint, i, j, row, off)
+        if joint.turned is None:
+            return [off]
+        angle = self._angle[:, j] - self._angle[:, i] - values[joint.turned]
+        turned = _Row(
+            ((angle + np.pi) % (2 * np.pi) - np.pi).astype(complex),
+            np.zeros_like(row.by_pose),
+            np.zeros_like(row.by_dimension),
         )
-        poses[:, one, 2] -= 1j * between
-        dimensions[:, joint.along] -= 1j * between
-        off = [-1j * part for part in (between, poses, dimensions)]
-        if joint.radius is not None and joint.start is not None:
-            off[0] = off[0] - values[joint.radius]
-            off[2][:, joint.radius] -= 1.0
-            self._row(number, *off)
-            radius = values[joint.radius]
-            slide, *turned = self._since(number, between.real, one, other)
-            poses[:, other, 2] += radius
-            poses[:, one, 2] -= radius
-            dimensions[:, joint.radius] += turned[1] - turned[0]
-            dimensions[:, joint.start] -= 1.0
-            rolled = radius * (turned[1] - turned[0]) - self._moved(joint.start)
-            self._phase(number, slide + rolled, poses, dimensions, radius)
-            return
-        self._row(number, *off)
-        if joint.turned is not None:
-            turned = self._angle[:, other] - self._angle[:, one] - values[joint.turned]
-            poses, dimensions = np.zeros_like(poses), np.zeros_like(dimensions)
-            poses[:, other, 2], poses[:, one, 2] = 1.0, -1.0
-            dimensions[:, joint.turned] = -1.0
-            turned = (turned + np.pi) % (2 * np.pi) - np.pi
-            self._row(number, turned.astype(complex), poses, dimensions)
+        turned.by_pose[:, j, 2], turned.by_pose[:, i, 2] = 1.0, -1.0
+        turned.by_dimension[:, joint.turned] = -1.0
+        return [off, turned]
 
-    def _on_circle(
-        self,
-        number: int,
-        joint: Equation,
-        one: int,
-        other: int,
-        whole: tuple[Complex, Complex, Complex],
-    ) -> None:
-        """A wheel on a circle: how far its hub is off, and how far it slipped."""
+    def _on_line(
+        self, number: int, joint: Equation, i: int, j: int, row: _Row, off: _Row
+    ) -> list[_Row]:
+        """A wheel on a line: the distance of its hub less the radius, and its slip."""
+        assert joint.radius is not None and joint.start is not None
+        radius = self._values[joint.radius]
+        off = off._replace(value=off.value - radius)
+        off.by_dimension[:, joint.radius] -= 1.0
+        slid, *turned = self._since_first(number, row.value.real, i, j)
+        row.by_pose[:, j, 2] += radius
+        row.by_pose[:, i, 2] -= radius
+        row.by_dimension[:, joint.radius] += turned[1] - turned[0]
+        row.by_dimension[:, joint.start] -= 1.0
+        slip = slid + (radius * (turned[1] - turned[0]) - self._start_change(joint.start))
+        return [off, row._replace(value=_without_turns(slip, radius))]
+
+    def _on_circle(self, number: int, joint: Equation, i: int, j: int, row: _Row) -> list[_Row]:
+        """A wheel on a circle: the distance of the centers less that of the radii, and its slip."""
         assert joint.circle is not None and joint.radius is not None and joint.start is not None
         circle, radius = self._values[joint.circle], self._values[joint.radius]
         arm = circle + radius
-        # Along the way from the one center to the other.
-        between = whole[0]
-        length = np.maximum(np.abs(between), 1e-300)
-        out = between.conj() / length
-        poses, dimensions = out[:, None, None] * whole[1], out[:, None] * whole[2]
-        by_radii = np.zeros_like(dimensions)
-        by_radii[:, [joint.circle, joint.radius]] = np.sign(arm)
-        self._row(number, (length - abs(arm)).astype(complex), poses, dimensions - by_radii)
-        # Which of the directions that look alike: the one to which the turns of both lead.
-        heading, *turned = self._since(number, np.angle(between * np.sign(arm)), one, other)
-        ahead = (circle * turned[0] + radius * turned[1]) / arm
-        heading = heading + 2 * np.pi * np.round((ahead - heading) / (2 * np.pi))
-        across = -1j * arm / length
-        poses, dimensions = across[:, None, None] * poses, across[:, None] * dimensions
-        poses[:, one, 2] -= circle
-        poses[:, other, 2] -= radius
-        dimensions[:, joint.circle] += heading - turned[0]
-        dimensions[:, joint.radius] += heading - turned[1]
-        dimensions[:, joint.start] -= arm
-        slipped = arm * (heading - ahead - self._moved(joint.start))
-        self._phase(number, slipped, poses, dimensions, radius)
+        length = np.maximum(np.abs(row.value), 1e-300)
+        # The real part is along the line of centers, the imaginary part across.
+        along = row.times(row.value.conj() / length)
+        off = along._replace(
+            value=(length - abs(arm)).astype(complex), by_dimension=along.by_dimension.copy()
+        )
+        off.by_dimension[:, [joint.circle, joint.radius]] -= np.sign(arm)
+        direction = np.angle(row.value * np.sign(arm))
+        direction, *turned = self._since_first(number, direction, i, j)
+        # Whole turns of the direction are those that the turns of both bodies lead to.
+        rolled = (circle * turned[0] + radius * turned[1]) / arm
+        direction = direction + 2 * np.pi * np.round((rolled - direction) / (2 * np.pi))
+        slip = arm * (direction - rolled - self._start_change(joint.start))
+        across = along.times(-1j * arm / length)
+        across.by_pose[:, i, 2] -= circle
+        across.by_pose[:, j, 2] -= radius
+        across.by_dimension[:, joint.circle] += direction - turned[0]
+        across.by_dimension[:, joint.radius] += direction - turned[1]
+        across.by_dimension[:, joint.start] -= arm
+        return [off, across._replace(value=_without_turns(slip, radius))]
 
-    def _since(self, number: int, now: Real, one: int, other: int) -> tuple[Real, Real, Real]:
-        """How far the hub and both bodies went since the wheel was first seen."""
-        angles = self._angle[:, one], self._angle[:, other]
-        first = tuple(float(part[0]) for part in (now, *angles))
-        a, b, c = self._anchors.setdefault(number, (first[0], first[1], first[2]))
-        return now - a, angles[0] - b, angles[1] - c
+    def _since_first(self, number: int, hub: Real, i: int, j: int) -> tuple[Real, Real, Real]:
+        """Motion of the hub and turns of both bodies since the wheel was first seen."""
+        first = float(hub[0]), float(self._angle[0, i]), float(self._angle[0, j])
+        a, b, c = self._anchors.setdefault(number, first)
+        return hub - a, self._angle[:, i] - b, self._angle[:, j] - c
 
-    def _moved(self, start: int) -> float:
-        return float(self._values[start] - self._starts[start].value)
+    def _start_change(self, start: int) -> float:
+        return float(self._values[start] - self._dimensions[start].value)
 
-    def _phase(
-        self, number: int, value: Real, poses: Complex, dimensions: Complex, radius: float
-    ) -> None:
-        """How far a wheel slipped since the first instant, but for whole turns."""
-        round_ = 2 * np.pi * radius
-        value = (value + round_ / 2) % round_ - round_ / 2
-        self._row(number, value.astype(complex), poses, dimensions)
 
-    def _row(self, number: int, value: Complex, poses: Complex, dimensions: Complex) -> None:
-        self.value.append(value.real)
-        self.by_pose.append(poses.real)
-        self.by_dimension.append(dimensions.real)
-        self.joint.append(number)
+def _without_turns(slip: Real, radius: float) -> Complex:
+    """A slip (T,), m, of a wheel without whole turns."""
+    circumference = 2 * np.pi * radius
+    return ((slip + circumference / 2) % circumference - circumference / 2).astype(complex)
 
 
 def point_dimensions(dimensions: Sequence[Dimension]) -> dict[str, list[int]]:
-    """The numbers of the dimensions by what people may call wrong: a point, a length, an angle."""
-    found: dict[str, list[int]] = {}
-    for k, one in enumerate(dimensions):
-        if one.path:
-            found.setdefault(one.name, []).append(k)
-    return found
+    """Numbers of the dimensions that the scene's file states, by name: of both coordinates."""
+    numbers: dict[str, list[int]] = {}
+    for k, dimension in enumerate(dimensions):
+        if dimension.path:
+            numbers.setdefault(dimension.name, []).append(k)
+    return numbers

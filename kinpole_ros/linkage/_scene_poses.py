@@ -1,30 +1,42 @@
 """
-Poses of a scene's bodies as measured, frame by frame, with their covariances.
+Measured poses of a scene's bodies, frame by frame, with their covariances.
 
-The tracker's frames lie anywhere in the bodies; the scene's markers tell how its own lie there.
+The frames of tracked bodies lie anywhere in the bodies. The scene's markers show how the scene's
+frames lie in them.
 """
 
 from collections.abc import Mapping, Sequence
+from itertools import permutations
 from typing import NamedTuple
 
 import numpy as np
 
-from kinpole_ros.linkage._residuals import place
+from kinpole_ros.linkage._residuals import point_position
 from kinpole_ros.mechanism import Equations
 from kinpole_ros.planar import fit_pose
 from kinpole_ros.planar._plane import Complex, Real
 from kinpole_ros.tracking.estimate import Estimate, FramePoses
+from kinpole_ros.tracking.levels import LITTLE
 
 
-class Lie(NamedTuple):
+class BodyMatch(NamedTuple):
     """
-    How a body of the scene lies among the tracked: it is their number `tracked`; `markers` (k,) of
-    its markers are the scene's, at `known` (k,) in the scene's frame of it, complex, m.
+    A body that is both tracked and in the scene.
+
+    `tracked` and `in_scene` are its numbers in both. `markers` (k,) are those of its tracked
+    markers that the scene has, at `positions` (k,) in the scene's frame of it, complex, m.
     """
 
     tracked: int
+    in_scene: int
     markers: np.ndarray
-    known: Complex
+    positions: Complex
+
+    def fit_frame(self, shape: Complex) -> tuple[Complex, Real]:
+        """Origin (T,) and angle (T,) of the scene's frame in the tracked one, by shapes (T, n)."""
+        markers = shape[..., self.markers]
+        fit = fit_pose(markers, self.positions, np.isfinite(markers).astype(float))
+        return fit.position, fit.angle
 
 
 class ScenePoses(NamedTuple):
@@ -32,8 +44,8 @@ class ScenePoses(NamedTuple):
     Poses (T, B) of bodies in the plane of the markers: `position` (complex, m) and `angle` (rad).
 
     `cofactor` (T, B, 3, 3) is the covariance of x, y and angle over the square of the `noise`
-    (T, B) of a marker, m; `seen` (T, B) is where all this is known, and `bodies` (B,) numbers them
-    among those of the equations.
+    (T, B) of a marker, m. `seen` (T, B) says where a pose is known, and `bodies` (B,) numbers the
+    bodies in the equations.
     """
 
     stamp: np.ndarray
@@ -46,80 +58,106 @@ class ScenePoses(NamedTuple):
 
     @property
     def covariance(self) -> Real:
-        """That of x, y and angle (T, B, 3, 3)."""
+        """Covariance of x, y and angle (T, B, 3, 3)."""
         return self.cofactor * self.noise[..., None, None] ** 2
 
-    def part(self, some: np.ndarray | slice) -> 'ScenePoses':
-        """Some of the instants."""
-        return self._replace(**{name: getattr(self, name)[some] for name in _BY_INSTANT})
+    def at_instants(self, rows: np.ndarray | slice) -> 'ScenePoses':
+        """The poses of some instants."""
+        return ScenePoses._make([*(array[rows] for array in self[:-1]), self.bodies])
 
-    def of_bodies(self, some: np.ndarray) -> 'ScenePoses':
-        """Some of the bodies, by where they are among the B."""
-        parts = {name: getattr(self, name)[:, some] for name in _BY_INSTANT if name != 'stamp'}
-        return self._replace(**parts, bodies=tuple(self.bodies[k] for k in some.tolist()))
-
-
-_BY_INSTANT = ('stamp', 'position', 'angle', 'cofactor', 'noise', 'seen')
+    def of_bodies(self, columns: np.ndarray) -> 'ScenePoses':
+        """The poses of some of the B bodies."""
+        arrays = (array[:, columns] for array in self[1:-1])
+        bodies = tuple(self.bodies[k] for k in columns.tolist())
+        return ScenePoses._make([self.stamp, *arrays, bodies])
 
 
 def scene_poses(
-    equations: Equations, values: Real, lies: Mapping[str, Lie], estimate: Estimate
+    equations: Equations, values: Real, matches: Mapping[str, BodyMatch], estimate: Estimate
 ) -> ScenePoses | None:
     """
-    The poses of the bodies of `equations` that estimates (T, B), or one (B,), tell, None if they
-    keep none.
+    Poses of the bodies of `equations` from estimates (T, B) or (B,); None if they keep no poses.
 
-    Dimensions are at `values`, which place what is on one body.
+    The dimensions have these `values`, which place a scene's frames on one body.
     """
     if estimate.frame_poses is None:
         return None
-    about = np.asarray(estimate.stamp), estimate.shape, estimate.missing, *estimate.frame_poses
-    if not about[0].ndim:
-        about = tuple(np.asarray(part)[None] for part in about)
-    stamp, shapes, missing = about[:3]
-    seen = FramePoses(*about[3:])
-    parts, bodies = [], []
-    for body, lie in lies.items():
+    arrays = estimate.stamp, estimate.shape, estimate.missing, *estimate.frame_poses
+    if not np.ndim(estimate.stamp):
+        arrays = tuple(np.asarray(array)[None] for array in arrays)
+    stamp, shapes, missing = arrays[:3]
+    measured = FramePoses(*arrays[3:])
+    rows, bodies = [], []
+    for body, match in matches.items():
         home, offset = equations.frames[body]
         number = equations.bodies.index(home)
         if number in bodies:
             continue
         bodies.append(number)
-        b = lie.tracked
-        marked = shapes[:, b, lie.markers]
-        frame = fit_pose(marked, lie.known, np.isfinite(marked).astype(float))
-        turn = np.exp(1j * frame.angle)
-        origin = frame.position - turn * place(offset, values)[0]
-        known = (seen.angle_information[:, b] > 0) & (missing[:, b] == '')
-        known &= np.isfinite(frame.angle)
-        about_angle = 1 / np.where(known, seen.angle_information[:, b], 1.0)
-        about_place = 1 / np.where(known, seen.position_information[:, b], 1.0)
-        facing = np.exp(1j * seen.angle[:, b])
-        middle = seen.middle[:, b]
-        of_middle = np.maximum(about_place - np.abs(middle) ** 2 * about_angle, 0.0)
-        arm = 1j * facing * (origin - middle)
+        b = match.tracked
+        frame_position, frame_angle = match.fit_frame(shapes[:, b])
+        origin = frame_position - np.exp(1j * frame_angle) * point_position(offset, values)[0]
+        seen = (measured.angle_information[:, b] > 0) & (missing[:, b] == '')
+        seen &= np.isfinite(frame_angle)
+        angle_cofactor = 1 / np.where(seen, measured.angle_information[:, b], 1.0)
+        position_cofactor = 1 / np.where(seen, measured.position_information[:, b], 1.0)
+        turn = np.exp(1j * measured.angle[:, b])
+        middle = measured.middle[:, b]
+        # The position of the middle is independent of the angle, that of another point is not.
+        at_middle = np.maximum(position_cofactor - np.abs(middle) ** 2 * angle_cofactor, 0.0)
+        arm = 1j * turn * (origin - middle)
         by_angle = np.stack((arm.real, arm.imag, np.ones(len(arm))), axis=-1)
-        covariance = about_angle[:, None, None] * by_angle[:, :, None] * by_angle[:, None]
-        covariance[:, [0, 1], [0, 1]] += of_middle[:, None]
-        position = seen.position[:, b] + facing * origin
-        angle = seen.angle[:, b] + frame.angle
-        parts.append((position, angle, covariance, seen.noise[:, b], known))
-    position, angle, cofactor, noise, known = (
-        np.stack(part, axis=1) for part in zip(*parts, strict=True)
-    )
-    return ScenePoses(stamp, position, angle, cofactor, noise, known, tuple(bodies))
+        cofactor = angle_cofactor[:, None, None] * by_angle[:, :, None] * by_angle[:, None]
+        cofactor[:, [0, 1], [0, 1]] += at_middle[:, None]
+        position = measured.position[:, b] + turn * origin
+        angle = measured.angle[:, b] + frame_angle
+        rows.append((position, angle, cofactor, measured.noise[:, b], seen))
+    columns = (np.stack(row, axis=1) for row in zip(*rows, strict=True))
+    return ScenePoses._make([stamp, *columns, tuple(bodies)])
 
 
-def concatenated(parts: Sequence[ScenePoses], most: int) -> ScenePoses:
+def concatenated(blocks: Sequence[ScenePoses], limit: int) -> ScenePoses:
     """
-    All of them in one, of `most` instants at the most, evenly, with the noise as it was known but
-    for the first quarter, when it was hardly known.
+    Join blocks of poses, of up to `limit` instants, evenly spaced.
+
+    The noise of each body is its rms without the first quarter, when it was hardly known.
     """
-    every = {name: np.concatenate([getattr(p, name) for p in parts]) for name in _BY_INSTANT}
-    whole = parts[0]._replace(**every)
-    for b in range(len(whole.bodies)):
-        later = np.flatnonzero(whole.seen[:, b])
+    columns = zip(*(block[:-1] for block in blocks), strict=True)
+    poses = ScenePoses._make([*map(np.concatenate, columns), blocks[0].bodies])
+    for b in range(len(poses.bodies)):
+        later = np.flatnonzero(poses.seen[:, b])
         later = later[len(later) // 4 :]
-        whole.noise[:, b] = np.sqrt(np.mean(whole.noise[later, b] ** 2)) if len(later) else np.nan
-    count = len(whole.stamp)
-    return whole if count <= most else whole.part(np.arange(most) * count // most)
+        poses.noise[:, b] = np.sqrt(np.mean(poses.noise[later, b] ** 2)) if len(later) else np.nan
+    count = len(poses.stamp)
+    return poses if count <= limit else poses.at_instants(np.arange(limit) * count // limit)
+
+
+def match_markers(first: Complex, second: Complex) -> tuple[np.ndarray, np.ndarray] | None:
+    """
+    Pair the markers (m,) and (n,) of two drawings of one rigid body by their positions alone.
+
+    Each drawing has a frame of its own; the one with fewer markers is a part of the other. Returns
+    the numbers of the paired markers in both. None where no pose puts each marker of the smaller on
+    one of the larger, to 1% of the size.
+    """
+    is_swapped = len(first) > len(second)
+    few, many = (second, first) if is_swapped else (first, second)
+    if len(few) < 2:
+        return None
+    # Any two markers of the larger drawing may be the two that are farthest apart in the smaller.
+    a, b = np.unravel_index(np.abs(few[:, None] - few).argmax(), (len(few), len(few)))
+    least, best = np.inf, None
+    for i, j in permutations(range(len(many)), 2):
+        turn = np.exp(1j * np.angle((many[j] - many[i]) / (few[b] - few[a])))
+        shift = (many[i] + many[j] - turn * (few[a] + few[b])) / 2
+        nearest = np.abs(turn * few[:, None] + shift - many).argmin(axis=1)
+        if len(set(nearest.tolist())) < len(few):
+            continue
+        fit = fit_pose(many[nearest], few, np.ones(len(few)))
+        worst = float(np.abs(fit.residual).max())
+        if worst < least:
+            least, best = worst, nearest
+    if best is None or least > LITTLE * abs(few[b] - few[a]):
+        return None
+    order = np.arange(len(few))
+    return (best, order) if is_swapped else (order, best)

@@ -79,7 +79,7 @@ class DiagnosticsMaker:
         if theory is not None:
             from kinpole_ros.linkage import positions
 
-            self._positions = positions.LivePositions(theory.scene, theory.lies)
+            self._positions = positions.LivePositions(theory.scene, theory.matches)
         self._before: Counter[str] = Counter()
         self._outages: dict[str, int] = {}
         self._wrong: np.ndarray | None = None
@@ -214,7 +214,7 @@ class DiagnosticsMaker:
         for off in (*rate_differences(self._theory, now), *joint_offsets(self._theory, now)):
             values[f'{off.subject}: {off.what} ({off.unit})'] = off.value
             values[f'{off.subject}: deviation of that ({off.unit})'] = off.deviation
-        found = self._positions.add(now) if self._positions else None
+        found = self._positions.append(now) if self._positions else None
         if found is None and not values:
             message = f'too little is known yet to compare the scene {self._theory.scene.name}'
         if found is not None:

@@ -133,7 +133,7 @@ def result_outputs(
         add(f'{name}/icr', PointStamped, 1, center, k)
         add(f'{name}/angular_velocity', Vector3Stamped, 1, rate, k)
     if theory is not None:
-        from kinpole_ros.linkage.points import measured_point, points_of_interest
+        from kinpole_ros.linkage.theory import measured_point, points_of_interest
 
         for spot in points_of_interest(theory):
             b = bodies.index(spot.body)

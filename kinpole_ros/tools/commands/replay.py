@@ -18,7 +18,7 @@ from kinpole_ros.tools.commands._shared import (
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from kinpole_ros.linkage.positions import PositionsFound
+    from kinpole_ros.linkage.positions import PositionReport
 
 
 def add(commands: Any) -> None:
@@ -117,7 +117,7 @@ def run(options: argparse.Namespace) -> int:
     return 2 if result.truncated is not None or result.unknown else 0
 
 
-def _positions_lines(found: 'PositionsFound | None') -> 'Iterator[str]':
+def _positions_lines(found: 'PositionReport | None') -> 'Iterator[str]':
     """How far the joints of the scene are off, and whether that is its fault."""
     if found is None:
         return

@@ -17,7 +17,7 @@ def theory_rates(theory: Theory, estimate: Estimate) -> dict[str, np.ndarray]:
     """
     if not theory.driver:
         return {}
-    own, _, markers, places = theory.places[theory.driver]
+    own, _, markers, places = theory.matches[theory.driver]
     shape = estimate.shape[:, own, markers]
     turn = fit_pose(shape, places, np.isfinite(shape).astype(float)).angle
     mechanism = theory.scene.mechanism
@@ -26,7 +26,9 @@ def theory_rates(theory: Theory, estimate: Estimate) -> dict[str, np.ndarray]:
     inputs[: estimate.order + 1] = estimate.angle[:, :, own]
     inputs[0] = start + (inputs[0] + turn - start + np.pi) % (2 * np.pi) - np.pi
     known = np.isfinite(inputs).all(axis=0)
-    bodies = {body: place[1] for body, place in theory.places.items() if body != theory.driver}
+    bodies = {
+        body: match.in_scene for body, match in theory.matches.items() if body != theory.driver
+    }
     found = {body: np.full((estimate.order, len(estimate)), np.nan) for body in bodies}
     if not known.any():
         return found
