@@ -17,7 +17,6 @@ from kinpole_ros.planar._centrode import (
     moving_centrode_curvature,
     velocity_terms,
 )
-from kinpole_ros.planar._figures import curvature_figures, pole_figures, velocity_figures
 from kinpole_ros.planar._landmarks import (
     LandmarkKinematics,
     im2kin2d,
@@ -68,7 +67,6 @@ __all__ = [
     'centrode_curvature',
     'centrode_velocities',
     'covariance',
-    'curvature_figures',
     'curvature_terms',
     'fit_by_grip',
     'fit_pose',
@@ -87,7 +85,6 @@ __all__ = [
     'point_derivatives',
     'point_motion',
     'pole',
-    'pole_figures',
     'pole_from_reference',
     'relative_acceleration',
     'relative_center',
@@ -99,6 +96,5 @@ __all__ = [
     'to_plane',
     'transport',
     'variance',
-    'velocity_figures',
     'velocity_terms',
 ]
