@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from kinpole_ros import planar
-from kinpole_ros.planar._linear import covariance, mean_square, variance
 from kinpole_ros.planar._poles import pole, rotation
+from kinpole_ros.planar._uncertainty import covariance, mean_square, variance
 from kinpole_ros.tracking.quantities import (
     CURVATURE,
     DETERMINED,

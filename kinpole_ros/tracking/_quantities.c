@@ -7,7 +7,7 @@
 #include <complex.h>
 #include <math.h>
 
-/* Products without a look at infinities, as numpy's: a third of the time. */
+/* Complex products that do not check for infinities take a third of the time. */
 #ifndef __clang__
 #pragma GCC optimize("O3", "cx-limited-range")
 #endif
@@ -16,35 +16,36 @@
 typedef double complex Number;
 enum { VELOCITY = HIGHEST + 1, CURVATURE };
 
-/* A figure, and its derivatives by each of those of the position and of the angle. */
+/* A quantity with its partial derivatives by the derivatives of position and angle. */
 typedef struct {
     Number value, by_position[HIGHEST + 1], by_angle[HIGHEST + 1];
 } Linear;
 
-/* Mean products of the parts x and y of the sum of factors times errors: xx, xy and yy. Covariances
-   of the errors (K, K) are `step` apart, and the last factor is that of `highest`. */
+/* Adds to `moments` (xx, xy, yy) the covariance of sum(by * errors), 0 to `highest`. `errors` has
+   shape (orders, orders); its elements are `step` apart. */
 static void
-products(const double *errors, long long orders, long long step, int highest, const Number *by, double *mean)
+add_moments(const double *errors, long long orders, long long step, int highest, const Number *by,
+            double *moments)
 {
-    mean[0] = mean[1] = mean[2] = 0.0;
     for (int k = 0; k <= highest; k++) {
         double x = 0.0, y = 0.0;
         for (int l = 0; by[k] != 0.0 && l <= highest; l++) {
             double error = errors[(k * orders + l) * step];
             x += error * creal(by[l]), y += error * cimag(by[l]);
         }
-        mean[0] += creal(by[k]) * x, mean[1] += creal(by[k]) * y, mean[2] += cimag(by[k]) * y;
+        moments[0] += creal(by[k]) * x, moments[1] += creal(by[k]) * y;
+        moments[2] += cimag(by[k]) * y;
     }
 }
 
-/* As in numpy, not a number for 0. */
+/* NaN for 0, as in numpy. */
 static Number
 inverse_of(Number number)
 {
     return number == 0.0 ? NAN : 1.0 / number;
 }
 
-/* `turn` gets the coefficient of the turn, and its derivatives by those of the angle. */
+/* `turn` gets the rotation coefficient of that order and its derivatives by those of the angle. */
 static void
 pole(int order, const Number *z, const double *rate, Linear *turn, Linear *out)
 {
@@ -79,7 +80,7 @@ curvature(const Number *z, const double *rate, Linear *out)
     velocity(z, rate, out);
     Number u = out->value, *p = out->by_position, *a = out->by_angle, q = p[2];
     Number n = I * rate[2] * q, m = I * rate[3] * q, iqq = I * q * q, c = m + n * n;
-    /* Of the acceleration. */
+    /* Partial derivatives of the acceleration of the ICR. */
     Number dp[] = {0.0, (c + n * n) * q, p[1] + n * q, q};
     Number da[] = {0.0, 2 * n * a[1] + iqq * (z[3] + 2 * n * z[2] + 2 * c * z[1]), 2 * a[1], a[2]};
     Number du = dp[1] * z[1] + dp[2] * z[2] + dp[3] * z[3];
@@ -124,10 +125,11 @@ typedef struct {
 static void
 add_covariance(const Motion *m, long long t, int highest, const Linear *linear, double *spread)
 {
-    double mean[3];
-    products(m->of_angle + t, m->orders, m->count, highest, linear->by_angle, spread);
-    products(m->of_position + t, m->orders, m->count, highest, linear->by_position, mean);
-    spread[0] += mean[0] + mean[2], spread[2] += mean[0] + mean[2];
+    double by_position[3] = {0};
+    add_moments(m->of_angle + t, m->orders, m->count, highest, linear->by_angle, spread);
+    add_moments(m->of_position + t, m->orders, m->count, highest, linear->by_position, by_position);
+    /* The two coordinates of the position have independent errors of one covariance. */
+    spread[0] += by_position[0] + by_position[2], spread[2] += by_position[0] + by_position[2];
 }
 
 static int
@@ -162,7 +164,7 @@ motion_at(const Motion *m, long long t, int highest, Number *z, double *rate)
 static Quantity
 free_pole(const Motion *m, long long t, int order)
 {
-    double rate[HIGHEST + 1], noise[3];
+    double rate[HIGHEST + 1], noise[3] = {0};
     Number z[HIGHEST + 1];
     Linear linear = {0}, turn = {0};
     Quantity q = {0};
@@ -170,7 +172,7 @@ free_pole(const Motion *m, long long t, int order)
     pole(order, z, rate, &turn, &linear);
     q.value = linear.value;
     add_covariance(m, t, order, &linear, q.spread);
-    products(m->of_angle + t, m->orders, m->count, order, turn.by_angle, noise);
+    add_moments(m->of_angle + t, m->orders, m->count, order, turn.by_angle, noise);
     int turns = cabs(turn.value) > SIGNIFICANT * sqrt(noise[0] + noise[2]);
     q.flags = turns && is_near(m, t, q.value) && is_known(&q) ? DETERMINED : 0;
     return q;
