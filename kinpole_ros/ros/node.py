@@ -33,8 +33,8 @@ from kinpole_ros.messages import (
     DiagnosticsMaker,
     MessageError,
     Output,
+    deletion_of_all,
     live_outputs,
-    nothing_drawn,
 )
 from kinpole_ros.ros.declare import given_in_vain
 from kinpole_ros.ros.executor import make_executor
@@ -258,12 +258,12 @@ class KinpoleNode(SettableNode):
         drawn, self._drawn = self._drawn, None
         publisher = self._publishers_made.get(DRAWING)
         if drawn is not None and publisher is not None and publisher.get_subscription_count():
-            publisher.publish(nothing_drawn(int(drawn.stamp[-1]), drawn.frame_id))
+            publisher.publish(deletion_of_all(int(drawn.stamp[-1]), drawn.frame_id))
 
     def _note_readers(self) -> None:
         read = [row for row in self._outputs if row[1].get_subscription_count()]
-        self._wanted = [row for row in read if not row[0].every]
-        self._viewed = [row for row in read if row[0].every]
+        self._wanted = [row for row in read if not row[0].interval]
+        self._viewed = [row for row in read if row[0].interval]
 
     def _look(self) -> None:
         """See who is there, to read and to be read."""
@@ -299,7 +299,7 @@ class KinpoleNode(SettableNode):
         # Nobody else waits for what people look at.
         if viewed and last is not None:
             _publish(viewed, last)
-            self._view_due = now + max(output.every for output, _ in viewed)
+            self._view_due = now + max(output.interval for output, _ in viewed)
         self._tracker.settle()
         self._amid_markers = False
 

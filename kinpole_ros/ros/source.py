@@ -235,7 +235,7 @@ class MarkerSource:
     def note_names(self) -> None:
         """Note names of poses that no message has."""
         reader = self._reader if self._kind else None
-        lacking = reader.lacking() if isinstance(reader, PoseReader) else ''
+        lacking = reader.unseen_names() if isinstance(reader, PoseReader) else ''
         self._note('names', f'on {self.topic} {lacking}' if lacking else '')
 
     def note_turns(self) -> None:
