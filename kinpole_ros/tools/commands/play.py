@@ -39,7 +39,7 @@ def add(commands: Any) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Do it, and print the outcome; the exit status."""
-    from kinpole_ros.ros.live import play
+    from kinpole_ros.ros.player import play
 
     with progress_bar('play') as progress:
         count = play(

@@ -24,7 +24,7 @@ def add(commands: Any) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Do it, and print the outcome; the exit status."""
-    from kinpole_ros.ros.live import record
+    from kinpole_ros.ros.recorder import record
 
     check_ending('--output', options.output, 'an MCAP bag')
     count = record(options.output, options.topic or ['/kinpole/', '/diagnostics'])

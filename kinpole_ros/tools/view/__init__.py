@@ -24,7 +24,7 @@ def view(chosen: str = '', port: int = 0) -> None:
     `chosen` is a node by its full name, its namespace, or one of its topics; '' is any. Raises
     BagError where the port cannot be had, or ROS cannot start.
     """
-    from kinpole_ros.ros.watch import watching
+    from kinpole_ros.ros.listener import watching
 
     # Where cores are scarce the node, and whoever waits for it, comes first.
     os.nice(_NICE)

@@ -12,7 +12,7 @@ from kinpole_ros.tools.view._known import Known
 from kinpole_ros.tools.view._server import LASTING
 
 if TYPE_CHECKING:
-    from kinpole_ros.ros.watch import Watcher
+    from kinpole_ros.ros.listener import Watcher
 
 # s, between looks at the graph, until there are figures and from then on.
 _SEARCH, _LOOK = 0.25, 1.0
