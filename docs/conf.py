@@ -72,6 +72,14 @@ def skip_alias(app: Any, what: str, name: str, thing: Any, skip: bool, options: 
     return True if text.startswith('Alias for field number') else None
 
 
+def escape_bars(app: Any, what: str, name: str, thing: Any, options: Any, lines: list[str]) -> None:
+    """Escape the bars of |u| outside of code, because reStructuredText would substitute u."""
+    for k, line in enumerate(lines):
+        text = line.split('`')
+        text[::2] = [part.replace('|', r'\|') for part in text[::2]]
+        lines[k] = '`'.join(text)
+
+
 def draw_formula(self: Any, node: nodes.math) -> None:
     """
     Draw a formula as an SVG picture in the color of the text.
@@ -97,5 +105,6 @@ def setup(app: Any) -> dict[str, bool]:
     """Register the functions above; called by Sphinx."""
     app.connect('source-read', insert_references)
     app.connect('autodoc-skip-member', skip_alias)
+    app.connect('autodoc-process-docstring', escape_bars)
     app.add_html_math_renderer('outlines', (draw_formula, None), (draw_formula, None))
     return {'parallel_read_safe': False, 'parallel_write_safe': True}
