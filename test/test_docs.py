@@ -8,7 +8,6 @@ to a node in this process.
 """
 
 import glob
-import inspect
 import os
 import re
 import runpy
@@ -19,7 +18,6 @@ import sys
 import time
 from collections.abc import Iterator
 from pathlib import Path
-from types import ModuleType
 
 import pytest
 import rclpy
@@ -28,8 +26,6 @@ from rcl_interfaces.srv import SetParameters
 from rclpy.lifecycle import TransitionCallbackReturn
 from test_node import ask_to_set
 
-import kinpole_ros
-from kinpole_ros import mechanism, planar
 from kinpole_ros.mechanism import load_scene
 from kinpole_ros.messages import result_outputs
 from kinpole_ros.ros.node import KinpoleNode
@@ -200,19 +196,6 @@ def test_references_contain_every_command_topic_and_parameter() -> None:
         assert f'`{name}`' in everything, name
     for comment in references:
         assert any(comment in page.read_text('utf-8') for page in DOCS.glob('*.md')), comment
-
-
-@pytest.mark.parametrize('room', [kinpole_ros, mechanism, planar], ids=lambda room: room.__name__)
-def test_public_functions_say_what_they_take_and_return(room: ModuleType) -> None:
-    functions = [getattr(room, name) for name in room.__all__]
-    for function in filter(inspect.isfunction, functions):
-        text = inspect.getdoc(function) or ''
-        parts = dict(re.findall(r'^(\w+)\n-+\n(.*?)(?=\n\n\w+\n-|\Z)', text, re.M | re.S))
-        headings = re.findall(r'^\S.*', parts.get('Parameters', ''), re.M)
-        named = [name.lstrip('*') for line in headings for name in line.split(', ')]
-        signature = inspect.signature(function)
-        assert sorted(named) == sorted(signature.parameters), function.__name__
-        assert ('Returns' in parts) != (signature.return_annotation is None), function.__name__
 
 
 @pytest.mark.parametrize('page', PAGES, ids=lambda page: page.stem)
