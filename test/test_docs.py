@@ -198,6 +198,24 @@ def test_references_contain_every_command_topic_and_parameter() -> None:
         assert any(comment in page.read_text('utf-8') for page in DOCS.glob('*.md')), comment
 
 
+def slugs(page: Path) -> set[str]:
+    """Return the anchors of the headings of a page, as GitHub and the site name them."""
+    text = re.sub(r'^ *```.*?^ *```$', '', page.read_text('utf-8'), flags=re.M | re.S)
+    headings = re.findall(r'^#+ (.*)', text, re.M)
+    return {re.sub(r'[^\w -]', '', one.lower()).replace(' ', '-') for one in headings}
+
+
+def test_links_lead_to_files_and_headings() -> None:
+    pages = [*ROOT.glob('*.md'), *DOCS.rglob('*.md'), *(ROOT / 'examples').rglob('*.md')]
+    for page in pages:
+        for link in re.findall(r'\]\(([^)\s]+)\)', page.read_text('utf-8')):
+            path, _, anchor = link.partition('#')
+            if not path.startswith('https://'):
+                target = page.parent / path if path else page
+                assert target.exists(), f'{page.name}: {link}'
+                assert not anchor or anchor in slugs(target), f'{page.name}: {link}'
+
+
 @pytest.mark.parametrize('page', PAGES, ids=lambda page: page.stem)
 def test_blocks_run(page: Path, reader: Reader, tmp_path: Path, simulated, capfd) -> None:
     if page.name in ('README.md', 'bags.md'):
