@@ -51,13 +51,20 @@ numpydoc_show_class_members = False
 myst_enable_extensions = ['dollarmath', 'deflist']
 myst_heading_anchors = 4
 
-# Links to folders, and to files outside of docs, which are not pages.
-_OUTSIDE = re.compile(r'\[([^\]]+)\]\((?:\.\./[^)]*|charts)\)')
+_DOCS = Path(__file__).parent
+# Links that may lead out of docs.
+_LINK = re.compile(r'\[([^\]]+)\]\((\.\./[^)#]*|charts)[^)]*\)')
 
 
 def insert_references(app: Any, page: str, source: list[str]) -> None:
     """Replace the comments by references, and remove links that do not lead to a page."""
-    source[0] = _OUTSIDE.sub(r'`\1`', source[0])
+
+    def unlink(link: re.Match[str]) -> str:
+        target = (_DOCS / page).parent.joinpath(link[2]).resolve()
+        is_page = target.is_relative_to(_DOCS) and target.is_file()
+        return link[0] if is_page else f'`{link[1]}`'
+
+    source[0] = _LINK.sub(unlink, source[0])
     for comment, reference in _reference.REFERENCES.items():
         if comment in source[0]:
             source[0] = source[0].replace(comment, reference())
