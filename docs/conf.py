@@ -53,7 +53,7 @@ myst_heading_anchors = 4
 
 _DOCS = Path(__file__).parent
 # Links that may lead out of docs.
-_LINK = re.compile(r'\[([^\]]+)\]\((\.\./[^)#]*|charts)[^)]*\)')
+_LINK = re.compile(r'\[([^\]]+)\]\((\.\./[^)#]*|charts)(?:#[^)]*)?\)')
 
 
 def insert_references(app: Any, page: str, source: list[str]) -> None:
