@@ -154,7 +154,7 @@ class DiagnosticsMaker:
         idle = tracker.samples >= FEWEST_SAMPLES
         lacking = {
             body: not_there(body, names, tracker.identities)
-            for body, names in tracker.lacking().items()
+            for body, names in tracker.absent_markers().items()
         }
 
         def finish(now: Estimate | None) -> DiagnosticArray:

@@ -300,7 +300,7 @@ class KinpoleNode(SettableNode):
         if viewed and last is not None:
             _publish(viewed, last)
             self._view_due = now + max(output.every for output, _ in viewed)
-        self._tracker.settle()
+        self._tracker.learn_if_due()
         self._amid_markers = False
 
     def _newest_last(
