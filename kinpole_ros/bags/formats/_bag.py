@@ -18,8 +18,8 @@ from mcap.writer import MCAP0_MAGIC
 from kinpole_ros.bags._channels import BagMessage
 from kinpole_ros.bags._files import ROS1_MAGIC, SQLITE_MAGIC, ZSTD_MAGIC, BagError, Truncated
 from kinpole_ros.bags._frames import read_frames
-from kinpole_ros.bags._reader import described, read_messages
-from kinpole_ros.bags._ros1 import Ros1Message, ros1_messages
+from kinpole_ros.bags._reader import read_messages, types_and_definitions
+from kinpole_ros.bags._storages import Ros1Message, ros1_messages
 from kinpole_ros.bags.formats._file import File, Format, Points, Wanted
 from kinpole_ros.bags.formats._sheet import check_cells, check_names, number_names, shown
 from kinpole_ros.messages import (
@@ -87,7 +87,7 @@ def _recognizes(file: File) -> bool:
 
 def _read(file: File, wanted: Wanted) -> Points:
     is_ros1 = file.head.startswith(ROS1_MAGIC)
-    types, definitions = (_describe_ros1 if is_ros1 else described)(file.path)
+    types, definitions = (_describe_ros1 if is_ros1 else types_and_definitions)(file.path)
     topics = _choose_topics(file, types)
     if not is_ros1 and _kind(types[topics[0]]) == 'markers':
         parts, _ = read_frames(file.path, topics[0], report=lambda e: file.notes.append(str(e)))
