@@ -20,7 +20,7 @@ from kinpole_ros.bags._files import ROS1_MAGIC, SQLITE_MAGIC, ZSTD_MAGIC, BagErr
 from kinpole_ros.bags._frames import read_frames
 from kinpole_ros.bags._reader import read_messages, types_and_definitions
 from kinpole_ros.bags._storages import Ros1Message, ros1_messages
-from kinpole_ros.bags.formats._file import File, Format, Points, Wanted
+from kinpole_ros.bags.formats._file import File, Format, Options, Points
 from kinpole_ros.bags.formats._sheet import check_cells, check_names, number_names, shown
 from kinpole_ros.messages import (
     MARKER_TYPES,
@@ -85,7 +85,7 @@ def _recognizes(file: File) -> bool:
     return file.head.startswith(magics)
 
 
-def _read(file: File, wanted: Wanted) -> Points:
+def _read(file: File, options: Options) -> Points:
     is_ros1 = file.head.startswith(ROS1_MAGIC)
     types, definitions = (_describe_ros1 if is_ros1 else types_and_definitions)(file.path)
     topics = _choose_topics(file, types)
@@ -118,7 +118,7 @@ def _read(file: File, wanted: Wanted) -> Points:
         names,
         points,
         np.arange(len(stamps)),
-        None if wanted.rate is not None else stamps / _SECOND,
+        None if options.rate is not None else stamps / _SECOND,
         'm',
         stamps=stamps,
         bodies=list(bodies),
@@ -402,7 +402,7 @@ def _convert(message: Any, cls: type) -> Any:
     return cls(**values)
 
 
-FORMAT = Format(
+BAG = Format(
     'bag',
     'bags of ROS 1 (.bag) and rosbag2 (.db3, .mcap), of markers, poses or the types of trackers',
     '(binary)',

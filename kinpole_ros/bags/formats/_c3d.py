@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from kinpole_ros.bags._files import BagError
-from kinpole_ros.bags.formats._file import File, Format, Points, Wanted, frame_times
+from kinpole_ros.bags.formats._file import File, Format, Options, Points, frame_times
 from kinpole_ros.bags.formats._sheet import check_cells, number_names
 
 _BLOCK = 512
@@ -49,7 +49,7 @@ def _recognizes(file: File) -> bool:
     return not file.is_text and len(file.head) >= _BLOCK and file.head[1] == 0x50
 
 
-def _read(file: File, wanted: Wanted) -> Points:
+def _read(file: File, options: Options) -> Points:
     try:
         processor = file.data[_BLOCK * (file.data[0] - 1) + 3]
         header = _read_header(file.data, processor)
@@ -86,7 +86,7 @@ def _read(file: File, wanted: Wanted) -> Points:
     points = seen[:, kept, :3].astype(float) * (1.0 if scale < 0 else scale)
     points[seen[:, kept, 3] < 0] = np.nan
     unit = next(iter(_read_labels(parameters, 'POINT:UNITS')), '')
-    times = None if wanted.rate is not None else frame_times(frames, rate)
+    times = frame_times(frames, rate)
     return Points(names, points, frames, times, unit)
 
 
@@ -221,4 +221,4 @@ def _frames_before_zeros(values: np.ndarray) -> tuple[int, bool]:
     return whole, False
 
 
-FORMAT = Format('c3d', 'C3D', '(binary)', _recognizes, _read)
+C3D = Format('c3d', 'C3D', '(binary)', _recognizes, _read)
