@@ -243,34 +243,39 @@ def _read_qualisys(file: File, options: Options) -> Points:
     titles = about[key]
     while not titles[-1]:
         titles.pop()
-    names = number_names(path, [name or f'{k + 1}' for k, name in enumerate(titles)], file.notes)
+    titles = [title or f'{number}' for number, title in enumerate(titles, start=1)]
+    names = number_names(path, titles, file.notes)
     begin, width = _data_columns(sheet, first, key, len(names))
-    columns = {
-        name: [begin + width * k + axis for axis in range(3)] for k, name in enumerate(names)
-    }
-    lines, times = sheet.lines[first:], None
+    lines = sheet.lines[first:]
+    if width > 3:
+        check_cells(path, 20 * len(lines) * len(names))
+    components = [*'xyz', *map(str, range(4, width + 1))]
+    titles = ['Frame', *(f'{name} {component}' for name in names for component in components)]
+    columns = [0 if begin else None, *range(begin, begin + width * len(names))]
+    numbers = sheet.numbers(columns, titles, first)
+    values = numbers[:, 1:].reshape(len(lines), len(names), width)
+    frames, times = np.arange(len(lines)), None
     if begin:
-        points, numbers = sheet.points(columns, first, number=(0, 'Frame'))
-        frames = whole_numbers(path, numbers, lines, 'Frame')
+        frames = whole_numbers(path, numbers[:, 0], lines, 'Frame')
         times = sheet.column(1, first, 'Time')
-    else:
-        points, _ = sheet.points(columns, first)
-        frames = np.arange(len(points))
+    poses = _to_poses(values) if width > 3 else None
+    points = values[..., :3]
     # A marker that was not seen is three zeros.
-    points[~points.any(axis=-1)] = np.nan
-    rate = number_in(next(iter(about.get('FREQUENCY', [])), ''))
-    file.notes += count_notes(path, ''.join(about.get('NO_OF_FRAMES', [])), len(points))
+    points[~points.any(axis=-1) if poses is None else np.isnan(poses[..., 0])] = np.nan
+    file.notes += count_notes(path, ''.join(about.get('NO_OF_FRAMES', [])), len(lines))
     count = about.get('NO_OF_MARKERS' if width == 3 else 'NO_OF_BODIES', [])
     file.notes += count_notes(path, ''.join(count), len(names), 'names')
-    result = Points(names, points, frames, frame_times(frames, rate, times), 'mm', lines=lines)
-    if width == 3:
-        return result
-    check_cells(path, 20 * len(points) * len(names))
-    titles = [f'{name} {number}' for name in names for number in range(1, width + 1)]
-    values = sheet.numbers(range(begin, starts.stop), titles, first)
-    poses = _to_poses(values.reshape(len(points), len(names), width))
-    points[np.isnan(poses[..., 0])] = np.nan
-    return replace(result, bodies=names, poses=poses)
+    rate = number_in(next(iter(about.get('FREQUENCY', [])), ''))
+    return Points(
+        names,
+        points,
+        frames,
+        frame_times(frames, rate, times),
+        'mm',
+        lines=lines,
+        bodies=[] if poses is None else names,
+        poses=poses,
+    )
 
 
 def _read_qualisys_head(sheet: Sheet) -> tuple[dict[str, list[str]], int]:

@@ -309,7 +309,7 @@ def _read_sleap(file: File, options: Options) -> Points:
         frame, animal = pairs[int(counts.argmax())]
         raise BagError(
             f'{path}: frame {frame} has {counts.max()} instances of track '
-            f"'{shown(list(animals)[animal])}', and nothing tells them apart; fix: track them in "
+            f"'{shown(list(animals)[animal])}', which nothing distinguishes; fix: track them in "
             'SLEAP first, or export one instance a frame'
         )
     points = np.full((len(frames), len(animals), len(nodes), 3), np.nan)

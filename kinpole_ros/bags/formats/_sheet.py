@@ -356,13 +356,13 @@ def number_names(path: Path, names: Sequence[str], notes: list[str]) -> list[str
 
 def whole_numbers(path: Path, numbers: np.ndarray, lines: Sequence[int], name: str) -> np.ndarray:
     """Return frame numbers (T,) as int64; raises BagError when they are not, or do not rise."""
-    whole = np.empty(len(numbers), np.int64)
+    frames = np.empty(len(numbers), np.int64)
     # In slices, since there can be millions.
     for first in range(0, len(numbers), _BLOCK_CELLS):
         part = slice(first, first + _BLOCK_CELLS)
-        whole[part] = np.rint(np.nan_to_num(numbers[part], nan=-1.0))
-        bad = ~(np.abs(whole[part] - numbers[part]) < 1e-6)
-        with_previous = whole[max(0, first - 1) : part.stop]
+        frames[part] = np.rint(np.nan_to_num(numbers[part], nan=-1.0))
+        bad = ~(np.abs(frames[part] - numbers[part]) < 1e-6)
+        with_previous = frames[max(0, first - 1) : part.stop]
         bad[len(bad) - len(with_previous) + 1 :] |= np.diff(with_previous) <= 0
         if bad.any():
             row = first + int(bad.argmax())
@@ -370,7 +370,7 @@ def whole_numbers(path: Path, numbers: np.ndarray, lines: Sequence[int], name: s
                 f'{path}, line {lines[row]}, column {name}: {numbers[row]:.10g} is not the number '
                 'of a frame after the one before; fix: a number for each frame, in order'
             )
-    return whole
+    return frames
 
 
 def _numbers_or_inf(cells: Sequence[str], have_decimal_commas: bool) -> list[float]:

@@ -250,7 +250,7 @@ def _points_of_trajectories(
     step = float(np.median(steps[steps > 0])) if steps.any() else 1.0
     interval = float(steps.sum() / max(1.0, np.rint(steps / step).sum())) or step
     if max(row[-1] for row in times) - start > interval * MOST_CELLS:
-        raise BagError(f'{path}: its times are too far apart; fix: {_EXPORT_AGAIN}')
+        raise BagError(f'{path}: its times are too far from each other; fix: {_EXPORT_AGAIN}')
     numbers = [
         np.rint((row[0] - start) / interval)
         + np.concatenate(([0], np.maximum(1, np.rint(np.diff(row) / step)).cumsum()))
