@@ -86,11 +86,7 @@ def _about_import(done: Imported) -> str:
 
 
 def _discovered(
-    file: str,
-    bag: str,
-    topic: str | None,
-    rig: Path,
-    progress: Callable[[float], None] | None,
+    file: str, bag: str, topic: str | None, rig: Path, progress: Callable[[float], None] | None
 ) -> tuple[Path | None, list[str]]:
     """The parameter file that discover writes, None where it finds nothing, and lines on it."""
     from kinpole_ros.tools.discover import discover_rig

@@ -29,9 +29,7 @@ def has_results(bag: str | Path) -> bool:
 
 
 def read_record(
-    bag: str | Path,
-    most: Callable[[int], int],
-    progress: Callable[[float], None] | None = None,
+    bag: str | Path, most: Callable[[int], int], progress: Callable[[float], None] | None = None
 ) -> tuple[Record, list[str]]:
     """
     The results of a bag, and what its diagnostics warned of.
