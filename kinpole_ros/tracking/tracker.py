@@ -321,7 +321,7 @@ class Tracker:
     def _keep(self, results: Results, numbers: np.ndarray) -> None:
         """Keep results for the next estimate; `numbers` are those of the frames handed over."""
         if results.count:
-            due = results.of_instants('due')
+            due = results.column('due')
             due[:] = numbers[due]
             self._results.append(results)
 
