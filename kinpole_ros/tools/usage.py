@@ -7,6 +7,7 @@ from typing import Any
 
 from kinpole_ros import __version__
 from kinpole_ros.tools.commands import COMMANDS
+from kinpole_ros.tools.commands._command import Option
 
 _EPILOG = """The default of an option is in parentheses at the end of its help.
 
@@ -38,11 +39,6 @@ class _HelpFormatter(argparse.HelpFormatter):
 
 def make_parser() -> argparse.ArgumentParser:
     """Return the parser of the whole command line; `command` is the name of the subcommand."""
-    return _make_parsers()[0]
-
-
-def _make_parsers() -> tuple[argparse.ArgumentParser, Any]:
-    """Return the parser, and the parsers of the subcommands by name."""
     parser = argparse.ArgumentParser(
         prog='kinpole',
         description='Planar kinematics of mechanisms from tracked markers: angular rates, poles '
@@ -60,18 +56,17 @@ def _make_parsers() -> tuple[argparse.ArgumentParser, Any]:
     )
     for name, command in COMMANDS.items():
         command.add_parser(name, subparsers, _HelpFormatter)
-    return parser, subparsers.choices
+    return parser
 
 
 def parse_words(words: Sequence[str]) -> argparse.Namespace:
     """Parse the words after `kinpole`; end the process for --help and for bad usage."""
-    parser, subparsers = _make_parsers()
     if words and words[0] in COMMANDS:
-        words = [words[0], *_files_first(words[1:], subparsers[words[0]]._actions)]
-    return parser.parse_args(words)
+        words = [words[0], *_files_first(words[1:], COMMANDS[words[0]].options)]
+    return make_parser().parse_args(words)
 
 
-def _files_first(words: Sequence[str], actions: Sequence[argparse.Action]) -> list[str]:
+def _files_first(words: Sequence[str], options: Sequence[Option]) -> list[str]:
     """
     Move the files of a command before its options.
 
@@ -79,8 +74,9 @@ def _files_first(words: Sequence[str], actions: Sequence[argparse.Action]) -> li
     after such an option would become its values. Files that are missing elsewhere are taken from
     the last words of the option.
     """
-    sizes = {name: 1 if a.nargs is None else a.nargs for a in actions for name in a.option_strings}
-    files = sum(not action.option_strings for action in actions)
+    sizes = {option.name: option.values for option in options if option.name.startswith('-')}
+    sizes['--help'] = 0
+    files = sum(not option.name.startswith('-') for option in options)
     if '+' not in sizes.values() or not files or '--' in words:
         return list(words)
     file_words, greedy_runs = _split_words(words, sizes)
@@ -90,8 +86,8 @@ def _files_first(words: Sequence[str], actions: Sequence[argparse.Action]) -> li
     if missing > 0 and candidates:
         run = max(candidates, key=lambda run: os.path.exists(words[run[-1]]))
         file_words = sorted([*file_words, *run[-missing:]])
-    options = [word for k, word in enumerate(words) if k not in file_words]
-    return [*(words[k] for k in file_words), *options]
+    other_words = [word for k, word in enumerate(words) if k not in file_words]
+    return [*(words[k] for k in file_words), *other_words]
 
 
 def _split_words(words: Sequence[str], sizes: dict[str, Any]) -> tuple[list[int], list[list[int]]]:

@@ -9,18 +9,29 @@ Run = Callable[[argparse.Namespace], int]
 
 
 class Option(NamedTuple):
-    """One positional argument or option: what `argparse.add_argument` takes."""
+    """
+    One positional argument or option: what `argparse.add_argument` takes.
+
+    `values` is the number of words that follow the name, '+' for all up to the next option.
+    """
 
     name: str
+    values: int | str
     settings: dict[str, Any]
 
 
 class Command:
     """A subcommand: `run` does its work and returns the exit status."""
 
-    def __init__(self, run: Run, options: Iterable[Option | list[Option]]) -> None:
+    def __init__(self, run: Run, entries: Iterable[Option | list[Option]]) -> None:
         self.run = run
-        self._options = options
+        self._entries = list(entries)
+
+    @property
+    def options(self) -> list[Option]:
+        """All options, exclusive ones too."""
+        groups = [entry if isinstance(entry, list) else [entry] for entry in self._entries]
+        return [option for group in groups for option in group]
 
     def add_parser(self, name: str, subparsers: Any, formatter: type) -> None:
         """
@@ -40,7 +51,7 @@ class Command:
             epilog=f'examples:{examples}' if examples else None,
             formatter_class=formatter,
         )
-        for entry in self._options:
+        for entry in self._entries:
             if isinstance(entry, list):
                 group = parser.add_mutually_exclusive_group()
                 for one in entry:
@@ -67,12 +78,12 @@ def option(
 ) -> Option:
     """Return an option or positional argument that takes a value of the type `kind`."""
     settings |= {'metavar': metavar, 'help': text, 'type': kind, 'default': default}
-    return Option(name, settings)
+    return Option(name, settings.get('nargs', 1), settings)
 
 
 def flag(name: str, text: str, action: Any = 'store_true') -> Option:
     """Return an option without a value."""
-    return Option(name, {'action': action, 'help': text})
+    return Option(name, 0, {'action': action, 'help': text})
 
 
 BAG = option('bag', 'BAG', 'an .mcap or .db3 file, or a rosbag2 folder')
