@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from kinpole_ros.tracking.frame import MarkerFrames
-from kinpole_ros.tracking.levels import SURE
+from kinpole_ros.tracking.thresholds import N_SIGMA
 
 _MIN_FRAMES = 20
 # Some drivers count names anew in every frame: more names than this many times the markers of a
@@ -279,7 +279,7 @@ def _keeps_distances_better(before: np.ndarray, now: np.ndarray, columns: list[i
             floor = _ROUNDING * np.maximum(mean[mates], 1e-300)
             deviations = off / np.maximum(spread[mates], floor)
             excess += sign * float(np.sum(deviations[np.isfinite(off)] ** 2))
-    return excess > SURE**2
+    return excess > N_SIGMA**2
 
 
 def _predicted(points: np.ndarray, steps: np.ndarray) -> np.ndarray:

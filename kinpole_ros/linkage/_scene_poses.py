@@ -11,12 +11,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from kinpole_ros.linkage._residuals import point_position
-from kinpole_ros.mechanism import Equations
+from kinpole_ros.mechanism import Equations, part_sum
 from kinpole_ros.planar import fit_pose
 from kinpole_ros.planar._plane import Complex, Real
 from kinpole_ros.tracking.estimate import Estimate, FramePoses
-from kinpole_ros.tracking.levels import LITTLE
+from kinpole_ros.tracking.thresholds import NEGLIGIBLE
 
 
 class BodyMatch(NamedTuple):
@@ -96,7 +95,7 @@ def scene_poses(
         bodies.append(number)
         b = match.tracked
         frame_position, frame_angle = match.fit_frame(shapes[:, b])
-        origin = frame_position - np.exp(1j * frame_angle) * point_position(offset, values)[0]
+        origin = frame_position - np.exp(1j * frame_angle) * part_sum(offset, values)[0]
         seen = (measured.angle_information[:, b] > 0) & (missing[:, b] == '')
         seen &= np.isfinite(frame_angle)
         angle_cofactor = 1 / np.where(seen, measured.angle_information[:, b], 1.0)
@@ -157,7 +156,7 @@ def match_markers(first: Complex, second: Complex) -> tuple[np.ndarray, np.ndarr
         worst = float(np.abs(fit.residual).max())
         if worst < least:
             least, best = worst, nearest
-    if best is None or least > LITTLE * abs(few[b] - few[a]):
+    if best is None or least > NEGLIGIBLE * abs(few[b] - few[a]):
         return None
     order = np.arange(len(few))
     return (best, order) if is_swapped else (order, best)

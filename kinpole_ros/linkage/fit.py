@@ -10,10 +10,9 @@ from typing import NamedTuple
 import numpy as np
 
 from kinpole_ros.linkage._least_squares import Solution
-from kinpole_ros.linkage._residuals import point_position
 from kinpole_ros.linkage.positions import Positions
 from kinpole_ros.linkage.theory import Theory
-from kinpole_ros.mechanism import Dimension, Equations, Part, Scene, SceneError
+from kinpole_ros.mechanism import Dimension, Equations, Part, Scene, SceneError, part_sum
 from kinpole_ros.planar._plane import Real
 from kinpole_ros.tracking.estimate import Estimate
 
@@ -224,7 +223,7 @@ def _arm_misfits(arms: Sequence[_Arm], values: Real) -> tuple[Real, Real]:
     """Length of each arm (k,) less that of its radii, m, and its derivatives (k, dimensions)."""
     misfit, slopes = np.empty(len(arms)), np.empty((len(arms), len(values)))
     for row, arm in enumerate(arms):
-        (a, by_a), (b, by_b) = point_position(arm.center, values), point_position(arm.hub, values)
+        (a, by_a), (b, by_b) = part_sum(arm.center, values), part_sum(arm.hub, values)
         total = values[arm.circle] + values[arm.radius]
         misfit[row] = abs(b - a) - abs(total)
         slopes[row] = ((by_b - by_a) * np.conj(b - a)).real / abs(b - a)

@@ -12,7 +12,6 @@ from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
-from kinpole_ros.linkage._residuals import point_position
 from kinpole_ros.linkage._scene_poses import BodyMatch, match_markers
 from kinpole_ros.linkage.positions import PositionReport, Positions
 from kinpole_ros.mechanism import (
@@ -26,6 +25,7 @@ from kinpole_ros.mechanism import (
     Scene,
     SceneError,
     load_scene,
+    part_sum,
 )
 from kinpole_ros.planar import (
     Port,
@@ -193,8 +193,8 @@ def on_tracked(scene: Scene, load: Load, tracked: Container[str]) -> Load:
     for body, (home_of_body, offset_of_body) in equations.frames.items():
         if home_of_body == home and body in tracked:
             if isinstance(load, Force):
-                moved = point_position(offset, values)[0]
-                moved -= point_position(offset_of_body, values)[0]
+                moved = part_sum(offset, values)[0]
+                moved -= part_sum(offset_of_body, values)[0]
                 return load._replace(body=body, point=load.point + moved)
             return load._replace(body=body)
     return load

@@ -5,7 +5,7 @@ Derivatives of poses or landmarks come in; rates, poles, centrodes and their fir
 go out. Public functions say whether a vector is an array (..., 2) or a complex number x + iy.
 Written as complex numbers, the matrix R of the seeds (rotation by +90 degrees) is the factor i, and
 their 2 x 2 matrices B, H and G are single complex numbers. The seeds are the course notes listed in
-docs/seeds.md. Functions raise ValueError for arrays whose shapes do not fit.
+docs/course_notes.md. Functions raise ValueError for arrays whose shapes do not fit.
 """
 
 from kinpole_ros.planar._balance import Port, measured_balance
@@ -56,11 +56,8 @@ from kinpole_ros.planar._procrustes import (
 from kinpole_ros.planar._uncertainty import (
     Linear,
     covariance,
-    curvature_figures,
     mean_square,
-    pole_figures,
     variance,
-    velocity_figures,
 )
 
 __all__ = [
@@ -75,7 +72,6 @@ __all__ = [
     'centrode_curvature',
     'centrode_velocities',
     'covariance',
-    'curvature_figures',
     'curvature_terms',
     'fit_pose',
     'fit_pose_with_factors',
@@ -93,7 +89,6 @@ __all__ = [
     'point_derivatives',
     'point_motion',
     'pole',
-    'pole_figures',
     'pole_from_reference',
     'procrustes_factors',
     'relative_acceleration',
@@ -106,6 +101,5 @@ __all__ = [
     'to_plane',
     'transport',
     'variance',
-    'velocity_figures',
     'velocity_terms',
 ]

@@ -3,23 +3,14 @@ First-order uncertainty of quantities computed from a pose and its derivatives.
 
 Every quantity of this package is a function of a body's reference point z (complex, m), its angle
 (rad) and their time derivatives. `Linear` holds the value with its partial derivatives, and
-`covariance` and `variance` propagate the covariance of the pose through them. `pole_figures`,
-`velocity_figures` and `curvature_figures` do both steps at once in compiled code, for the tracker.
+`covariance` and `variance` propagate the covariance of the pose through them.
 """
 
-from ctypes import c_int, c_longlong, c_void_p
 from typing import NamedTuple
 
 import numpy as np
 
-from kinpole_ros.compiled import library, pass_array
 from kinpole_ros.planar._plane import Complex, Real
-
-_kinpole_figures = library.kinpole_figures
-_kinpole_figures.argtypes = [c_int, c_longlong, c_longlong, *[c_void_p] * 7]
-_kinpole_figures.restype = None
-# The quantities of _kernel.c; 1 to 4 are the poles of these orders.
-_VELOCITY, _CURVATURE = 5, 6
 
 
 class Linear(NamedTuple):
@@ -128,115 +119,3 @@ def mean_square(factors: Complex, matrix: Real) -> Real:
 
 def _components(factors: Complex) -> Real:
     return np.array((factors.real, factors.imag))
-
-
-def pole_figures(
-    order: int, position: Complex, angle: Real, position_covariance: Real, angle_covariance: Real
-) -> tuple[Complex, Real, Real]:
-    """
-    Pole of a body with its covariance: `pole` and `covariance`, compiled.
-
-    Parameters
-    ----------
-    order
-        1 to 4 for ICR, IAP, IJP and ISP.
-    position, angle
-        Reference point (K, ...), complex, m, and angle (K, ...), rad, with their derivatives;
-        order < K <= 5.
-    position_covariance, angle_covariance
-        As in `covariance`.
-
-    Returns
-    -------
-    pole : ndarray
-        Of shape (...), complex, m.
-    covariance : ndarray
-        Of shape (..., 2, 2), m^2.
-    significance : ndarray
-        Magnitude of the rotation coefficient of that order over its standard deviation (...); see
-        `rotation`.
-
-    Raises
-    ------
-    ValueError
-        If the shapes do not fit each other or the order.
-
-    """
-    return _compiled(order, position, angle, position_covariance, angle_covariance)
-
-
-def velocity_figures(
-    position: Complex, angle: Real, position_covariance: Real, angle_covariance: Real
-) -> tuple[Complex, Real]:
-    """
-    Velocity of the ICR with its covariance: `icr_velocity` and `covariance`, compiled.
-
-    Parameters
-    ----------
-    position, angle, position_covariance, angle_covariance
-        As in `pole_figures`; 3 <= K <= 5.
-
-    Returns
-    -------
-    velocity : ndarray
-        Of shape (...), complex, m/s.
-    covariance : ndarray
-        Of shape (..., 2, 2), m^2/s^2.
-
-    """
-    return _compiled(_VELOCITY, position, angle, position_covariance, angle_covariance)[:2]
-
-
-def curvature_figures(
-    position: Complex, angle: Real, position_covariance: Real, angle_covariance: Real
-) -> tuple[Real, Real]:
-    """
-    Curvature of the fixed centrode with its variance: `centrode_curvature`, compiled.
-
-    Parameters
-    ----------
-    position, angle, position_covariance, angle_covariance
-        As in `pole_figures`; 4 <= K <= 5.
-
-    Returns
-    -------
-    curvature : ndarray
-        Of shape (...), 1/m.
-    variance : ndarray
-        Of shape (...), 1/m^2.
-
-    """
-    value, matrix, _ = _compiled(_CURVATURE, position, angle, position_covariance, angle_covariance)
-    return value.real, matrix[..., 0, 0]
-
-
-def _compiled(
-    quantity: int, position: Complex, angle: Real, of_position: Real, of_angle: Real
-) -> tuple[Complex, Real, Real]:
-    """Call the kernel, which reads as many orders as the shapes checked here say."""
-    orders, *shape = angle.shape
-    highest = {_VELOCITY: 2, _CURVATURE: 3}.get(quantity, quantity)
-    square = (orders, *angle.shape)
-    if not 1 <= highest < orders <= 5 or not (
-        position.shape == angle.shape and of_position.shape == of_angle.shape == square
-    ):
-        raise ValueError(
-            f'orders 0 to {highest} of position and angle and their covariances, of one shape, are '
-            f'needed; shapes are {position.shape}, {angle.shape}, {of_position.shape}, '
-            f'{of_angle.shape}'
-        )
-    value, matrix, significance = (
-        np.empty(shape, complex),
-        np.empty((*shape, 2, 2)),
-        np.empty(shape),
-    )
-    _kinpole_figures(
-        quantity,
-        significance.size,
-        orders,
-        pass_array(position, complex),
-        *map(pass_array, (angle, of_position, of_angle)),
-        pass_array(value, complex),
-        *map(pass_array, (matrix, significance)),
-    )
-    return value, matrix, significance
