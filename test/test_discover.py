@@ -19,10 +19,10 @@ from kinpole_ros.linkage import (
     table,
 )
 from kinpole_ros.linkage._discover import candidate_pairs
+from kinpole_ros.linkage._matches import match_markers
 from kinpole_ros.linkage._poses import GROUND_NUMBER, fit_body, ground, refine_groups
 from kinpole_ros.linkage._record import gather, near_pairs
 from kinpole_ros.linkage._rigid import Groups, quantiles
-from kinpole_ros.linkage._scene_poses import match_markers
 from kinpole_ros.linkage.theory import load_theory
 from kinpole_ros.mechanism import load_scene, marker_positions
 from kinpole_ros.messages import to_message

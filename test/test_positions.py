@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
 
-from kinpole_ros.linkage._residuals import Anchors, residuals
+from kinpole_ros.linkage._scene_poses import Anchors, residuals
 from kinpole_ros.linkage.fit import fit_scene, free_dimensions
 from kinpole_ros.linkage.positions import LivePositions, PositionReport, Positions
 from kinpole_ros.linkage.theory import Theory, load_theory

@@ -73,23 +73,23 @@ def discover(
     return _linkage_of(record, stamps, bodies)
 
 
-def _linkage_of(record: Record, stamps: Stamps, found: Bodies) -> Linkage:
-    scale = unit_scale(max(pose.size for pose in found.poses))
-    is_planar = found.space is None
+def _linkage_of(record: Record, stamps: Stamps, identified: Bodies) -> Linkage:
+    scale = unit_scale(max(pose.size for pose in identified.poses))
+    is_planar = identified.space is None
     if is_planar:
-        found = _ordered_bodies(found)
-    poses = [_scaled(pose, scale) for pose in found.poses]
+        identified = _ordered_bodies(identified)
+    poses = [_scaled(pose, scale) for pose in identified.poses]
     bodies = {**dict(enumerate(poses)), GROUND_NUMBER: ground(len(record.stamps))}
-    names = body_names([[found.labels[k] for k in body] for body in found.groups.bodies])
+    names = body_names([[identified.labels[k] for k in body] for body in identified.groups.bodies])
     joints: list[Joint] = []
     rolling: list[Rolling] = []
     freedom = 3 * len(poses)
     notes: list[str] = []
     # Joints in the plane mean nothing for bodies that leave it.
     if is_planar:
-        joints, freedom = _pins(bodies, names, notes, found.is_soft)
+        joints, freedom = _pins(bodies, names, notes, identified.is_soft)
     # Markers on skin seem to slide and roll a little everywhere.
-    if not found.is_soft:
+    if not identified.is_soft:
         freedom = _add_slides(bodies, joints, rolling, names, notes, freedom)
         pins = [joint for joint in joints if joint.kind == 'pin']
         for gear in _gears(bodies, pins)[: max(freedom - 1, 0)]:
@@ -97,19 +97,19 @@ def _linkage_of(record: Record, stamps: Stamps, found: Bodies) -> Linkage:
             freedom -= 1
     if is_planar:
         notes += _connection_notes(joints, rolling, names)
-    notes += _marker_notes(record, found)
+    notes += _marker_notes(record, identified)
     return Linkage(
         names,
         poses,
-        marker_names(found.labels, found.groups.bodies, names),
-        columns=found.groups.bodies,
-        fixed=found.groups.fixed,
-        single=found.groups.single,
-        tracks=found.tracks * scale,
+        marker_names(identified.labels, identified.groups.bodies, names),
+        columns=identified.groups.bodies,
+        fixed=identified.groups.fixed,
+        single=identified.groups.single,
+        tracks=identified.tracks * scale,
         seconds=record.seconds,
-        ordered=found.ordered,
-        labels=found.labels,
-        plane=found.plane,
+        ordered=identified.ordered,
+        labels=identified.labels,
+        plane=identified.plane,
         scale=scale,
         stamps=stamps,
         frame_id=record.frame_id,
@@ -118,21 +118,21 @@ def _linkage_of(record: Record, stamps: Stamps, found: Bodies) -> Linkage:
         places=name_points(bodies, joints, rolling),
         freedom=freedom,
         notes=notes,
-        space=found.space,
+        space=identified.space,
     )
 
 
-def _ordered_bodies(found: Bodies) -> Bodies:
+def _ordered_bodies(identified: Bodies) -> Bodies:
     """Bodies in order of their distance from the ground, as one numbers links from the input."""
-    bodies = {**dict(enumerate(found.poses)), GROUND_NUMBER: ground(len(found.tracks))}
+    bodies = {**dict(enumerate(identified.poses)), GROUND_NUMBER: ground(len(identified.tracks))}
     neighbors: dict[int, set[int]] = {number: set() for number in bodies}
     for i, j in candidate_pairs(bodies):
         if fit_pin(bodies[i], bodies[j], (i, j))[0] is not None:
             neighbors[i].add(j)
             neighbors[j].add(i)
-    turned = [float(np.ptp(pose.angle[pose.seen])) for pose in found.poses]
+    turned = [float(np.ptp(pose.angle[pose.seen])) for pose in identified.poses]
     order = [GROUND_NUMBER]
-    remaining = set(range(len(found.poses)))
+    remaining = set(range(len(identified.poses)))
     for number in order:
         linked = sorted(neighbors[number] & remaining, key=lambda k: -turned[k])
         # From the ground only the body that turns most, to go one way round a loop.
@@ -142,8 +142,8 @@ def _ordered_bodies(found: Bodies) -> Bodies:
         remaining -= set(linked)
     order += sorted(remaining, key=lambda k: (k not in neighbors[GROUND_NUMBER], -turned[k]))
     order.remove(GROUND_NUMBER)
-    groups = found.groups._replace(bodies=[found.groups.bodies[k] for k in order])
-    return found._replace(groups=groups, poses=[found.poses[k] for k in order])
+    groups = identified.groups._replace(bodies=[identified.groups.bodies[k] for k in order])
+    return identified._replace(groups=groups, poses=[identified.poses[k] for k in order])
 
 
 def candidate_pairs(bodies: dict[int, Pose]) -> list[tuple[int, int]]:
@@ -227,11 +227,11 @@ def _add_slides(
     pinned = {frozenset((pin.one, pin.other)) for pin in joints}
     pairs = [pair for pair in candidate_pairs(bodies) if frozenset(pair) not in pinned]
     for joint, is_only_one in _slides(bodies, pairs):
-        held = 2 if joint.kind in ('trammel', 'slide') else 1
+        removed = 2 if joint.kind in ('trammel', 'slide') else 1
         # With a joint that holds more, nothing could move.
-        if freedom - held < 1:
+        if freedom - removed < 1:
             continue
-        freedom -= held
+        freedom -= removed
         if joint.kind == 'slot' and freedom > 1:
             wheel = fit_wheel(bodies[joint.one], bodies[joint.other], joint)
             if wheel is not None:
@@ -240,11 +240,11 @@ def _add_slides(
                 continue
         joints.append(joint)
         if not is_only_one:
-            one, other = (
+            mover, base = (
                 GROUND if k == GROUND_NUMBER else names[k] for k in (joint.one, joint.other)
             )
             notes.append(
-                f'{one} on {other}: a line on either of them fits, and which it is cannot be told '
+                f'{mover} on {base}: a line on either of them fits, and which it is cannot be seen '
                 'from so little motion; fix: move them farther, or correct the draft'
             )
     return freedom
@@ -318,7 +318,7 @@ def _connection_notes(
     return notes
 
 
-def _marker_notes(record: Record, found: Bodies) -> list[str]:
+def _marker_notes(record: Record, identified: Bodies) -> list[str]:
     """Notes on exchanged names, and on points that are of no body."""
     notes = []
     times: dict[tuple[str, str], list[int]] = {}
@@ -330,16 +330,16 @@ def _marker_notes(record: Record, found: Bodies) -> list[str]:
             f'{first!r} and {second!r} exchange names at {record.seconds[frames[0]]:.2f} s{often}: '
             'they are taken as they move; fix: correct the labels in the tracker'
         )
-    if found.ordered and record.unreliable_names:
+    if identified.ordered and record.unreliable_names:
         notes.append(
             'names of markers that pass each other seem to be exchanged; the bodies are rigid by '
             'them, so they are taken as they are'
         )
     seen, assigned = (
-        int(np.isfinite(points.real).sum()) for points in (record.points[..., 0], found.tracks)
+        int(np.isfinite(points.real).sum()) for points in (record.points[..., 0], identified.tracks)
     )
     share = 1 - assigned / seen
-    if not found.ordered and share > _MAX_UNASSIGNED:
+    if not identified.ordered and share > _MAX_UNASSIGNED:
         notes.append(
             f'{share:.0%} of the points are of no body that was found: markers may be missing from '
             'some; fix: give the markers names, or take more frames a second'

@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from kinpole_ros.linkage._drivers import Drive, fit_drive
+from kinpole_ros.linkage._drivers import fit_drive
 from kinpole_ros.linkage._joints import Joint, Rolling
 from kinpole_ros.linkage._linkage import LINE, Linkage, connected, trammel_ends
 from kinpole_ros.linkage._poses import GROUND_NUMBER, Pose, ground
@@ -166,9 +166,9 @@ def check_draft(text: str, linkage: Linkage) -> Checked:
         except (LinkageError, SceneError) as error:
             return Checked(str(error).replace(f'{path}: ', ''), np.nan, np.nan, noise)
     off = []
-    for name, places in scene.markers.items():
+    for name, positions in scene.markers.items():
         number = linkage.names.index(name)
-        drawn = marker_positions(motion[name], places)
+        drawn = marker_positions(motion[name], positions)
         column = dict(zip(linkage.markers[number], linkage.columns[number], strict=True))
         columns = [column[marker] for marker in scene.marker_names[name]]
         measured = linkage.tracks[frames][:, columns]
@@ -265,17 +265,17 @@ def _joint_lines(sketch: _Sketch, joint: Joint) -> list[str]:
     """The lines of a slot, slide or trammel. A pin has none: its points have one name."""
     if joint.kind == 'pin':
         return []
-    one, other = sketch.name(joint.one), sketch.name(joint.other)
+    mover, base = sketch.name(joint.one), sketch.name(joint.other)
     frame = sketch.frames[joint.other]
     if joint.kind == 'trammel':
         on = sketch.point(joint.other, joint.on_other)
         return [
-            f'{{slot: {one}.{end}, on: {other}.{on}, along: {_degrees(along - frame.angle)}, '
+            f'{{slot: {mover}.{end}, on: {base}.{on}, along: {_degrees(along - frame.angle)}, '
             f'name: slide_{end}}}'
             for end, along in _slide_ends(sketch, joint)
         ]
     end = sketch.point(joint.one, joint.on_one)
-    on = f'{one}.{end}, on: {other}.{end}{LINE}, along: {_degrees(joint.along - frame.angle)}'
+    on = f'{mover}.{end}, on: {base}.{end}{LINE}, along: {_degrees(joint.along - frame.angle)}'
     if joint.kind == 'slot':
         return [f'{{slot: {on}, name: slide_{end}}}']
     turned = sketch.angles.get(joint.one, 0.0) - sketch.angles.get(joint.other, 0.0)
@@ -292,19 +292,19 @@ def _slide_ends(sketch: _Sketch, joint: Joint) -> list[tuple[str, float]]:
 
 def _wheel_line(sketch: _Sketch, wheel: Rolling) -> str:
     """The line of a wheel that rolls on a line."""
-    one, other = sketch.name(wheel.one), sketch.name(wheel.other)
+    mover, base = sketch.name(wheel.one), sketch.name(wheel.other)
     hub, first = sketch.point(wheel.one, wheel.hub), sketch.first
-    pose, base = sketch.pose(wheel.one), sketch.pose(wheel.other)
+    pose, base_pose = sketch.pose(wheel.one), sketch.pose(wheel.other)
     at = pose.position[first] + wheel.hub * np.exp(1j * pose.angle[first])
-    at = (at - base.position[first]) * np.exp(-1j * base.angle[first])
+    at = (at - base_pose.position[first]) * np.exp(-1j * base_pose.angle[first])
     slid = float((np.exp(-1j * wheel.along) * (at - wheel.at)).real)
     # How far the hub is along the line where all angles are zero.
     turned = sketch.angles.get(wheel.one, 0.0) - sketch.angles.get(wheel.other, 0.0)
     start = slid + wheel.radius * turned
     return (
-        f'{{rolling: {one}.{hub}, radius: {_exact(wheel.radius)}, on: {other}.{hub}{LINE}, '
+        f'{{rolling: {mover}.{hub}, radius: {_exact(wheel.radius)}, on: {base}.{hub}{LINE}, '
         f'along: {_degrees(wheel.along - sketch.frames[wheel.other].angle)}, '
-        f'start: {_exact(start)}, name: roll_{one}}}'
+        f'start: {_exact(start)}, name: roll_{mover}}}'
     )
 
 
@@ -315,7 +315,7 @@ def _gear_line(sketch: _Sketch, wheel: Rolling, turned: set[int]) -> str:
     `start` is the direction of the hub where all angles are zero. Whole turns of a body that no
     other gear fixes yet bring it next to the present direction.
     """
-    one, other = sketch.name(wheel.one), sketch.name(wheel.other)
+    gear, partner = sketch.name(wheel.one), sketch.name(wheel.other)
     center, hub = sketch.point(wheel.other, wheel.at), sketch.point(wheel.one, wheel.hub)
     arm = sketch.points[wheel.arm][hub] - sketch.points[wheel.arm][center]
     is_inside = wheel.circle < 0
@@ -337,9 +337,9 @@ def _gear_line(sketch: _Sketch, wheel: Rolling, turned: set[int]) -> str:
         start -= 2 * np.pi * share * turns
         turned.add(free)
     return (
-        f'{{rolling: {one}.{hub}, radius: {_exact(radius)}, on: {other}.{center}, '
+        f'{{rolling: {gear}.{hub}, radius: {_exact(radius)}, on: {partner}.{center}, '
         f'circle: {_exact(circle)}, start: {np.degrees(start):.9f} deg, '
-        f'name: teeth_{one}_{other}}}'
+        f'name: teeth_{gear}_{partner}}}'
     )
 
 
@@ -355,7 +355,7 @@ def _driver_lines(sketch: _Sketch) -> list[str]:
         kind = ('rate', 'sine', 'table').index(drive.kind)
         # Sines that fit about equally well have one rank.
         fit = round(4 * np.log10(drive.residual + 1e-4)) if drive.kind == 'sine' else 0
-        ranked.append(((kind, fit, *last), _driver_line(name, drive, offset, unit)))
+        ranked.append(((kind, fit, *last), drive.text(name, offset, unit)))
 
     for number, k in enumerate(sketch.bodies):
         if any(j.kind == 'slide' and k in (j.one, j.other) for j in linkage.joints):
@@ -373,34 +373,13 @@ def _driver_lines(sketch: _Sketch) -> list[str]:
                 rank(name, relative, float(np.nan_to_num(shift)), 'deg', 2, number)
     for number, joint in enumerate(linkage.joints):
         if joint.kind in ('slot', 'slide', 'trammel'):
-            one, other = sketch.pose(joint.one), sketch.pose(joint.other)
+            mover, base = sketch.pose(joint.one), sketch.pose(joint.other)
             ends = trammel_ends(joint) if joint.kind == 'trammel' else (joint.on_one,)
             for end, (name, along) in zip(ends, _slide_ends(sketch, joint), strict=True):
-                at = one.position + end * np.exp(1j * one.angle) - other.position
-                at = at * np.exp(-1j * other.angle) - joint.on_other
+                at = mover.position + end * np.exp(1j * mover.angle) - base.position
+                at = at * np.exp(-1j * base.angle) - joint.on_other
                 rank(f'slide_{name}', (np.exp(-1j * along) * at).real, 0.0, 'm', 1, number)
     return [text for _, text in sorted(ranked)]
-
-
-def _driver_line(name: str, drive: Drive, offset: float, unit: str) -> str:
-    factor = 180 / np.pi if unit == 'deg' else 1.0
-
-    def text(value: float) -> str:
-        return f'{value * factor:.6f} {unit}'
-
-    if drive.kind == 'rate':
-        rate, start = drive.values
-        return f'{{drive: {name}, rate: {rate:.9g} rad/s, start: {text(start + offset)}}}'
-    if drive.kind == 'sine':
-        mean, amplitude, frequency, phase = drive.values
-        return (
-            f'{{drive: {name}, mean: {text(mean + offset)}, amplitude: {text(amplitude)}, '
-            f'frequency: {frequency:.9g}, phase: {np.degrees(phase):.6f} deg}}'
-        )
-    half = len(drive.values) // 2
-    times = ', '.join(f'{t:.4g}' for t in drive.values[:half])
-    table = ', '.join(f'{(value + offset):.6f}' for value in drive.values[half:])
-    return f'{{drive: {name}, times: [{times}], values: [{table}]}}'
 
 
 def _marker_lines(sketch: _Sketch) -> list[str]:
@@ -412,6 +391,6 @@ def _marker_lines(sketch: _Sketch) -> list[str]:
         own = {name: sketch.frames[k].local(z) for name, z in markers if name not in taken}
         if len(own) > 1:
             taken |= own.keys()
-            places = ', '.join(f"'{name}': {_xy(z)}" for name, z in own.items())
-            lines.append(f'  {sketch.name(k)}: {{{places}}}')
+            points = ', '.join(f"'{name}': {_xy(z)}" for name, z in own.items())
+            lines.append(f'  {sketch.name(k)}: {{{points}}}')
     return ['markers:', *lines] if lines else []

@@ -34,6 +34,28 @@ class Drive(NamedTuple):
     values: tuple[float, ...]
     residual: float
 
+    def text(self, name: str, offset: float, unit: str) -> str:
+        """The driver of a variable in a scene, in deg or m, with `offset` added to its values."""
+        factor = 180 / np.pi if unit == 'deg' else 1.0
+
+        def quantity(value: float) -> str:
+            return f'{value * factor:.6f} {unit}'
+
+        if self.kind == 'rate':
+            rate, start = self.values
+            return f'{{drive: {name}, rate: {rate:.9g} rad/s, start: {quantity(start + offset)}}}'
+        if self.kind == 'sine':
+            mean, amplitude, frequency, phase = self.values
+            return (
+                f'{{drive: {name}, mean: {quantity(mean + offset)}, '
+                f'amplitude: {quantity(amplitude)}, frequency: {frequency:.9g}, '
+                f'phase: {np.degrees(phase):.6f} deg}}'
+            )
+        half = len(self.values) // 2
+        times = ', '.join(f'{t:.4g}' for t in self.values[:half])
+        table = ', '.join(f'{(value + offset):.6f}' for value in self.values[half:])
+        return f'{{drive: {name}, times: [{times}], values: [{table}]}}'
+
 
 def fit_drive(seconds: Real, values: Real, may_turn: bool) -> Drive:
     """Fit a drive to `values` (T,) at `seconds` (T,), NaN for none; `may_turn` allows a rate."""

@@ -11,7 +11,6 @@ from typing import NamedTuple
 import numpy as np
 
 from kinpole_ros.linkage._least_squares import Normal, always_free, independent
-from kinpole_ros.linkage._residuals import point_dimensions
 from kinpole_ros.mechanism import Dimension, Equations
 from kinpole_ros.planar._plane import Real
 
@@ -54,7 +53,7 @@ class Fault(NamedTuple):
         rows = [k for k, dimension in enumerate(dimensions) if dimension.name == self.subject]
         if not rows:
             return (
-                f'{self.subject} are {off}, all together, from where the scene has them'
+                f'{self.subject} are {off}, all by the same, from where the scene has them'
                 f'{alternatives}: correct their places in the scene, or the dimensions named'
             )
         before = [dimensions[k].value for k in rows]
@@ -93,7 +92,7 @@ def find_faults(
     corrected by a change.
     """
     count = len(equations.dimensions)
-    subjects = point_dimensions(equations.dimensions)
+    subjects = _dimensions_by_name(equations.dimensions)
     for b, body in enumerate(measured):
         first = count + 3 + 3 * b
         subjects[f'the markers of {body}'] = [first, first + 1, first + 2]
@@ -140,6 +139,15 @@ def find_faults(
         free += best.unknowns
         del subjects[best.subject]
     return faults
+
+
+def _dimensions_by_name(dimensions: Sequence[Dimension]) -> dict[str, list[int]]:
+    """Numbers of the dimensions that the scene's file states, by name: of both coordinates."""
+    numbers: dict[str, list[int]] = {}
+    for k, dimension in enumerate(dimensions):
+        if dimension.path:
+            numbers.setdefault(dimension.name, []).append(k)
+    return numbers
 
 
 def _magnitude(equations: Equations, unknowns: Sequence[int]) -> float:

@@ -1,5 +1,5 @@
 """
-Bodies of known shape followed through points in no order.
+Bodies of estimated shape followed through points in no order.
 
 Where single points pass each other they cannot be identified; the shapes of the bodies identify
 them.
@@ -16,7 +16,7 @@ from kinpole_ros.planar._plane import Complex, Real
 _GATE, _MAX_STEP = 8.0, 0.4
 # Least gain of a smoothed rate.
 _MIN_GAIN = 0.25
-# Standard deviations of a marker from its place on the body.
+# Standard deviations of a marker from its column on the body.
 _OUTLIER_SIGMAS = 6.0
 # Share of the body's size that it is predicted with at first.
 _FIRST_ERROR = 0.05
@@ -29,14 +29,14 @@ class Shapes:
     """
     Markers of B bodies, one body after the other, N in all.
 
-    `local` (B, w) are their places in the body's frame, filled with 0. `body` and `place` (N,) are
+    `local` (B, w) are their places in the body's frame, filled with 0. `body` and `column` (N,) are
     their rows and columns in it. `number` (N,) is the same for one marker on the axis of a pin that
     is on two bodies. `size` (B,) is the largest distance of two markers.
     """
 
     local: Complex
     body: np.ndarray
-    place: np.ndarray
+    column: np.ndarray
     number: np.ndarray
     size: Real
 
@@ -57,11 +57,11 @@ def stacked_shapes(shapes: Sequence[Complex], numbers: Sequence[Sequence[int]]) 
     """Stack the `shapes` of bodies, whose markers have these `numbers`."""
     counts = [len(shape) for shape in shapes]
     body = np.repeat(np.arange(len(shapes)), counts)
-    place = np.concatenate([np.arange(count) for count in counts])
+    column = np.concatenate([np.arange(count) for count in counts])
     local = np.zeros((len(shapes), max(counts)), complex)
-    local[body, place] = np.concatenate(shapes)
+    local[body, column] = np.concatenate(shapes)
     size = np.array([np.abs(shape[:, None] - shape).max() for shape in shapes])
-    return Shapes(local, body, place, np.concatenate(numbers), size)
+    return Shapes(local, body, column, np.concatenate(numbers), size)
 
 
 def follow(
@@ -78,17 +78,17 @@ def follow(
 
     `poses` are the positions and angles (T, B) as far as they are known, NaN elsewhere. The bodies
     are followed back from the first frame of `begin` and on from the second, by default from the
-    middle of the known poses. `steps` (T,) number the frames.
+    middle of the estimated poses. `steps` (T,) number the frames.
     """
     position, angle = poses
     tracks = np.full((len(points), len(shapes.body)), _NAN)
-    known = np.isfinite(angle).all(axis=1).nonzero()[0]
-    middle = int(known[len(known) // 2])
+    estimated = np.isfinite(angle).all(axis=1).nonzero()[0]
+    middle = int(estimated[len(estimated) // 2])
     back, on = begin or (middle, middle)
     seen = np.isfinite(points.real)
     done = 0
     for start, frames in ((on, range(on, len(points))), (back, range(back - 1, -1, -1))):
-        first, second = known[np.abs(known - start).argsort()[:2]]
+        first, second = estimated[np.abs(estimated - start).argsort()[:2]]
         interval = int(steps[second] - steps[first])
         state = _State(
             position[start].copy(),
@@ -113,10 +113,10 @@ def _advance(
     state: _State, measured: Complex, step: int, shapes: Shapes, noise: float
 ) -> np.ndarray:
     """Move the state on; returns which of the measured points (m,) each marker (N,) is, or -1."""
-    body, place, local = shapes.body, shapes.place, shapes.local
+    body, column, local = shapes.body, shapes.column, shapes.local
     gap = step - state.step
     turn = np.exp(1j * (state.angle + state.turning * gap))
-    predicted = (state.position + state.speed * gap)[body] + (turn[:, None] * local)[body, place]
+    predicted = (state.position + state.speed * gap)[body] + (turn[:, None] * local)[body, column]
     off = np.abs(predicted[:, None] - measured)
     growth = np.abs(gap) ** 1.5
     gate = _GATE * np.maximum(state.error, noise) * np.maximum(growth, 1)
@@ -127,9 +127,9 @@ def _advance(
     used = is_mutual & (nearest < gate[body])
     for _ in range(_ROUNDS):
         weight = np.zeros(local.shape)
-        weight[body[used], place[used]] = 1.0
+        weight[body[used], column[used]] = 1.0
         at = np.zeros(local.shape, complex)
-        at[body[used], place[used]] = measured[match[used]]
+        at[body[used], column[used]] = measured[match[used]]
         count = weight.sum(axis=1)
         mean = at.sum(axis=1) / np.maximum(count, 1)
         center = (weight * local).sum(axis=1) / np.maximum(count, 1)
@@ -141,9 +141,9 @@ def _advance(
         is_bad = is_fitted & (residual.max(axis=1) > _OUTLIER_SIGMAS * noise)
         if not is_bad.any():
             break
-        # The worst marker is left out; of two markers neither is known to be right.
+        # The worst marker is left out; of two markers neither is estimated to be right.
         worst = residual.argmax(axis=1)
-        used &= ~(is_bad[body] & ((place == worst[body]) | (count[body] == 2)))
+        used &= ~(is_bad[body] & ((column == worst[body]) | (count[body] == 2)))
     position = mean - fitted_turn * center
     swing = np.angle(fitted_turn * turn.conj())
     angle = state.angle + state.turning * gap + swing

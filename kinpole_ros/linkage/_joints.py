@@ -90,25 +90,25 @@ class Rolling(NamedTuple):
 
 
 def fit_pin(
-    one: Pose, other: Pose, numbers: tuple[int, int], strain: float = 0.0
+    first: Pose, second: Pose, numbers: tuple[int, int], strain: float = 0.0
 ) -> tuple[Joint | None, bool]:
     """
-    Fit the pin of two bodies, None where they have none; and whether they turn enough for one.
+    Fit the pin of two bodies, None where they have none; and whether they turn enough for first.
 
     A pin is z_i + e^{iθ_i} p_i = z_j + e^{iθ_j} p_j, linear in the points p_i and p_j. Noise of the
     angles shrinks the means of e^{iθ} by known factors, which are corrected. The residual may be
     this `strain` of the distances from the markers.
     """
-    common = one.seen & other.seen
+    common = first.seen & second.seen
     if common.sum() < _MIN_FRAMES:
         return None, False
-    a, b = one.angle[common], other.angle[common]
+    a, b = first.angle[common], second.angle[common]
     turned = float(np.var(a - b))
-    if not _turns(turned, one, other):
+    if not _turns(turned, first, second):
         return None, False
-    offset = one.position[common] - other.position[common]
+    offset = first.position[common] - second.position[common]
     # Normal equations, per frame, of [e^{iθ_i}, -e^{iθ_j}] [p_i, p_j] = -(z_i - z_j).
-    shrunk = np.exp(-one.angle_variance / 2), np.exp(-other.angle_variance / 2)
+    shrunk = np.exp(-first.angle_variance / 2), np.exp(-second.angle_variance / 2)
     cross = -np.mean(np.exp(1j * (b - a))) / (shrunk[0] * shrunk[1])
     right = np.array(
         [
@@ -120,14 +120,14 @@ def fit_pin(
     if determinant <= 0:
         return None, False
     on_one, on_other = np.array([[1, -cross], [-np.conj(cross), 1]]) / determinant @ right
-    rest = offset + np.exp(1j * a) * on_one - np.exp(1j * b) * on_other
-    residual = float(np.sqrt(np.mean(np.abs(rest) ** 2) / 2))
-    expected = _point_noise(one, other, on_one, on_other)
+    misfit = offset + np.exp(1j * a) * on_one - np.exp(1j * b) * on_other
+    residual = float(np.sqrt(np.mean(np.abs(misfit) ** 2) / 2))
+    expected = _point_noise(first, second, on_one, on_other)
     relative = np.exp(-1j * b) * offset
-    moved = float(np.sqrt(np.var(relative))) + float(np.sqrt(turned)) * one.size
+    moved = float(np.sqrt(np.var(relative))) + float(np.sqrt(turned)) * first.size
     soft = strain * (abs(on_one) + abs(on_other))
     fits = residual < max(_MAX_RATIO * expected + _PLAY * moved, soft)
-    extent = one.size + other.size + float(np.abs(relative).max())
+    extent = first.size + second.size + float(np.abs(relative).max())
     if not fits or abs(on_one) > _MAX_DISTANCE * extent:
         return None, True
     deviation = max(residual, expected) * float(np.sqrt(1 / determinant / common.sum()))
@@ -135,66 +135,66 @@ def fit_pin(
     return Joint('pin', *numbers, *points, (deviation, deviation), residual, expected), True
 
 
-def _turns(variance: float, one: Pose, other: Pose) -> bool:
+def _turns(variance: float, first: Pose, second: Pose) -> bool:
     """Whether two bodies turn against each other by more than noise."""
-    noise = one.angle_variance + other.angle_variance
+    noise = first.angle_variance + second.angle_variance
     return variance >= _MIN_TURN**2 * noise and variance >= 1e-8
 
 
-def _point_noise(one: Pose, other: Pose, on_one: complex, on_other: complex) -> float:
+def _point_noise(first: Pose, second: Pose, on_one: complex, on_other: complex) -> float:
     """Error per axis of the distance of two points, by the noise of the poses of their bodies."""
-    variance = one.position_variance + abs(on_one) ** 2 * one.angle_variance / 2
-    variance += other.position_variance + abs(on_other) ** 2 * other.angle_variance / 2
+    variance = first.position_variance + abs(on_one) ** 2 * first.angle_variance / 2
+    variance += second.position_variance + abs(on_other) ** 2 * second.angle_variance / 2
     return float(np.sqrt(variance))
 
 
-def _relative_motion(one: Pose, other: Pose) -> tuple[Complex, Real]:
-    """Position and angle of `one` in the frame of `other`, in the frames that have both."""
-    common = one.seen & other.seen
-    offset = one.position[common] - other.position[common]
-    return np.exp(-1j * other.angle[common]) * offset, one.angle[common] - other.angle[common]
+def _relative_motion(first: Pose, second: Pose) -> tuple[Complex, Real]:
+    """Position and angle of the first body in the frame of the second, where both are seen."""
+    common = first.seen & second.seen
+    offset = first.position[common] - second.position[common]
+    return np.exp(-1j * second.angle[common]) * offset, first.angle[common] - second.angle[common]
 
 
-def fit_slide(one: Pose, other: Pose, numbers: tuple[int, int]) -> Joint | None:
+def fit_slide(first: Pose, second: Pose, numbers: tuple[int, int]) -> Joint | None:
     """
-    Fit a slot, slide or trammel of `one` along lines on `other`, None where there is none.
+    Fit a slot, slide or trammel of the first body on the second, None where there is none.
 
-    In the frame of `other` the pose of `one` is w, u = e^{iθ}. A point b of it moves on the line
-    Re(n* (w + u b)) = d, so Re(n* w) is linear in u and 1. w is fitted by these, and the direction
-    n of the least residual is the normal of the line. If no direction has a residual, and the
-    joint is no pin, then w = d - α u - β u*: the points b with |b - α| = |β| move along lines
+    In the frame of the second body the pose of the first is w, u = e^{iθ}. A point b of it moves on
+    the line Re(n* (w + u b)) = d, so Re(n* w) is linear in u and 1. w is fitted by these, and the
+    direction n of the least residual is the normal of the line. If no direction has a residual, and
+    the joint is no pin, then w = d - α u - β u*: the points b with |b - α| = |β| move along lines
     through d (Cardan's circles).
     """
-    w, theta = _relative_motion(one, other)
+    w, theta = _relative_motion(first, second)
     if len(w) < _MIN_FRAMES:
         return None
-    if not _turns(float(np.var(theta)), one, other):
-        return _fit_prismatic(one, other, w, numbers)
+    if not _turns(float(np.var(theta)), first, second):
+        return _fit_prismatic(first, second, w, numbers)
     u = np.exp(1j * theta)
     rows = np.stack((u.real, u.imag, np.ones(len(u))), axis=1)
     right = np.stack((w.real, w.imag), axis=1)
     solution, *_ = np.linalg.lstsq(rows, right, rcond=None)
-    rest = right - rows @ solution
-    values, vectors = np.linalg.eigh(rest.T @ rest / len(w))
+    misfit = right - rows @ solution
+    values, vectors = np.linalg.eigh(misfit.T @ misfit / len(w))
     play = _PLAY * float(np.sqrt(np.var(w)))
-    if np.sqrt(values[1]) < _MAX_RATIO * _point_noise(one, other, 0, 0) + play:
-        residual = float(np.sqrt(np.mean(rest**2)))
-        return _trammel((one, other), numbers, rows, solution, residual, play)
+    if np.sqrt(values[1]) < _MAX_RATIO * _point_noise(first, second, 0, 0) + play:
+        residual = float(np.sqrt(np.mean(misfit**2)))
+        return _trammel((first, second), numbers, rows, solution, residual, play)
     # Re(n* w) = -(c_x u_x - c_y u_y) + d with b = n c.
     normal = complex(vectors[0, 0], vectors[1, 0])
     x, y, d = solution @ vectors[:, 0]
     point = normal * complex(-x, y)
     direction = 1j * normal
     along = (direction.conjugate() * (w + u * point)).real
-    variance = one.position_variance + other.position_variance
-    variance += abs(point) ** 2 * one.angle_variance / 2
-    variance += np.mean(along**2) * other.angle_variance
+    variance = first.position_variance + second.position_variance
+    variance += abs(point) ** 2 * first.angle_variance / 2
+    variance += np.mean(along**2) * second.angle_variance
     expected, residual = float(np.sqrt(variance)), float(np.sqrt(values[0]))
     if residual > _MAX_RATIO * expected + play or np.std(along) < _MIN_MOTION * expected:
         return None
     error, inverse = max(residual, expected), np.linalg.inv(rows.T @ rows)
     deviation = error * float(np.sqrt(inverse[0, 0] + inverse[1, 1]))
-    if deviation > _MAX_DEVIATION * (one.size + other.size):
+    if deviation > _MAX_DEVIATION * (first.size + second.size):
         return None
     middle = normal * d + direction * float(np.median(along))
     deviations = deviation, error * float(np.sqrt(inverse[2, 2]))
@@ -202,15 +202,15 @@ def fit_slide(one: Pose, other: Pose, numbers: tuple[int, int]) -> Joint | None:
     return Joint('slot', *numbers, point, middle, deviations, residual, expected, angle)
 
 
-def _fit_prismatic(one: Pose, other: Pose, w: Complex, numbers: tuple[int, int]) -> Joint | None:
-    """Fit a slide of two bodies that do not turn against each other, by positions w (k,)."""
+def _fit_prismatic(first: Pose, second: Pose, w: Complex, numbers: tuple[int, int]) -> Joint | None:
+    """Fit a slide of two bodies that do not turn against each second, by positions w (k,)."""
     middle = complex(w.mean())
     off = np.stack((w.real - middle.real, w.imag - middle.imag), axis=1)
     values, vectors = np.linalg.eigh(off.T @ off / len(w))
     direction = complex(vectors[0, 1], vectors[1, 1])
     along = (direction.conjugate() * w).real
-    variance = one.position_variance + other.position_variance
-    expected = float(np.sqrt(variance + np.mean(along**2) * other.angle_variance))
+    variance = first.position_variance + second.position_variance
+    expected = float(np.sqrt(variance + np.mean(along**2) * second.angle_variance))
     residual, motion = (float(np.sqrt(value)) for value in values)
     if motion < _MIN_MOTION * expected or residual > _MAX_RATIO * expected + _PLAY * motion:
         return None
@@ -240,19 +240,19 @@ def _trammel(
     return Joint('trammel', *numbers, *points, deviations, residual, expected, angle, abs(beta))
 
 
-def fit_wheel(one: Pose, other: Pose, slot: Joint) -> Rolling | None:
-    """Fit a wheel whose hub is the point of `one` that moves along the line of a slot."""
-    w, theta = _relative_motion(one, other)
+def fit_wheel(first: Pose, second: Pose, slot: Joint) -> Rolling | None:
+    """Fit a wheel whose hub is the point of the first body that moves along a slot."""
+    w, theta = _relative_motion(first, second)
     direction = np.exp(1j * slot.along)
     along = (direction.conjugate() * (w + np.exp(1j * theta) * slot.on_one)).real
     rows = np.stack((theta, np.ones(len(theta))), axis=1)
     (rate, start), *_ = np.linalg.lstsq(rows, along, rcond=None)
     residual = float(np.std(along - rows @ (rate, start)))
-    noise = one.angle_variance + other.angle_variance
+    noise = first.angle_variance + second.angle_variance
     expected = float(np.sqrt(slot.expected**2 + rate**2 * noise))
     radius = abs(float(rate))
     allowed = _MAX_RATIO * expected + _PLAY * float(np.std(along))
-    if residual > allowed or radius > _MAX_WHEEL * one.size:
+    if residual > allowed or radius > _MAX_WHEEL * first.size:
         return None
     # A wheel to the left of its line turns clockwise as it rolls along it.
     if rate > 0:

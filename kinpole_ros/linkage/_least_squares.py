@@ -12,8 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from kinpole_ros.linkage._residuals import Anchors, Residuals, residuals
-from kinpole_ros.linkage._scene_poses import ScenePoses
+from kinpole_ros.linkage._scene_poses import Anchors, Residuals, ScenePoses, residuals
 from kinpole_ros.mechanism import Equations
 from kinpole_ros.planar._plane import Complex, Real
 

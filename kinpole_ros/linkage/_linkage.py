@@ -149,11 +149,11 @@ class Linkage(NamedTuple):
             ]
             if len(points) == 1 and number != GROUND_NUMBER:
                 lengths.append(self._to_farthest_marker(number, points[0]))
-            for one, other in combinations(points, 2):
-                distance = float(abs(one.on[number] - other.on[number]))
-                deviation = float(np.hypot(one.deviation, other.deviation))
+            for a, b in combinations(points, 2):
+                distance = float(abs(a.on[number] - b.on[number]))
+                deviation = float(np.hypot(a.deviation, b.deviation))
                 if distance > _MIN_LENGTH * deviation:
-                    names = self.name(number), one.name, other.name
+                    names = self.name(number), a.name, b.name
                     lengths.append(Length(*names, distance, deviation))
         return lengths
 
@@ -173,8 +173,8 @@ def connected(joints: Sequence[Joint], rolling: Sequence[Rolling]) -> set[int]:
     pairs = [{joint.one, joint.other} for joint in joints]
     pairs += [{wheel.one, wheel.other} for wheel in rolling]
     numbers = {GROUND_NUMBER}
-    while more := {k for pair in pairs if numbers & pair for k in pair} - numbers:
-        numbers |= more
+    while reached := {k for pair in pairs if numbers & pair for k in pair} - numbers:
+        numbers |= reached
     return numbers
 
 
@@ -235,9 +235,9 @@ def merged_pins(pins: Sequence[Joint]) -> list[tuple[dict[int, complex], float]]
     for pin in pins:
         ends = [(pin.one, pin.on_one, pin.other, pin.on_other)]
         ends.append((pin.other, pin.on_other, pin.one, pin.on_one))
-        for body, here, partner, there in ends:
+        for body, here, partner, on_partner in ends:
             # The ground's origin is arbitrary, so the size is that on the moving body.
-            size = abs(there if body == GROUND_NUMBER else here)
+            size = abs(on_partner if body == GROUND_NUMBER else here)
             match = next(
                 (
                     on
@@ -249,7 +249,7 @@ def merged_pins(pins: Sequence[Joint]) -> list[tuple[dict[int, complex], float]]
                 None,
             )
             if match is not None:
-                match.setdefault(partner, there)
+                match.setdefault(partner, on_partner)
                 break
         else:
             points.append(({pin.one: pin.on_one, pin.other: pin.on_other}, pin.deviation[0]))

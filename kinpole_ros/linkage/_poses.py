@@ -131,7 +131,7 @@ def _is_flipped(angle: Real) -> np.ndarray:
 
 def off_body(pose: Pose, tracks: Complex, noise: float) -> tuple[Real, Complex]:
     """
-    How far tracks (T, n) are from fixed on a body, in standard deviations, and their places there.
+    How far tracks (T, n) are from fixed on a body, in standard deviations, and where they are.
 
     Both are (n,), by quantiles, so that points of other markers do not count. Infinitely far for a
     track that is hardly ever seen.
@@ -139,13 +139,13 @@ def off_body(pose: Pose, tracks: Complex, noise: float) -> tuple[Real, Complex]:
     rows = slice(None, None, max(1, len(tracks) // _SAMPLED_FRAMES))
     turn = np.exp(-1j * pose.angle[rows])
     local = np.ascontiguousarray((tracks[rows] - pose.position[rows, None]).T) * turn
-    place = medians(local.real) + 1j * medians(local.imag)
-    (far,), counts = quantiles(np.abs(local - place[:, None]), (0.9,))
-    variance = noise**2 + pose.position_variance + np.abs(place) ** 2 * pose.angle_variance / 2
+    position = medians(local.real) + 1j * medians(local.imag)
+    (far,), counts = quantiles(np.abs(local - position[:, None]), (0.9,))
+    variance = noise**2 + pose.position_variance + np.abs(position) ** 2 * pose.angle_variance / 2
     # The 90% quantile of a Rayleigh distribution is 2.146 standard deviations.
     off = far / 2.146 / np.sqrt(np.maximum(variance, 1e-300))
     is_rare = counts < MIN_FRAMES
-    return np.where(is_rare, np.inf, off), np.where(is_rare, complex(np.nan), place)
+    return np.where(is_rare, np.inf, off), np.where(is_rare, complex(np.nan), position)
 
 
 def refine_groups(tracks: Complex, groups: Groups) -> tuple[Groups, list[Pose]]:

@@ -92,7 +92,7 @@ class Stamps(NamedTuple):
 
 def gather(blocks: Sequence[MarkerFrames]) -> tuple[Record, Stamps]:
     """
-    Join blocks of frames, in the order they came, up to the first stamp that jumps back.
+    Concatenate blocks of frames, in the order they came, up to the first stamp that jumps back.
 
     Repeated frames are dropped. Raises UndiscoveredError where there are too few frames or markers.
     """
@@ -102,7 +102,7 @@ def gather(blocks: Sequence[MarkerFrames]) -> tuple[Record, Stamps]:
         raise UndiscoveredError(
             f'{count} frames of markers are too few to find anything; fix: record 10 s or more'
         )
-    stamps, points, names = _joined_frames(blocks)
+    stamps, points, names = _concatenated_frames(blocks)
     jumps = np.flatnonzero(np.diff(stamps) < -_JUMP_NS)
     end = int(jumps[0]) + 1 if len(jumps) else count
     is_repeated = (np.diff(stamps[:end]) == 0) & np.all(
@@ -130,7 +130,7 @@ def gather(blocks: Sequence[MarkerFrames]) -> tuple[Record, Stamps]:
     return record, _stamps(record, count)
 
 
-def _joined_frames(
+def _concatenated_frames(
     blocks: Sequence[MarkerFrames],
 ) -> tuple[np.ndarray, np.ndarray, tuple[str, ...]]:
     """Stamps (T,) and points (T, n, 3) of all frames, and names of the columns, () for none."""

@@ -77,7 +77,7 @@ def distance_spreads(points: np.ndarray, frames: int) -> tuple[Real, Real]:
     Standard deviations and medians (n, n) of the distances of all pairs of points.
 
     Points are (T, n) complex or (T, n, 3), NaN for none; about `frames` of them are used. Pairs
-    that are hardly ever seen together have an infinite deviation and the median 0.
+    that are hardly ever seen in the same frames have an infinite deviation and the median 0.
     """
     rows = np.ascontiguousarray(np.moveaxis(sampled(points, frames), 1, 0))
     deviation = np.full((len(rows), len(rows)), np.inf)
@@ -144,8 +144,8 @@ def _complete_noise(noise: Real, rows: Complex) -> Real:
     """Noise (n,) with the median where it is NaN, and no less than rounding of the rows (n, T)."""
     finite = noise[np.isfinite(noise)]
     complete = np.where(np.isfinite(noise), noise, np.median(finite) if len(finite) else 0.0)
-    places = rows[np.isfinite(rows)]
-    extent = np.abs(places - places.mean()).max() if len(places) else 0.0
+    points = rows[np.isfinite(rows)]
+    extent = np.abs(points - points.mean()).max() if len(points) else 0.0
     return np.maximum(complete, 1e-9 * float(extent))
 
 

@@ -1,41 +1,31 @@
 """
-Measured poses of a scene's bodies, frame by frame, with their covariances.
+Measured poses of a scene's bodies with their covariances, and the residuals of its joints there.
 
 The frames of tracked bodies lie anywhere in the bodies. The scene's markers show how the scene's
-frames lie in them.
+frames lie in them. A pose is a complex position, m, and an angle with whole turns.
 """
 
 from collections.abc import Mapping, Sequence
-from itertools import permutations
 from typing import NamedTuple
 
 import numpy as np
 
-from kinpole_ros.mechanism import Equations, part_sum
-from kinpole_ros.planar import fit_pose
+from kinpole_ros.linkage._matches import BodyMatch
+from kinpole_ros.mechanism import (
+    Anchor,
+    Equations,
+    Pose,
+    Rolling,
+    constraint_rows,
+    joint_at,
+    part_sum,
+    wheel_state,
+)
 from kinpole_ros.planar._plane import Complex, Real
 from kinpole_ros.tracking.estimate import Estimate, FramePoses
-from kinpole_ros.tracking.thresholds import NEGLIGIBLE
 
-
-class BodyMatch(NamedTuple):
-    """
-    A body that is both tracked and in the scene.
-
-    `tracked` and `in_scene` are its numbers in both. `markers` (k,) are those of its tracked
-    markers that the scene has, at `positions` (k,) in the scene's frame of it, complex, m.
-    """
-
-    tracked: int
-    in_scene: int
-    markers: np.ndarray
-    positions: Complex
-
-    def fit_frame(self, shape: Complex) -> tuple[Complex, Real]:
-        """Origin (T,) and angle (T,) of the scene's frame in the tracked one, by shapes (T, n)."""
-        markers = shape[..., self.markers]
-        fit = fit_pose(markers, self.positions, np.isfinite(markers).astype(float))
-        return fit.position, fit.angle
+# How each wheel stood at first, by the number of its joint.
+Anchors = dict[int, Anchor]
 
 
 class ScenePoses(NamedTuple):
@@ -131,32 +121,53 @@ def concatenated(blocks: Sequence[ScenePoses], limit: int) -> ScenePoses:
     return poses if count <= limit else poses.at_instants(np.arange(limit) * count // limit)
 
 
-def match_markers(first: Complex, second: Complex) -> tuple[np.ndarray, np.ndarray] | None:
+class Residuals(NamedTuple):
     """
-    Pair the markers (m,) and (n,) of two drawings of one rigid body by their positions alone.
+    Residuals (T, m), m or rad: two rows for a pin, in the ground's axes, or those of its kind.
 
-    Each drawing has a frame of its own; the one with fewer markers is a part of the other. Returns
-    the numbers of the paired markers in both. None where no pose puts each marker of the smaller on
-    one of the larger, to 1% of the size.
+    `by_pose` (T, m, bodies, 3) are their derivatives by x, y (m) and angle of each body, and
+    `by_dimension` (T, m, dimensions) those by the dimensions. `joint` (m,) numbers the joints.
     """
-    is_swapped = len(first) > len(second)
-    few, many = (second, first) if is_swapped else (first, second)
-    if len(few) < 2:
-        return None
-    # Any two markers of the larger drawing may be the two that are farthest apart in the smaller.
-    a, b = np.unravel_index(np.abs(few[:, None] - few).argmax(), (len(few), len(few)))
-    least, best = np.inf, None
-    for i, j in permutations(range(len(many)), 2):
-        turn = np.exp(1j * np.angle((many[j] - many[i]) / (few[b] - few[a])))
-        shift = (many[i] + many[j] - turn * (few[a] + few[b])) / 2
-        nearest = np.abs(turn * few[:, None] + shift - many).argmin(axis=1)
-        if len(set(nearest.tolist())) < len(few):
-            continue
-        fit = fit_pose(many[nearest], few, np.ones(len(few)))
-        worst = float(np.abs(fit.residual).max())
-        if worst < least:
-            least, best = worst, nearest
-    if best is None or least > NEGLIGIBLE * abs(few[b] - few[a]):
-        return None
-    order = np.arange(len(few))
-    return (best, order) if is_swapped else (order, best)
+
+    value: Real
+    by_pose: Real
+    by_dimension: Real
+    joint: np.ndarray
+
+    def without(self, rows: np.ndarray) -> 'Residuals':
+        """The same without the rows of a mask (m,)."""
+        value, by_pose, by_dimension = (array[:, ~rows] for array in self[:3])
+        return Residuals(value, by_pose, by_dimension, self.joint[~rows])
+
+
+def residuals(
+    equations: Equations, values: Real, position: Complex, angle: Real, anchors: Anchors
+) -> Residuals:
+    """
+    Residuals of the bodies of `equations` at poses (T, bodies), with dimensions of these `values`.
+
+    How wheels stand at the first instant is kept in `anchors`, since no scene says which teeth are
+    in mesh.
+    """
+    bodies = {body: k for k, body in enumerate(equations.bodies)}
+    value, by_pose, by_dimension, numbers = [], [], [], []
+    for number in range(len(equations.joints)):
+        joint, sizes = joint_at(equations, number, values)
+        i, j = bodies[joint.one], bodies[joint.other]
+        poses = Pose(position[:, i], angle[:, i]), Pose(position[:, j], angle[:, j])
+        if isinstance(joint, Rolling):
+            anchors.setdefault(number, wheel_state(joint, *poses))
+        rows = constraint_rows(joint, *poses, anchors.get(number))
+        by = np.zeros((*rows.value.shape, len(bodies), 3))
+        by[:, :, i] += rows.slope[:, :, :3]
+        by[:, :, j] += rows.slope[:, :, 3:6]
+        value.append(rows.value)
+        by_pose.append(by)
+        by_dimension.append(rows.slope[:, :, 6:] @ sizes)
+        numbers += [number] * len(rows.direction)
+    return Residuals(
+        np.concatenate(value, axis=1),
+        np.concatenate(by_pose, axis=1),
+        np.concatenate(by_dimension, axis=1),
+        np.array(numbers),
+    )

@@ -154,24 +154,24 @@ def out_of_plane(pose: SolidPose, normal: Real) -> tuple[float, float, float]:
     return off, float(np.sqrt(max(np.trace(turns) - about, 0.0))), float(np.sqrt(max(about, 0.0)))
 
 
-def relative_turns(one: SolidPose, other: SolidPose) -> Real:
-    """Rotation vectors (k, 3) of `other` in the frame of `one`, from their mean, rad."""
-    relative = one.rotation.transpose(0, 2, 1) @ other.rotation
+def relative_turns(first: SolidPose, second: SolidPose) -> Real:
+    """Rotation vectors (k, 3) of `second` in the frame of `first`, from their mean, rad."""
+    relative = first.rotation.transpose(0, 2, 1) @ second.rotation
     relative = relative[np.isfinite(relative[:, 0, 0])]
     return rotation_vectors(relative @ mean_rotation(relative).T)
 
 
-def turn_between(one: SolidPose | None, other: SolidPose | None) -> float:
-    """Rms turn of two bodies against each other, rad; infinite where one has no orientation."""
-    if one is None or other is None:
+def turn_between(first: SolidPose | None, second: SolidPose | None) -> float:
+    """Rms turn of two bodies against each second, rad; infinite where one has no orientation."""
+    if first is None or second is None:
         return np.inf
-    turns = relative_turns(one, other)
+    turns = relative_turns(first, second)
     return float(np.sqrt(np.mean(np.sum(turns**2, axis=1)))) if len(turns) else 0.0
 
 
 def fit_space_joint(
-    one: SolidPose | None,
-    other: SolidPose | None,
+    first: SolidPose | None,
+    second: SolidPose | None,
     numbers: tuple[int, int],
     strain: float = SKIN_STRAIN,
 ) -> SpaceJoint | None:
@@ -183,14 +183,14 @@ def fit_space_joint(
     center is the point nearest to the markers of both. The residual may be this `strain` of the
     distances from the markers.
     """
-    if one is None or other is None:
+    if first is None or second is None:
         return None
-    common = np.isfinite(one.rotation[:, 0, 0]) & np.isfinite(other.rotation[:, 0, 0])
-    if common.sum() < MIN_FRAMES or turn_between(one, other) < _MIN_TURN:
+    common = np.isfinite(first.rotation[:, 0, 0]) & np.isfinite(second.rotation[:, 0, 0])
+    if common.sum() < MIN_FRAMES or turn_between(first, second) < _MIN_TURN:
         return None
-    r1, r2 = one.rotation[common], other.rotation[common]
-    offset = (other.position - one.position)[common]
-    turns = np.linalg.eigvalsh(np.cov(relative_turns(one, other).T))
+    r1, r2 = first.rotation[common], second.rotation[common]
+    offset = (second.position - first.position)[common]
+    turns = np.linalg.eigvalsh(np.cov(relative_turns(first, second).T))
     is_hinge = bool(turns[1] < _HINGE_RATIO**2 * turns[2])
     # Normal equations of [R₁, -R₂] [c₁, c₂] = t₂ - t₁, by eigenvectors.
     cross = -(r1.transpose(0, 2, 1) @ r2).mean(axis=0)
@@ -203,9 +203,9 @@ def fit_space_joint(
     centers = vectors[:, used] @ (vectors[:, used].T @ right / values)
     c1, c2 = centers[:3], centers[3:]
     residual = float(np.sqrt(np.mean((r1 @ c1 - r2 @ c2 - offset) ** 2)))
-    expected = float(np.hypot(_point_noise(one, c1), _point_noise(other, c2)))
+    expected = float(np.hypot(_point_noise(first, c1), _point_noise(second, c2)))
     distances = float(np.linalg.norm(c1)), float(np.linalg.norm(c2))
-    is_far = distances[0] > _MAX_DISTANCE * one.size or distances[1] > _MAX_DISTANCE * other.size
+    is_far = distances[0] > _MAX_DISTANCE * first.size or distances[1] > _MAX_DISTANCE * second.size
     if is_far or residual > max(_MAX_RESIDUAL * expected, strain * sum(distances)):
         return None
     axis = None

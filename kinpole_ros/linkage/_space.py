@@ -212,17 +212,17 @@ def _bridges(
     """
     bridges: list[list[int]] = []
     joints = _joints_of(solid, combinations(range(len(solid)), 2))
-    turned = [[turn_between(one, other) for other in solid] for one in solid]
+    turned = [[turn_between(a, b) for b in solid] for a in solid]
     while True:
         chain = _chain_numbers(len(solid), open_chains(joints, len(solid)))
         best: tuple[float, list[int], SolidPose] | None = None
         for i, j in permutations(range(len(bodies)), 2):
-            one, other = solid[i], solid[j]
-            if chain[i] == chain[j] or one is None or other is None:
+            first, second = solid[i], solid[j]
+            if chain[i] == chain[j] or first is None or second is None:
                 continue
             if turned[i][j] < _BRIDGE_TURN:
                 continue
-            for a, b in _on_axis(one, other):
+            for a, b in _on_axis(first, second):
                 hinge = [bodies[i][a], bodies[i][b]]
                 worst = strain[np.ix_(hinge, bodies[j])].max(axis=0)
                 near = [bodies[j][k] for k in np.argsort(worst)[:2] if worst[k] <= 1]
@@ -230,7 +230,7 @@ def _bridges(
                     continue
                 body = sorted({*hinge, *near})
                 pose = fit_solid(points[:, body])
-                ends = fit_space_joint(pose, one, (0, 1)), fit_space_joint(pose, other, (0, 1))
+                ends = fit_space_joint(pose, first, (0, 1)), fit_space_joint(pose, second, (0, 1))
                 if pose is not None and all(ends):
                     best = float(worst.min()), body, pose
         if best is None:
@@ -240,11 +240,11 @@ def _bridges(
         joints += _joints_of(solid, ((k, len(solid) - 1) for k in range(len(solid) - 1)))
 
 
-def _on_axis(one: SolidPose, other: SolidPose) -> list[tuple[int, int]]:
-    """Pairs of markers of `one` that are along the axis about which it turns against `other`."""
-    axis = np.linalg.eigh(np.cov(relative_turns(one, other).T))[1][:, 2]
-    pairs = combinations(range(len(one.shape)), 2)
-    lines = {pair: one.shape[pair[0]] - one.shape[pair[1]] for pair in pairs}
+def _on_axis(first: SolidPose, second: SolidPose) -> list[tuple[int, int]]:
+    """Pairs of markers of `first` that are along the axis about which it turns against `second`."""
+    axis = np.linalg.eigh(np.cov(relative_turns(first, second).T))[1][:, 2]
+    pairs = combinations(range(len(first.shape)), 2)
+    lines = {pair: first.shape[pair[0]] - first.shape[pair[1]] for pair in pairs}
     return [
         pair for pair, line in lines.items() if abs(line @ axis) > _ALONG * np.linalg.norm(line)
     ]

@@ -53,9 +53,9 @@ class Tracks(NamedTuple):
         column = np.full(len(self.first) + 1, -1)
         column[chosen] = np.arange(len(chosen))
         column = column[number]
-        rows, places = np.nonzero(column >= 0)
+        rows, slots = np.nonzero(column >= 0)
         dense = np.full((len(number), len(chosen), *points.shape[2:]), np.nan, points.dtype)
-        dense[rows, column[rows, places]] = points[frames][rows, places]
+        dense[rows, column[rows, slots]] = points[frames][rows, slots]
         return dense
 
 
@@ -86,8 +86,8 @@ def link(points: np.ndarray, steps: np.ndarray) -> Tracks:
             new['error'] = _spacing(measured)[begun] / (2 * _GATE)
             live = np.concatenate((live, new))
         number[k, columns] = taken
-    rows, places = (number >= 0).nonzero()
-    tracks = number[rows, places]
+    rows, slots = (number >= 0).nonzero()
+    tracks = number[rows, slots]
     first = np.full(total, len(steps))
     last = np.zeros(total, np.int64)
     np.minimum.at(first, tracks, rows)

@@ -201,7 +201,7 @@ def _with_more_markers(
         if frames.stop - frames.start < _MIN_TRACK:
             break
         points = linked.dense(flat, np.array([track]), frames)
-        off, places = (
+        off, positions = (
             np.concatenate(values)
             for values in zip(
                 *(off_body(_part(body.pose, frames), points, noise) for body in bodies), strict=True
@@ -211,8 +211,8 @@ def _with_more_markers(
         # A short track that may be of two bodies is of neither yet.
         if off[k] > _ON_BODY or np.delete(off, k).min(initial=np.inf) < 2 * _ON_BODY:
             continue
-        if np.abs(places[k] - shapes[k]).min() > _NEW_MARKER * noise:
-            shapes[k] = np.append(shapes[k], places[k])
+        if np.abs(positions[k] - shapes[k]).min() > _NEW_MARKER * noise:
+            shapes[k] = np.append(shapes[k], positions[k])
     grown: list[_Body] = []
     for body, shape in zip(bodies, shapes, strict=True):
         first = _next_number([*grown, *bodies])

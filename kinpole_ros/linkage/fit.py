@@ -213,8 +213,8 @@ def _pinned_points(equations: Equations) -> list[set[_Point]]:
     for joint in equations.joints:
         if joint.along is None and joint.radius is None:
             points: set[_Point] = {(joint.one, joint.a), (joint.other, joint.b)}
-            connected = [known for known in sets if known & points]
-            sets = [known for known in sets if not known & points]
+            connected = [group for group in sets if group & points]
+            sets = [group for group in sets if not group & points]
             sets.append(points.union(*connected))
     return sets
 

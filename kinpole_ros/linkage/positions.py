@@ -24,8 +24,8 @@ from kinpole_ros.linkage._least_squares import (
     solve,
     variance_excess,
 )
-from kinpole_ros.linkage._residuals import Anchors
-from kinpole_ros.linkage._scene_poses import BodyMatch, ScenePoses, concatenated, scene_poses
+from kinpole_ros.linkage._matches import BodyMatch
+from kinpole_ros.linkage._scene_poses import Anchors, ScenePoses, concatenated, scene_poses
 from kinpole_ros.mechanism import LinkageError, Scene
 from kinpole_ros.planar._plane import Complex, Real
 from kinpole_ros.tracking.estimate import Estimate

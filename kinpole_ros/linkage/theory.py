@@ -7,12 +7,12 @@ a tracked body, the scene is also moved to where the rig is, and its rates are c
 """
 
 import re
-from collections.abc import Container, Mapping, Sequence
+from collections.abc import Container
 from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
-from kinpole_ros.linkage._scene_poses import BodyMatch, match_markers
+from kinpole_ros.linkage._matches import BodyMatch, MismatchError, match_bodies
 from kinpole_ros.linkage.positions import PositionReport, Positions
 from kinpole_ros.mechanism import (
     GROUND,
@@ -33,7 +33,6 @@ from kinpole_ros.planar import (
     covariance,
     measured_balance,
     point_motion,
-    to_complex,
 )
 from kinpole_ros.planar._plane import Complex, Real
 from kinpole_ros.tracking.estimate import SIGNIFICANT, Estimate, Numbers, Vectors
@@ -111,16 +110,16 @@ def load_theory(settings: Settings) -> Theory:
     is_posed = settings.marker_type in POSE_TYPES
     shapes = of_poses(settings).shapes if is_posed else settings.shapes
     try:
-        matches = _match_bodies(scene, settings.bodies, shapes, is_posed)
+        matches = match_bodies(scene, settings.bodies, shapes, is_posed)
         loads = tuple(on_tracked(scene, load, matches) for load in scene.loads)
         for load in loads:
             if load.body not in matches:
-                raise _MismatchError(f'it has a load on {load.body}, which is not tracked')
+                raise MismatchError(f'it has a load on {load.body}, which is not tracked')
         if scene.held_by is not None:
             for body in (scene.held_by.body, scene.held_by.of):
                 if body not in (*matches, GROUND):
-                    raise _MismatchError(f'its loads are held_by {body}, which is not tracked')
-    except _MismatchError as error:
+                    raise MismatchError(f'its loads are held_by {body}, which is not tracked')
+    except MismatchError as error:
         raise ParameterError(f'parameter scene is {settings.scene}: {error}') from None
     drivers, turns = scene.mechanism.drivers, scene.mechanism.assembly.turns
     driven = [
@@ -129,58 +128,6 @@ def load_theory(settings: Settings) -> Theory:
         if len(drivers) == 1 and np.array_equal(turns[match.in_scene], drivers[0].row)
     ]
     return Theory(scene, matches, driven[0] if driven else '', loads)
-
-
-class _MismatchError(Exception):
-    """Why a scene does not match the tracked bodies."""
-
-
-def _match_bodies(
-    scene: Scene,
-    bodies: Mapping[str, Sequence[str]],
-    shapes: Mapping[str, Sequence[complex]],
-    is_posed: bool,
-) -> dict[str, BodyMatch]:
-    """Match tracked bodies with markers, or with shapes only, or that come as poses."""
-    matches = {}
-    for b, (body, markers) in enumerate(bodies.items()):
-        if is_posed and body in scene.mechanism.bodies:
-            # The frames of poses are those of the scene's bodies.
-            positions = np.array(shapes[body])
-            rows = np.arange(len(positions))
-        elif body in scene.marker_names:
-            rows, positions = _match_body(scene, body, markers, shapes)
-        else:
-            continue
-        matches[body] = BodyMatch(b, scene.mechanism.bodies.index(body), rows, positions)
-    if not matches:
-        raise _MismatchError(
-            f'it has markers on {", ".join(scene.markers) or "no body"}, and the parameter bodies '
-            f'names {", ".join(bodies)}; give both the same names'
-        )
-    return matches
-
-
-def _match_body(
-    scene: Scene, body: str, markers: Sequence[str], shapes: Mapping[str, Sequence[complex]]
-) -> tuple[np.ndarray, Complex]:
-    """The tracked markers that the scene has, by name or else by shape, and their positions."""
-    names, positions = scene.marker_names[body], to_complex(scene.markers[body])
-    if not markers:
-        pairs = match_markers(positions, np.array(shapes[body]))
-        if pairs is None:
-            raise _MismatchError(
-                f'the {len(positions)} markers of its {body} are not where parameter {body}.shape '
-                'has them; give both the same distances between the markers'
-            )
-        return pairs[1], positions[pairs[0]]
-    rows = [k for k, marker in enumerate(markers) if marker in names]
-    if len(rows) < 2:
-        raise _MismatchError(
-            f'its {body} has the markers {", ".join(names)}; parameter {body}.markers must '
-            'name two of them at least'
-        )
-    return np.array(rows), positions[[names.index(markers[k]) for k in rows]]
 
 
 def on_tracked(scene: Scene, load: Load, tracked: Container[str]) -> Load:
@@ -335,16 +282,16 @@ def balance(theory: Theory, estimate: Estimate) -> Numbers:
     more than its noise.
     """
     frames = body_frames(theory, estimate)
-    held = theory.scene.held_by
-    acting = {theory.driver} if held is None else {held.body, held.of} - {GROUND}
+    holder = theory.scene.held_by
+    acting = {theory.driver} if holder is None else {holder.body, holder.of} - {GROUND}
     needed = acting | {load.body for load in theory.loads}
     if not needed <= frames.keys():
         nan = np.full(np.shape(estimate.stamp), np.nan)
         return Numbers(nan, nan, np.isfinite(nan))
-    through = Port(theory.matches[theory.driver if held is None else held.body].tracked, 1.0)
+    through = Port(theory.matches[theory.driver if holder is None else holder.body].tracked, 1.0)
     direction = balance_direction(theory, estimate)
-    if held is not None and held.point is not None and direction is not None:
-        through = _port(theory, Force(held.body, held.point, direction), frames, estimate)
+    if holder is not None and holder.point is not None and direction is not None:
+        through = _port(theory, Force(holder.body, holder.point, direction), frames, estimate)
     value, variance, determined = measured_balance(
         through,
         [_port(theory, load, frames, estimate) for load in theory.loads],
@@ -361,13 +308,13 @@ def balance(theory: Theory, estimate: Estimate) -> Numbers:
 
 def balance_direction(theory: Theory, estimate: Estimate) -> np.ndarray | None:
     """Direction (T,), complex, of the force that `balance` computes; None for a torque."""
-    held = theory.scene.held_by
-    if held is None or held.point is None:
+    holder = theory.scene.held_by
+    if holder is None or holder.point is None:
         return None
-    direction = np.full(np.shape(estimate.stamp), np.exp(1j * held.along))
+    direction = np.full(np.shape(estimate.stamp), np.exp(1j * holder.along))
     frames = body_frames(theory, estimate)
-    if held.of in frames:
-        angle = estimate.angle[0][..., theory.matches[held.of].tracked] + frames[held.of][1]
+    if holder.of in frames:
+        angle = estimate.angle[0][..., theory.matches[holder.of].tracked] + frames[holder.of][1]
         # Where the angle is not known, the force is not determined either.
         direction = direction * np.exp(1j * np.where(np.isfinite(angle), angle, 0.0))
     return np.asarray(direction)
