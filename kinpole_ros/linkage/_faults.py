@@ -99,7 +99,7 @@ def find_faults(
     free = always_free(equations)
     faults: list[Fault] = []
     while len(faults) < _MAX_FAULTS and subjects:
-        base, _, _ = independent(normal.square, free)
+        base, _ = independent(normal.square, free)
         square, gradient = _eliminated(normal, base)
         candidates = [
             _candidate(subject, unknowns, square, gradient, np.diag(normal.square))
@@ -112,7 +112,7 @@ def find_faults(
         best = candidates[0]
         if not best.unknowns or best.reduction < _MIN_REDUCTION[len(best.unknowns) - 1]:
             break
-        columns, _, covariance = independent(normal.square, [*base, *best.unknowns])
+        columns, covariance = independent(normal.square, [*base, *best.unknowns])
         change = -covariance @ normal.gradient[columns]
         factor = excess(columns, change)
         if best.reduction < _MIN_REDUCTION[len(best.unknowns) - 1] * factor:

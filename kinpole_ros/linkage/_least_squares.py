@@ -79,9 +79,8 @@ class Solution(NamedTuple):
     """
     Fitted dimensions `values` and `ground` pose (3,), with their residuals.
 
-    `covariance` is that of the unknowns `free`, numbered as in `Adjusted`; `undetermined` are
-    unknowns that the data do not determine. Variances are scaled by `excess`, 1 or more, since
-    residuals may be correlated over time.
+    `covariance` is that of the unknowns `free` that the data determine, numbered as in `Adjusted`.
+    Variances are scaled by `excess`, 1 or more, since residuals may be correlated over time.
     """
 
     values: Real
@@ -89,7 +88,6 @@ class Solution(NamedTuple):
     adjusted: Adjusted
     normal: Normal
     free: tuple[int, ...]
-    undetermined: tuple[int, ...]
     covariance: Real
     excess: float
 
@@ -113,7 +111,7 @@ def adjust(
     `ground` (3,) is the pose of the scene's ground: x, y (m) and angle. `hidden` are approximate
     positions and angles (T, bodies) of bodies without markers.
     """
-    count, bodies = len(poses.stamp), len(equations.bodies)
+    count, bodies = poses.instants, len(equations.bodies)
     measured = list(poses.bodies)
     position, angle = np.zeros((count, bodies), complex), np.zeros((count, bodies))
     if hidden is not None:
@@ -252,7 +250,7 @@ def solve(
     adjusted = adjusted_at(unknowns)
     for _ in range(max(steps, 1)):
         normal = normal_of(adjusted)
-        used, undetermined, inverse = independent(normal.square, requested)
+        used, inverse = independent(normal.square, requested)
         step = -inverse @ normal.gradient[used]
         deviation = np.sqrt(np.diag(inverse))
         # A step too long to be linear, in a direction that is hardly determined, is halved.
@@ -278,17 +276,16 @@ def solve(
         adjusted,
         normal_of(adjusted),
         tuple(used),
-        tuple(undetermined),
         inverse * excess,
         excess,
     )
 
 
-def independent(square: Real, unknowns: Sequence[int]) -> tuple[list[int], list[int], Real]:
+def independent(square: Real, unknowns: Sequence[int]) -> tuple[list[int], Real]:
     """
-    Those of the `unknowns` that are independent of the ones before, and those that are not.
+    Those of the `unknowns` that are independent of the ones before, and their covariance.
 
-    `square` is the normal matrix of all unknowns. The covariance of the former comes with them.
+    `square` is the normal matrix of all unknowns.
     """
     part = square[np.ix_(unknowns, unknowns)]
     size = np.sqrt(np.diag(part))
@@ -305,8 +302,7 @@ def independent(square: Real, unknowns: Sequence[int]) -> tuple[list[int], list[
             used.append(k)
     scale = np.outer(size[used], size[used])
     inverse = np.linalg.inv(part[np.ix_(used, used)] / scale) / scale
-    dependent = [unknowns[k] for k in range(len(unknowns)) if k not in used]
-    return [unknowns[k] for k in used], dependent, inverse
+    return [unknowns[k] for k in used], inverse
 
 
 def variance_excess(value: Real) -> float:
@@ -332,7 +328,7 @@ def find_ground(
     guess: Guess | None = None,
 ) -> Real:
     """The pose of the scene's ground (x, y, angle) with which the joints fit best."""
-    rows = np.unique(np.linspace(0, len(poses.stamp) - 1, _GROUND_INSTANTS).astype(int))
+    rows = np.unique(np.linspace(0, poses.instants - 1, _GROUND_INSTANTS).astype(int))
     few = poses.at_instants(rows)
     best, least = np.zeros(3), np.inf
     for direction in np.arange(_DIRECTIONS) * 2 * np.pi / _DIRECTIONS:

@@ -29,8 +29,7 @@ class Pose(NamedTuple):
     `position` (T,), complex, is that of the mean of its markers, `angle` (T,) its angle from the
     first frame on, rad, both NaN where it was not seen. `shape` (n,) are its markers about their
     mean in its own axes. `noise` is the rms residual of a marker per axis; `position_variance` (per
-    axis) and `angle_variance` are those of one frame. `share` (n,) is how often each of its markers
-    was seen and fits.
+    axis) and `angle_variance` are those of one frame.
     """
 
     position: Complex
@@ -39,7 +38,6 @@ class Pose(NamedTuple):
     noise: float
     position_variance: float
     angle_variance: float
-    share: Real
 
     @property
     def size(self) -> float:
@@ -55,7 +53,7 @@ class Pose(NamedTuple):
 def ground(frames: int) -> Pose:
     """The pose of the ground, which stands still."""
     zeros = np.zeros(frames)
-    return Pose(zeros + 0j, zeros, np.zeros(1, complex), 0.0, 0.0, 0.0, np.ones(1))
+    return Pose(zeros + 0j, zeros, np.zeros(1, complex), 0.0, 0.0, 0.0)
 
 
 def fit_body(tracks: Complex) -> Pose:
@@ -107,7 +105,6 @@ def fit_body(tracks: Complex) -> Pose:
         noise,
         variance * float(np.mean(1 / fit.weight[valid])),
         variance * float(np.mean(1 / fit.spread[valid])),
-        used.mean(axis=0),
     )
 
 
@@ -116,7 +113,7 @@ def _never_seen(tracks: Complex) -> Pose:
     frames, count = tracks.shape
     nan = np.full(frames, np.nan)
     shape = np.full(count, complex(np.nan, np.nan))
-    return Pose(nan + 0j, nan, shape, 0.0, np.inf, np.inf, np.zeros(count))
+    return Pose(nan + 0j, nan, shape, 0.0, np.inf, np.inf)
 
 
 def _is_flipped(angle: Real) -> np.ndarray:

@@ -37,13 +37,17 @@ class ScenePoses(NamedTuple):
     bodies in the equations.
     """
 
-    stamp: np.ndarray
     position: Complex
     angle: Real
     cofactor: Real
     noise: Real
     seen: np.ndarray
     bodies: tuple[int, ...]
+
+    @property
+    def instants(self) -> int:
+        """Number of instants T."""
+        return len(self.angle)
 
     @property
     def covariance(self) -> Real:
@@ -56,9 +60,8 @@ class ScenePoses(NamedTuple):
 
     def of_bodies(self, columns: np.ndarray) -> 'ScenePoses':
         """The poses of some of the B bodies."""
-        arrays = (array[:, columns] for array in self[1:-1])
         bodies = tuple(self.bodies[k] for k in columns.tolist())
-        return ScenePoses._make([self.stamp, *arrays, bodies])
+        return ScenePoses._make([*(array[:, columns] for array in self[:-1]), bodies])
 
 
 def scene_poses(
@@ -71,11 +74,11 @@ def scene_poses(
     """
     if estimate.frame_poses is None:
         return None
-    arrays = estimate.stamp, estimate.shape, estimate.missing, *estimate.frame_poses
+    arrays = estimate.shape, estimate.missing, *estimate.frame_poses
     if not np.ndim(estimate.stamp):
         arrays = tuple(np.asarray(array)[None] for array in arrays)
-    stamp, shapes, missing = arrays[:3]
-    measured = FramePoses(*arrays[3:])
+    shapes, missing = arrays[:2]
+    measured = FramePoses(*arrays[2:])
     rows, bodies = [], []
     for body, match in matches.items():
         home, offset = equations.frames[body]
@@ -102,7 +105,7 @@ def scene_poses(
         angle = measured.angle[:, b] + frame_angle
         rows.append((position, angle, cofactor, measured.noise[:, b], seen))
     columns = (np.stack(row, axis=1) for row in zip(*rows, strict=True))
-    return ScenePoses._make([stamp, *columns, tuple(bodies)])
+    return ScenePoses._make([*columns, tuple(bodies)])
 
 
 def concatenated(blocks: Sequence[ScenePoses], limit: int) -> ScenePoses:
@@ -117,7 +120,7 @@ def concatenated(blocks: Sequence[ScenePoses], limit: int) -> ScenePoses:
         later = np.flatnonzero(poses.seen[:, b])
         later = later[len(later) // 4 :]
         poses.noise[:, b] = np.sqrt(np.mean(poses.noise[later, b] ** 2)) if len(later) else np.nan
-    count = len(poses.stamp)
+    count = poses.instants
     return poses if count <= limit else poses.at_instants(np.arange(limit) * count // limit)
 
 

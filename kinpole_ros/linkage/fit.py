@@ -118,7 +118,7 @@ def fit_scene(theory: Theory, estimates: Iterable[Estimate], free: Sequence[int]
         ratio=solution.normal.chi_square / solution.freedom,
         freedom=round(solution.freedom),
         excess=solution.excess,
-        instants=len(after[1].stamp),
+        instants=after[1].instants,
     )
 
 

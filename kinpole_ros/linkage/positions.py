@@ -87,7 +87,7 @@ class Positions:
         poses = scene_poses(self.scene.equations, self.values, self._matches, estimate)
         if poses is not None and poses.seen.any():
             self._blocks.append(poses.at_instants(poses.seen.any(axis=1)))
-            if sum(len(block.stamp) for block in self._blocks) > 4 * self._limit:
+            if sum(block.instants for block in self._blocks) > 4 * self._limit:
                 self._blocks = [concatenated(self._blocks, 2 * self._limit)]
 
     def poses(self) -> ScenePoses | None:
@@ -95,12 +95,12 @@ class Positions:
         if not self._blocks or not self.scene.equations.joints:
             return None
         poses = concatenated(self._blocks, self._limit)
-        burn_in = min(len(poses.stamp) // _BURN_IN_SHARE, _BURN_IN)
+        burn_in = min(poses.instants // _BURN_IN_SHARE, _BURN_IN)
         poses = poses.at_instants(slice(burn_in, None))
         often = np.flatnonzero(poses.seen.mean(axis=0) >= _MIN_SEEN)
         poses = poses.of_bodies(often)
         poses = poses.at_instants(poses.seen.all(axis=1))
-        return poses if len(poses.stamp) >= 2 and len(often) else None
+        return poses if poses.instants >= 2 and len(often) else None
 
     def solve(self, free: tuple[int, ...] = ()) -> tuple[Solution, ScenePoses] | None:
         """Fit the dimensions `free` by least squares; None where nothing can be compared."""
@@ -139,7 +139,7 @@ class Positions:
                 )
                 joints.append(JointSummary(joint.name, rms, deviations, int(valid.sum())))
         words = _messages(self.scene, faults, ratio)
-        return PositionReport(joints, faults, ratio, len(poses.stamp), words)
+        return PositionReport(joints, faults, ratio, poses.instants, words)
 
 
 class LivePositions:
@@ -212,7 +212,7 @@ class LivePositions:
 
         measured = [equations.bodies[b] for b in poses.bodies]
         faults = find_faults(equations, normal, measured, excess)
-        base, _, inverse = independent(normal.square, always_free(equations))
+        base, inverse = independent(normal.square, always_free(equations))
         change = -inverse @ normal.gradient[base]
         ratio = normal.corrected(base, change) / max(normal.used - len(base), 1)
         joints = [
