@@ -5,10 +5,8 @@ Each body has its first point for origin and its x axis toward the second point,
 shows lengths as one would write them.
 """
 
-import tempfile
 from collections.abc import Iterator
 from itertools import combinations, islice
-from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -154,17 +152,14 @@ def check_draft(text: str, linkage: Linkage) -> Checked:
 
     """
     noise = max(float(np.median([pose.noise for pose in linkage.poses])), _MIN_NOISE)
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / 'draft.yaml'
-        path.write_text(text, encoding='utf-8')
-        try:
-            scene = load_scene(path)
-            seconds = linkage.seconds - linkage.seconds[first_frame(linkage)]
-            frames = np.flatnonzero((seconds >= 0) & (seconds <= _COMPARED_SECONDS))
-            frames = frames[:: max(1, len(frames) // _COMPARED_FRAMES)]
-            motion = scene.motion(seconds[frames])
-        except (LinkageError, SceneError) as error:
-            return Checked(str(error).replace(f'{path}: ', ''), np.nan, np.nan, noise)
+    try:
+        scene = load_scene(text)
+        seconds = linkage.seconds - linkage.seconds[first_frame(linkage)]
+        frames = np.flatnonzero((seconds >= 0) & (seconds <= _COMPARED_SECONDS))
+        frames = frames[:: max(1, len(frames) // _COMPARED_FRAMES)]
+        motion = scene.motion(seconds[frames])
+    except (LinkageError, SceneError) as error:
+        return Checked(str(error).removeprefix('scene: '), np.nan, np.nan, noise)
     off = []
     for name, positions in scene.markers.items():
         number = linkage.names.index(name)
