@@ -9,13 +9,7 @@ import numpy as np
 from kinpole_ros.linkage._plane import MotionPlane, fit_plane, space_noise, track_noise
 from kinpole_ros.linkage._poses import Pose, fit_body, refine_groups
 from kinpole_ros.linkage._record import Record, UndiscoveredError
-from kinpole_ros.linkage._rigid import (
-    MIN_FRAMES,
-    Groups,
-    distance_spreads,
-    group,
-    single_markers,
-)
+from kinpole_ros.linkage._rigid import MIN_FRAMES, Groups, distance_spreads, group, single_markers
 from kinpole_ros.linkage._solid import SolidPose, finite_mean, out_of_plane, turn_scatter
 from kinpole_ros.linkage._space import DISTANCE_FRAMES, SpaceBodies, find_bodies, soft_bodies
 from kinpole_ros.linkage._unordered import order_points

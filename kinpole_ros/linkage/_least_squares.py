@@ -271,13 +271,7 @@ def solve(
     values, ground = np.split(unknowns, [-3])
     excess = variance_excess(adjusted.value)
     return Solution(
-        values,
-        ground,
-        adjusted,
-        normal_of(adjusted),
-        tuple(used),
-        inverse * excess,
-        excess,
+        values, ground, adjusted, normal_of(adjusted), tuple(used), inverse * excess, excess
     )
 
 

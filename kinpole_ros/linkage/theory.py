@@ -27,13 +27,7 @@ from kinpole_ros.mechanism import (
     load_scene,
     part_sum,
 )
-from kinpole_ros.planar import (
-    Port,
-    center_offset,
-    covariance,
-    measured_balance,
-    point_motion,
-)
+from kinpole_ros.planar import Port, center_offset, covariance, measured_balance, point_motion
 from kinpole_ros.planar._plane import Complex, Real
 from kinpole_ros.tracking.estimate import SIGNIFICANT, Estimate, Numbers, Vectors
 from kinpole_ros.tracking.parameters import POSE_TYPES, ParameterError, Settings, of_poses

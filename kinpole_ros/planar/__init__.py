@@ -50,12 +50,7 @@ from kinpole_ros.planar._procrustes import (
     fit_pose_with_factors,
     procrustes_factors,
 )
-from kinpole_ros.planar._uncertainty import (
-    Linear,
-    covariance,
-    mean_square,
-    variance,
-)
+from kinpole_ros.planar._uncertainty import Linear, covariance, mean_square, variance
 
 __all__ = [
     'Fit',

@@ -10,14 +10,7 @@ u is the velocity of the ICR and du its rate of change.
 import numpy as np
 from numpy.typing import ArrayLike
 
-from kinpole_ros.planar._plane import (
-    Complex,
-    Real,
-    check_vectors,
-    complex_of,
-    to_complex,
-    to_plane,
-)
+from kinpole_ros.planar._plane import Complex, Real, check_vectors, complex_of, to_complex, to_plane
 from kinpole_ros.planar._uncertainty import Linear
 
 
