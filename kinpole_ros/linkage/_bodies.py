@@ -17,13 +17,13 @@ from kinpole_ros.planar._plane import Complex
 
 # Noise over the size of a body, beyond which unreliable names are not trusted after all.
 _MAX_NAMED_NOISE = 0.03
-# A motion is planar if it leaves the plane by less than these shares of its least and its largest
-# extent in the plane, or than this many times the noise.
+# A motion is planar if it leaves the plane by less than one of these: a share of its least extent
+# in the plane, a share of its largest extent, a multiple of the noise.
 _FLAT, _FLAT_LINE, _FLAT_NOISE = 0.01, 0.001, 3.0
-# The same for soft bodies: times the residuals of their markers, and as a share of their turn.
+# The same for soft bodies: a multiple of the residuals of their markers, a share of their turn.
 _FLAT_SOFT, _FLAT_TURN = 3.0, 0.05
-# One body of nearly all markers, if these are many, stands still if it moves by less than this
-# share of its size, and turns by less than this, rad.
+# A body with this share of all markers, and at least this many, stands still if it moves by less
+# than the third number, as a share of its size and in rad.
 _NEARLY_ALL, _MANY, _STILL = 0.9, 6, 0.05
 
 

@@ -11,12 +11,12 @@ _MAX_STEADY = 0.05
 # A swing is a sine if its rms residual is below this share of the amplitude, and if it lasts this
 # many periods.
 _MAX_SINE, _MIN_PERIODS = 0.005, 0.5
-# Frequencies that are scanned at most. A step of the refinement is this much smaller than the last.
+# Most frequencies that are scanned. Each step of the refinement is shorter by a factor.
 _MAX_FREQUENCIES, _REFINEMENT = 3000, 1.7
 # Points at which a sine is compared while frequencies are scanned, and refined.
 _SCANNED_POINTS, _REFINED_POINTS = 500, 2000
 # Values of a table, and those that each swing needs. The table is shortened by a factor until its
-# rms error is below this share of the range, or down to so many seconds.
+# rms error is below a share of the range, or until it is shorter than this many seconds.
 _VALUES, _VALUES_PER_SWING = 61, 16
 _MAX_TABLE, _SHORTER, _MIN_SECONDS = 0.01, 0.7, 0.5
 

@@ -14,14 +14,14 @@ from kinpole_ros.linkage._least_squares import Normal, always_free, independent
 from kinpole_ros.mechanism import Dimension, Equations
 from kinpole_ros.planar._plane import Real
 
-# Least reduction of the sum of squares by 1, 2 and 3 unknowns at once: chance exceeds it as seldom
-# as it exceeds 5 standard deviations.
+# Least reduction of the sum of squares by 1, 2 and 3 unknowns at once. By chance it is exceeded as
+# rarely as 5 standard deviations.
 _MIN_REDUCTION = (25.0, 28.7, 31.8)
-# Price of each unknown, where several explain the same. Those that are as good to within the second
-# number are named, too.
+# Reduction that each further unknown must bring, and the difference of two explanations up to which
+# both are named.
 _PRICE, _AS_GOOD = 10.0, 15.0
 _MAX_FAULTS = 6
-# A column that the ones before leave this share of, squared, depends on them.
+# An unknown depends on those before it if they leave less than this share of its column, squared.
 _DEPENDENT = 1e-7
 
 

@@ -16,9 +16,9 @@ from kinpole_ros.planar._plane import Complex, Real
 _GATE, _MAX_STEP = 8.0, 0.4
 # Least gain of a smoothed rate.
 _MIN_GAIN = 0.25
-# Standard deviations of a marker from its column on the body.
+# Standard deviations that a marker may be off its place on the body.
 _OUTLIER_SIGMAS = 6.0
-# Share of the body's size that it is predicted with at first.
+# First prediction error, as a share of the size of the body.
 _FIRST_ERROR = 0.05
 _ROUNDS = 3
 _NAN = complex(np.nan, np.nan)

@@ -22,15 +22,15 @@ _REDUNDANT = 1e-5
 _ROUNDS = 2
 # Newton steps that place a body without markers, until they are below this, m and rad.
 _HIDDEN_STEPS, _HIDDEN_ACCURACY = 8, 1e-9
-# A column that the ones before leave this share of, squared, depends on them.
+# An unknown depends on those before it if they leave less than this share of its column, squared.
 _DEPENDENT = 1e-8
-# Directions from which the pose of the ground is sought, with so many instants and steps.
+# Directions from which the pose of the ground is sought, and instants and steps of each search.
 _DIRECTIONS, _GROUND_INSTANTS, _GROUND_STEPS = 8, 40, 8
 # No other direction is tried if the mean square residual is below this.
 _GOOD_SQUARE = 4.0
 # A direction is better than another one if its sum of squares is below this share.
 _BETTER = 0.99
-# Steps of least squares, which end where all are below this share of their deviations.
+# Steps of least squares, and the share of the deviations below which a step is the last.
 _MAX_STEPS, _SMALL_STEP = 20, 1e-3
 # Blocks whose means show whether residuals are correlated over time, and their least length.
 _BLOCKS, _MIN_BLOCK = 20, 5

@@ -13,11 +13,11 @@ GROUND, GROUND_NUMBER = 'ground', -1
 # Residuals beyond this many standard deviations are of another marker.
 _OUTLIER_SIGMAS = 6.0
 _ROUNDS = 3
-# A marker is on a body if its distance from a fixed point is below this, in standard deviations, or
-# this many times that of the body's own markers.
+# A marker is on a body if it is no farther from a fixed place than this many standard deviations,
+# or than this many times the body's own markers.
 _ON_BODY = 2.0
-# A marker on the axis of a pin may be this far off either body, and farther than off the other by
-# this factor, in standard deviations.
+# A marker on the axis of a pin is on both bodies if it is off each by less than this many standard
+# deviations, or by less than this many times the smaller of both.
 _SHARED, _SHARED_RATIO = 1.3, 1.3
 _SAMPLED_FRAMES = 3000
 

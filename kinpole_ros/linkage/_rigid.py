@@ -11,15 +11,16 @@ from kinpole_ros.planar._plane import Complex, Real
 _SAMPLED_FRAMES = 3000
 # Fewer common frames say nothing about a distance.
 MIN_FRAMES = 30
-# A distance over its noise: rigid below the first ratio, not rigid beyond the second. The limit is
-# in the widest gap between them, which lens distortion or a soft mount shifts.
+# The variation of a distance over its noise is that of a rigid pair below the first ratio, and not
+# beyond the second. Between, lens distortion and soft mounts shift the limit: it is put in the
+# widest gap.
 RIGID_RATIO, _LOOSE_RATIO = 2.5, 40.0
 # A pair of markers that is a body of its own must be as rigid as noise alone makes it.
 _NOISE_RATIO = 1.5
-# Times the limit up to which the median distance of two cliques varies if they are one body.
+# Two cliques are one body if the distances between them vary by less than this many limits.
 _BEND_RATIO = 1.5
-# Share of the frames at either end of a range that may be of another marker, and the range of the
-# other frames for a normal distribution, in standard deviations.
+# Share of the frames at each end of a range that may be of another marker, and the width of the
+# range without them for a normal distribution, in standard deviations.
 _TAIL, _TAIL_WIDTH = 0.01, 4.6527
 
 

@@ -14,12 +14,18 @@ from kinpole_ros.linkage._poses import GROUND_NUMBER
 from kinpole_ros.linkage._rigid import MIN_FRAMES
 from kinpole_ros.planar._plane import Real
 
-_MIN_WIDTH = 0.1  # of a body over its length; narrower ones do not show the turn about the length
-_ROUNDS = 4  # of fitting poses to the shape, and the shape to the poses
-_MIN_TURN = np.radians(5)  # rms turn of two bodies against each other, to find their joint
-_MAX_RESIDUAL = 3.0  # of a joint, over that of the markers of its bodies
-_HINGE_RATIO = 0.4  # of the turn about other axes to that about the main axis of a hinge
-_MAX_DISTANCE = 5.0  # of a joint from the markers, in sizes of the body
+# Width of a body over its length. Narrower bodies do not show how they turn about their length.
+_MIN_WIDTH = 0.1
+# Rounds of fitting the poses to the shape, and the shape to the poses.
+_ROUNDS = 4
+# Rms turn of two bodies against each other, without which no joint is found, rad.
+_MIN_TURN = np.radians(5)
+# Residual of a joint over that of the markers of its bodies.
+_MAX_RESIDUAL = 3.0
+# Turn of a hinge about other axes, over that about its main axis.
+_HINGE_RATIO = 0.4
+# Distance of a joint from the markers of a body, over the size of the body.
+_MAX_DISTANCE = 5.0
 
 
 class SolidPose(NamedTuple):

@@ -25,23 +25,26 @@ from kinpole_ros.linkage._solid import (
 )
 from kinpole_ros.planar._plane import Complex, Real
 
-DISTANCE_FRAMES = 1000  # from which distances are measured; more change nothing
-_POSE_FRAMES = 400  # in which poses are fitted
-_SOFTER = 3.0  # times the spread within two groups, up to which the two are one body
-# Spread of a distance over the segment, the usual distance of two markers of one body. Below the
-# first all pairs are rigid, as with a loose marker; beyond the second none is, as over a joint.
-_LOOSE, _SOFTEST = 0.002, 0.04
-_MAX_NOISE = 0.1  # over the segment; noisier markers are treated as this noisy
-_JOINT_SOFTNESS = 2.0  # times the softness of the bodies, for a marker over a joint
-# The same for skin over a joint: over the distance itself, and times the largest of a body.
-_STRAIN, _SKIN_RATIO = 0.025, 1.3
-# The segment over the median distance of a marker to its nearest ones. More of these would be of
-# other people or machines in view.
+# Frames in which distances are measured, and in which poses are fitted; more change nothing.
+DISTANCE_FRAMES, _POSE_FRAMES = 1000, 400
+# Two groups are one body if distances between them vary by up to this many times those within.
+_SOFTER = 3.0
+# The segment, the usual distance of two markers of one body, is this share of the median distance
+# of a marker to its nearest ones. Farther ones may be of other people or machines.
 _SEGMENT, _NEAREST = 1 / 3, 48
-# Rms turn of two bodies that share a marker, and of those that have a body between them.
+# Shares of the segment by which a distance varies: below the first it is rigid (a loose marker),
+# beyond the second it is not (skin over a joint). Noise counts up to the third.
+_LOOSE, _SOFTEST, _MAX_NOISE = 0.002, 0.04, 0.1
+# A marker over a joint is on both bodies up to this many times their softness.
+_JOINT_SOFTNESS = 2.0
+# Distances within a bridge vary by up to this share of themselves, and this many times _SOFTEST.
+_STRAIN, _BRIDGE_RATIO = 0.025, 1.3
+# Least rms turn of two bodies that share a marker, and of two that a bridge connects.
 _SHARING_TURN, _BRIDGE_TURN = np.radians(10), np.radians(15)
-_MAX_LOOP_RESIDUAL = 1.5  # of a joint that closes a loop, over the residuals of its bodies
-_ALONG = np.cos(np.radians(25))  # least cosine of two markers on the axis of a hinge to the axis
+# Residual of a joint that closes a loop, over the residuals of its bodies.
+_MAX_LOOP_RESIDUAL = 1.5
+# Two markers are on an axis if the cosine of their line to it is above this.
+_MIN_AXIS_COSINE = np.cos(np.radians(25))
 
 
 class SpaceBodies(NamedTuple):
@@ -103,7 +106,7 @@ def find_bodies(points: Real, noise: Real) -> SpaceBodies:
         # A marker that is off a thin body may turn it about its length. Then it is not of it.
         if pose is not None and pose.noise > limit:
             grown[k], solid[k] = bodies[k], fit_solid(frames[:, bodies[k]])
-    limits = np.minimum(_STRAIN * clusters.median, _SKIN_RATIO * limit) + 1e-300
+    limits = np.minimum(_STRAIN * clusters.median, _BRIDGE_RATIO * limit) + 1e-300
     grown += _bridges(frames, grown, solid, deviation / limits)
     grown.sort(key=lambda body: -len(body))
     solid = [fit_solid(frames[:, body]) for body in grown]
@@ -246,7 +249,9 @@ def _on_axis(first: SolidPose, second: SolidPose) -> list[tuple[int, int]]:
     pairs = combinations(range(len(first.shape)), 2)
     lines = {pair: first.shape[pair[0]] - first.shape[pair[1]] for pair in pairs}
     return [
-        pair for pair, line in lines.items() if abs(line @ axis) > _ALONG * np.linalg.norm(line)
+        pair
+        for pair, line in lines.items()
+        if abs(line @ axis) > _MIN_AXIS_COSINE * np.linalg.norm(line)
     ]
 
 

@@ -9,16 +9,16 @@ from typing import NamedTuple
 
 import numpy as np
 
-# A point is of a track up to this many times the usual prediction error. It is in doubt if another
-# point or track is within the second number.
+# A point continues a track up to the first number of prediction errors away. It is in doubt if a
+# second point or track is within the second number.
 _GATE, _DOUBT = 8.0, 2.5
-# Frames over which a track goes on unseen, also for a young one.
+# Frames over which a track, and a young track, goes on unseen.
 _MAX_GAP, _MAX_YOUNG_GAP = 10, 3
-# Points after which a track counts as another candidate, and after which its error is settled.
+# Points after which a track may cause doubt, and after which its error is known.
 _MIN_AGE, _SETTLED_AGE = 3, 6
-# Share of the median error that a track is predicted with at best.
+# Least prediction error of a track, as a share of the median of all.
 _MIN_ERROR = 0.3
-# A track more is worth a window shorter by this power of two.
+# One more track is worth a window shorter by this power of two.
 _WINDOW_BITS = 4
 # Windows that are compared for each length.
 _STARTS = 400

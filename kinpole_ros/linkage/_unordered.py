@@ -24,12 +24,12 @@ _MIN_WINDOW = 0.5
 # Frames in which bodies are sought.
 _SEARCHED_FRAMES = 4000
 _ROUNDS = 6
-# Points without names may leave their plane by this many times the noise, and this share of the
+# Points without names may leave their plane by this many times the noise, or by this share of the
 # least extent of the motion in it.
 _OUT_NOISE, _OUT_SHARE = 10.0, 0.2
-# Tracks that are examined as further markers of a body: the longest, of at least so many frames.
+# Number of the longest tracks examined as further markers of a body, and their least length.
 _MAX_TRACKS, _MIN_TRACK = 200, 30
-# Standard deviations that a point may be off a body in a part of the frames.
+# Standard deviations that a track of some frames may be off a body and still be on it.
 _ON_BODY = 1.7
 # A new marker is this many times the noise away from the others.
 _NEW_MARKER = 8

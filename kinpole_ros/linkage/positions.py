@@ -32,9 +32,9 @@ from kinpole_ros.tracking.estimate import Estimate
 
 # Instants of a recording that are compared, evenly spaced.
 _MAX_INSTANTS = 3000
-# Instants at the beginning, at most an eighth of all, that are left out: their poses are fitted to
-# shapes that had hardly been seen.
-_BURN_IN, _BURN_IN_SHARE = 200, 8
+# Instants at the beginning that are left out, since the shapes were hardly known, and the largest
+# share of all instants that these may be.
+_BURN_IN, _BURN_IN_SHARE = 200, 1 / 8
 # Of the live node: instants before the ground is sought, instants before the first report, and
 # instants that are remembered.
 _FIRST, _MIN_INSTANTS, _MEMORY = 10, 8.0, 60.0
@@ -95,7 +95,7 @@ class Positions:
         if not self._blocks or not self.scene.equations.joints:
             return None
         poses = concatenated(self._blocks, self._limit)
-        burn_in = min(poses.instants // _BURN_IN_SHARE, _BURN_IN)
+        burn_in = min(int(poses.instants * _BURN_IN_SHARE), _BURN_IN)
         poses = poses.at_instants(slice(burn_in, None))
         often = np.flatnonzero(poses.seen.mean(axis=0) >= _MIN_SEEN)
         poses = poses.of_bodies(often)
