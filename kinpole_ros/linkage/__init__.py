@@ -2,7 +2,7 @@
 Linkages from measured markers.
 
 `discover` finds bodies and joints from markers alone; `draft`, `table` and `parameter_file` write
-them. The modules `theory`, `positions`, `points` and `fit` compare a given scene with the tracked
+them. The modules `theory`, `positions` and `fit` compare a given scene with the tracked
 bodies.
 """
 

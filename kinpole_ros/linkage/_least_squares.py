@@ -39,6 +39,25 @@ _BLOCKS, _MIN_BLOCK = 20, 5
 Guess = Callable[[ScenePoses, Real], tuple[Complex, Real]]
 
 
+class Problem(NamedTuple):
+    """
+    A scene to be compared with measured poses (T, B), all of them seen.
+
+    `values` are its dimensions, `anchors` the first poses of its wheels. `guess` places the bodies
+    without markers, None where there are none.
+    """
+
+    equations: Equations
+    values: Real
+    poses: ScenePoses
+    anchors: Anchors
+    guess: Guess | None
+
+    def hidden(self, ground: Real) -> tuple[Complex, Real] | None:
+        """Approximate positions and angles (T, bodies), for a ground (3,)."""
+        return None if self.guess is None else self.guess(self.poses, ground)
+
+
 class Adjusted(NamedTuple):
     """
     Normalized residuals (T, m): independent, with variance 1 where the scene is right.
@@ -98,19 +117,15 @@ class Solution(NamedTuple):
 
 
 def adjust(
-    equations: Equations,
-    values: Real,
-    ground: Real,
-    poses: ScenePoses,
-    anchors: Anchors,
-    hidden: tuple[Complex, Real] | None = None,
+    problem: Problem, values: Real, ground: Real, hidden: tuple[Complex, Real] | None
 ) -> Adjusted:
     """
-    Adjust poses (T, B), all of them seen, to a scene with dimensions of these `values`.
+    Adjust the poses to a scene with dimensions of these `values`.
 
     `ground` (3,) is the pose of the scene's ground: x, y (m) and angle. `hidden` are approximate
-    positions and angles (T, bodies) of bodies without markers.
+    positions and angles (T, bodies), of which those of bodies without markers are used.
     """
+    equations, poses = problem.equations, problem.poses
     count, bodies = poses.instants, len(equations.bodies)
     measured = list(poses.bodies)
     position, angle = np.zeros((count, bodies), complex), np.zeros((count, bodies))
@@ -128,7 +143,7 @@ def adjust(
     ]
 
     def current() -> Residuals:
-        now = residuals(equations, values, position, angle, anchors)
+        now = residuals(equations, values, position, angle, problem.anchors)
         return now.without(np.isin(now.joint, ignored)) if ignored else now
 
     joint_residuals = _joint_residuals(equations, current(), poses)
@@ -228,24 +243,15 @@ def always_free(equations: Equations) -> list[int]:
     return [count, count + 1, count + 2, *starts]
 
 
-def solve(
-    equations: Equations,
-    values: Real,
-    ground: Real,
-    poses: ScenePoses,
-    free: Sequence[int],
-    anchors: Anchors,
-    guess: Guess | None = None,
-    steps: int = _MAX_STEPS,
-) -> Solution:
+def solve(problem: Problem, ground: Real, free: Sequence[int], steps: int = _MAX_STEPS) -> Solution:
     """Fit the dimensions `free`, the ground and what no scene states, by least squares."""
-    unknowns = np.concatenate((values, ground))
-    requested = [*always_free(equations), *free]
-    hidden = None if guess is None else guess(poses, ground)
+    unknowns = np.concatenate((problem.values, ground))
+    requested = [*always_free(problem.equations), *free]
+    hidden = problem.hidden(ground)
 
     def adjusted_at(unknowns: Real) -> Adjusted:
         values, ground = np.split(unknowns, [-3])
-        return adjust(equations, values, ground, poses, anchors, hidden)
+        return adjust(problem, values, ground, hidden)
 
     adjusted = adjusted_at(unknowns)
     for _ in range(max(steps, 1)):
@@ -314,21 +320,15 @@ def variance_excess(value: Real) -> float:
     return max(1.0, float((blocks**2).mean() / length))
 
 
-def find_ground(
-    equations: Equations,
-    values: Real,
-    poses: ScenePoses,
-    anchors: Anchors,
-    guess: Guess | None = None,
-) -> Real:
+def find_ground(problem: Problem) -> Real:
     """The pose of the scene's ground (x, y, angle) with which the joints fit best."""
+    poses = problem.poses
     rows = np.unique(np.linspace(0, poses.instants - 1, _GROUND_INSTANTS).astype(int))
-    few = poses.at_instants(rows)
+    few = problem._replace(poses=poses.at_instants(rows))
     best, least = np.zeros(3), np.inf
     for direction in np.arange(_DIRECTIONS) * 2 * np.pi / _DIRECTIONS:
-        begin = np.array([0.0, 0.0, direction])
         try:
-            solution = solve(equations, values, begin, few, (), anchors, guess, _GROUND_STEPS)
+            solution = solve(few, np.array([0.0, 0.0, direction]), (), _GROUND_STEPS)
         except np.linalg.LinAlgError:
             continue
         if solution.normal.chi_square < _BETTER * least:

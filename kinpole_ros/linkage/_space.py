@@ -100,7 +100,10 @@ def find_bodies(points: Real, noise: Real) -> SpaceBodies:
     solid = [fit_solid(frames[:, body]) for body in bodies]
     limit = _SOFTEST * clusters.segment
     softest = [max(height, _JOINT_SOFTNESS * clusters.softness) for height in clusters.heights]
-    grown = [_grow(k, bodies, solid, deviation, min(limit, soft)) for k, soft in enumerate(softest)]
+    grown = [
+        _with_joint_markers(k, bodies, solid, deviation, min(limit, soft))
+        for k, soft in enumerate(softest)
+    ]
     solid = [fit_solid(frames[:, body]) for body in grown]
     for k, pose in enumerate(solid):
         # A marker that is off a thin body may turn it about its length. Then it is not of it.
@@ -178,7 +181,7 @@ def _groups(
     return [sorted(groups[k]) for k in numbers], [float(height[k]) for k in numbers]
 
 
-def _grow(
+def _with_joint_markers(
     number: int,
     bodies: list[list[int]],
     solid: list[SolidPose | None],

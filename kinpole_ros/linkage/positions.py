@@ -13,8 +13,8 @@ import numpy as np
 
 from kinpole_ros.linkage._faults import Fault, find_faults
 from kinpole_ros.linkage._least_squares import (
-    Guess,
     Normal,
+    Problem,
     Solution,
     adjust,
     always_free,
@@ -107,11 +107,8 @@ class Positions:
         poses = self.poses()
         if poses is None:
             return None
-        anchors: Anchors = {}
-        guess = guess_of(self.scene, poses)
-        equations = self.scene.equations
-        ground = find_ground(equations, self.values, poses, anchors, guess)
-        solution = solve(equations, self.values, ground, poses, free, anchors, guess)
+        problem = _problem(self.scene, self.values, poses, {})
+        solution = solve(problem, find_ground(problem), free)
         return (solution, poses) if solution.normal.used else None
 
     def report(self) -> PositionReport | None:
@@ -185,9 +182,8 @@ class LivePositions:
         scene, values = self._positions.scene, self._positions.values
         equations = scene.equations
         poses = poses.of_bodies(np.flatnonzero(poses.seen[0]))
-        guess = guess_of(scene, poses)
-        hidden = None if guess is None else guess(poses, ground)
-        adjusted = adjust(equations, values, ground, poses, self._anchors, hidden)
+        problem = _problem(scene, values, poses, self._anchors)
+        adjusted = adjust(problem, values, ground, problem.hidden(ground))
         if not adjusted.used:
             return None
         if poses.bodies != self._bodies:
@@ -227,10 +223,10 @@ class LivePositions:
         )
 
 
-def guess_of(scene: Scene, poses: ScenePoses) -> Guess | None:
-    """A guess of the poses of bodies without markers, by the nearest positions of the scene."""
+def _problem(scene: Scene, values: Real, poses: ScenePoses, anchors: Anchors) -> Problem:
+    """The comparison of a scene with poses, bodies without markers by the scene's positions."""
     if len(poses.bodies) == len(scene.equations.bodies) - 1:
-        return None
+        return Problem(scene.equations, values, poses, anchors, None)
     position, angle = _scene_positions(scene)
 
     def guess(poses: ScenePoses, ground: Real) -> tuple[Complex, Real]:
@@ -240,7 +236,7 @@ def guess_of(scene: Scene, poses: ScenePoses) -> Guess | None:
         origin = complex(*ground[:2]) + np.exp(1j * ground[2]) * position[nearest]
         return origin, angle[nearest] + ground[2]
 
-    return guess
+    return Problem(scene.equations, values, poses, anchors, guess)
 
 
 @lru_cache(maxsize=4)
