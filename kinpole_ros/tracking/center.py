@@ -11,7 +11,6 @@ import numpy as np
 
 from kinpole_ros.planar._plane import Complex, Real
 from kinpole_ros.tracking.bodies import Bodies
-from kinpole_ros.tracking.fit import fit_markers
 from kinpole_ros.tracking.history import History
 from kinpole_ros.tracking.statistics import chi_square, medians, student
 from kinpole_ros.tracking.thresholds import CONFIRMING_FRAMES, MEMORY_FRAMES, MIN_SAMPLES, N_SIGMA
@@ -128,7 +127,7 @@ class Pins:
         which = np.flatnonzero(which)
         count = np.minimum(self._pose_count, _MAX_POSES)
         is_pose = np.arange(_MAX_POSES)[:, None] < count
-        fit = fit_markers(bodies, np.where(is_pose[..., None], self._markers, np.nan))
+        fit = bodies.fit(np.where(is_pose[..., None], self._markers, np.nan))
         is_pose = (is_pose & np.isfinite(fit.angle))[:, which]
         count = np.maximum(is_pose.sum(axis=0), 3)
         z = np.where(is_pose, fit.position[:, which], 0)

@@ -7,11 +7,10 @@ import numpy as np
 from kinpole_ros.planar import procrustes_factors
 from kinpole_ros.planar._plane import ROUNDING, Complex, Real
 from kinpole_ros.tracking.bodies import MIN_FITS, OUTLIER_SIGMAS, SETTLED_FRAMES, Bodies
-from kinpole_ros.tracking.corrections import agreed
-from kinpole_ros.tracking.fit import fit_markers
+from kinpole_ros.tracking.corrections import consensus_shape
 from kinpole_ros.tracking.history import History
 from kinpole_ros.tracking.noise import correlated_noise, marker_variances, white_noise
-from kinpole_ros.tracking.statistics import mean_square, medians, tame_part
+from kinpole_ros.tracking.statistics import bulk_maximum, mean_square, medians
 from kinpole_ros.tracking.thresholds import ROUNDED
 
 # Frames that noise is estimated from, and those for the misfit, which must follow faster.
@@ -28,7 +27,7 @@ def refit(bodies: Bodies, history: History) -> None:
     """Fit all frames of the history anew, as shapes or weights have changed."""
     before = history['angle'].copy()
     wrong = (history['information'] == 0).all(axis=1) & np.isfinite(before)
-    fit = fit_markers(bodies, np.where(history['used'], history['markers'], np.nan))
+    fit = bodies.fit(np.where(history['used'], history['markers'], np.nan))
     loose = (bodies.spread > bodies.loosest) & (fit.spread < bodies.loosest)
     known = np.isfinite(fit.angle) & ~loose
     with np.errstate(invalid='ignore'):
@@ -79,7 +78,7 @@ def _begin_robustly(bodies: Bodies, history: History, counts: Counter[str]) -> n
             continue
         seen = np.isfinite(history['angle'][:, b])
         markers = np.where(history['used'][seen, b], history['markers'][seen, b], np.nan)
-        found = agreed(markers, OUTLIER_SIGMAS / np.sqrt(MISFIT_RATIO), ROUNDED)
+        found = consensus_shape(markers, OUTLIER_SIGMAS / np.sqrt(MISFIT_RATIO), ROUNDED)
         if found is None:
             continue
         bodies.shape[b], markers, corrected = found
@@ -132,7 +131,7 @@ def _update_shapes(bodies: Bodies, history: History) -> bool:
     every = np.where(used, residual, 0).sum(axis=0) / np.maximum(number, 1)
     step = np.where(creeps, mean, np.where(settled, 0, every))
     # A marker not seen before is at its place in the axes of its body.
-    unknown = (bodies.frames == 0) & (bodies.known >= 2)[:, None]
+    unknown = (bodies.frames == 0) & (bodies.learned_count >= 2)[:, None]
     for b, k in zip(*unknown.nonzero(), strict=True):
         came = known[:, b] & ~np.isnan(history['markers'][:, b, k])
         if came.any():
@@ -157,7 +156,7 @@ def freedom_of(bodies: Bodies, residual: Complex) -> Real:
     """Expected squares (N, B, n) of residuals, as of `Fit`."""
     seen = ~np.isnan(residual)
     if seen.all():
-        return np.broadcast_to(bodies.grip.freedom, residual.shape)
+        return np.broadcast_to(bodies.factors.freedom, residual.shape)
     return procrustes_factors(bodies.shape, np.where(seen, bodies.weights, 0.0)).freedom
 
 
@@ -173,7 +172,7 @@ def _update_misfit(bodies: Bodies, history: History) -> None:
     bodies.fits = np.maximum(bodies.fits, number)
     known = number > 0
     if known.any():
-        bodies.misfit[known] = tame_part(left.T[known]) / MISFIT_RATIO
+        bodies.misfit[known] = bulk_maximum(left.T[known]) / MISFIT_RATIO
 
 
 def _update_noise(bodies: Bodies, history: History, window: int, given: float) -> None:
