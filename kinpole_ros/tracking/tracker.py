@@ -241,9 +241,11 @@ class Tracker:
                     # The clock depends on the noise, which is to be the same live and in replay.
                     self._names_changed = self._update_if_due()
                     self._timeline.update_clock(self.samples, self.noise())
-                some = slice(first, None)
-                steps, end, restarts = self._timeline.accept(stamps[some], frames.points[some])
-                new = first + (steps > 0).nonzero()[0]
+                remaining = slice(first, None)
+                is_used, end, restarts = self._timeline.accept(
+                    stamps[remaining], frames.points[remaining]
+                )
+                new = first + is_used.nonzero()[0]
                 if len(new):
                     taken = frames if len(new) == len(stamps) else part_of(frames, new)
                     for part, numbers in self._timeline.count(taken, number + new):
