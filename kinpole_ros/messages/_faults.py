@@ -12,7 +12,7 @@ from kinpole_ros.messages._types import DiagnosticStatus
 from kinpole_ros.tracking.deformation import TISSUE
 from kinpole_ros.tracking.matcher import BY_SHAPE, OTHERS, RENAMED, UNCERTAIN
 from kinpole_ros.tracking.plane import FIT, Plane, PlaneSetting, as_parameter
-from kinpole_ros.tracking.space import KEEPS, SpaceReport
+from kinpole_ros.tracking.space import MAX_STRETCH_SHARE, SpaceReport
 from kinpole_ros.tracking.stamps import StampState
 from kinpole_ros.tracking.tracker import Tracker
 
@@ -153,7 +153,7 @@ def shape_fault(b: int, off: float, cause: str, report: SpaceReport) -> str:
     if np.isnan(report.stretch[b]):
         # Too early to tell the body from the plane.
         return ''
-    holds = report.stretch[b] < KEEPS * off
+    holds = report.stretch[b] < MAX_STRETCH_SHARE * off
     if off and report.is_tilted and holds:
         degrees = round(np.degrees(report.tilt))
         return (
