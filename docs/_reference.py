@@ -31,9 +31,14 @@ def every_parameter() -> str:
         default = '(none)' if row.default in ('', []) else f'`{_yaml(row.default)}`'
         sections.append(
             f'## `{name}`\n\n{_plain(row.description)}\n\n- default: {default}\n'
-            f'- allowed: {_plain(row.allowed)}\n- {when}\n'
+            f'- allowed: {_plain(row.allowed)}\n- {when}\n{_deprecation(name)}'
         )
     return '\n'.join(sections)
+
+
+def _deprecation(name: str) -> str:
+    reason = parameters.DEPRECATED.get(name)
+    return f'- deprecated, since {reason}\n' if reason else ''
 
 
 def _settable(name: str, row: parameters.Parameter) -> str:
