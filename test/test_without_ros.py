@@ -56,7 +56,7 @@ from importlib import import_module
 import kinpole_ros
 from kinpole_ros.messages import WITH_ROS
 from kinpole_ros.tools import cli
-from kinpole_ros.tools.plot._read import read_results
+from kinpole_ros.tools.plot._results import read_results
 
 assert not WITH_ROS
 for words in {words!r}:

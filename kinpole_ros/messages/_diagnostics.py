@@ -205,7 +205,7 @@ def _bodies(
     outages: Mapping[str, Outage],
 ) -> list['_Body']:
     """Describe the bodies as the tracker has them, `wrong_before` at the last diagnostics."""
-    space, absent = tracker.space(), tracker.lacking()
+    space, absent = tracker.space(), tracker.absent_markers()
     noise, angle_noise = tracker.noise().tolist(), tracker.angle_noise()
     residuals, causes = tracker.rigidity_residual().tolist(), tracker.causes()
     erring, wrong, smoothed = tracker.erring(), tracker.wrong(), tracker.noise_underestimated()

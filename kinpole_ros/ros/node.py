@@ -303,7 +303,7 @@ class KinpoleNode(ParameterNode):
         if displayed and last is not None:
             _publish(displayed, last)
             self._display_due = now + max(output.interval for output, _ in displayed)
-        self._tracker.settle()
+        self._tracker.learn_if_due()
         self._is_processing = False
 
     def _keep_newest(
