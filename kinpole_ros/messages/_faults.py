@@ -5,9 +5,11 @@ Each function returns the text of one fault, or an empty one where there is none
 """
 
 from collections.abc import Iterator, Mapping, Sequence
+from typing import TypeAlias
 
 import numpy as np
 
+from kinpole_ros.derivatives import FEWEST_SAMPLES
 from kinpole_ros.messages._types import DiagnosticStatus
 from kinpole_ros.tracking.deformation import TISSUE
 from kinpole_ros.tracking.matcher import BY_SHAPE, OTHERS, RENAMED, UNCERTAIN
@@ -15,6 +17,9 @@ from kinpole_ros.tracking.plane import FIT, Plane, PlaneSetting, as_parameter
 from kinpole_ros.tracking.space import KEEPS, SpaceReport
 from kinpole_ros.tracking.stamps import StampState
 from kinpole_ros.tracking.tracker import Tracker
+
+Fault: TypeAlias = tuple[bytes, str]
+"""Level of diagnostic_msgs and text."""
 
 # Limits of what is listed: names of markers may be of any number and length.
 _LISTED_NAMES, _LISTED_NOTES = 12, 3
@@ -58,6 +63,7 @@ _SHAPE_FAULTS = {
         'that its markers are seen'
     ),
 }
+_MILD_TROUBLES = ('clock', 'other types', 'sources', 'rivals')  # figures still come
 _STAMP_FIX = 'see that the driver sets header.stamp to the time of capture, in s and ns'
 
 
@@ -235,7 +241,7 @@ def _listed(names: Sequence[str]) -> str:
     return ', '.join(shown + ['...'] * (len(names) > _LISTED_NAMES)) or 'none'
 
 
-def stamp_faults(stamps: Sequence[int], seconds: float, window: float) -> list[tuple[bytes, str]]:
+def _pace_faults(stamps: Sequence[int], seconds: float, window: float) -> list[Fault]:
     """
     Return levels and texts of the faults of header stamps (ns) that came within `seconds`.
 
@@ -288,3 +294,77 @@ def jitter_fault(state: StampState, mode: str) -> str:
         f'the markers by more than their noise; fix: {fix}, or let the driver stamp the time of '
         'capture'
     )
+
+
+def stamp_faults(
+    tracker: Tracker, since: Mapping[str, int], stamps: Sequence[int], seconds: float
+) -> list[Fault]:
+    """Return the faults of stamps, and of the plane."""
+    state = tracker.stamp_state()
+    is_regularized = state is not None and state.regularized
+    faults = [
+        (level, text)
+        for level, text in _pace_faults(stamps, seconds, tracker.settings.window)
+        # Frames in bunches do no harm where they are placed at the ticks of a clock.
+        if level == DiagnosticStatus.ERROR or not is_regularized
+    ]
+    if since.get('frames'):
+        jitter = '' if state is None else jitter_fault(state, tracker.settings.stamps)
+        unknown = PLANE_UNKNOWN if tracker.plane is None else ''
+        tilt = unknown or tilt_fault(tracker.space(), tracker.settings.plane)
+        faults += [(DiagnosticStatus.WARN, text) for text in (jitter, tilt) if text]
+    return faults
+
+
+def input_faults(
+    tracker: Tracker, since: Mapping[str, int], trouble: Mapping[str, str], nothing: str
+) -> list[Fault]:
+    """
+    Return levels and texts of the faults of the input, by the counts `since` the last ones.
+
+    As in REP-107, with WARN results still come and may suffer, with ERROR they cannot be relied
+    upon. STALE, with the text `nothing`, is when nothing came.
+    """
+    frames = since.get('frames', 0)
+    mild = {*_MILD_TROUBLES}
+    if frames:
+        mild.add('qos')
+    if frames > since.get('unreadable', 0):
+        mild.add('message')
+    faults = [
+        (DiagnosticStatus.WARN if topic in mild else DiagnosticStatus.ERROR, text)
+        for topic, text in trouble.items()
+    ]
+    if not frames and mild.issuperset(trouble):
+        return [(DiagnosticStatus.STALE, nothing), *faults]
+    texts = []
+    if dropped := since.get('dropped'):
+        texts.append(
+            f'{dropped} messages dropped: the node or the network cannot keep up; send fewer '
+            'frames, or read fewer results'
+        )
+    if unpublished := since.get('untold'):
+        texts.append(f'{unpublished} results left out: the node cannot keep up; read fewer results')
+    texts += identity_lines(tracker, since)
+    if since.get('restarts'):
+        texts.append('another publisher sends the markers: the window starts anew')
+    if since.get('frame_changes'):
+        texts.append('the markers have another frame_id: the window starts anew')
+    if late := since.get('late'):
+        texts.append(f'{late} frames came late, after newer ones, and are left out')
+    if resets := since.get('resets'):
+        text = 'stamps jumped: the window starts anew'
+        if resets >= frames:
+            text += (
+                '; they do at every frame: if frames come so seldom, raise the parameter window, '
+                f'{tracker.settings.window:g} s, to hold {FEWEST_SAMPLES} of them or more'
+            )
+        texts.append(text)
+    elif since.get('repeated'):
+        texts.append('stamps repeat: see that the driver sets header.stamp to the time of capture')
+    elif frames and tracker.samples < FEWEST_SAMPLES:
+        texts.append(
+            f'the window holds {tracker.samples} frames and needs {FEWEST_SAMPLES}; wait, or '
+            'raise the parameter window'
+        )
+    return faults + [(DiagnosticStatus.WARN, text) for text in texts]
