@@ -69,17 +69,10 @@ def missing_in(value: Any) -> list[str]:
 INCOMPLETE = {
     'bags': """
         bag_files import_csv import_points in_place_of message_class read_blocks read_frames
-        read_messages recorder_of replay simulate topics type_name warnings_of
+        read_messages recorder_of replay simulate topics warnings_of
     """,
     'linkage': """
         check_draft discover draft parameter_file table
-    """,
-    'messages': """
-        constants diagnostics_data fields figures_of identity_lines jitter_fault kind_of
-        left_out live_outputs marker_faults message_class not_there nothing_drawn
-        ns_to_stamp octets outputs_of plane_words poses_data read_markers read_state
-        reader_of result_outputs serialize_message shape_fault stamp_to_ns state_fields
-        theory_of tilt_fault to_message unit_fault unseen view_of
     """,
 }
 

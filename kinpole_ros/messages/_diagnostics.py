@@ -11,14 +11,14 @@ from kinpole_ros.messages._faults import (
     SHOWN_CHARACTERS,
     SMOOTHED,
     Fault,
+    absent_markers_fault,
     input_faults,
-    left_out,
     marker_faults,
-    not_there,
+    outage_fault,
     shape_fault,
     stamp_faults,
     unit_fault,
-    unseen,
+    wrong_pose_fault,
 )
 from kinpole_ros.messages._types import DiagnosticArray, DiagnosticStatus, KeyValue, ns_to_stamp
 from kinpole_ros.tracking.estimate import Estimate
@@ -131,7 +131,7 @@ class DiagnosticsMaker:
         faults = input_faults(tracker, since, trouble, self._nothing)
         faults += stamp_faults(tracker, since, stamps, seconds)
         if '' in outages:
-            faults.append((DiagnosticStatus.WARN, unseen('', outages[''].latest)))
+            faults.append((DiagnosticStatus.WARN, outage_fault('', outages[''].latest)))
         input_status = _input_status(f'{self._name}: markers', tracker, since, seconds, faults)
         bodies = _bodies(self._name, tracker, self._wrong, outages)
         self._wrong = tracker.wrong()
@@ -218,14 +218,16 @@ def _bodies(
         shape = shape_fault(b, residuals[b], causes[b], space)
         warnings = marker_faults(erring[body], noise[b])
         if new_wrong[b] > 0:
-            warnings.append(left_out(int(new_wrong[b])))
+            warnings.append(wrong_pose_fault(int(new_wrong[b])))
         if body in outages:
-            warnings.append(unseen(body, outages[body].latest))
+            warnings.append(outage_fault(body, outages[body].latest))
         bodies.append(
             _Body(
                 number=b,
                 name=f'{name}: {body}',
-                absent=not_there(body, absent[body], tracker.identities) if body in absent else '',
+                absent=absent_markers_fault(body, absent[body], tracker.identities)
+                if body in absent
+                else '',
                 noises={key: value for key, value in noises.items() if np.isfinite(value)},
                 fault='; '.join(filter(None, (unit, shape))),
                 is_smoothed=bool(smoothed[b]),

@@ -68,7 +68,21 @@ _STAMP_FIX = 'see that the driver sets header.stamp to the time of capture, in s
 
 
 def identity_lines(tracker: Tracker, counts: Mapping[str, int]) -> Iterator[str]:
-    """Yield the faults of identities: the present ones, and those counted in `counts`."""
+    """
+    Yield the faults of the identities of markers.
+
+    Parameters
+    ----------
+    tracker : Tracker
+        The tracker.
+    counts : mapping of str to int
+        What the tracker counted in the time that is described.
+
+    Yields
+    ------
+    str
+        The present faults, then those counted, each with its fix.
+    """
     matcher, bodies = tracker.matcher, np.array(tracker.bodies)
     if matcher.disordered:
         names = ', '.join(bodies[matcher.withheld])
@@ -122,7 +136,19 @@ def _short(text: str) -> str:
 
 
 def plane_words(plane: Plane) -> str:
-    """Describe a plane by its name, or by its axes in the frame of the markers."""
+    """
+    Describe a plane.
+
+    Parameters
+    ----------
+    plane : Plane
+        The plane.
+
+    Returns
+    -------
+    str
+        Its name, or its axes in the frame of the markers.
+    """
     if plane.axes is not None:
         return plane.name
     first, second, normal = map(as_parameter, plane.basis)
@@ -130,7 +156,21 @@ def plane_words(plane: Plane) -> str:
 
 
 def tilt_fault(report: SpaceReport, setting: PlaneSetting) -> str:
-    """Return the fault of a motion that is tilted against the plane."""
+    """
+    Return the fault of a motion that is tilted against the plane.
+
+    Parameters
+    ----------
+    report : SpaceReport
+        The motion in space.
+    setting : str or tuple
+        The parameter `plane`.
+
+    Returns
+    -------
+    str
+        The fault and its fix in one line; '' where there is none.
+    """
     if report.plane is None or report.normal is None or not report.is_tilted:
         return ''
     degrees = round(np.degrees(report.tilt))
@@ -151,9 +191,23 @@ def tilt_fault(report: SpaceReport, setting: PlaneSetting) -> str:
 
 def shape_fault(b: int, off: float, cause: str, report: SpaceReport) -> str:
     """
-    Return the fault of body `b`, whose markers are `off` one rigid body in the plane, m, or 0.
+    Return the fault of a body that is not rigid, or leaves the plane.
 
-    Also that of a body that leaves the plane.
+    Parameters
+    ----------
+    b : int
+        Number of the body.
+    off : float
+        How far its markers are off one rigid body in the plane, m; 0 if they are not.
+    cause : str
+        The cause of the deformation, where it is known.
+    report : SpaceReport
+        The motion in space.
+
+    Returns
+    -------
+    str
+        The fault and its fix in one line; '' where there is none.
     """
     leaves = float(np.nan_to_num(report.off_plane[b]))
     if np.isnan(report.stretch[b]):
@@ -183,7 +237,21 @@ def shape_fault(b: int, off: float, cause: str, report: SpaceReport) -> str:
 
 
 def unit_fault(size: float, scale: float) -> str:
-    """Return the fault of a body of an implausible size, m, with the parameter `scale`."""
+    """
+    Return the fault of a body of an implausible size.
+
+    Parameters
+    ----------
+    size : float
+        Size, m.
+    scale : float
+        The parameter `scale`, m per unit.
+
+    Returns
+    -------
+    str
+        The fault and its fix in one line; '' where there is none.
+    """
     smallest, largest = _PLAUSIBLE_SIZES
     if not size or not np.isfinite(size) or smallest <= size <= largest:
         return ''
@@ -200,7 +268,21 @@ def unit_fault(size: float, scale: float) -> str:
 
 
 def marker_faults(erring: Mapping[str, float], noise: float) -> list[str]:
-    """Return the faults of markers by their noise `erring`, m, where the others have `noise`."""
+    """
+    Return the faults of noisy markers of a body.
+
+    Parameters
+    ----------
+    erring : mapping of str to float
+        Noise by marker, m.
+    noise : float
+        Noise of the other markers, m.
+
+    Returns
+    -------
+    list of str
+        A fault for each marker with more than three times the noise of the others.
+    """
     return [
         f'marker {marker[:SHOWN_CHARACTERS]!r} errs by {deviation:.2g} m, {deviation / noise:.2g} '
         'times as much as the others, and counts for less: see to its fixing and to what reflects '
@@ -210,16 +292,42 @@ def marker_faults(erring: Mapping[str, float], noise: float) -> list[str]:
     ]
 
 
-def left_out(frames: int) -> str:
-    """Return the fault of a body whose pose was wrong in so many frames."""
+def wrong_pose_fault(frames: int) -> str:
+    """
+    Return the fault of a body whose pose was wrong in some frames.
+
+    Parameters
+    ----------
+    frames : int
+        The number of these frames.
+
+    Returns
+    -------
+    str
+        The fault and its fix in one line; '' where there is none.
+    """
     return (
         f'left out of {frames} frames in which its pose was far off and then back: see that the '
         'tracker takes no other markers for it'
     )
 
 
-def unseen(body: str, outage: tuple[int, int]) -> str:
-    """Return the fault of an outage (start and duration, ns) of a body, or of all frames for ''."""
+def outage_fault(body: str, outage: tuple[int, int]) -> str:
+    """
+    Return the fault of an outage.
+
+    Parameters
+    ----------
+    body : str
+        The body; '' where no frames came.
+    outage : tuple of int
+        Start and duration, ns.
+
+    Returns
+    -------
+    str
+        The fault and its fix in one line; '' where there is none.
+    """
     since, duration = outage
     what = 'it was not seen' if body else 'no frames came'
     return (
@@ -228,8 +336,24 @@ def unseen(body: str, outage: tuple[int, int]) -> str:
     )
 
 
-def not_there(body: str, names: Sequence[str], identities: Sequence[str]) -> str:
-    """Return the fault of markers `names` of a body that are not among the `identities`."""
+def absent_markers_fault(body: str, names: Sequence[str], identities: Sequence[str]) -> str:
+    """
+    Return the fault of markers that messages do not have.
+
+    Parameters
+    ----------
+    body : str
+        The body.
+    names : sequence of str
+        Its markers that are missing.
+    identities : sequence of str
+        The markers of the last message.
+
+    Returns
+    -------
+    str
+        The fault and its fix in one line; '' where there is none.
+    """
     return (
         f'messages lack {_listed(names)} of {body}; the last one has {_listed(identities)}; '
         f'correct the parameter {body}.markers, or marker_identity'
@@ -275,7 +399,21 @@ def _pace_faults(stamps: Sequence[int], seconds: float, window: float) -> list[F
 
 
 def jitter_fault(state: StampState, mode: str) -> str:
-    """Return the fault of stamps that are late, with `mode` the parameter `stamps`."""
+    """
+    Return the fault of stamps that are late by random times.
+
+    Parameters
+    ----------
+    state : StampState
+        The clock of the stamps.
+    mode : str
+        The parameter `stamps`.
+
+    Returns
+    -------
+    str
+        The fault and its fix in one line; '' where there is none.
+    """
     if state.regularized and state.jitter > state.interval:
         return (
             f'the stamps are late by {state.jitter:.2g} s rms, up to {state.largest:.2g} s, more '
