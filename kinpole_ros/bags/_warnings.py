@@ -8,16 +8,16 @@ from kinpole_ros.bags._replayed import Replayed
 from kinpole_ros.derivatives import FEWEST_SAMPLES
 from kinpole_ros.messages import (
     SMOOTHED,
+    absent_markers_fault,
     jitter_fault,
-    left_out,
     marker_faults,
-    not_there,
+    outage_fault,
     shape_fault,
     tilt_fault,
     unit_fault,
-    unseen,
+    wrong_pose_fault,
 )
-from kinpole_ros.tracking.parameters import Settings, deprecation_warnings
+from kinpole_ros.tracking.parameters import DEPRECATED, Settings, deprecation_warnings
 
 # What can be done about the reasons that the tracker gives.
 _FIXES = {
@@ -40,7 +40,9 @@ _FIXES = {
 
 def warnings_of(result: Replayed, settings: Settings) -> list[str]:
     """Lines on what makes the results of a replay with these settings fewer or worse."""
-    lines = deprecation_warnings(['method']) if settings.method != Settings.method else []
+    defaults = Settings()
+    changed = (name for name in DEPRECATED if hasattr(settings, name))
+    lines = deprecation_warnings(n for n in changed if getattr(settings, n) != getattr(defaults, n))
     if result.unreadable:
         lines.append(f'{result.unreadable} messages left out, the first: {result.problem}')
     files = result.concatenated
@@ -54,7 +56,7 @@ def warnings_of(result: Replayed, settings: Settings) -> list[str]:
         lines.append(late)
     if result.frames:
         absent = result.absent.items()
-        lines += [not_there(body, names, result.identities) for body, names in absent]
+        lines += [absent_markers_fault(body, names, result.identities) for body, names in absent]
     for body, reason in result.unknown.items():
         if reason and body not in result.absent:
             fix = f'; {_FIXES[reason]}' if reason in _FIXES else ''
@@ -73,12 +75,12 @@ def warnings_of(result: Replayed, settings: Settings) -> list[str]:
     ]
     for body, erring in result.erring.items():
         lines += [f'{body}: {fault}' for fault in marker_faults(erring, result.noise[body])]
-    lines += [f'{body}: {left_out(count)}' for body, count in result.wrong.items() if count]
+    lines += [f'{body}: {wrong_pose_fault(count)}' for body, count in result.wrong.items() if count]
     # Without any results one line below says why.
     for body, outage in result.outages.items() if result.estimates else ():
         name = f'{body}: ' if body else ''
         more = f'; {outage.times} such times, this the longest' if outage.times > 1 else ''
-        lines.append(f'{name}{unseen(body, outage.longest)}{more}')
+        lines.append(f'{name}{outage_fault(body, outage.longest)}{more}')
     if settings.scene and result.estimates:
         if result.scene_positions is not None:
             lines += [f'scene {settings.scene}: {text}' for text in result.scene_positions.words]
