@@ -13,17 +13,19 @@ import numpy as np
 
 from kinpole_ros import planar
 from kinpole_ros.tracking.plane import Plane
+from kinpole_ros.tracking.quantities import (
+    CURVATURE,
+    DETERMINED,
+    FREE,
+    MOVES,
+    VELOCITY,
+    Motion,
+    compute_quantity,
+)
 
-# A denominator counts as known when it exceeds its standard deviation this many times.
-SIGNIFICANT = 4.0
-# Beyond this many body sizes a pole is as good as at infinity.
-FARTHEST = 1e3
-# An ICR that moves by less than so many standard deviations, or body sizes per rad, stands still.
-MOVING = 1.7
-STILL = 1e-6
-# A curvature is known to this part of itself, or to one over the body's size, while the body turns
-# by more than so many standard deviations.
-CURVED, TURNING = 0.3, 1.5
+# A denominator counts as known when it exceeds its standard deviation this many times. Beyond this
+# many body sizes a pole is as good as at infinity. Both as in _quantities.c.
+SIGNIFICANT, FARTHEST = 4.0, 1e3
 # Bodies whose pairs are all measured: 20 have 190 pairs, 300 would have 44,850.
 MOST_PAIRED_BODIES = 20
 # Why a body whose ICR is known has no curvature of the centrode.
@@ -83,7 +85,7 @@ class _Column:
         self._name = name
 
     def __get__(self, estimate: 'Estimate', owner: type | None = None) -> np.ndarray:
-        array = vars(estimate)[self._name] = np.asarray(estimate._column(self._name))
+        array = estimate.__dict__[self._name] = estimate._column(self._name)
         return array
 
 
@@ -213,10 +215,6 @@ class Estimate:
         return np.isfinite(self.pin)
 
     @cached_property
-    def _any_pinned(self) -> bool:
-        return np.count_nonzero(self.pinned) > 0
-
-    @cached_property
     def frame_poses(self) -> FramePoses | None:
         """The poses of the frames themselves, None where they are not kept."""
         return self._make_frame_poses and self._make_frame_poses()
@@ -246,36 +244,25 @@ class Estimate:
             self._rates[order] = Numbers(value, variance, np.isfinite(value))
         return self._rates[order]
 
-    @property
-    def _motion(self) -> tuple[np.ndarray, ...]:
-        """What figures follow from."""
-        return self.position, self.angle, self.position_covariance, self.angle_covariance
+    @cached_property
+    def _motion(self) -> Motion:
+        """What poles and centrodes follow from."""
+        covariances = self.position_covariance, self.angle_covariance
+        return Motion(
+            *(self.position, self.angle, *covariances, self.size, self.pin, self.pin_variance)
+        )
 
     def general_pole(self, order: int) -> Vectors:
         """The pole of order 1 to 4 (m) as it follows from the motion, whatever is known of pins."""
-        value, spread, certainty = planar.pole_figures(order, *self._motion)
-        with np.errstate(invalid='ignore', over='ignore'):
-            near = np.abs(value - self.position[0]) < FARTHEST * self.size
-        known = np.isfinite(spread).all(axis=(-2, -1))
-        return Vectors(value, spread, (certainty > SIGNIFICANT) & near & known)
+        value, spread, flags = compute_quantity(FREE + order, self._motion)
+        return Vectors(value, spread, flags > 0)
 
     def pole(self, order: int) -> Vectors:
         """ICR, IAP, IJP or ISP (m) for order 1 to 4, on the pin where there is one."""
         if order not in self._poles:
-            self._poles[order] = self._pole(order)
+            value, spread, flags = compute_quantity(order, self._motion)
+            self._poles[order] = Vectors(value, spread, flags > 0)
         return self._poles[order]
-
-    def _pole(self, order: int) -> Vectors:
-        value, spread, determined = self.general_pole(order)
-        if self._any_pinned:
-            value = np.where(self.pinned, self.pin, value)
-            even = self.pin_variance[..., None, None] * np.eye(2)
-            spread = np.where(self.pinned[..., None, None], even, spread)
-            # Whatever rate is seen, the pin has none of that order; the formula need not be known.
-            rates = slice(order + 1)
-            turns = _stands_out(np.abs(self.angle[rates]), self.angle_covariance[rates, rates])
-            determined = determined | (self.pinned & turns)
-        return Vectors(value, spread, determined)
 
     def motion(self, body: int) -> str:
         """
@@ -294,39 +281,19 @@ class Estimate:
     @cached_property
     def icr_velocity(self) -> Vectors:
         """Velocity of the ICR along both centrodes (m/s)."""
-        value, spread = planar.velocity_figures(*self._motion)
-        known = np.isfinite(value) & np.isfinite(spread).all(axis=(-2, -1))
-        if self._any_pinned:
-            value = np.where(self.pinned, 0.0, value)
-            spread = np.where(self.pinned[..., None, None], 0.0, spread)
-            known = known | self.pinned
-        return Vectors(value, spread, self.pole(1).determined & known)
+        value, spread, flags = compute_quantity(VELOCITY, self._motion)
+        return Vectors(value, spread, (flags & DETERMINED) > 0)
 
     @cached_property
-    @np.errstate(divide='ignore', invalid='ignore', over='ignore')
     def centrode_curvature(self) -> Numbers:
         """Signed curvature of the fixed centrode (1/m); undetermined where the ICR stands still."""
-        value, noise = planar.curvature_figures(*self._motion)
-        known, u = np.isfinite(value) & np.isfinite(noise), self.icr_velocity
-        # It goes by the speed to the power of -2, which is far from linear where that is noisy:
-        # of the error x of the speed, relative to it, the change of second order is 3 x^2.
-        slowness = (u.covariance[..., 0, 0] + u.covariance[..., 1, 1]) / 2 / np.abs(u.value) ** 2
-        noise = noise + 18 * (value * slowness) ** 2
-        least = np.maximum(CURVED * np.abs(value), 1 / self.size)
-        # Where the body does not turn for all one knows, it comes out straight, and that for sure.
-        turns = self.angle[1] ** 2 > TURNING**2 * self.angle_covariance[1, 1]
-        known = known & turns & (noise < least**2)
-        return Numbers(value, noise, self.icr_moves & known)
+        value, spread, flags = compute_quantity(CURVATURE, self._motion)
+        return Numbers(value.real, spread[..., 0, 0], (flags & DETERMINED) > 0)
 
-    @cached_property
-    @np.errstate(divide='ignore', invalid='ignore', over='ignore')
+    @property
     def icr_moves(self) -> np.ndarray:
         """Where (T, B) the ICR, however well known, is seen to move: on a pin it does not."""
-        u = self.icr_velocity
-        noise = np.sqrt(u.covariance[..., 0, 0] + u.covariance[..., 1, 1])
-        least = STILL * np.abs(self.angle[1]) * self.size
-        near = np.abs(self.pole(1).value - self.position[0]) < FARTHEST * self.size
-        return np.asarray(near & (np.abs(u.value) > np.maximum(MOVING * noise, least)))
+        return (compute_quantity(VELOCITY, self._motion)[2] & MOVES) > 0
 
     @cached_property
     def pairs(self) -> tuple[np.ndarray, np.ndarray]:

@@ -94,8 +94,8 @@ class Results:
     """
 
     def __init__(self, instants: int, orders: int, bodies: int, markers: int) -> None:
-        self.orders, self._shared = orders, (instants, orders, bodies, markers)
-        self._layout, offsets, size = _layout_of(*self._shared)
+        self.instants, self.orders = instants, orders
+        self._layout, offsets, size = _layout_of(instants, orders, bodies, markers)
         self._buffer = np.empty(size, np.uint8)
         self.fields = np.empty(3 + len(offsets), np.int64)
         self.fields[:3] = instants, 0, FEWEST_SAMPLES
@@ -113,10 +113,10 @@ class Results:
 
     def column(self, name: str) -> np.ndarray:
         """Return an array, of the instants that have results."""
-        array, (instants, *_) = self.array(name), self._shared
-        if self.count == instants:
+        array, count = self.array(name), self.count
+        if count == self.instants:
             return array
-        return array[(slice(None),) * INSTANT_AXIS.get(name, 0) + (slice(self.count),)]
+        return array[(slice(None),) * INSTANT_AXIS.get(name, 0) + (slice(count),)]
 
 
 def add_deformation(
@@ -171,10 +171,11 @@ def estimate_of(
     """Return results, of one instant after the other, as one estimate."""
 
     def stored(name: str) -> np.ndarray:
-        if len(results) == 1:
-            return results[0].column(name)
         axis = INSTANT_AXIS.get(name, 0)
         return np.concatenate([part.column(name) for part in results], axis)
+
+    if len(results) == 1:
+        stored = results[0].column
 
     def column(name: str) -> np.ndarray:
         if name == 'degree':
