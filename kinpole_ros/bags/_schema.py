@@ -8,7 +8,7 @@ from functools import cache
 from typing import Any
 
 from kinpole_ros import messages
-from kinpole_ros.bags._reader import BagError
+from kinpole_ros.bags._files import BagError
 from kinpole_ros.messages import constants, fields
 
 
