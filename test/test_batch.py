@@ -28,7 +28,7 @@ from kinpole_ros.bags._replay import replay_stretch
 from kinpole_ros.bags._replayed import concatenate_outcomes
 from kinpole_ros.bags.batch import _folder, _results, _workers, batch
 from kinpole_ros.bags.batch._results import Job, finished, replay_bag
-from kinpole_ros.files import _lock
+from kinpole_ros.files import _writing
 from kinpole_ros.tools.cli import main
 from kinpole_ros.tracking.parameters import Settings
 
@@ -703,14 +703,14 @@ def test_on_windows_a_lock_is_asked_for_until_it_is_there(
             if len(asked) % 3:
                 raise PermissionError(13, 'Permission denied')
 
-    monkeypatch.setattr(_lock, '_fcntl', None)
-    monkeypatch.setattr(_lock, '_msvcrt', Windows)
-    monkeypatch.setattr(_lock, '_AGAIN', 0.0)
+    monkeypatch.setattr(_writing, '_fcntl', None)
+    monkeypatch.setattr(_writing, '_msvcrt', Windows)
+    monkeypatch.setattr(_writing, '_RETRY_INTERVAL', 0.0)
     with open(tmp_path / 'held', 'ab') as held:
-        _lock.lock(held, wait=True)
+        _writing.lock(held, wait=True)
         assert asked == [held.fileno()] * 3
         with pytest.raises(BlockingIOError):
-            _lock.lock(held, wait=False)
+            _writing.lock(held, wait=False)
 
 
 def test_bags_are_named_by_a_file_too(

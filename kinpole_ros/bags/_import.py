@@ -8,8 +8,8 @@ from pathlib import Path
 
 import numpy as np
 
-from kinpole_ros.bags._files import BagError
-from kinpole_ros.bags._writer import BagWriter, in_place_of
+from kinpole_ros.bags._files import BagError, in_place_of
+from kinpole_ros.bags._writer import BagWriter
 from kinpole_ros.bags.formats import Options, Points, read_points, shown
 from kinpole_ros.messages import INPUT_TYPES, TF, poses_data, to_message
 

@@ -8,13 +8,13 @@ from typing import TypeAlias
 
 import numpy as np
 
-from kinpole_ros.bags._files import BagError, Truncated, bag_files
+from kinpole_ros.bags._files import BagError, Truncated, bag_files, in_place_of
 from kinpole_ros.bags._marker_frames import NODE_NAME, frame_blocks, input_topic
 from kinpole_ros.bags._reader import Progress
 from kinpole_ros.bags._replayed import Replayed, ReplayTotals
 from kinpole_ros.bags._stretches import Stretch
 from kinpole_ros.bags._table import CsvTable, ParquetTable
-from kinpole_ros.bags._writer import BagWriter, in_place_of
+from kinpole_ros.bags._writer import BagWriter
 from kinpole_ros.messages import (
     DiagnosticArray,
     DiagnosticsMaker,

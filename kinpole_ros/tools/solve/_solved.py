@@ -350,7 +350,7 @@ def shown(scene: Scene, k: int, value: float, digits: int = 9) -> str:
 def writing(path: str | Path) -> Iterator[Path]:
     """A place to write it to until it is whole; says which file it was that could not be."""
     try:
-        with files.whole(path) as part:
+        with files.whole_file(path) as part:
             yield part
     except OSError as error:
         raise SceneError(
