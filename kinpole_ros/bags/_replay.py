@@ -13,7 +13,7 @@ from kinpole_ros.bags._marker_frames import NODE_NAME, frame_blocks, input_topic
 from kinpole_ros.bags._reader import Progress
 from kinpole_ros.bags._replayed import Replayed, ReplayTotals
 from kinpole_ros.bags._stretches import Stretch
-from kinpole_ros.bags._table import CsvTable, ParquetTable
+from kinpole_ros.bags._tables import CsvTable, ParquetTable
 from kinpole_ros.bags._writer import BagWriter
 from kinpole_ros.messages import (
     DiagnosticArray,

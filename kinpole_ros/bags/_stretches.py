@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from kinpole_ros.bags._table import join_parquet
+from kinpole_ros.bags._tables import join_parquet
 from kinpole_ros.bags._writer import BagWriter
 
 # Diagnostics are of a second, and drawings show the centrodes of the two seconds before.
