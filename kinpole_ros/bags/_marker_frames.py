@@ -52,7 +52,7 @@ def read_frames(
     Returns
     -------
     frames : list of MarkerFrames
-        In order; consecutive frames of one layout together.
+        In order; consecutive frames of one layout are one element.
     topic : str
         The full name of the topic.
 

@@ -269,10 +269,10 @@ class _PeriodicDiagnostics:
         # Number of the frame, and a function that makes its diagnostics from the estimate then.
         self._begun: list[tuple[int, Callable[[Estimate | None], DiagnosticArray]]] = []
 
-    def split(self, parts: Iterable[MarkerFrames], tracker: Tracker) -> Iterator[MarkerFrames]:
+    def split(self, blocks: Iterable[MarkerFrames], tracker: Tracker) -> Iterator[MarkerFrames]:
         """Yield the frames in parts that end where a second has passed, for the tracker."""
         count = 0
-        for frames in parts:
+        for frames in blocks:
             stamps, first = frames.stamps, 0
             while first < len(stamps):
                 previous = stamps[first] - _SECOND if self._last_stamp is None else self._last_stamp

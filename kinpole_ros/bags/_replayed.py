@@ -137,9 +137,9 @@ class ReplayTotals:
         self._last = max(self._last, int(frames.stamps.max()))
         if frames.identities != self._identities:
             self._identities = frames.identities
-            none, places = len(frames.identities), MarkerPlaces(frames.identities)
+            none, columns = len(frames.identities), MarkerPlaces(frames.identities)
             absent = {
-                body: [name for name in names if places.find(name) == none]
+                body: [name for name in names if columns.find(name) == none]
                 for body, names in self._absent.items()
             }
             self._absent = {body: names for body, names in absent.items() if names}

@@ -66,18 +66,18 @@ def equal_stretches(count: int) -> list[Stretch]:
     return [Stretch(first, last) for first, last in pairwise(ends)]
 
 
-def join_files(parts: Sequence[Path], target: Path, kind: str) -> None:
+def join_files(sources: Sequence[Path], target: Path, kind: str) -> None:
     """Join the results of stretches, 'mcap', 'parquet' or 'csv', as one replay writes them."""
     if kind == 'mcap':
         with BagWriter(target) as writer:
-            for part in parts:
-                writer.append(part)
+            for source in sources:
+                writer.append(source)
     elif kind == 'parquet':
-        join_parquet(parts, target)
+        join_parquet(sources, target)
     else:
         with target.open('wb') as table:
-            for number, part in enumerate(parts):
-                with part.open('rb') as file:
+            for number, source in enumerate(sources):
+                with source.open('rb') as file:
                     if number:
                         file.readline()
                     shutil.copyfileobj(file, table, 1 << 20)

@@ -213,11 +213,11 @@ class ParquetTable(_Table):
             self._file.close()
 
 
-def join_parquet(parts: Sequence[Path], target: Path) -> None:
+def join_parquet(sources: Sequence[Path], target: Path) -> None:
     """Join tables that a `ParquetTable` wrote, in order."""
     from pyarrow import parquet
 
-    files = [parquet.ParquetFile(part) for part in parts]
+    files = [parquet.ParquetFile(source) for source in sources]
     with parquet.ParquetWriter(target, files[0].schema_arrow, compression='zstd') as writer:
         for file in files:
             with file:

@@ -71,7 +71,7 @@ class Job:
         """Return the address of the folder of the results, in a store."""
         return f'{self.root}/{self.shard}'.rstrip('/')
 
-    def parts(self, folder: Path, number: int | None = None) -> dict[str, Path]:
+    def files(self, folder: Path, number: int | None = None) -> dict[str, Path]:
         """Return the files by kind to write results to, or those of the stretch of this number."""
         stem = self.name if number is None else f'{self.name}.{number}'
         return {kind: folder / f'{stem}.{kind}.part' for kind in self.kinds}
@@ -115,8 +115,7 @@ def _make(job: Job, folder: Path, progress: Callable[[float], None] | None) -> R
     fingerprint = job.fingerprint()
     is_url = _store.is_url(job.bag)
     with _store.fetched(job.bag) if is_url else nullcontext(job.bag) as source:
-        parts = job.parts(folder)
-        outcome = replay_stretch(source, job.settings, parts, job.topic, progress)
+        outcome = replay_stretch(source, job.settings, job.files(folder), job.topic, progress)
     return _name_results(job, folder, fingerprint, outcome)
 
 
@@ -148,17 +147,16 @@ def bag_size(bag: str) -> int:
 def replay_part(
     job: Job, number: int, count: int, progress: Callable[[float], None] | None = None
 ) -> Replayed:
-    """Replay the stretch of this number, of so many, into files of its own beside the results."""
-    parts = job.parts(job.folder, number)
-    stretch = equal_stretches(count)[number]
-    return replay_stretch(job.bag, job.settings, parts, job.topic, progress, stretch)
+    """Replay the stretch of this number, of so many, into files of its own next to the results."""
+    files, stretch = job.files(job.folder, number), equal_stretches(count)[number]
+    return replay_stretch(job.bag, job.settings, files, job.topic, progress, stretch)
 
 
 def join_parts(job: Job, outcomes: list[Replayed]) -> Row:
     """Join the results of the stretches of a bag, and return its row."""
-    parts = [job.parts(job.folder, number) for number in range(len(outcomes))]
-    for kind, target in job.parts(job.folder).items():
-        join_files([files[kind] for files in parts], target, kind)
+    stretches = [job.files(job.folder, number) for number in range(len(outcomes))]
+    for kind, target in job.files(job.folder).items():
+        join_files([files[kind] for files in stretches], target, kind)
     return _name_results(job, job.folder, job.fingerprint(), concatenate_outcomes(outcomes))
 
 
@@ -200,7 +198,7 @@ def _name_results(job: Job, folder: Path, fingerprint: list[Any], outcome: Repla
     # made again.
     record = folder / f'{name}.json'
     record.unlink(missing_ok=True)
-    for kind, part in job.parts(folder).items():
+    for kind, part in job.files(folder).items():
         part.replace(folder / f'{name}.{kind}')
     write_text(record, json.dumps({'made_of': fingerprint, 'row': row}))
     return row
