@@ -20,9 +20,9 @@ from kinpole_ros.messages import (
     DiagnosticsMaker,
     Output,
     PoseReader,
-    diagnostics_data,
     outputs_of,
     reader_of,
+    serialize_message,
     theory_of,
 )
 from kinpole_ros.tracking.estimate import Estimate
@@ -236,7 +236,7 @@ class _Replaying:
             raise BagError(
                 f'{self._bag}: no message on {self._topic} can be read: {self._totals.problem}'
             )
-        problem = self._reader.lacking() if isinstance(self._reader, PoseReader) else ''
+        problem = self._reader.unseen_names() if isinstance(self._reader, PoseReader) else ''
         if problem and not counts['frames']:
             raise BagError(f'{self._bag}: on {self._topic} {problem}')
         return problem
@@ -301,7 +301,7 @@ class _PeriodicDiagnostics:
                 due = int(np.searchsorted(estimate.due, number, side='right'))
                 if due and estimate.due[due - 1] > published:
                     current = estimate[due - 1]
-            data.append(diagnostics_data(finish(current)))
+            data.append(serialize_message(finish(current)))
             published = number
         times = [int(log_times[number]) for number, _ in self._begun]
         yield '/diagnostics', DiagnosticArray, times, data

@@ -16,7 +16,7 @@ from kinpole_ros.messages import (
     unit_fault,
     unseen,
 )
-from kinpole_ros.tracking.parameters import Settings
+from kinpole_ros.tracking.parameters import Settings, deprecation_warnings
 
 # By the reasons that the tracker gives.
 _FIXES = {
@@ -54,7 +54,7 @@ def warnings_of(result: Replayed, settings: Settings) -> list[str]:
         Lines on what makes its results fewer or worse.
 
     """
-    lines = []
+    lines = deprecation_warnings(['method']) if settings.method != Settings.method else []
     if result.unreadable:
         lines.append(f'{result.unreadable} messages left out, the first: {result.problem}')
     files = result.concatenated
