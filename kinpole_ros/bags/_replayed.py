@@ -15,7 +15,7 @@ from kinpole_ros.tracking.stamps import StampState
 from kinpole_ros.tracking.tracker import Tracker
 
 if TYPE_CHECKING:
-    from kinpole_ros.linkage.positions import PositionsFound
+    from kinpole_ros.linkage.positions import PositionReport
     from kinpole_ros.linkage.theory import DeviationSummary, Theory
 
 _SECOND = 1_000_000_000  # ns
@@ -95,7 +95,7 @@ class Replayed(NamedTuple):
     unknown: dict[str, str]
     concatenated: list[str]
     scene_deviations: 'list[DeviationSummary]'
-    scene_positions: 'PositionsFound | None'
+    scene_positions: 'PositionReport | None'
     space: SpaceReport
     lost: int
     stamps: StampState | None
@@ -162,7 +162,7 @@ class ReplayTotals:
             elif body in self._unknown:
                 self._unknown[body] = str(reasons[-1])
         if self._comparison is not None:
-            self._comparison.add(estimate)
+            self._comparison.append(estimate)
 
     def result(self, concatenated: list[str], pose_problem: str) -> Replayed:
         """Return the outcome; `pose_problem` is a line on the input, '' if nothing is wrong."""
@@ -197,7 +197,7 @@ class ReplayTotals:
             identities=self._identities,
             unknown=self._unknown,
             concatenated=concatenated,
-            scene_deviations=comparison.found() if comparison is not None else [],
+            scene_deviations=comparison.rates() if comparison is not None else [],
             scene_positions=comparison.positions() if comparison is not None else None,
             space=updated(self._space, tracker.space()),
             lost=counts['lost'],
