@@ -21,13 +21,13 @@ from kinpole_ros.tracking.thresholds import MIN_DOF, ROUNDED
 
 # Frames for the noise, and for the misfit, which has to follow changes faster.
 NOISE_FRAMES, MISFIT_FRAMES = 512, 200
-# The 70% quantile of a chi-square over its mean, within a tenth.
+# `bulk_maximum` is a 70% quantile, which is 1.08 to 1.22 times the mean of a chi-square.
 MISFIT_RATIO = 1.15
-# A marker that did not fit in so many frames in a row has moved on its body.
+# A marker has moved if it was seen in half of so many frames and fitted in none.
 MOVED_FRAMES = 100
-# A place on the body that is kept is moved if the mean residual exceeds this share of the misfit.
+# A settled place moves if the mean residual exceeds this share of the root of the misfit.
 MAX_MEAN_RESIDUAL = 0.25
-# The variance of a marker is estimated if its residuals exceed the median by this factor.
+# Variances of single markers are estimated if the largest mean square exceeds the median so often.
 MIN_SUSPICIOUS_RATIO = 1.4
 
 
@@ -91,7 +91,7 @@ def learn(
 
 
 def _restart_with_outliers(bodies: Bodies, history: History, counts: Counter[str]) -> np.ndarray:
-    """Start bodies again by the consensus of their first frames, if these have outliers."""
+    """Start bodies again from the first frames that agree, if some of these have outliers."""
     restarted = np.zeros(bodies.count, bool)
     fits = np.isfinite(history['angle']).sum(axis=0)
     due = ~bodies.begun & (fits >= MIN_FITS)
@@ -138,22 +138,22 @@ def _relearn_moved_markers(bodies: Bodies, history: History) -> bool:
 
 
 def _update_shapes(bodies: Bodies, history: History) -> bool:
-    """Move the places of markers by their mean residuals; whether shapes or weights changed."""
+    """Move places of markers by mean residuals; whether shapes, or the used markers, changed."""
     has_pose = np.isfinite(history['angle']) & (history['information'] > 0).all(axis=1)
     residual = np.where(has_pose[..., None], history['residual'], np.nan)
     used = ~np.isnan(residual)
     count = used.sum(axis=0)
     mean = np.where(used, residual, 0).sum(axis=0) / np.maximum(count, 1)
-    # A place that is kept moves only if recent residuals contradict it.
-    is_kept = bodies.frames >= SETTLED_FRAMES
+    # A settled place moves only if recent residuals contradict it.
+    is_settled = bodies.frames >= SETTLED_FRAMES
     recent = slice(-NOISE_FRAMES, None)
     recent_count = used[recent].sum(axis=0)
     recent_mean = np.where(used[recent], residual[recent], 0).sum(axis=0)
     recent_mean = recent_mean / np.maximum(recent_count, 1)
     limit = MAX_MEAN_RESIDUAL * np.sqrt(np.maximum(bodies.misfit, ROUNDED**2 * bodies.spread))
     contradicted = np.abs(recent_mean) > limit[:, None]
-    contradicted &= is_kept & (recent_count >= NOISE_FRAMES // 2)
-    step = np.where(contradicted, recent_mean, np.where(is_kept, 0, mean))
+    contradicted &= is_settled & (recent_count >= NOISE_FRAMES // 2)
+    step = np.where(contradicted, recent_mean, np.where(is_settled, 0, mean))
     # A new marker is at its mean place in the frame of its body.
     is_new = (bodies.frames == 0) & (bodies.learned_count >= 2)[:, None]
     has_new = False
@@ -166,21 +166,20 @@ def _update_shapes(bodies: Bodies, history: History) -> bool:
             bodies.frames[b, k] = seen.sum()
             history['used'][seen, b, k] = True
             step[b, k], has_new = 0.0, True
-    # Frames that were used without a pose have got one, or the other way around.
-    uses_changed = bool((history['used'].sum(axis=0) != count).any() and not is_kept.all())
+    # Frames have gained or lost a pose since, so other markers count.
+    uses_changed = bool((history['used'].sum(axis=0) != count).any() and not is_settled.all())
     bodies.shape += step
-    bodies.frames = np.where(is_kept, SETTLED_FRAMES, np.maximum(bodies.frames, count))
-    bodies.frames = np.minimum(bodies.frames, SETTLED_FRAMES)
+    bodies.frames = np.minimum(np.maximum(bodies.frames, count), SETTLED_FRAMES)
     return has_new or bool(step.any()) or uses_changed
 
 
 def _without_noisy(bodies: Bodies, residual: Complex) -> Complex:
-    """Residuals of the markers that are as noisy as the others of their body, NaN for others."""
+    """Residuals, NaN for those of noisy markers (`relative` > 1)."""
     return np.where(bodies.relative > 1, complex(np.nan, np.nan), residual)
 
 
 def freedom_of(bodies: Bodies, residual: Complex) -> Real:
-    """Return the expected squares (N, B, n) of residuals, as `Fit` has them."""
+    """Return the expected square of each residual (N, B, n) for unit variance of a coordinate."""
     seen = ~np.isnan(residual)
     if seen.all():
         return np.broadcast_to(bodies.factors.freedom, residual.shape)
@@ -188,11 +187,11 @@ def freedom_of(bodies: Bodies, residual: Complex) -> Real:
 
 
 def _update_misfit(bodies: Bodies, history: History) -> None:
-    """Estimate the variance of a coordinate of a marker about its place."""
+    """Estimate the misfit: the variance of a marker about its place, per axis."""
     rows = slice(-MISFIT_FRAMES - 1, None)
     residual, markers = history['residual'][rows], history['markers'][rows]
     squares = mean_square(_without_noisy(bodies, residual), freedom_of(bodies, residual))[0]
-    # A body at rest, seen by a tracker that rounds, seems to fit exactly.
+    # A body at rest has the same rounded coordinates in every frame, which show no misfit.
     at_rest = (np.isnan(markers[1:]) | (markers[1:] == markers[:-1])).all(axis=-1)
     squares[1:][at_rest] = np.nan
     count = np.count_nonzero(~np.isnan(squares), axis=0)

@@ -1,5 +1,5 @@
 """
-Noise of the markers, from the residuals of rigid fits, and of single noisy markers.
+Noise of all markers of a body, and of single markers that are noisier, from rigid fits.
 
 Residuals are noise, plus whatever makes a body look not rigid: a lens, soft tissue, a shape that is
 not well known yet. That part changes slowly. So each residual is compared with the mean of its two
@@ -18,23 +18,24 @@ from kinpole_ros.tracking.statistics import (
     share_of_lowest,
 )
 
-# A variance is larger if the difference exceeds this many of its standard deviations.
+# Noise over blocks is larger if it exceeds the other by so many standard deviations of itself.
 SIGMAS = 4.0
-# Correlated noise is measured over this many blocks per window, of up to twice so many frames.
+# Blocks per window for correlated noise, and the most frames of half a block.
 BLOCKS, LONGEST_HALF = 12, 8
-# Noise that grows by this factor from half a block to a block grows further over longer ones.
+# Deviations that grow by this factor from half a block to a block are those of slow motion of the
+# markers, and grow further; those of a random walk grow by 2.
 GROWTH = 3.0
 # A marker is down-weighted if its variance exceeds that of the others by this factor from frame to
 # frame, or by the second over blocks of so many frames, until the ratio is below the third.
 RATIO_ON, BLOCK_RATIO_ON, RATIO_OFF = 2.0, 4.0, 1.5
 BLOCK = 8
-# One in so many markers may be down-weighted: if more disagree, they are on several links.
+# One in so many markers may be down-weighted at most: if more disagree, they are on several links.
 MARKERS_PER_NOISY = 4
-# One marker does not spoil a body with more.
+# Bodies with more markers are not weighted: one of them hardly matters.
 MAX_MARKERS = 32
 # Weights are kept while the variance changes by less than this factor.
 MAX_WEIGHT_CHANGE = 1.5
-# The residual variance of another choice of noisy markers must be this many times as large.
+# Exchanging a noisy marker for a good one must leave so many times the residual variance.
 MIN_CONTRAST = 2.0
 # Variances below this share of the squared size are rounding.
 ROUNDED_SQUARE = 1e-12
@@ -74,7 +75,7 @@ def white_noise(residual: Complex, freedom: Real, goes_on: np.ndarray) -> tuple[
     usable = ~np.isnan(squares)
     count = usable.sum(axis=0)
     degrees = np.where(usable, degrees, 0).sum(axis=0) / np.maximum(count, 1) / 1.5
-    # An outlier spoils three differences, so it is found by the residuals of its own frame.
+    # An outlier spoils the three differences it is in, so it is found by its own residuals.
     largest = np.maximum(own_squares[middle], np.maximum(own_squares[before], own_squares[after]))
     limit = OUTLIER_RATIO * bulk_maximum(own_squares[middle].T)
     ranked = np.sort(np.where(largest > limit, np.nan, squares), axis=0)
@@ -152,9 +153,10 @@ def correlated_noise(
     if half < 1:
         return white, np.zeros(len(white), bool)
     of_halves, of_blocks, degrees = noise_over_blocks(residual, freedom, goes_on, half)
-    lowest = 1 - SIGMAS / np.sqrt(2 * np.maximum(degrees, 1.0))
+    # Negative with few degrees: then nothing is found to be correlated.
+    lower_bound = 1 - SIGMAS / np.sqrt(2 * np.maximum(degrees, 1.0))
     with np.errstate(invalid='ignore'):
-        is_correlated = of_blocks * lowest > white
+        is_correlated = of_blocks * lower_bound > white
         grows = is_correlated & (of_blocks > GROWTH * of_halves)
     return np.where(is_correlated, of_blocks, white), grows
 
@@ -199,6 +201,7 @@ def marker_variances(
         is_noisy = new > np.where(relative[seen] > 1, RATIO_OFF, limit)
         noisy = np.flatnonzero(seen)[is_noisy].tolist()
         if noisy and not _is_unambiguous(values, shape, seen, noisy):
+            # Another marker may be the noisy one.
             continue
         ratios[seen] = np.maximum(ratios[seen], np.where(is_noisy, new, 1.0))
     is_noisy = ratios > 1
@@ -250,7 +253,7 @@ def _block_means(residual: Complex) -> Complex:
 
 
 def _is_unambiguous(values: Complex, shape: Complex, seen: np.ndarray, noisy: list[int]) -> bool:
-    """Whether no other marker might be the noisy one instead."""
+    """Whether exchanging a noisy marker for a good one always fits much worse."""
     good = seen.copy()
     good[noisy] = False
     limit = MIN_CONTRAST * _pooled_variance(values, shape, good)

@@ -1,7 +1,8 @@
 """
 When frames were captured: at their stamps, or at the ticks of the clock behind the stamps.
 
-Only the stamps and the motion decide this, never the clock of the machine.
+The count of a frame is the number of its tick. Only the stamps and the motion decide, never the
+clock of the machine.
 """
 
 from collections import Counter
@@ -79,12 +80,13 @@ class Timeline:
         is_used : (n,) bool
             Which of the first n frames are used; the others are late or repeated.
         n : int
-            Up to where the frames follow those before.
+            Number of frames that are decided on.
         restarts : bool
-            Whether frame n starts everything again. If not, and n < T, the clock is to be updated
-            before frame n.
+            Whether frame n starts a new timeline. If not, and n < T, call `update_clock`, then
+            `accept` the others.
 
         """
+        # Stop where the clock is to be estimated again, or where the stamps slip against it.
         stamps = stamps[: self._stamps.until_update]
         stamps = stamps[: self._stamps.until_slip(stamps)]
         if not len(stamps):
@@ -116,7 +118,7 @@ class Timeline:
         frames : MarkerFrames
             The next T frames.
         numbers : (T,) int
-            Their numbers.
+            Their indices among all frames of this call of the tracker.
 
         Returns
         -------
@@ -223,9 +225,12 @@ class Timeline:
         self._counter.learn_losses(counts)
         history['count'][first:] = counts
         history['time'][first:] = self._times_of(counts)
-        # Earlier frames had another rate.
-        before = history['stamp'][:first] - round(clock.lateness)
-        history['time'][:first] = _increasing(before)
+        # Earlier frames had another rate: they are at their stamps, less the mean lateness.
+        before = _increasing(history['stamp'][:first] - round(clock.lateness))
+        if first < len(history):
+            latest = history['time'][first] - _MIN_STEP * np.arange(first, 0, -1)
+            before = np.minimum(before, latest)
+        history['time'][:first] = before
 
     def _to_stamps(self) -> None:
         """Put frames at their stamps."""
@@ -328,8 +333,8 @@ class Arrivals:
             before = np.concatenate(((self._last,), stamps[:-1]))
             ahead = stamps - latest
             too_late = ahead <= -max_lateness
-            # A frame that is late by more comes from a clock that was set back, unless the frame
-            # before it was late, too.
+            # A frame that is too late is just late. Two in a row, the second newer than the first,
+            # come from a clock that was set back.
             restarts = too_late & (before < latest) & (before < stamps)
             restarts |= np.abs(ahead) > self._window
             end = int(restarts.argmax()) if restarts.any() else end

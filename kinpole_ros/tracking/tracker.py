@@ -308,8 +308,8 @@ class Tracker:
 
     def _pass_frames(self, stamps: np.ndarray, times: tuple[np.ndarray, ...]) -> None:
         """Pass the last frames to the compiled step."""
-        came = stamps, *times, self._points, self._heights
-        self._step.hand_over(came, self.matcher.has_unassigned)
+        new_frames = stamps, *times, self._points, self._heights
+        self._step.pass_frames(new_frames, self.matcher.has_unassigned)
 
     def _follow(self, until_update: int, results: Results) -> int:
         """Take usual frames and compute the results that are due; return why the loop ended."""
