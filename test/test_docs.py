@@ -239,6 +239,11 @@ def test_links_lead_to_files_and_headings() -> None:
                 assert not anchor or anchor in slugs(target), f'{page.name}: {link}'
 
 
+def test_readme_and_architecture_stay_short() -> None:
+    assert len((ROOT / 'README.md').read_text('utf-8').splitlines()) < 120
+    assert len((DOCS / 'architecture.md').read_text('utf-8').split()) < 2500
+
+
 @pytest.mark.parametrize('page', PAGES, ids=lambda page: page.stem)
 def test_blocks_run(page: Path, reader: Reader, tmp_path: Path, simulated, capfd) -> None:
     if page.name in ('README.md', 'bags.md'):

@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from kinpole_ros.tracking.deformation import TISSUE
-from kinpole_ros.tracking.space import KEEPS, SpaceReport
+from kinpole_ros.tracking.space import MAX_STRETCH_SHARE, SpaceReport
 
 # Limits of what is listed: names of markers may be of any number and length.
 _LISTED_NAMES, SHOWN_CHARACTERS = 12, 80
@@ -54,7 +54,7 @@ def shape_fault(b: int, off: float, cause: str, report: SpaceReport) -> str:
     if np.isnan(report.stretch[b]):
         # Too early to tell the body from the plane.
         return ''
-    holds = report.stretch[b] < KEEPS * off
+    holds = report.stretch[b] < MAX_STRETCH_SHARE * off
     if off and report.is_tilted and holds:
         degrees = round(np.degrees(report.tilt))
         return (

@@ -73,7 +73,7 @@ class DiagnosticsMaker:
         if theory is not None:
             from kinpole_ros.linkage import positions
 
-            self._positions = positions.LivePositions(theory.scene, theory.lies)
+            self._positions = positions.LivePositions(theory.scene, theory.matches)
         # At the last diagnostics: counts, outages by body, and frames with a wrong pose (B,).
         self._counts: Counter[str] = Counter()
         self._outages: dict[str, int] = {}
@@ -176,7 +176,7 @@ class DiagnosticsMaker:
         for off in (*rate_differences(self._theory, now), *joint_offsets(self._theory, now)):
             values[f'{off.subject}: {off.what} ({off.unit})'] = off.value
             values[f'{off.subject}: deviation of that ({off.unit})'] = off.deviation
-        positions = self._positions.add(now) if self._positions else None
+        positions = self._positions.append(now) if self._positions else None
         if positions is None and not values:
             message = f'too little is known yet to compare the scene {scene}'
         if positions is not None:

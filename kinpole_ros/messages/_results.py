@@ -196,7 +196,7 @@ def _add_pairs(table: _Table, bodies: Sequence[str], given: Plane) -> None:
 
 def _add_points(table: _Table, bodies: Sequence[str], theory: 'Theory', given: Plane) -> None:
     """Add the points of interest of the scene and their motion."""
-    from kinpole_ros.linkage.points import measured_point, points_of_interest
+    from kinpole_ros.linkage.theory import measured_point, points_of_interest
 
     for point in points_of_interest(theory):
         body = np.array([bodies.index(point.body)])

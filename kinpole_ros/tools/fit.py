@@ -57,7 +57,7 @@ def fit_bag(
     lines = fitted_lines(found)
     if output is None:
         return lines
-    changes = {row.dimension: row.value for row in found.dimensions if not row.held}
+    changes = {row.dimension: row.value for row in found.dimensions if not row.undetermined}
     # Both coordinates of a point are written.
     changes = {
         one: changes.get(one, one.value)

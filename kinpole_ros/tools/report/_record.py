@@ -168,7 +168,7 @@ def theory_rates(theory: Theory, estimate: Estimate) -> dict[str, np.ndarray]:
     """
     if not theory.driver:
         return {}
-    own, _, markers, points = theory.places[theory.driver]
+    own, _, markers, points = theory.matches[theory.driver]
     shape = estimate.shape[:, own, markers]
     turn = fit_pose(shape, points, np.isfinite(shape).astype(float)).angle
     mechanism = theory.scene.mechanism
@@ -177,7 +177,7 @@ def theory_rates(theory: Theory, estimate: Estimate) -> dict[str, np.ndarray]:
     inputs[: estimate.order + 1] = estimate.angle[:, :, own]
     inputs[0] = start + (inputs[0] + turn - start + np.pi) % (2 * np.pi) - np.pi
     measured = np.isfinite(inputs).all(axis=0)
-    numbers = {body: row[1] for body, row in theory.places.items() if body != theory.driver}
+    numbers = {body: row.in_scene for body, row in theory.matches.items() if body != theory.driver}
     rates = {body: np.full((estimate.order, len(estimate)), np.nan) for body in numbers}
     if not measured.any():
         return rates
