@@ -1,21 +1,18 @@
 """ROS messages to arrays and back: no other package handles the fields of a message."""
 
-from kinpole_ros.messages._cdr import serialize_message, with_zero_padding
-from kinpole_ros.messages._diagnostics import RECEIVED, RESTARTS, DiagnosticsMaker
-from kinpole_ros.messages._drawing import COLORS, deletion_of_all
-from kinpole_ros.messages._faults import (
+from kinpole_ros.messages._body_faults import (
     SMOOTHED,
     absent_markers_fault,
-    identity_lines,
-    jitter_fault,
     marker_faults,
     outage_fault,
-    plane_words,
     shape_fault,
-    tilt_fault,
     unit_fault,
     wrong_pose_fault,
 )
+from kinpole_ros.messages._cdr import serialize_message, with_zero_padding
+from kinpole_ros.messages._diagnostics import RECEIVED, RESTARTS, DiagnosticsMaker
+from kinpole_ros.messages._drawing import COLORS, deletion_of_all
+from kinpole_ros.messages._faults import identity_lines, jitter_fault, plane_words, tilt_fault
 from kinpole_ros.messages._markers import read_markers, to_message
 from kinpole_ros.messages._poses import AUTO_TYPES, PoseReader, kind_of, poses_data, reader_of
 from kinpole_ros.messages._reader import MarkerReader

@@ -7,19 +7,17 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from kinpole_ros.derivatives import FEWEST_SAMPLES
-from kinpole_ros.messages._faults import (
+from kinpole_ros.messages._body_faults import (
     SHOWN_CHARACTERS,
     SMOOTHED,
-    Fault,
     absent_markers_fault,
-    input_faults,
     marker_faults,
     outage_fault,
     shape_fault,
-    stamp_faults,
     unit_fault,
     wrong_pose_fault,
 )
+from kinpole_ros.messages._faults import Fault, input_faults, stamp_faults
 from kinpole_ros.messages._types import DiagnosticArray, DiagnosticStatus, KeyValue, ns_to_stamp
 from kinpole_ros.tracking.estimate import Estimate
 from kinpole_ros.tracking.outages import Outage
@@ -54,7 +52,7 @@ _COUNT_KEYS = {
     'bodies_ambiguous': 'bodies left out of a frame, since points fit them in several ways',
     'unreadable': 'messages that could not be read',
     'dropped': 'messages dropped, since the node or the network could not keep up',
-    'untold': 'results left out, since the node could not keep up',
+    'unpublished': 'results left out, since the node could not keep up',
     'failures': 'failures of the node itself',
 }
 
@@ -214,6 +212,9 @@ def _bodies(
                 'noise of its position per axis (m)': noise[b],
                 'noise of its angle (rad)': float(angle_noise[b]),
             }
+        absence = ''
+        if body in absent:
+            absence = absent_markers_fault(body, absent[body], tracker.identities)
         unit = unit_fault(float(space.size[b]), tracker.settings.scale)
         shape = shape_fault(b, residuals[b], causes[b], space)
         warnings = marker_faults(erring[body], noise[b])
@@ -225,9 +226,7 @@ def _bodies(
             _Body(
                 number=b,
                 name=f'{name}: {body}',
-                absent=absent_markers_fault(body, absent[body], tracker.identities)
-                if body in absent
-                else '',
+                absent=absence,
                 noises={key: value for key, value in noises.items() if np.isfinite(value)},
                 fault='; '.join(filter(None, (unit, shape))),
                 is_smoothed=bool(smoothed[b]),

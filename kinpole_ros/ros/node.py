@@ -258,7 +258,7 @@ class KinpoleNode(ParameterNode):
     def _add_unpublished(self, frames: MarkerFrames) -> None:
         self._stamps.extend(frames.stamps.tolist())
         self._tracker.add(frames, None)
-        self._tracker.counts['untold'] += len(frames.stamps)
+        self._tracker.counts['unpublished'] += len(frames.stamps)
 
     def _note(self, key: str, text: str) -> None:
         """Keep a fault for the diagnostics, and log it when it begins; without text it is over."""
@@ -305,7 +305,7 @@ class KinpoleNode(ParameterNode):
                     'name of its own (-r __node:=NAME), and play of a bag the markers alone; what '
                     'was killed counts for some seconds more'
                 )
-        self._note('rivals', text)
+        self._note('duplicates', text)
 
     def recover(self, error: Exception) -> None:
         """Note an error that no callback caught; while processing markers, restart the tracker."""
