@@ -37,7 +37,7 @@ def every_parameter() -> str:
 
 
 def _settable(name: str, row: parameters.Parameter) -> str:
-    """Tell when a parameter can be set, as `ros.settable` has it."""
+    """Tell when a parameter can be set, as `ros.parameters` has it."""
     if row.fixed:
         return 'can be set at the start only'
     if parameters.is_of_bodies(name):

@@ -243,11 +243,11 @@ class Turning(Tracker):
     def add(self, frames: MarkerFrames, order: int | None) -> list[Any]:
         found = super().add(frames, order)
         # What is not learned yet would turn it back.
-        self.settle()
-        self._known.shape *= np.exp(1e-7j * len(frames.stamps))
-        self._known.shape += 1e-9 * len(frames.stamps)
-        self._known.update()
-        self._step.bind(self._known, self._history)
+        self.learn_if_due()
+        self._calibration.shape *= np.exp(1e-7j * len(frames.stamps))
+        self._calibration.shape += 1e-9 * len(frames.stamps)
+        self._calibration.update()
+        self._step.bind(self._calibration, self._history)
         return found
 
 

@@ -22,8 +22,8 @@ from test_report import BLUE, GREEN, RED, await_color, cell
 
 from kinpole_ros.bags import BagWriter, read_messages, replay
 from kinpole_ros.messages import STATE, VIEW, String, live_outputs, serialize_message, view_of
-from kinpole_ros.ros.live import own_context, play
-from kinpole_ros.ros.watch import Arrived
+from kinpole_ros.ros.listener import Arrived
+from kinpole_ros.ros.player import own_context, play
 from kinpole_ros.tools.cli import main
 from kinpole_ros.tools.report import page as page_of
 from kinpole_ros.tools.view._frames import frame_of_view

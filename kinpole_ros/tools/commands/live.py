@@ -56,7 +56,7 @@ def play(options: argparse.Namespace) -> int:
 
     Publishes a bag at the pace it was recorded, once there is a subscriber.
     """
-    from kinpole_ros.ros.live import play as play_bag
+    from kinpole_ros.ros.player import play as play_bag
 
     with progress_bar('play') as progress:
         count = play_bag(
@@ -87,7 +87,7 @@ def record(options: argparse.Namespace) -> int:
 
     Records until Ctrl-C. A killed recorder loses at most the last second.
     """
-    from kinpole_ros.ros.live import record as record_topics
+    from kinpole_ros.ros.recorder import record as record_topics
 
     check_ending('--output', options.output, 'an MCAP bag')
     count = record_topics(options.output, options.topic or ['/kinpole/', '/diagnostics'])

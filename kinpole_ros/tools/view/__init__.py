@@ -32,7 +32,7 @@ def view(chosen: str = '', port: int = 0) -> None:
     BagError
         If the port cannot be used, or ROS cannot start.
     """
-    from kinpole_ros.ros.watch import watching
+    from kinpole_ros.ros.listener import watching
 
     # On busy cores the node and its subscribers come first.
     os.nice(_NICENESS)

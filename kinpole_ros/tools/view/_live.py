@@ -16,7 +16,7 @@ from kinpole_ros.tools.view._frames import Frame, Rig, frame_of_state, frame_of_
 from kinpole_ros.tools.view._server import RIG_EVENT, Feed
 
 if TYPE_CHECKING:
-    from kinpole_ros.ros.watch import Watcher
+    from kinpole_ros.ros.listener import Watcher
 
 # Seconds between searches of the graph, until there are results and afterwards.
 _SEARCH_INTERVAL, _UPDATE_INTERVAL = 0.25, 1.0

@@ -1,35 +1,32 @@
 """
-Where things are in the serialized bytes of the messages of markers and poses.
+Offsets of the fields in the serialized bytes of messages of markers and poses.
 
-A message comes from anywhere, so its sizes are followed through the bytes before anyone takes
-memory for what they claim. The encoding is the plain CDR of ROS 2: four bytes that tell it and the
-byte order, then the fields one after another, each aligned to its size from there on. Places are
-counted from the start of the message; padding holds whatever was in memory.
+A message may come from anywhere, so the sizes in it are followed through the bytes before memory is
+taken for what they claim. Offsets are counted from the start of the message.
 """
 
 import struct
 from typing import NamedTuple
 
-from kinpole_ros.messages._cdr_writer import HEAD, LITTLE
-from kinpole_ros.messages._cloud import MessageError
-from kinpole_ros.messages._markers import INPUT_TYPE_NAMES
+from kinpole_ros.messages._cdr import HEAD, LITTLE
+from kinpole_ros.messages._types import INPUT_TYPE_NAMES, MessageError
 
-# What rclpy would make objects of: beyond, they take 5 s and hundreds of MB. A marker takes as long
-# as so many points.
-_MOST_OBJECTS = 1 << 18
+# Objects that rclpy would make of a message; beyond, they take 5 s and hundreds of MB. A marker
+# takes as long as 16 points.
+_MAX_OBJECTS = 1 << 18
 _MARKER = 16
 _ORDERS = {b'\x00\x00': '>', LITTLE: '<'}
 
 
 class Items(NamedTuple):
-    """A sequence or string: where its first item is, and how many there are."""
+    """A sequence or string: offset of its first item, and number of items."""
 
     start: int
     number: int
 
 
-class MarkerPlaces(NamedTuple):
-    """Where the parts of a Marker are; at `number` are its id, type and action."""
+class MarkerOffsets(NamedTuple):
+    """Offsets of the fields of a Marker; at `number` are its id, type and action."""
 
     stamp: int
     frame_id: Items
@@ -39,8 +36,8 @@ class MarkerPlaces(NamedTuple):
     points: Items
 
 
-class PosePlaces(NamedTuple):
-    """Where the parts of poses are: of one with a child_frame_id, or of several without."""
+class PoseOffsets(NamedTuple):
+    """Offsets of poses: of one with a child_frame_id, or of several without."""
 
     stamp: int
     frame_id: Items
@@ -48,23 +45,24 @@ class PosePlaces(NamedTuple):
     poses: Items
 
 
-class Walk:
+class MessageOffsets:
     """
-    The places in one message of markers or poses of the type `kind`.
+    The offsets in one message of markers or poses of the type `kind`, a key of INPUT_TYPES.
 
-    Raises MessageError when it is cut short, and when it holds more than anyone tracks.
+    `size` is that of the message in bytes, `order` its byte order as `struct` names it. `sizes` are
+    the offsets of the lengths of all sequences and strings. A Marker or MarkerArray has `markers`,
+    the other types a `stamp`, a `frame_id` and `items`: poses, or the data of a cloud. `poses` has
+    the poses of bodies. `layout` are first and last offsets of the fields of a cloud that describe
+    its data.
 
-    `size` is that of the message, `little` whether it is little endian, `sizes` where each sequence
-    and string tells its length. `markers` has the places in a Marker or MarkerArray; the others
-    have a `stamp` and `frame_id`, and what they hold, `items`: poses or the data of a cloud.
-    `transforms` has the places of poses of bodies. `layout` are spans of a cloud, from place to
-    place, that tell what its data means.
+    Raises MessageError for a message that is cut off, or that holds more than 16,384 markers or
+    262,144 poses or points.
     """
 
     def __init__(self, kind: str, data: bytes) -> None:
         self.sizes: list[int] = []
-        self.markers: list[MarkerPlaces] = []
-        self.transforms: list[PosePlaces] = []
+        self.markers: list[MarkerOffsets] = []
+        self.poses: list[PoseOffsets] = []
         self.stamp = 0
         self.frame_id = self.items = Items(0, 0)
         self.layout: list[tuple[int, int]] = []
@@ -74,11 +72,10 @@ class Walk:
                 f'{len(data)} bytes are no {INPUT_TYPE_NAMES[kind]}: they do not start as plain '
                 'CDR; see that the sender sends that and that nothing is damaged'
             )
-        self.little, self.order = order == '<', order
-        self.size = len(data)
+        self.order, self.size = order, len(data)
         self._objects = 0
         self._data = data
-        self._size = struct.Struct(f'{order}I').unpack_from
+        self._unpack_length = struct.Struct(f'{order}I').unpack_from
         self._at = HEAD
         try:
             getattr(self, f'_{kind}')()
@@ -89,21 +86,21 @@ class Walk:
                 f'{len(data)} bytes are no {INPUT_TYPE_NAMES[kind]}: the sizes in them claim more; '
                 'see that the sender sends whole messages and that nothing is damaged'
             )
-        if self._objects > _MOST_OBJECTS:
+        if self._objects > _MAX_OBJECTS:
             raise MessageError(
                 f'{len(data)} bytes of {INPUT_TYPE_NAMES[kind]} are too much: more than '
-                f'{_MOST_OBJECTS // _MARKER} markers, or {_MOST_OBJECTS} poses, points and colors; '
+                f'{_MAX_OBJECTS // _MARKER} markers, or {_MAX_OBJECTS} poses, points and colors; '
                 'send them as a PointCloud2'
             )
 
     def _marker_array(self) -> None:
         for _ in range(self._length()):
             self._marker()
-            if self._objects > _MOST_OBJECTS:
+            if self._objects > _MAX_OBJECTS:
                 return
 
     def _marker(self) -> None:
-        """Field after field, as visualization_msgs/msg/Marker has them."""
+        """Pass the fields of a visualization_msgs/msg/Marker in order."""
         self._objects += _MARKER
         stamp, frame_id = self._header()
         ns = self._sequence(1)
@@ -122,7 +119,7 @@ class Walk:
         self._sequence(1)  # mesh_file: filename and data
         self._sequence(1)
         self._skip(1)  # mesh_use_embedded_materials
-        self.markers.append(MarkerPlaces(stamp, frame_id, ns, number, pose, points))
+        self.markers.append(MarkerOffsets(stamp, frame_id, ns, number, pose, points))
 
     def _pose_array(self) -> None:
         self.stamp, self.frame_id = self._header()
@@ -131,39 +128,39 @@ class Walk:
     def _pose_stamped(self) -> None:
         stamp, frame_id = self._header()
         poses = Items(self._skip(56, 8), 1)
-        self.transforms.append(PosePlaces(stamp, frame_id, Items(0, 0), poses))
+        self.poses.append(PoseOffsets(stamp, frame_id, Items(0, 0), poses))
 
     def _body_poses(self) -> None:
         self._pose_array()
-        self.transforms.append(PosePlaces(self.stamp, self.frame_id, Items(0, 0), self.items))
+        self.poses.append(PoseOffsets(self.stamp, self.frame_id, Items(0, 0), self.items))
 
     def _tf(self) -> None:
         for _ in range(self._length()):
             self._objects += _MARKER
-            if self._objects > _MOST_OBJECTS:
+            if self._objects > _MAX_OBJECTS:
                 return
             stamp, frame_id = self._header()
             child = self._sequence(1)
             poses = Items(self._skip(56, 8), 1)
-            self.transforms.append(PosePlaces(stamp, frame_id, child, poses))
+            self.poses.append(PoseOffsets(stamp, frame_id, child, poses))
 
     def _point_cloud2(self) -> None:
         self.stamp, self.frame_id = self._header()
-        self._keep(8, 4)  # height, width
+        self._describe(8, 4)  # height, width
         for _ in range(self._length()):
             name = self._sequence(1)
             self.layout.append((name.start, name.start + name.number))
-            self._keep(5, 4)  # offset, datatype
-            self._keep(4, 4)  # count
-        self._keep(1)  # is_bigendian
-        self._keep(8, 4)  # point_step, row_step
+            self._describe(5, 4)  # offset, datatype
+            self._describe(4, 4)  # count
+        self._describe(1)  # is_bigendian
+        self._describe(8, 4)  # point_step, row_step
         self.items = self._sequence(1)
         self._skip(1)  # is_dense
 
     def _header(self) -> tuple[int, Items]:
         return self._skip(8, 4), self._sequence(1)
 
-    def _keep(self, size: int, align: int = 1) -> None:
+    def _describe(self, size: int, align: int = 1) -> None:
         start = self._skip(size, align)
         self.layout.append((start, start + size))
 
@@ -175,10 +172,10 @@ class Walk:
     def _length(self) -> int:
         start = self._skip(4, 4)
         self.sizes.append(start)
-        return int(self._size(self._data, start)[0])
+        return int(self._unpack_length(self._data, start)[0])
 
     def _sequence(self, size: int, align: int = 1) -> Items:
-        """Skip a sequence of items of that size; an empty one is not aligned to its items."""
+        """Skip a sequence of items of this size; an empty one is not aligned to its items."""
         count = self._length()
         if size > 1:
             self._objects += count
