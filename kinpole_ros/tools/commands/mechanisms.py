@@ -203,7 +203,7 @@ def discover(options: argparse.Namespace) -> int:
     not move cannot be found. "left over" is the residual of a joint over the noise: 1 is perfect;
     more is play, a distorting lens, or a body that bends.
     """
-    from kinpole_ros.tools.discover import discover_rig
+    from kinpole_ros.tools.discover import DiscoverOptions, discover_rig
 
     outputs = [
         ('--output', options.output, 'a YAML file'),
@@ -213,17 +213,9 @@ def discover(options: argparse.Namespace) -> int:
     check_outputs([options.source], outputs)
     troubles: list[object] = []
     with progress_bar('discover') as progress:
-        lines = discover_rig(
-            options.source,
-            options.topic,
-            options.seconds,
-            options.output,
-            options.scene,
-            options.plot,
-            progress,
-            troubles.append,
-            options.plane,
-        )
+        fields = {name: getattr(options, name) for name in DiscoverOptions._fields}
+        request = DiscoverOptions(**fields)
+        lines = discover_rig(options.source, request, progress, troubles.append)
     print_lines(lines)
     return _print_troubles('discover', troubles)
 

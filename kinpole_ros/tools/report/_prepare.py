@@ -93,10 +93,10 @@ def _discover(
     progress: Callable[[float], None] | None,
 ) -> tuple[Path | None, list[str]]:
     """Write the parameter file of discover; return it, None if it finds nothing, and lines."""
-    from kinpole_ros.tools.discover import discover_rig
+    from kinpole_ros.tools.discover import DiscoverOptions, discover_rig
 
     try:
-        lines = discover_rig(bag, topic, output=rig, progress=progress)
+        lines = discover_rig(bag, DiscoverOptions(topic, output=rig), progress)
     except BagError as error:
         return None, [f'bodies: not found: {str(error).removeprefix(f"{bag}: ")}']
     values = {name: text.strip() for name, text in (line.split(':', 1) for line in lines[:4])}
