@@ -114,22 +114,22 @@ def _normal(plane: str) -> np.ndarray | None:
 def _why_no_scene(linkage: Linkage, drawn: tuple[str, Checked] | None) -> str:
     if linkage.space is not None:
         return (
-            'the bodies do not move in one plane, and a scene is of one; fix: guide the motion, or '
-            'go on with the parameter file: figures are then those of the projection'
+            'the bodies do not move in one plane, as those of a scene; fix: guide the motion, or '
+            'use the parameter file alone, for results of the projection'
         )
     if drawn is None:
         return (
-            'no joint connects a body with the ground; fix: record more of the motion, or mark the '
-            'bodies between'
+            'no joint connects a body with the ground; fix: record more of the motion, or put '
+            'markers on the bodies between'
         )
     checked = drawn[1]
     why = checked.problem or (
-        f'its markers are {checked.first * 1e3:.2g} mm rms off those measured at the first frame, '
-        f'of a noise of {checked.noise * 1e3:.2g} mm'
+        f'its markers differ by {checked.first * 1e3:.2g} mm rms from those measured at the first '
+        f'frame, with a noise of {checked.noise * 1e3:.2g} mm'
     )
     return (
-        f'the draft does not explain the markers: {why}; fix: see what is left over in the table, '
-        'and record more of the motion'
+        f'the draft does not explain the markers: {why}; fix: see the column "left over" in the '
+        'table, and record more of the motion'
     )
 
 

@@ -41,7 +41,7 @@ def fit_bag(
     loaded = load_scene(scene)
     numbers = free_dimensions(loaded, list(chain(*free)) or loaded.free)
     if not numbers:
-        raise SceneError(f'{scene}: its joints have no dimensions to be fitted: add joints')
+        raise SceneError(f'{scene}: its joints have no dimensions to fit; add joints')
     settings = _settings(loaded, scene, config)
     theory = load_theory(settings)
 
@@ -74,7 +74,7 @@ def fit_bag(
     try:
         load_scene(text if '\n' in text else output)
     except SceneError as error:
-        lines.append(f'as fitted it does not move as it is driven: {error}')
+        lines.append(f'the fitted scene cannot move as its drivers prescribe: {error}')
     return lines
 
 

@@ -190,12 +190,7 @@ def _foxglove_plot(title: str, rows: Sequence[tuple[str, str, str]], axis: str) 
 
 def _split(direction: str, panels: Sequence[Any], percentage: float) -> Json:
     first, second = panels
-    return {
-        'direction': direction,
-        'first': first,
-        'second': second,
-        'splitPercentage': percentage,
-    }
+    return {'direction': direction, 'first': first, 'second': second, 'splitPercentage': percentage}
 
 
 def _equal_column(panels: Sequence[str]) -> Any:

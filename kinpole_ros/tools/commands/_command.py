@@ -98,10 +98,10 @@ SET = option(
 )
 TOPIC = option('--topic', 'T', "topic of the markers (the parameter file's, or /markers)")
 BAG_OUTPUT = option('--output', 'BAG', '.mcap file to write', required=True)
-# What a file of points may not say.
+# Options for data that a file of points may lack.
 POINT_OPTIONS = (
-    option('--rate', 'HZ', 'frames per second, if the file of points has no times', float),
-    option('--scale', 'M_PER_UNIT', 'meters per unit of a file of points', float),
+    option('--rate', 'HZ', 'frames per second of a file of points, instead of its times', float),
+    option('--scale', 'M_PER_UNIT', 'meters per unit of a file of points (as it says)', float),
     flag(
         '--y-down',
         'y points down in a file of points, as in pictures (as its format has it)',

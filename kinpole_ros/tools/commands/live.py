@@ -98,7 +98,7 @@ def record(options: argparse.Namespace) -> int:
 @command('demo', option('--output', 'FOLDER', 'where to write (out)', default='out'))
 def demo(options: argparse.Namespace) -> int:
     """
-    Run node, bag, recording and picture together, to see that all works.
+    Run a node on a bag, and show a table and a picture of its results.
 
     Starts the node, plays a bag of a four-bar into it, records what it publishes, prints a table
     and draws a picture.

@@ -39,7 +39,7 @@ from kinpole_ros.tools.commands._terminal import UsageError, print_error, print_
     option(
         '--polygon',
         'FILE.svg',
-        'velocity and acceleration polygons to scale beside the linkage, .svg or .png: at --at, at '
+        'velocity and acceleration polygons to scale, and the linkage, .svg or .png: at --at, at '
         'time 0, or at the end of --time',
     ),
     option(

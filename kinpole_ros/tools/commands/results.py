@@ -6,7 +6,7 @@ from pathlib import Path
 from kinpole_ros.tools.commands._command import POINT_OPTIONS, SET, TOPIC, command, option
 from kinpole_ros.tools.commands._output_files import check_outputs
 from kinpole_ros.tools.commands._terminal import print_error, print_lines, progress_bar
-from kinpole_ros.tools.commands.bags import settings_of
+from kinpole_ros.tools.commands.replay import settings_of
 
 
 @command(

@@ -94,8 +94,8 @@ def report(
     if topic is None and has_results(bag):
         if settings.scene:
             raise BagError(
-                f'{bag} holds results; theory is held against markers: give the bag of these, or '
-                'leave the scene out'
+                f'{bag} holds results, and a scene is compared with markers; give the bag of '
+                'markers, or leave out the scene'
             )
         record, notes = read_record(bag, _most_instants, progress)
     else:

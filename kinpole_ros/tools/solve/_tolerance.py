@@ -263,6 +263,6 @@ def _record_columns(spread: ToleranceSpread) -> Mapping[tuple[str, str], Any]:
         for kind in ('angle', 'angular velocity'):
             name = f'{kind.replace(" ", "_")}_sigma'
             columns[body, name] = spread.deviation[index[body, kind]]
-        parts = spread.parts[:, [index[body, 'ICR x'], index[body, 'ICR y']]]
-        columns[body, 'icr_covariance'] = np.einsum('eat,ebt->tab', parts, parts)
+        axes = spread.parts[:, [index[body, 'ICR x'], index[body, 'ICR y']]]
+        columns[body, 'icr_covariance'] = np.einsum('eat,ebt->tab', axes, axes)
     return columns
