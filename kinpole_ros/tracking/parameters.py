@@ -377,7 +377,6 @@ NODE_PARAMETERS = {
 # Parameters that no user needs: accepted with a warning, and the reason.
 DEPRECATED = {
     'method': 'it makes no difference',
-    'executor': 'the node finds by itself which executor works with this rclpy',
 }
 # In a joint, what does not move.
 GROUND = 'ground'

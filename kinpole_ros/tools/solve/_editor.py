@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 
-from kinpole_ros.mechanism import GROUND, Belt, Rolling, Slot, Strut, value_spans, with_laws
+from kinpole_ros.mechanism import GROUND, Belt, Rolling, Strut, loop_form, value_spans, with_laws
 from kinpole_ros.tools.solve._solution import Solution
 
 
@@ -51,7 +51,18 @@ def editor_data(solution: Solution, text: str, order: np.ndarray) -> dict[str, A
                 'a': ends[0],
                 'other': names.index(joint.other),
                 'b': ends[1],
-                'terms': _terms(joint, names),
+                'terms': [
+                    {
+                        'point': -1,
+                        'fixed': [
+                            term.length * np.cos(term.offset),
+                            term.length * np.sin(term.offset),
+                        ],
+                        'turn': names.index(term.turn),
+                        'slide': names.index(term.slide) if term.slide else -1,
+                    }
+                    for term in loop_form(joint).terms
+                ],
                 'loose': isinstance(joint, Strut | Belt),
                 'held': isinstance(joint, Belt) and joint.carrier is not None,
             }
@@ -82,28 +93,6 @@ def editor_data(solution: Solution, text: str, order: np.ndarray) -> dict[str, A
         'at': at,
         'values': solution.values[:, order[at]].tolist(),
     }
-
-
-def _terms(joint: Any, names: list[str]) -> list[dict[str, Any]]:
-    """Return the vectors between the two points of a joint: slides, radii and belts."""
-
-    def term(z: complex, turn: str, slide: str | None = None) -> dict[str, Any]:
-        fixed = [float(np.real(z)), float(np.imag(z))]
-        length = names.index(slide) if slide else -1
-        return {'point': -1, 'fixed': fixed, 'turn': names.index(turn), 'slide': length}
-
-    if isinstance(joint, Slot):
-        return [term(np.exp(1j * joint.along), joint.one, joint.name)]
-    if isinstance(joint, Rolling) and joint.circle:
-        return [term(joint.circle + joint.radius, joint.name)]
-    if isinstance(joint, Rolling):
-        along = np.exp(1j * joint.along)
-        return [term(along, joint.one, joint.name), term(1j * along * joint.radius, joint.one)]
-    if isinstance(joint, Strut | Belt):
-        angle = f'{joint.name}.angle'
-        across = 1j * (joint.radii[0] - joint.radii[1]) if isinstance(joint, Belt) else 0
-        return [term(1, angle, joint.name), *([term(across, angle)] if across else [])]
-    return []
 
 
 def _inputs(solution: Solution) -> np.ndarray:

@@ -1,5 +1,10 @@
 """
-The plain table, which anyone can write: a line of names, then a line a frame.
+The plain table, which anyone can write: a line of names, then a line for each frame.
+
+Columns are NAME_x and NAME_y for each marker, maybe NAME_z (else z is 0), and t, in s, or another
+column named as one of times. One marker may have columns x and y alone. Other columns are ignored.
+A cell that is empty or 'nan' means that its marker was not seen in that frame. The unit is m, if no
+column says another.
 
 Anipose writes such a table, too: fnum, and x, y, z, error, ncams and score of each point, in the
 unit of its calibration.
@@ -13,7 +18,7 @@ from itertools import product
 import numpy as np
 
 from kinpole_ros.bags._files import BagError
-from kinpole_ros.bags.formats._file import File, Format, Points, Wanted, not_utf8
+from kinpole_ros.bags.formats._file import File, Format, Options, Points, not_utf8
 from kinpole_ros.bags.formats._sheet import Sheet, shown, whole_numbers
 
 # "time", "Time (s)", "t [s]", "timestamp_ns", "time_ms".
@@ -37,7 +42,7 @@ _COORDINATE = re.compile(
 )
 
 
-def _recognizes(file: File) -> bool:
+def _is_table(file: File) -> bool:
     return file.is_sheet and bool(_axes_by_marker(_header(file.sheet))[0])
 
 
@@ -48,46 +53,39 @@ def _is_anipose(file: File) -> bool:
 
 def _header(sheet: Sheet) -> list[str]:
     """Return the names of columns; numpy puts a # before the first."""
-    return [name.removeprefix('#').strip() for name in sheet.head(0)]
+    return [name.removeprefix('#').strip() for name in sheet.row(0)]
 
 
 def _axes_by_marker(header: Sequence[str]) -> tuple[dict[str, dict[str, int]], str]:
     """
     Find columns by marker and axis, in the order of the header, and the unit in them, else ''.
 
-    Where no column is named NAME_x, those with x and y in another writing count.
+    Where no column is named NAME_x, those with x and y in another notation count.
     """
-    found: dict[str, dict[str, int]] = {}
+    axes: dict[str, dict[str, int]] = {}
     for column, title in enumerate(header):
         if title[:-2] and title[-2:] in _AXES:
-            found.setdefault(title[:-2], {})[title[-1]] = column
-    if found:
-        return found, ''
+            axes.setdefault(title[:-2], {})[title[-1]] = column
+    if axes:
+        return axes, ''
     units = set()
     for column, title in enumerate(header):
         if match := _COORDINATE.fullmatch(title):
             name = match['name'] or f'point{match["number"]}'
-            found.setdefault(name, {}).setdefault(match['axis'].lower(), column)
+            axes.setdefault(name, {}).setdefault(match['axis'].lower(), column)
             units.add((match['unit'] or '').strip())
-    found = {name: axes for name, axes in found.items() if 'x' in axes and 'y' in axes}
-    return found, ' and '.join(sorted(units))
+    axes = {name: columns for name, columns in axes.items() if {'x', 'y'} <= columns.keys()}
+    return axes, ' and '.join(sorted(units))
 
 
-def _read(file: File, wanted: Wanted) -> Points:
-    """
-    NAME_x and NAME_y for each marker, NAME_z where there is one (else z is 0), and t, in s,
-    or another column named as one of times. One marker may have columns x and y alone.
-
-    Other columns are ignored. A cell that is empty or 'nan' means that its marker was not seen in
-    that frame. The unit is m, if no column says another. Raises BagError naming line and column
-    when it is not so.
-    """
+def _read(file: File, options: Options) -> Points:
+    """Read the columns of markers, and those of times or of frame numbers."""
     sheet, path = file.sheet, file.path
     if sheet.not_utf8_line:
         raise not_utf8(path, sheet.not_utf8_line)
     if len(sheet) < 2:
-        has = 'has no frames, only a line of names' if len(sheet) else 'is empty'
-        raise BagError(f'{path} {has}; fix: give a line of names and a line for each frame')
+        fault = 'has no frames, only a line of names' if len(sheet) else 'is empty'
+        raise BagError(f'{path} {fault}; fix: give a line of names and a line for each frame')
     header, head_line = _header(sheet), sheet.lines[0]
     for name, count in Counter(header).items():
         if name and count > 1:
@@ -96,74 +94,78 @@ def _read(file: File, wanted: Wanted) -> Points:
             )
     if (uneven := sheet.uneven_row()) is not None:
         raise BagError(
-            f'{path}, line {sheet.lines[uneven]}: {len(sheet.head(uneven))} cells under '
+            f'{path}, line {sheet.lines[uneven]}: {len(sheet.row(uneven))} cells under '
             f'{len(header)} names; fix: as many separators in each line'
         )
     axes, unit = _axes_by_marker(header)
-    names = list(axes)
-    if not names:
+    if not axes:
         raise BagError(
             f'{path}, line {head_line}: no column is named NAME_x; fix: name the columns of each '
             'marker NAME_x and NAME_y, with commas between them'
         )
-    for name, axis in product(names, 'xy'):
+    for name, axis in product(axes, 'xy'):
         if axis not in axes[name]:
             raise BagError(
                 f"{path}, line {head_line}: marker '{shown(name)}' has no column "
                 f'{shown(f"{name}_{axis}")}; fix: add it'
             )
-    columns = [[axes[name][axis] for axis in 'xyz' if axis in axes[name]] for name in names]
+    columns = {name: [of[axis] for axis in 'xyz' if axis in of] for name, of in axes.items()}
     if _is_anipose(file):
-        return _of_anipose(file, names, columns, wanted)
-    time_column = None if wanted.rate is not None else _time_column(sheet, header)
-    title = 't' if time_column is None else header[time_column[0]]
-    also = None if time_column is None else (time_column[0], title)
-    points, numbers = sheet.points(columns, names, 1, also=also, separator='_')
+        return _read_anipose(sheet, columns, options)
+    time_column = None if options.rate is not None else _time_column(sheet, header)
+    if time_column is None:
+        points, _ = sheet.points(columns, 1, separator='_')
+        times, title = None, 't'
+    else:
+        index, seconds = time_column
+        title = header[index]
+        points, numbers = sheet.points(columns, 1, number=(index, title), separator='_')
+        times = numbers * seconds
     return Points(
-        names,
+        list(columns),
         points,
         np.arange(len(points)),
-        None if time_column is None else numbers * time_column[1],
+        times,
         unit or 'm',
         lines=sheet.lines[1:],
         time_column=shown(title),
     )
 
 
-def _of_anipose(file: File, names: list[str], columns: list[list[int]], wanted: Wanted) -> Points:
-    """Read points by the number of their frame, less those of little score where that is wanted."""
-    sheet = file.sheet
+def _read_anipose(sheet: Sheet, columns: dict[str, list[int]], options: Options) -> Points:
+    """Read points by frame number, without those below the likelihood, which is their score."""
     header = _header(sheet)
-    number = (header.index('fnum'), 'fnum')
-    points, numbers = sheet.points(columns, names, 1, also=number, separator='_')
-    for k, name in enumerate(names):
-        if wanted.likelihood is not None and f'{name}_score' in header:
+    number = header.index('fnum'), 'fnum'
+    points, numbers = sheet.points(columns, 1, number=number, separator='_')
+    for k, name in enumerate(columns):
+        if options.likelihood is not None and f'{name}_score' in header:
             score = sheet.column(header.index(f'{name}_score'), 1, f'{name}_score')
-            points[~(score >= wanted.likelihood), k] = np.nan
-    frames = whole_numbers(file.path, numbers, sheet.lines[1:], 'fnum')
-    return Points(names, points, frames, None, '', lines=sheet.lines[1:])
+            points[~(score >= options.likelihood), k] = np.nan
+    lines = sheet.lines[1:]
+    frames = whole_numbers(sheet.path, numbers, lines, 'fnum')
+    return Points(list(columns), points, frames, None, '', lines=lines)
 
 
 def _time_column(sheet: Sheet, header: list[str]) -> tuple[int, float] | None:
     """
-    Index of the column of times and the seconds of its unit; None where there is none.
+    Return the index of the column of times and the seconds of its unit; None where there is none.
 
     A column t is that of times, whatever others there are. Raises BagError where several others
     could be, or one is in a unit that is not known.
     """
     if 't' in header:
         return header.index('t'), 1.0
-    found = {}
+    units = {}
     for column, name in enumerate(header):
         if match := _TIME.fullmatch(name):
-            found[column] = (match['bracketed'] or match['unit'] or 's').strip().lower()
-    if len(found) > 1:
-        named = ', '.join(f"'{shown(header[column])}'" for column in found)
+            units[column] = (match['bracketed'] or match['unit'] or 's').strip().lower()
+    if len(units) > 1:
+        names = ', '.join(f"'{shown(header[column])}'" for column in units)
         raise BagError(
-            f'{sheet.path}, line {sheet.lines[0]}: the times could be in any of {named}; '
+            f'{sheet.path}, line {sheet.lines[0]}: the times could be in any of {names}; '
             'fix: name the one to use t, in seconds, or give --rate HZ'
         )
-    for column, unit in found.items():
+    for column, unit in units.items():
         if unit not in _SECONDS:
             raise BagError(
                 f"{sheet.path}, line {sheet.lines[0]}: column '{shown(header[column])}' is in a "
@@ -181,10 +183,10 @@ ANIPOSE = Format(
     _read,
     is_always_ended=True,
 )
-FORMAT = Format(
+TABLE = Format(
     'table',
     'columns NAME_x, NAME_y, maybe NAME_z, and t in seconds',
     't,tip_x,tip_y\n0.00,0.125,0.250',
-    _recognizes,
+    _is_table,
     _read,
 )

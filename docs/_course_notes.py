@@ -1,8 +1,9 @@
 """
-The page docs/seeds.md: what three sets of course notes print, and what kinpole says to each.
+The page docs/course_notes.md: the results of three sets of course notes, next to those of kinpole.
 
-`python docs/_seeds.py` writes it; test/test_seeds.py makes it again and compares. An entry is a
-command, of whose output a pattern picks numbers, or an expression of Python after `SETUP`.
+`python docs/_course_notes.py` writes it, and test/test_course_notes.py compares it with a new one.
+An entry is a command with a pattern for numbers in its output, or a Python expression after
+`SETUP`.
 """
 
 import contextlib
@@ -18,21 +19,23 @@ import numpy as np
 
 from kinpole_ros.tools.cli import main
 
-PAGE = Path(__file__).parent / 'seeds.md'
+PAGE = Path(__file__).parent / 'course_notes.md'
 NUMBER = re.compile(r'-?\d+(?:\.\d+)?(?:e[-+]?\d+)?')
 
-HEAD = """# The course notes, entry by entry
+HEAD = """# Course notes
 
-kinpole implements what three sets of course notes teach. This page lists every figure, formula and
-method that they print, by page or equation, with the command or the line of Python that gives it,
-and the result. `python docs/_seeds.py` makes it; the tests make it again and compare it, also with
-the printed numbers.
+Does kinpole reproduce the results of a course? Yes. This page lists every result, formula and
+method of three sets of course notes, with the command or Python expression for it. The column
+"printed" is the value in the notes, "result" the value of kinpole. `True` means equal within 1e-9.
+A test makes this page again and compares all numbers.
 
-- Seed 000: *Two-Dimensional Experimental Kinematics*, Notes 05 02, 9 pages, with MATLAB functions.
-- Seed 001: *Theory of Mechanisms*, Lecture 4, *Poisson's decomposition of general planar motion*.
-- Seed 003: ME 3610 *Course Notes*, Part VI, *Velocity and Acceleration Analysis of Mechanisms*.
+| notes | cited in the code as |
+| --- | --- |
+| *Two-Dimensional Experimental Kinematics*, Notes 05 02, with MATLAB functions | seed 000 |
+| *Theory of Mechanisms*, Lecture 4, *Poisson's decomposition of general planar motion* | seed 001 |
+| ME 3610 *Course Notes*, Part VI, *Velocity and Acceleration Analysis of Mechanisms* | seed 003 |
 
-Lines of Python follow this one block; `True` means equal within 1e-9.
+All Python expressions follow this block:
 
 ```python
 """
@@ -88,10 +91,10 @@ centers, unit = np.array([0, icr, z[0]]), np.full((3, 2, 2), np.eye(2))
 loader = load_scene('loader')
 at_45 = loader.mechanism.sweep(np.radians([45.0]))
 at_limit = loader.mechanism.sweep(np.radians([71.33339598]))
-borne, released = (
-    find(loader.mechanism, at_45.values[0], loader.loads).force
-    for find in (reactions, freed_reactions)
-)
+borne = reactions(loader.mechanism, at_45.values[0], loader.loads).force
+let_go, _ = releases(loader.mechanism, at_45.values[0], loader.loads)
+forces = [-one.way * one.powers.sum(axis=0) for one in let_go]
+released = np.array(forces).reshape(-1, 2, 1).sum(axis=1)
 
 
 def matrix(t3, t4):
@@ -104,7 +107,7 @@ v = inv(matrix(t3, t4 + np.pi)) @ [0.5 * 1.41 * np.sin(t2), -0.5 * 1.41 * np.cos
 
 
 class Entry(NamedTuple):
-    """A row: `pick` finds numbers in the output of a command, shown `times` as large."""
+    """A row; `pick` finds numbers in the output of a command, which are multiplied by `times`."""
 
     where: str
     what: str
@@ -115,7 +118,7 @@ class Entry(NamedTuple):
 
 
 def _row(name: str, column: int) -> str:
-    """A row of five numbers, as the tables of bodies and of lengths have, and one number of it."""
+    """Return the pattern for one number of a row with five numbers."""
     return rf'^(?:{name})' + r' +\S+' * column + r' +(-?\d\S*)' + r' +\S+' * (4 - column) + '$'
 
 
@@ -124,8 +127,8 @@ LOADER, TREBUCHET = 'kinpole solve loader --at "45 deg"', 'kinpole solve trebuch
 POISSON = 'kinpole solve slider_crank --at "75 deg" --decompose rod:A,B poisson.svg'
 ROLLED = '^(the curves .* roll on each other), arc lengths equal'
 
-SEEDS: dict[str, list[Entry]] = {
-    'Seed 000: experimental kinematics': [
+COURSE_NOTES: dict[str, list[Entry]] = {
+    'Experimental kinematics (seed 000)': [
         Entry(
             'p. 1',
             'landmarks with weights f; a landmark that is not available does not count',
@@ -248,7 +251,7 @@ SEEDS: dict[str, list[Entry]] = {
             '8',
         ),
     ],
-    "Seed 001: Poisson's decomposition": [
+    "Poisson's decomposition (seed 001)": [
         Entry(
             'S1 eq. 1',
             'r_B = r_A + r_BA',
@@ -348,7 +351,7 @@ SEEDS: dict[str, list[Entry]] = {
             'close(fixed_centrode_from_reference(r_A, v_A, w), to_plane(icr))',
         ),
     ],
-    'Seed 003: velocity and acceleration analysis': [
+    'Velocity and acceleration analysis (seed 003)': [
         Entry(
             '2, process',
             'loop equations differentiated, linear in the unknown rates',
@@ -604,7 +607,7 @@ SEEDS: dict[str, list[Entry]] = {
 
 
 def page() -> str:
-    """The whole page."""
+    """Return the page as Markdown."""
     names: dict[str, Any] = {}
     exec(SETUP, names)
     lines = [HEAD + SETUP + '```']
@@ -619,10 +622,10 @@ def page() -> str:
 
 
 def rows(names: dict[str, Any]) -> list[str]:
-    """All entries, as tables."""
+    """Return all entries as tables."""
     lines: list[str] = []
     outputs: dict[str, str] = {}
-    for title, entries in SEEDS.items():
+    for title, entries in COURSE_NOTES.items():
         head = ['where', 'what', 'how', 'printed', 'result']
         lines += [
             '',
@@ -639,28 +642,28 @@ def rows(names: dict[str, Any]) -> list[str]:
 
 
 def result(entry: Entry, names: dict[str, Any], outputs: dict[str, str]) -> str:
-    """What comes out, as it stands in the page; AssertionError where that is not as printed."""
+    """Return the result as text; raise AssertionError if it differs from the printed value."""
     if entry.how.startswith('kinpole '):
         if entry.how not in outputs:
             outputs[entry.how] = printed_by(entry.how)
         found = re.findall(entry.pick, outputs[entry.how], re.M)
-        assert found, f'{entry.how}: nothing like {entry.pick} in {outputs[entry.how]}'
+        assert found, f'{entry.how}: no match of {entry.pick} in {outputs[entry.how]}'
         cells = [cell for one in found for cell in ([one] if isinstance(one, str) else one)]
     else:
         value = eval(entry.how, names)
         cells = [str(value)] if isinstance(value, bool) else [f'{x:.12g}' for x in np.ravel(value)]
     numbers = [float(x) * entry.times if NUMBER.fullmatch(x) else 0.0 for x in cells]
-    # Less is rounding, or what the digits of a scene leave open.
-    least = 1e-6 * max(map(abs, numbers))
+    # Smaller numbers are rounding errors, also of the lengths in a scene.
+    smallest = 1e-6 * max(map(abs, numbers))
     shown = [
-        f'{x if abs(x) > least else 0.0:.5g}' if NUMBER.fullmatch(cell) else cell
+        f'{x if abs(x) > smallest else 0.0:.5g}' if NUMBER.fullmatch(cell) else cell
         for x, cell in zip(numbers, cells, strict=True)
     ]
     if entry.printed:
-        for cell, said in zip(shown, entry.printed.split(', '), strict=True):
+        for cell, printed in zip(shown, entry.printed.split(', '), strict=True):
             # The printed inputs and intermediate values are rounded.
-            last = 10.0 ** -len(said.partition('.')[2])
-            assert abs(float(cell) - float(said)) <= max(1e-3 * abs(float(said)), last), (
+            last = 10.0 ** -len(printed.partition('.')[2])
+            assert abs(float(cell) - float(printed)) <= max(1e-3 * abs(float(printed)), last), (
                 entry,
                 shown,
             )
@@ -669,7 +672,7 @@ def result(entry: Entry, names: dict[str, Any], outputs: dict[str, str]) -> str:
 
 
 def printed_by(command: str) -> str:
-    """What a command prints."""
+    """Return the output of a command."""
     out = io.StringIO()
     with contextlib.redirect_stdout(out):
         assert main(shlex.split(command)[1:]) == 0, command
