@@ -33,36 +33,31 @@ class _ListScenes(argparse.Action):
     SCENE,
     flag('--list', 'print the names of the scenes that come with kinpole', _ListScenes),
     BAG_OUTPUT,
-    option('--rate', 'HZ', 'frames per second (200)', float, 200.0),
-    option('--duration', 'S', 'length of the recording, s (5)', float, 5.0),
-    option('--noise', 'M', 'noise of a marker per axis, m (0)', float, 0.0),
-    option('--seed', 'N', 'seed of the random numbers (0)', int, 0),
-    option('--dropout', 'P', 'share of markers not seen (0)', float, 0.0),
+    option('--rate HZ', 'frames per second (200)', float, 200.0),
+    option('--duration S', 'length of the recording, s (5)', float, 5.0),
+    option('--noise M', 'noise of a marker per axis, m (0)', float, 0.0),
+    option('--seed N', 'seed of the random numbers (0)', int, 0),
+    option('--dropout P', 'share of markers not seen (0)', float, 0.0),
     option(
-        '--jitter',
-        'S',
+        '--jitter S',
         'jitter of the times of the frames, s (0); the stamps have the true times',
         float,
         0.0,
     ),
     option(
-        '--message',
-        'TYPE',
+        '--message TYPE',
         'marker_array (the default), marker, pose_array or point_cloud2; or poses of the bodies: '
         'pose_stamped, body_poses or tf',
         default='marker_array',
     ),
     option(
-        '--arrival',
-        'S',
+        '--arrival S',
         'mean of an exponential delay of the stamps, s (0); the frames keep their order',
         float,
         0.0,
     ),
-    option(
-        '--tilt', 'DEG', 'angle of the plane of motion about the x axis, degrees (0)', float, 0.0
-    ),
-    option('--scale', 'F', 'units per meter: 1000 for mm (1)', float, 1.0),
+    option('--tilt DEG', 'angle of the plane of motion about the x axis, degrees (0)', float, 0.0),
+    option('--scale F', 'units per meter: 1000 for mm (1)', float, 1.0),
     flag(
         '--unlabeled',
         'points without names, in random order in each frame; an unseen point leaves no gap',
@@ -104,13 +99,12 @@ def simulate(options: argparse.Namespace) -> int:
 
 @command(
     'import',
-    option('file', 'FILE', 'the file of points, or a folder'),
+    option('file FILE', 'the file of points, or a folder'),
     BAG_OUTPUT,
-    option('--format', 'NAME', 'one of the above (auto: by content)', default='auto'),
+    option('--format NAME', 'one of the above (auto: by content)', default='auto'),
     *POINT_OPTIONS,
     option(
-        '--likelihood',
-        'P',
+        '--likelihood P',
         'least likelihood of a point that counts as seen (DeepLabCut 0.6, SLEAP 0)',
         float,
     ),

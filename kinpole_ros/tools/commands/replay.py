@@ -36,22 +36,19 @@ def settings_of(options: argparse.Namespace) -> 'Settings':
 @command(
     'replay',
     option(
-        'bag',
-        'BAG',
+        'bag BAG',
         'an .mcap or .db3 file, or a rosbag2 folder; a folder without metadata.yaml is read as one '
         'recording of all its .mcap files',
     ),
     option(
-        '--config',
-        'FILE',
+        '--config FILE',
         'ROS 2 parameter file, as for the node; without it, all markers are one body named "body"',
     ),
     SET,
-    option('--output', 'OUT.mcap', 'bag of results, under /kinpole/...'),
-    option('--csv', 'OUT.csv', 'the results as a table, in SI units, with standard deviations'),
+    option('--output OUT.mcap', 'bag of results, under /kinpole/...'),
+    option('--csv OUT.csv', 'the results as a table, in SI units, with standard deviations'),
     option(
-        '--parquet',
-        'OUT.parquet',
+        '--parquet OUT.parquet',
         f'the same table for pandas and others ({install_command("parquet")})',
     ),
     TOPIC,
@@ -151,26 +148,23 @@ def _position_lines(positions: 'PositionsFound | None') -> Iterator[str]:
 @command(
     'batch',
     option(
-        'bags',
-        'BAG',
+        'bags BAG',
         '.mcap and .db3 files and rosbag2 folders, or URLs such as s3://lab/run.mcap',
         nargs='*',
     ),
-    option('--list', 'FILE', 'a file, from somebody you trust, with one more bag in each line'),
+    option('--list FILE', 'a file, from somebody you trust, with one more bag in each line'),
     CONFIG,
     SET,
-    option(
-        '--output', 'DIR', 'folder for results and summary, or its URL (batch)', default='batch'
-    ),
+    option('--output DIR', 'folder for results and summary, or its URL (batch)', default='batch'),
     TOPIC,
     flag('--mcap', 'write a bag of results for each bag (the default)'),
     flag('--csv', 'write a CSV table for each bag'),
     flag('--parquet', 'write a Parquet table for each bag'),
-    option('--scheduler', 'ADDRESS', 'address of a Dask cluster; without it, use this machine'),
-    option('--tls-ca', 'PEM', 'certificate that signed the certificates of the cluster'),
-    option('--tls-cert', 'PEM', 'certificate to show to the cluster'),
-    option('--tls-key', 'PEM', 'key of --tls-cert, if it is not in the same file'),
-    option('--workers', 'N', 'processes on this machine (one per core)', int),
+    option('--scheduler ADDRESS', 'address of a Dask cluster; without it, use this machine'),
+    option('--tls-ca PEM', 'certificate that signed the certificates of the cluster'),
+    option('--tls-cert PEM', 'certificate to show to the cluster'),
+    option('--tls-key PEM', 'key of --tls-cert, if it is not in the same file'),
+    option('--workers N', 'processes on this machine (one per core)', int),
 )
 def batch(options: argparse.Namespace) -> int:
     r"""
