@@ -5,16 +5,16 @@ from kinpole_ros.messages._diagnostics import RECEIVED, RESTARTS, DiagnosticsMak
 from kinpole_ros.messages._drawing import COLORS, deletion_of_all
 from kinpole_ros.messages._faults import (
     SMOOTHED,
+    absent_markers_fault,
     identity_lines,
     jitter_fault,
-    left_out,
     marker_faults,
-    not_there,
+    outage_fault,
     plane_words,
     shape_fault,
     tilt_fault,
     unit_fault,
-    unseen,
+    wrong_pose_fault,
 )
 from kinpole_ros.messages._markers import read_markers, to_message
 from kinpole_ros.messages._poses import AUTO_TYPES, PoseReader, kind_of, poses_data, reader_of
@@ -74,6 +74,7 @@ __all__ = [
     'Output',
     'PoseReader',
     'String',
+    'absent_markers_fault',
     'constants',
     'deletion_of_all',
     'deserialize_message',
@@ -82,13 +83,12 @@ __all__ = [
     'identity_lines',
     'jitter_fault',
     'kind_of',
-    'left_out',
     'live_outputs',
     'marker_faults',
     'message_class',
-    'not_there',
     'ns_to_stamp',
     'octets',
+    'outage_fault',
     'outputs_of',
     'plane_words',
     'poses_data',
@@ -105,7 +105,7 @@ __all__ = [
     'to_message',
     'type_name',
     'unit_fault',
-    'unseen',
     'view_of',
     'with_zero_padding',
+    'wrong_pose_fault',
 ]

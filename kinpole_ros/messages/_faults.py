@@ -5,16 +5,21 @@ Each function returns the text of one fault, or an empty one where there is none
 """
 
 from collections.abc import Iterator, Mapping, Sequence
+from typing import TypeAlias
 
 import numpy as np
 
+from kinpole_ros.derivatives import FEWEST_SAMPLES
 from kinpole_ros.messages._types import DiagnosticStatus
 from kinpole_ros.tracking.deformation import TISSUE
 from kinpole_ros.tracking.matcher import BY_SHAPE, OTHERS, RENAMED, UNCERTAIN
 from kinpole_ros.tracking.plane import FIT, Plane, PlaneSetting, as_parameter
-from kinpole_ros.tracking.space import KEEPS, SpaceReport
+from kinpole_ros.tracking.space import MAX_STRETCH_SHARE, SpaceReport
 from kinpole_ros.tracking.stamps import StampState
 from kinpole_ros.tracking.tracker import Tracker
+
+Fault: TypeAlias = tuple[bytes, str]
+"""Level of diagnostic_msgs and text."""
 
 # Limits of what is listed: names of markers may be of any number and length.
 _LISTED_NAMES, _LISTED_NOTES = 12, 3
@@ -58,11 +63,26 @@ _SHAPE_FAULTS = {
         'that its markers are seen'
     ),
 }
+_MILD_TROUBLES = ('clock', 'other types', 'sources', 'rivals')  # figures still come
 _STAMP_FIX = 'see that the driver sets header.stamp to the time of capture, in s and ns'
 
 
 def identity_lines(tracker: Tracker, counts: Mapping[str, int]) -> Iterator[str]:
-    """Yield the faults of identities: the present ones, and those counted in `counts`."""
+    """
+    Yield the faults of the identities of markers.
+
+    Parameters
+    ----------
+    tracker : Tracker
+        The tracker.
+    counts : mapping of str to int
+        What the tracker counted in the time that is described.
+
+    Yields
+    ------
+    str
+        The present faults, then those counted, each with its fix.
+    """
     matcher, bodies = tracker.matcher, np.array(tracker.bodies)
     if matcher.disordered:
         names = ', '.join(bodies[matcher.withheld])
@@ -116,7 +136,19 @@ def _short(text: str) -> str:
 
 
 def plane_words(plane: Plane) -> str:
-    """Describe a plane by its name, or by its axes in the frame of the markers."""
+    """
+    Describe a plane.
+
+    Parameters
+    ----------
+    plane : Plane
+        The plane.
+
+    Returns
+    -------
+    str
+        Its name, or its axes in the frame of the markers.
+    """
     if plane.axes is not None:
         return plane.name
     first, second, normal = map(as_parameter, plane.basis)
@@ -124,7 +156,21 @@ def plane_words(plane: Plane) -> str:
 
 
 def tilt_fault(report: SpaceReport, setting: PlaneSetting) -> str:
-    """Return the fault of a motion that is tilted against the plane."""
+    """
+    Return the fault of a motion that is tilted against the plane.
+
+    Parameters
+    ----------
+    report : SpaceReport
+        The motion in space.
+    setting : str or tuple
+        The parameter `plane`.
+
+    Returns
+    -------
+    str
+        The fault and its fix in one line; '' where there is none.
+    """
     if report.plane is None or report.normal is None or not report.is_tilted:
         return ''
     degrees = round(np.degrees(report.tilt))
@@ -145,15 +191,29 @@ def tilt_fault(report: SpaceReport, setting: PlaneSetting) -> str:
 
 def shape_fault(b: int, off: float, cause: str, report: SpaceReport) -> str:
     """
-    Return the fault of body `b`, whose markers are `off` one rigid body in the plane, m, or 0.
+    Return the fault of a body that is not rigid, or leaves the plane.
 
-    Also that of a body that leaves the plane.
+    Parameters
+    ----------
+    b : int
+        Number of the body.
+    off : float
+        How far its markers are off one rigid body in the plane, m; 0 if they are not.
+    cause : str
+        The cause of the deformation, where it is known.
+    report : SpaceReport
+        The motion in space.
+
+    Returns
+    -------
+    str
+        The fault and its fix in one line; '' where there is none.
     """
     leaves = float(np.nan_to_num(report.off_plane[b]))
     if np.isnan(report.stretch[b]):
         # Too early to tell the body from the plane.
         return ''
-    holds = report.stretch[b] < KEEPS * off
+    holds = report.stretch[b] < MAX_STRETCH_SHARE * off
     if off and report.is_tilted and holds:
         degrees = round(np.degrees(report.tilt))
         return (
@@ -177,7 +237,21 @@ def shape_fault(b: int, off: float, cause: str, report: SpaceReport) -> str:
 
 
 def unit_fault(size: float, scale: float) -> str:
-    """Return the fault of a body of an implausible size, m, with the parameter `scale`."""
+    """
+    Return the fault of a body of an implausible size.
+
+    Parameters
+    ----------
+    size : float
+        Size, m.
+    scale : float
+        The parameter `scale`, m per unit.
+
+    Returns
+    -------
+    str
+        The fault and its fix in one line; '' where there is none.
+    """
     smallest, largest = _PLAUSIBLE_SIZES
     if not size or not np.isfinite(size) or smallest <= size <= largest:
         return ''
@@ -194,7 +268,21 @@ def unit_fault(size: float, scale: float) -> str:
 
 
 def marker_faults(erring: Mapping[str, float], noise: float) -> list[str]:
-    """Return the faults of markers by their noise `erring`, m, where the others have `noise`."""
+    """
+    Return the faults of noisy markers of a body.
+
+    Parameters
+    ----------
+    erring : mapping of str to float
+        Noise by marker, m.
+    noise : float
+        Noise of the other markers, m.
+
+    Returns
+    -------
+    list of str
+        A fault for each marker with more than three times the noise of the others.
+    """
     return [
         f'marker {marker[:SHOWN_CHARACTERS]!r} errs by {deviation:.2g} m, {deviation / noise:.2g} '
         'times as much as the others, and counts for less: see to its fixing and to what reflects '
@@ -204,16 +292,42 @@ def marker_faults(erring: Mapping[str, float], noise: float) -> list[str]:
     ]
 
 
-def left_out(frames: int) -> str:
-    """Return the fault of a body whose pose was wrong in so many frames."""
+def wrong_pose_fault(frames: int) -> str:
+    """
+    Return the fault of a body whose pose was wrong in some frames.
+
+    Parameters
+    ----------
+    frames : int
+        The number of these frames.
+
+    Returns
+    -------
+    str
+        The fault and its fix in one line; '' where there is none.
+    """
     return (
         f'left out of {frames} frames in which its pose was far off and then back: see that the '
         'tracker takes no other markers for it'
     )
 
 
-def unseen(body: str, outage: tuple[int, int]) -> str:
-    """Return the fault of an outage (start and duration, ns) of a body, or of all frames for ''."""
+def outage_fault(body: str, outage: tuple[int, int]) -> str:
+    """
+    Return the fault of an outage.
+
+    Parameters
+    ----------
+    body : str
+        The body; '' where no frames came.
+    outage : tuple of int
+        Start and duration, ns.
+
+    Returns
+    -------
+    str
+        The fault and its fix in one line; '' where there is none.
+    """
     since, duration = outage
     what = 'it was not seen' if body else 'no frames came'
     return (
@@ -222,8 +336,24 @@ def unseen(body: str, outage: tuple[int, int]) -> str:
     )
 
 
-def not_there(body: str, names: Sequence[str], identities: Sequence[str]) -> str:
-    """Return the fault of markers `names` of a body that are not among the `identities`."""
+def absent_markers_fault(body: str, names: Sequence[str], identities: Sequence[str]) -> str:
+    """
+    Return the fault of markers that messages do not have.
+
+    Parameters
+    ----------
+    body : str
+        The body.
+    names : sequence of str
+        Its markers that are missing.
+    identities : sequence of str
+        The markers of the last message.
+
+    Returns
+    -------
+    str
+        The fault and its fix in one line; '' where there is none.
+    """
     return (
         f'messages lack {_listed(names)} of {body}; the last one has {_listed(identities)}; '
         f'correct the parameter {body}.markers, or marker_identity'
@@ -235,7 +365,7 @@ def _listed(names: Sequence[str]) -> str:
     return ', '.join(shown + ['...'] * (len(names) > _LISTED_NAMES)) or 'none'
 
 
-def stamp_faults(stamps: Sequence[int], seconds: float, window: float) -> list[tuple[bytes, str]]:
+def _pace_faults(stamps: Sequence[int], seconds: float, window: float) -> list[Fault]:
     """
     Return levels and texts of the faults of header stamps (ns) that came within `seconds`.
 
@@ -269,7 +399,21 @@ def stamp_faults(stamps: Sequence[int], seconds: float, window: float) -> list[t
 
 
 def jitter_fault(state: StampState, mode: str) -> str:
-    """Return the fault of stamps that are late, with `mode` the parameter `stamps`."""
+    """
+    Return the fault of stamps that are late by random times.
+
+    Parameters
+    ----------
+    state : StampState
+        The clock of the stamps.
+    mode : str
+        The parameter `stamps`.
+
+    Returns
+    -------
+    str
+        The fault and its fix in one line; '' where there is none.
+    """
     if state.regularized and state.jitter > state.interval:
         return (
             f'the stamps are late by {state.jitter:.2g} s rms, up to {state.largest:.2g} s, more '
@@ -288,3 +432,77 @@ def jitter_fault(state: StampState, mode: str) -> str:
         f'the markers by more than their noise; fix: {fix}, or let the driver stamp the time of '
         'capture'
     )
+
+
+def stamp_faults(
+    tracker: Tracker, since: Mapping[str, int], stamps: Sequence[int], seconds: float
+) -> list[Fault]:
+    """Return the faults of stamps, and of the plane."""
+    state = tracker.stamp_state()
+    is_regularized = state is not None and state.regularized
+    faults = [
+        (level, text)
+        for level, text in _pace_faults(stamps, seconds, tracker.settings.window)
+        # Frames in bunches do no harm where they are placed at the ticks of a clock.
+        if level == DiagnosticStatus.ERROR or not is_regularized
+    ]
+    if since.get('frames'):
+        jitter = '' if state is None else jitter_fault(state, tracker.settings.stamps)
+        unknown = PLANE_UNKNOWN if tracker.plane is None else ''
+        tilt = unknown or tilt_fault(tracker.space(), tracker.settings.plane)
+        faults += [(DiagnosticStatus.WARN, text) for text in (jitter, tilt) if text]
+    return faults
+
+
+def input_faults(
+    tracker: Tracker, since: Mapping[str, int], trouble: Mapping[str, str], nothing: str
+) -> list[Fault]:
+    """
+    Return levels and texts of the faults of the input, by the counts `since` the last ones.
+
+    As in REP-107, with WARN results still come and may suffer, with ERROR they cannot be relied
+    upon. STALE, with the text `nothing`, is when nothing came.
+    """
+    frames = since.get('frames', 0)
+    mild = {*_MILD_TROUBLES}
+    if frames:
+        mild.add('qos')
+    if frames > since.get('unreadable', 0):
+        mild.add('message')
+    faults = [
+        (DiagnosticStatus.WARN if topic in mild else DiagnosticStatus.ERROR, text)
+        for topic, text in trouble.items()
+    ]
+    if not frames and mild.issuperset(trouble):
+        return [(DiagnosticStatus.STALE, nothing), *faults]
+    texts = []
+    if dropped := since.get('dropped'):
+        texts.append(
+            f'{dropped} messages dropped: the node or the network cannot keep up; send fewer '
+            'frames, or read fewer results'
+        )
+    if unpublished := since.get('untold'):
+        texts.append(f'{unpublished} results left out: the node cannot keep up; read fewer results')
+    texts += identity_lines(tracker, since)
+    if since.get('restarts'):
+        texts.append('another publisher sends the markers: the window starts anew')
+    if since.get('frame_changes'):
+        texts.append('the markers have another frame_id: the window starts anew')
+    if late := since.get('late'):
+        texts.append(f'{late} frames came late, after newer ones, and are left out')
+    if resets := since.get('resets'):
+        text = 'stamps jumped: the window starts anew'
+        if resets >= frames:
+            text += (
+                '; they do at every frame: if frames come so seldom, raise the parameter window, '
+                f'{tracker.settings.window:g} s, to hold {FEWEST_SAMPLES} of them or more'
+            )
+        texts.append(text)
+    elif since.get('repeated'):
+        texts.append('stamps repeat: see that the driver sets header.stamp to the time of capture')
+    elif frames and tracker.samples < FEWEST_SAMPLES:
+        texts.append(
+            f'the window holds {tracker.samples} frames and needs {FEWEST_SAMPLES}; wait, or '
+            'raise the parameter window'
+        )
+    return faults + [(DiagnosticStatus.WARN, text) for text in texts]

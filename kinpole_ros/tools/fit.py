@@ -59,7 +59,7 @@ def fit_bag(
     lines = fitted_lines(fit)
     if output is None:
         return lines
-    values = {row.dimension: row.value for row in fit.dimensions if not row.held}
+    values = {row.dimension: row.value for row in fit.dimensions if not row.undetermined}
     paths = {dimension.path for dimension in values}
     # Both coordinates of a point are written.
     changes = {

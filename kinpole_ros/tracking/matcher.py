@@ -217,7 +217,7 @@ class Matcher:
         predicted = np.where(hidden, predicted, np.nan)
         if (np.abs(predicted[..., None] - points) <= limit[:, None, None]).any():
             return True
-        lost = np.isnan(fit.angle) & (self._bodies.known >= 2) & ~self.withheld
+        lost = np.isnan(fit.angle) & (self._bodies.learned_count >= 2) & ~self.withheld
         return bool((lost & (len(points) + (~hidden).sum(axis=1) >= 2)).any())
 
     def correct_names(self) -> bool:

@@ -7,7 +7,7 @@ import numpy as np
 
 from kinpole_ros.compiled import address_of, library
 from kinpole_ros.derivatives import Call, go_on, new_call, pass_tables
-from kinpole_ros.tracking.bodies import UNSTEADY, Bodies
+from kinpole_ros.tracking.bodies import MAX_ANGLE_NOISE, Bodies
 from kinpole_ros.tracking.center import Pins
 from kinpole_ros.tracking.history import History
 from kinpole_ros.tracking.parameters import Settings
@@ -102,11 +102,11 @@ class Step:
         """Use these arrays, after an update of the bodies or growth of the history."""
         fields, self._history = self.fields, history
         fields.bodies, fields.markers = bodies.shape.shape
-        hub, observable = bodies.hub, bodies.noise**2 < UNSTEADY**2 * bodies.spread
+        hub, observable = bodies.hub, bodies.noise**2 < MAX_ANGLE_NOISE**2 * bodies.spread
         if self._posed:
             # The errors of its position and of the angle are independent, as they are taken to be.
             hub = np.where(hub == 0, bodies.middle, hub)
-            observable = bodies.angle_noise < UNSTEADY
+            observable = bodies.angle_noise < MAX_ANGLE_NOISE
         measured = np.isfinite(bodies.noise)
         learned = {
             'hub': hub,

@@ -19,7 +19,7 @@ from kinpole_ros.tools.commands._terminal import (
 )
 
 if TYPE_CHECKING:
-    from kinpole_ros.linkage.positions import PositionsFound
+    from kinpole_ros.linkage.positions import PositionReport
     from kinpole_ros.tracking.parameters import Settings
 
 
@@ -127,7 +127,7 @@ def _result_lines(result: Any) -> Iterator[str]:
         )
 
 
-def _position_lines(positions: 'PositionsFound | None') -> Iterator[str]:
+def _position_lines(positions: 'PositionReport | None') -> Iterator[str]:
     """Yield how far the joints of the scene are off, and whether the scene explains the poses."""
     if positions is None:
         return

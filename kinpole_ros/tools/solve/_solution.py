@@ -350,7 +350,7 @@ def driver_text(scene: Scene, k: int, value: float, digits: int = 9) -> str:
 def open_output(path: str | Path) -> Iterator[Path]:
     """Yield a path to write to, which replaces `path` at the end; raise SceneError on failure."""
     try:
-        with files.whole(path) as part:
+        with files.whole_file(path) as part:
             yield part
     except OSError as error:
         raise SceneError(
