@@ -167,7 +167,7 @@ def test_the_command_writes_parquet_and_says_what_is_missing(
     assert f'written to {target}' in capsys.readouterr().out
     assert parquet.read_table(target).num_rows > 10
     assert main(['replay', bag, '--parquet', str(target), '--csv', str(target)]) == 2
-    assert f'{target} is to be written too; name another file' in capsys.readouterr().err
+    assert f'{target} is another output; name another file' in capsys.readouterr().err
     assert main(['replay', bag, '--parquet', str(tmp_path)]) == 2
     assert f'{tmp_path} cannot be written: Is a directory' in capsys.readouterr().err
     monkeypatch.setitem(sys.modules, 'pyarrow', None)
