@@ -27,7 +27,7 @@ from kinpole_ros.linkage.theory import load_theory
 from kinpole_ros.mechanism import load_scene, marker_positions
 from kinpole_ros.messages import to_message
 from kinpole_ros.tools.cli import main
-from kinpole_ros.tools.discover import discover_rig
+from kinpole_ros.tools.discover import DiscoverOptions, discover_rig
 from kinpole_ros.tracking.frame import MarkerFrames
 from kinpole_ros.tracking.parameters import ParameterError, settings_from
 from kinpole_ros.tracking.statistics import medians
@@ -395,7 +395,7 @@ def test_command_refuses_in_one_line(tmp_path, capsys):
     assert len(lines) == 3
     assert 'none of 2 markers moves; fix: ' in lines[1]
     with pytest.raises(BagError, match='it holds /points'):
-        discover_rig(str(bag), topic='/other')
+        discover_rig(str(bag), DiscoverOptions(topic='/other'))
 
 
 @pytest.mark.parametrize(

@@ -35,13 +35,13 @@ class Assembly(NamedTuple):
     """
     The loops of bodies and joints, and where the bodies are.
 
-    `bodies` (B) are those without the ground. Their origins are `places` (B, terms) times the
+    `bodies` (B) are those without the ground. Their origins are `origins` (B, terms) times the
     terms, complex; their angles are `turns` (B, n) times the variables. `joints` are as given.
     """
 
     loops: Loops
     bodies: tuple[str, ...]
-    places: Real
+    origins: Real
     turns: Real
     joints: tuple[Joint, ...]
 
@@ -69,7 +69,7 @@ def body_motion(assembly: Assembly, values: Real) -> tuple[Complex, Real]:
     terms = np.stack(
         [sum(comb(k, j) * length[j] * turn[k - j] for j in range(k + 1)) for k in orders]
     )
-    return assembly.places @ terms, assembly.turns @ values
+    return assembly.origins @ terms, assembly.turns @ values
 
 
 def poses_of(assembly: Assembly, values: Real) -> dict[str, Pose]:

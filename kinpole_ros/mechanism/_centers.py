@@ -85,11 +85,11 @@ def instant_centers(mechanism: Mechanism, values: Real, rates: Real | None = Non
 
     """
     steps = deduce(mechanism, values)
-    places = kennedy_centers(mechanism, steps, values)
-    missing = np.isnan(places[2])
+    centers = kennedy_centers(mechanism, steps, values)
+    missing = np.isnan(centers[2])
     if missing.any():
-        places = np.where(missing, centers_by_rates(mechanism, values, rates), places)
-    return Centers(bodies_of(mechanism), pairs_of(mechanism), places, missing, steps)
+        centers = np.where(missing, centers_by_rates(mechanism, values, rates), centers)
+    return Centers(bodies_of(mechanism), pairs_of(mechanism), centers, missing, steps)
 
 
 def centers_by_rates(mechanism: Mechanism, values: Real, rates: Real | None = None) -> Real:

@@ -166,8 +166,8 @@ def explain(mechanism: Mechanism, steps: Sequence[Step]) -> list[str]:
         elif rule == 'same':
             text = f'where {center(pair[0], by[0])} and {center(by[0], pair[1])} are one'
         else:
-            known = ' and '.join(line(pair, code) for code in by) or 'no line'
-            text = f'from the rates: Kennedy has {"only " if by else ""}{known} for it'
+            lines_by = ' and '.join(line(pair, code) for code in by) or 'no line'
+            text = f'from the rates: Kennedy has {"only " if by else ""}{lines_by} for it'
         lines.append(f'{center(*pair)}: {text}')
     return lines
 
@@ -284,10 +284,10 @@ def _homogeneous(point: Complex, w: float) -> Real:
     return unit(np.stack((point.real, point.imag, np.full(point.shape, w))))[0]
 
 
-def cross(one: tuple[Real, Real], other: tuple[Real, Real]) -> tuple[Real, Real]:
+def cross(first: tuple[Real, Real], second: tuple[Real, Real]) -> tuple[Real, Real]:
     """The line through two points, or the point on two lines, and how sharp it is."""
-    vectors, length = unit(np.cross(one[0], other[0], axis=0))
-    return vectors, length * np.minimum(one[1], other[1])
+    vectors, length = unit(np.cross(first[0], second[0], axis=0))
+    return vectors, length * np.minimum(first[1], second[1])
 
 
 def unit(vectors: Real) -> tuple[Real, Real]:
