@@ -2,7 +2,7 @@
 Bags: of ROS 1, of rosbag2, and of message types that the tracker does not read itself.
 
 Markers and poses are found in messages by the definitions in the bag, so that the packages of the
-types need not be installed. Frames are put together from several topics by their stamps.
+types need not be installed. Messages of several topics are combined to frames by their stamps.
 """
 
 from array import array
