@@ -1,4 +1,4 @@
-"""Where the messages of an MCAP file are, by the heads of its records, and what it lost.
+"""The layout of an MCAP file, found by the heads of its records, and signs of lost messages.
 
 mcap's own reader gives up on a file without a good end, and trusts the sizes a file claims.
 """

@@ -213,8 +213,7 @@ def _name_results(job: Job, folder: Path, fingerprint: list[Any], outcome: Repla
     for body, poles in outcome.determined.items():
         row[f'{body}_noise'] = outcome.noise[body] if outcome.noise[body] >= 0 else None
         row |= {f'{body}_{pole}_determined': share for pole, share in poles.items()}
-    # If we are stopped from here on, no record says what the results are made of, and they are
-    # made again.
+    # Without a record, results are made again if we are stopped from here on.
     record = folder / f'{name}.json'
     record.unlink(missing_ok=True)
     for kind, part in job.files(folder).items():
