@@ -135,7 +135,7 @@ def read_blocks(
     Yields
     ------
     list of BagMessage
-        The same messages in the same order: up to 1,000 of about 1 MiB together; of messages of
+        The same messages in the same order: up to 1,000 of about 1 MiB in all; of messages of
         more than 32 KiB up to 32, of at most 16 MiB.
 
     Raises

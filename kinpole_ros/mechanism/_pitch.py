@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from kinpole_ros.files import whole
+from kinpole_ros.files import whole_file
 from kinpole_ros.mechanism._centrodes import Centrodes
 from kinpole_ros.mechanism._loops import LinkageError
 from kinpole_ros.planar._plane import Complex
@@ -74,7 +74,7 @@ def write_pitch_curves(path: str | Path, curves: Centrodes) -> None:
     if write is None:
         raise LinkageError(f'{path} is no pitch curves; end its name in one of csv, dxf, svg')
     try:
-        with whole(path) as part:
+        with whole_file(path) as part:
             write(part, curves)
     except OSError as error:
         raise LinkageError(

@@ -141,7 +141,7 @@ def add_deformation(
             interval,
             float(span[last, b]),
             float(freedom[last, b]) - 1,
-            float(bodies.white[b] * np.sqrt(bodies.held[b])),
+            float(bodies.white[b] * np.sqrt(bodies.hidden_factor[b])),
             float(bodies.freedom[b]),
             order,
         )

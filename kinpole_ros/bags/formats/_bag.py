@@ -17,7 +17,7 @@ from mcap.writer import MCAP0_MAGIC
 
 from kinpole_ros.bags._channels import BagMessage
 from kinpole_ros.bags._files import ROS1_MAGIC, SQLITE_MAGIC, ZSTD_MAGIC, BagError, Truncated
-from kinpole_ros.bags._frames import read_frames
+from kinpole_ros.bags._marker_frames import read_frames
 from kinpole_ros.bags._reader import read_messages, types_and_definitions
 from kinpole_ros.bags._storages import Ros1Message, ros1_messages
 from kinpole_ros.bags.formats._file import File, Format, Options, Points
