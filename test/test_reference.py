@@ -108,7 +108,7 @@ def test_poles_of_what_turns_about_a_point_are_better_known(
         # Of chi-square with 2 degrees of freedom 95% are below 6.
         assert (found.squares[name][late] < 5.991).mean() > 0.9, name
     ours = errors(found)
-    monkeypatch.setattr(center, '_WINDOWS', 1e9)
+    monkeypatch.setattr(center, '_MIN_WINDOWS', 1e9)
     for own, other, gain in zip(ours, errors(_record.measure(recording)), gains, strict=True):
         assert np.sqrt(np.mean(other**2)) > gain * np.sqrt(np.mean(own**2))
 
