@@ -232,7 +232,7 @@ def test_what_is_measured_again_is_quoted_beside_what_was_before(
     pages = [tmp_path / name for name in ('benchmarks.md', 'benchmarks-tables.md')]
     for page in pages:
         assert f'written to {page}' in capsys.readouterr().out or page == pages[1]
-        assert 'too little data to judge by: rigs' in ' '.join(page.read_text().split())
+        assert 'too little data for conclusions: rigs' in ' '.join(page.read_text().split())
     tables = pages[1].read_text()
     assert rigs_part(made_up()).splitlines()[-1] in tables
     assert '## Error against lag' in tables
