@@ -117,7 +117,7 @@ class BodyMotion(_Motion):
 
 @dataclass(frozen=True)
 class PairMotion(_Motion):
-    """How body j moves with respect to body i at M instants, in arrays as those of a body."""
+    """The motion of body j with respect to body i at M instants, in arrays as those of a body."""
 
     angular_velocity: np.ndarray
     angular_velocity_sigma: np.ndarray

@@ -26,8 +26,7 @@ from kinpole_ros.bags._files import (
     open_file,
     unreadable,
 )
-from kinpole_ros.bags._integrity import indexed_times
-from kinpole_ros.bags._layout import NEVER, Layout, Span, lay_out, read_span
+from kinpole_ros.bags._layout import NEVER, Layout, Span, indexed_times, lay_out, read_span
 from kinpole_ros.bags._storages import is_sqlite, sqlite_blocks, sqlite_topics
 
 _LATEST = 2**63 - 1  # ns; ROS has no later time

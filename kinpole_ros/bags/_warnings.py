@@ -25,7 +25,7 @@ _FIXES = {
     ),
     'no pose of it came': 'see that its driver sees it, and that its orientation is a quaternion',
     'the noise of its angle is too large': 'see to the driver: it is more than 0.15 rad',
-    'markers too close together for their noise': (
+    'markers too close for their noise': (
         'move them farther from each other, or set the parameter noise'
     ),
     'plane not known yet': (

@@ -128,8 +128,8 @@ class BagWriter:
         if kind is None:
             self.close()
         else:
-            # The first error is the one to be seen. It may have come, as SIGTERM does, amid a
-            # chunk, which cannot be finished then.
+            # The first error is raised. If it came within a chunk, as SIGTERM may, that chunk
+            # cannot be finished.
             with suppress(Exception):
                 self.close()
 

@@ -1,4 +1,4 @@
-"""Mechanisms whose motion is known exactly: the truth that measured kinematics is held against."""
+"""Mechanisms as scenes: exact motion, instant centers, centrodes, statics and tolerances."""
 
 from kinpole_ros.mechanism._centers import Centers, instant_centers
 from kinpole_ros.mechanism._centrodes import Centrodes, Poles, centrodes, poles

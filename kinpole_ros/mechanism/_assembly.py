@@ -81,9 +81,8 @@ def poses_of(assembly: Assembly, values: Real) -> dict[str, Pose]:
     return {GROUND: Pose(still + 0j, still)} | dict(zip(assembly.bodies, moving, strict=True))
 
 
-def joint_extent(assembly: Assembly, values: Real) -> tuple[Complex, float]:
-    """The middle (T,) of the joints, complex, m, at variables (n, T), and the linkage's size, m."""
-    poses = poses_of(assembly, values)
+def joint_extent(assembly: Assembly, poses: dict[str, Pose]) -> tuple[Complex, float]:
+    """The middle (T,) of the joints, complex, m, and the size of the linkage, m."""
     points = [
         poses[body].point(point)
         for joint in assembly.joints
@@ -230,9 +229,9 @@ def _parallel_arms_as_ties(loops: Loops, near: Real) -> Loops:
 
     Such a loop closes where both point the same way, which is one linear equation. As a loop it
     would be two equations for one unknown, singular at every position. The sum or difference of
-    two loops may be of this form too, as where the arm is the coupler of a four-bar. Of angles that
-    differ by whole turns the tie takes those next to `near` (n,), the variables with all angles
-    zero. Raises LinkageError for two lengths that differ.
+    two loops may be of this form too, as where the arm is the coupler of a four-bar. Whole turns
+    are those next to `near` (n,), the variables with all angles zero. Raises LinkageError for two
+    lengths that differ.
     """
     rows, right, kept_loops = [], [], list(range(len(loops.loops)))
     for m in range(len(loops.loops)):

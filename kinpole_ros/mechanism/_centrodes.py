@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from kinpole_ros.mechanism._assembly import joint_extent
+from kinpole_ros.mechanism._assembly import joint_extent, poses_of
 from kinpole_ros.mechanism._joints import GROUND, Revolute
 from kinpole_ros.mechanism._loops import LinkageError
 from kinpole_ros.mechanism._mechanism import Mechanism, Motion
@@ -110,7 +110,7 @@ def centrodes(
     motion = mechanism.sweep(low + (high - low) * share)
     of_other = _relative(mechanism, motion, one, other)
     of_one = _relative(mechanism, motion, other, one)
-    _, size = joint_extent(mechanism.assembly, motion.values[0])
+    _, size = joint_extent(mechanism.assembly, poses_of(mechanism.assembly, motion.values[0]))
     with np.errstate(all='ignore'):
         omega = np.where(motion.regular, of_other[1][1], np.nan)
         fixed, moving = pole(1, *of_other).value, pole(1, *of_one).value
@@ -285,11 +285,11 @@ def poles(mechanism: Mechanism, motion: Motion) -> Poles:
     Returns
     -------
     Poles
-        Of B bodies at T instants, complex, m, in the ground's frame.
+        Those of B bodies at T instants, complex, m, in the ground's frame.
 
     """
     position, angle = motion.position, motion.angle
-    middle, size = joint_extent(mechanism.assembly, motion.values[0])
+    middle, size = joint_extent(mechanism.assembly, poses_of(mechanism.assembly, motion.values[0]))
     with np.errstate(all='ignore'):
         points = [pole(order, position, angle).value for order in (1, 2, 3, 4)]
         near = [np.where(np.abs(p - middle) < _INFINITY * size, p, _NAN) for p in points]

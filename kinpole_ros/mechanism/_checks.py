@@ -86,7 +86,7 @@ def _limits(mechanism: Mechanism, low: float, high: float) -> tuple[float | None
     if len(mechanism.drivers) == 1:
         lengths = 2 * float(np.abs(mechanism.assembly.loops.length0).sum())
         span = 2 * pi if mechanism.kind(0) == 'angle' else lengths
-        # Where it cannot be followed so far, the limits within the requested range are reported.
+        # If it cannot be followed so far, the limits within the requested range are reported.
         with suppress(LinkageError):
             path = mechanism.path(start - span, start + span)
     limits = [dead.at for dead in path.dead_points if dead.turns_back]

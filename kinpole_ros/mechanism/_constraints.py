@@ -78,9 +78,9 @@ def constraint_rows(joint: Joint, one: Pose, other: Pose, anchor: Anchor | None 
     Returns
     -------
     Rows
-        Of a pin the distances along x and y; of a slot the distance across it; of a guide also the
-        turn; of a wheel the error of the distance of its hub, and its slip; of a belt the slack. A
-        strut has no rows.
+        A pin has the distances along x and y; a slot the distance across it; a guide also the turn;
+        a wheel the error of the distance of its hub, and its slip; a belt its slack. A strut has no
+        rows.
 
     """
     between, slope = _between(joint, one, other)
@@ -151,8 +151,8 @@ def variable_rates(joint: Joint, one: Pose, other: Pose) -> dict[str, Real]:
 
 def _between(joint: Joint, one: Pose, other: Pose) -> tuple[Complex, Complex]:
     """The vector (T,) from the point `a` to the point `b`, with its derivatives (T, 15)."""
-    turn, other_turn = np.exp(1j * one.angle), np.exp(1j * other.angle)
-    slope = np.zeros((len(turn), COLUMNS), complex)
+    turn, other_turn = one.turn, other.turn
+    slope = np.zeros((COLUMNS, len(turn)), complex).T
     slope[:, [X, Y, OTHER_X, OTHER_Y]] = -1, -1j, 1, 1j
     slope[:, ANGLE], slope[:, OTHER_ANGLE] = -1j * joint.a * turn, 1j * joint.b * other_turn
     slope[:, A_X], slope[:, A_Y] = -turn, -1j * turn
@@ -164,7 +164,7 @@ def _in_axes_of_line(
     joint: Slot | Rolling, one: Pose, between: Complex, slope: Complex
 ) -> tuple[Complex, Complex]:
     """A vector and its derivatives in the axes of the joint's line, which turns with `one`."""
-    turn = np.exp(-1j * (one.angle + joint.along))
+    turn = one.turn.conj() * np.exp(-1j * joint.along)
     local, slope = turn * between, turn[:, None] * slope
     slope[:, ANGLE] -= 1j * local
     if slope.shape[1] == COLUMNS:
@@ -247,7 +247,7 @@ class Constraints(NamedTuple):
 
     @property
     def determined(self) -> np.ndarray:
-        """Where (T,) the constraints determine the poses of all bodies."""
+        """Positions (T,) at which the constraints determine the poses of all bodies."""
         return np.asarray(self.rank == len(self.motions))
 
     def multipliers(self, powers: Real) -> Real:
@@ -289,31 +289,36 @@ def constraints(mechanism: Mechanism, values: Real) -> Constraints:
     u, s, vt = np.linalg.svd(np.where(is_finite, matrix, 0.0))
     is_zero = s <= _SINGULAR_VALUE * s[:, :1]
     rank = (~is_zero).sum(axis=1)
-    # Left null space: reactions that balance each other without a load.
-    beyond = np.arange(u.shape[2]) >= rank[:, None]
-    balanced = np.moveaxis(np.where(beyond[:, None, :], u, 0.0), 0, -1)
     with np.errstate(divide='ignore'):
         inverse_values = np.where(is_zero, 0.0, 1 / s)[:, None]
     most = s.shape[1]
     inverse = vt[:, :most].swapaxes(1, 2) * inverse_values @ u[:, :, :most].swapaxes(1, 2)
     motions = np.moveaxis(inverse, 0, -1) / column[:, None, None] / size
-    stress = np.sqrt((balanced**2).sum(axis=1))
-    for row, (k, direction) in enumerate(rows):
-        if not isinstance(joints[k], Revolute) or direction != ALONG_AXIS:
-            continue
-        # The main axis of the forces that a pin can have without a load, and across it the rest.
-        pin = slice(row, row + 2)
-        with np.errstate(invalid='ignore'):
-            forces = balanced[row] / size[row] + 1j * balanced[row + 1] / size[row + 1]
-        main = (forces**2).sum(axis=0)
-        axis[k] = np.where(np.abs(main) > UNSTRESSED**2, np.exp(0.5j * np.angle(main)), 1.0)
-        turned = forces * axis[k].conj()
-        stress[pin] = np.sqrt((turned.real**2).sum(axis=0)), np.sqrt((turned.imag**2).sum(axis=0))
-        x, y = motions[:, row].copy(), motions[:, row + 1].copy()
-        motions[:, row] = axis[k].real * x + axis[k].imag * y
-        motions[:, row + 1] = axis[k].real * y - axis[k].imag * x
-    motions[:, (stress > UNSTRESSED) | (rank < len(column))] = np.nan
+    stress = np.zeros(size.shape)
+    if (rank < len(size)).any():
+        # Left null space: reactions that balance each other without a load.
+        beyond = np.arange(u.shape[2]) >= rank[:, None]
+        balanced = np.moveaxis(np.where(beyond[:, None, :], u, 0.0), 0, -1)
+        stress = np.sqrt((balanced**2).sum(axis=1))
+        for row, (k, direction) in enumerate(rows):
+            if isinstance(joints[k], Revolute) and direction == ALONG_AXIS:
+                pin = slice(row, row + 2)
+                with np.errstate(invalid='ignore'):
+                    forces = balanced[pin] / size[pin, None]
+                axis[k], stress[pin] = _main_axis(forces[0] + 1j * forces[1])
+                x, y = motions[:, row].copy(), motions[:, row + 1].copy()
+                motions[:, row] = axis[k].real * x + axis[k].imag * y
+                motions[:, row + 1] = axis[k].real * y - axis[k].imag * x
+        motions[:, (stress > UNSTRESSED) | (rank < len(column))] = np.nan
     return Constraints(poses, rows, at, axis, motions, stress, rank)
+
+
+def _main_axis(forces: Complex) -> tuple[Complex, tuple[Real, Real]]:
+    """The main axis (T,) of forces (n, T) that a pin can have without a load, and their sizes."""
+    main = (forces**2).sum(axis=0)
+    axis = np.where(np.abs(main) > UNSTRESSED**2, np.exp(0.5j * np.angle(main)), 1.0)
+    turned = forces * axis.conj()
+    return axis, (np.sqrt((turned.real**2).sum(axis=0)), np.sqrt((turned.imag**2).sum(axis=0)))
 
 
 def _jacobian(mechanism: Mechanism, poses: dict[str, Pose]) -> tuple[list[tuple[int, int]], Real]:

@@ -1,7 +1,7 @@
 """
 Dead points of a linkage: limits, where the input turns back, and change points.
 
-Where the matrix of the loops is singular the driver cannot turn on (a limit), or could go on in two
+If the matrix of the loops is singular, the driver cannot turn on (a limit), or could go on in two
 ways (a change point). Both are located by driving another variable, for which the same position is
 regular.
 """

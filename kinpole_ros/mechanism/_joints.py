@@ -7,6 +7,8 @@ writes it as vectors from `a` to `b`, of which `_assembly` makes the vector loop
 bodies.
 """
 
+from dataclasses import dataclass
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -189,15 +191,21 @@ def loop_form(joint: Joint) -> LoopForm:
     return LoopForm()
 
 
-class Pose(NamedTuple):
+@dataclass(frozen=True, eq=False)
+class Pose:
     """Position, complex, m, of a body's origin, and its angle, rad: (T,) each."""
 
     position: Complex
     angle: Real
 
+    @cached_property
+    def turn(self) -> Complex:
+        """The direction e^{iθ} of the body's x axis."""
+        return np.exp(1j * self.angle)
+
     def point(self, point: complex) -> Complex:
-        """Where a point of the body's frame lies in the plane."""
-        return np.asarray(self.position + point * np.exp(1j * self.angle))
+        """The position in the plane of a point of the body's frame."""
+        return np.asarray(self.position + point * self.turn)
 
 
 def contact(joint: Joint, one: Pose, other: Pose) -> tuple[Complex, Complex]:
@@ -211,10 +219,10 @@ def contact(joint: Joint, one: Pose, other: Pose) -> tuple[Complex, Complex]:
     if isinstance(joint, Revolute):
         return hub, np.ones_like(hub)
     if isinstance(joint, Slot):
-        return hub, np.exp(1j * (one.angle + joint.along))
+        return hub, one.turn * np.exp(1j * joint.along)
     between = hub - one.point(joint.a)
     if isinstance(joint, Rolling):
-        axis = np.exp(1j * (one.angle + joint.along))
+        axis = one.turn * np.exp(1j * joint.along)
         if joint.circle:
             axis = -1j * np.sign(joint.arm) * between / np.abs(between)
         return hub - 1j * joint.radius * axis, axis

@@ -38,7 +38,7 @@ def rotation_derivatives(angle: np.ndarray) -> np.ndarray:
     Returns
     -------
     ndarray
-        Of shape (orders, ...), complex.
+        Derivatives (orders, ...), complex.
 
     Notes
     -----
@@ -56,19 +56,19 @@ def rotation_derivatives(angle: np.ndarray) -> np.ndarray:
 
 def marker_positions(motion: BodyMotion, body_points: np.ndarray) -> np.ndarray:
     """
-    Where points fixed to a body are, at the times of a motion.
+    Positions of points fixed to a body, at the times of a motion.
 
     Parameters
     ----------
     motion
-        Of a body at times (...).
+        The motion of the body at times (...).
     body_points
-        Of shape (n, 2), m, from the body's reference point, along its own axes.
+        Points (n, 2), m, from the body's reference point, along its own axes.
 
     Returns
     -------
     ndarray
-        Of shape (..., n, 2), m, in the ground's frame.
+        Positions (..., n, 2), m, in the ground's frame.
 
     """
     points = body_points[:, 0] + 1j * body_points[:, 1]

@@ -16,7 +16,7 @@ from kinpole_ros.planar._plane import Complex
 
 # In sizes of the linkage: a drawing ends here; ends of a curve nearer than this meet.
 _MOST_DISTANT, _MEETING = 3.0, 1e-6
-# Of the drawing, mm: its margin, the arms of an axis and of a pin's cross, a line, a letter.
+# Sizes in the drawing, mm: its margin, the arms of an axis and of a pin's cross, a line, a letter.
 _MARGIN, _AXIS, _PIN, _LINE, _LETTER = 10.0, 8.0, 2.0, 0.25, 4.0
 
 

@@ -140,7 +140,7 @@ def _body_points(scene: Scene, values: Real) -> BodyPoints:
         for body in (joint.one, joint.other):
             pose = poses[body]
             name = 'contact' if len(rolling) == 1 else f'contact {joint.name}'
-            points[body][name] = complex(((at - pose.position) * np.exp(-1j * pose.angle))[0])
+            points[body][name] = complex(((at - pose.position) * pose.turn.conj())[0])
     for name, (body, point) in scene.points.items():
         points[body][name.rpartition('.')[2]] = point
     return points

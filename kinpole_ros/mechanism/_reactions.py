@@ -62,7 +62,7 @@ class Reactions(NamedTuple):
 
     @property
     def unique(self) -> np.ndarray:
-        """Where (J, T) statics alone determines the reaction of a joint."""
+        """Whether (J, T) statics alone determines the reaction of a joint."""
         return np.isfinite(self.along + self.across + self.moment)
 
 
@@ -96,7 +96,7 @@ def reactions(mechanism: Mechanism, values: Real, loads: Sequence[Load]) -> Reac
     Returns
     -------
     Reactions
-        Of J joints at T positions, N and N m, in the ground's axes.
+        Those of J joints at T positions, N and N m, in the ground's axes.
 
     Raises
     ------
@@ -214,7 +214,7 @@ def _separating(joint: Rolling, system: Constraints, k: int, transmitted: Real) 
     for body, force in ((joint.one, -push), (joint.other, push)):
         if body != GROUND:
             pose = system.poses[body]
-            arm = (system.contact[k] - pose.position) * np.exp(-1j * pose.angle)
+            arm = (system.contact[k] - pose.position) * pose.turn.conj()
             loads.append(Force(body, arm, force))
     return loads
 
@@ -222,14 +222,16 @@ def _separating(joint: Rolling, system: Constraints, k: int, transmitted: Real) 
 def loose_teeth(mechanism: Mechanism, values: Real) -> tuple[str, ...]:
     """The joints with a pressure angle, at one position (n,), if nothing else holds their hubs."""
     joints = mechanism.assembly.joints
-    toothed = [joint for joint in joints if has_teeth(joint)]
+    toothed = [joint.name for joint in joints if has_teeth(joint)]
     if not toothed or why_no_reactions(mechanism):
+        return ()
+    system = constraints(mechanism, values[:, None])
+    if system.determined[0]:
         return ()
     smooth = tuple(j._replace(pressure=None) if isinstance(j, Rolling) else j for j in joints)
     assembly = mechanism.assembly._replace(joints=smooth)
-    without_pressure = Mechanism(assembly, mechanism.drivers, mechanism.start)
-    ranks = [constraints(m, values[:, None]).rank[0] for m in (mechanism, without_pressure)]
-    return tuple(joint.name for joint in toothed) if ranks[0] < ranks[1] else ()
+    rigid = constraints(Mechanism(assembly, mechanism.drivers, mechanism.start), values[:, None])
+    return tuple(toothed) if system.rank[0] < rigid.rank[0] else ()
 
 
 def undetermined(mechanism: Mechanism, values: Real) -> tuple[str, ...]:

@@ -31,7 +31,7 @@ def share_folder() -> Path:
     Raises
     ------
     FileNotFoundError
-        Where none of them has it.
+        If none of them has it.
 
     """
     candidates = [_PACKAGE.parent] if (_PACKAGE.parent / 'package.xml').is_file() else []
@@ -63,7 +63,7 @@ def scenes_folder() -> Path:
     Raises
     ------
     FileNotFoundError
-        Where they are not installed.
+        If they are not installed.
 
     """
     return share_folder() / 'config' / 'scenes'
@@ -81,7 +81,7 @@ def scene_names() -> list[str]:
     Raises
     ------
     FileNotFoundError
-        Where the scenes are not installed.
+        If the scenes are not installed.
 
     """
     return sorted(path.stem for path in scenes_folder().glob('*.yaml'))

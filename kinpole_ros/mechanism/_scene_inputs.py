@@ -185,7 +185,7 @@ def _moving_point(where: str, value: Any, points: Points, verb: str) -> tuple[st
 
 
 def read_held_by(entry: Any, points: Points, bodies: tuple[str, ...]) -> Holder:
-    """What holds the loads of a scene; raises SceneError."""
+    """The force or torque that holds the loads of a scene; raises SceneError."""
     where, example = "'held_by'", '{at: bar.P, along: 90 deg, of: bar} or {on: bar}'
     mapping(where, entry, example)
     if 'on' in entry:

@@ -58,7 +58,7 @@ def solve(
 
     `inputs` holds each driver's value and its derivatives; `guess` all variables u, or just the
     unknowns of the linkage. Without `close` the positions are the guess, and only the derivatives
-    are solved. `out` is an array for the values. Where the loops do not close, values are NaN.
+    are solved. `out` is an array for the values. Values are NaN where the loops do not close.
     """
     unknowns = linkage.free.shape[1]
     count = inputs.shape[-1]

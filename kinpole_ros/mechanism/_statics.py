@@ -20,7 +20,7 @@ from kinpole_ros.planar._plane import ROUNDING, Complex, Real
 
 # Share of the largest rate of a term at which a loop counts as opening.
 _OPENING = np.sqrt(ROUNDING)
-# Where power goes in or out: along a force, with a torque, or with a variable by its name.
+# A port for power, in or out: along a force, with a torque, or with a variable by its name.
 Port = Force | Torque | str
 
 
@@ -54,7 +54,7 @@ def efforts(mechanism: Mechanism, values: Real, loads: Sequence[Load]) -> Effort
     Returns
     -------
     Efforts
-        Of d drivers at T positions, N or N m.
+        Those of d drivers at T positions, N or N m.
 
     Raises
     ------
@@ -100,7 +100,7 @@ def holding(
     Returns
     -------
     effort : ndarray
-        Of shape (T,), N or N m. NaN at dead points, and where the holder does not move along
+        Its size (T,), N or N m. NaN at dead points, and where the holder does not move along
         itself.
     load : Force or Torque
         The same as a load.
@@ -154,7 +154,7 @@ def load_rates(
     Returns
     -------
     list of ndarray
-        Of each load (T,): the velocity of the force's point, complex, in the ground's axes, or the
+        For each load (T,): the velocity of the force's point, complex, in the ground's axes, or the
         angular velocity of the torque's body. NaN at dead points.
 
     Notes
@@ -232,7 +232,7 @@ def advantage(mechanism: Mechanism, values: Real, into: Port, out: Port) -> Real
     Returns
     -------
     ndarray
-        Of shape (T,), N or N m over N or N m. Infinite where the output stands still while the
+        The advantage (T,), N or N m over N or N m. Infinite where the output stands still while the
         input moves (a toggle), zero the other way round, NaN at dead points of the driver.
 
     Raises

@@ -90,7 +90,7 @@ def tolerances_of(
     Returns
     -------
     list of Tolerance
-        Those that are not zero.
+        The errors that are not zero.
 
     Raises
     ------
@@ -170,7 +170,7 @@ def propagate_tolerances(
     Returns
     -------
     ToleranceSpread
-        Of each body its angle, angular velocity and ICR, of each point its position; rad, rad/s
+        For each body its angle, angular velocity and ICR, for each point its position; rad, rad/s
         and m.
 
     Raises

@@ -72,12 +72,15 @@ def listen(
     executor.add_node(node)
     messages: list[bytes] = []
     refused: list[str] = []
+    size = 0
 
     def receive(data: bytes) -> None:
+        nonlocal size
         if len(data) <= MAX_MESSAGE_BYTES:
             messages.append(data)
-        else:
-            refused[:] = refused or [describe_excess(name, len(data))]
+            size += len(data)
+        elif not refused:
+            refused.append(describe_excess(name, len(data)))
 
     try:
         kind = _published_kind(node, executor, name)
@@ -87,7 +90,7 @@ def listen(
         has_begun = False
         while time.monotonic() < end and context.ok():
             executor.spin_once(timeout_sec=_POLL_INTERVAL)
-            if sum(map(len, messages)) > _MAX_KEPT_BYTES:
+            if size > _MAX_KEPT_BYTES:
                 raise BagError(
                     f'more than {_MAX_KEPT_BYTES >> 20} MiB came on {name}; fix: listen for fewer '
                     'seconds, or record a bag and read that'

@@ -74,9 +74,9 @@ def policy(settings: Settings, node: str = 'kinpole', namespace: str = '/') -> s
     profiles = SubElement(SubElement(enclaves, 'enclave', path=path), 'profiles')
     profile = SubElement(profiles, 'profile', ns=namespace, node=node)
     for group, verb in (('service', 'reply'), ('topic', 'subscribe'), ('topic', 'publish')):
-        rule = SubElement(profile, f'{group}s', {verb: 'ALLOW'})
+        permission = SubElement(profile, f'{group}s', {verb: 'ALLOW'})
         for name in names[verb]:
-            SubElement(rule, group).text = name
+            SubElement(permission, group).text = name
     indent(root)
     return f'<?xml version="1.0" encoding="UTF-8"?>\n{tostring(root, "unicode")}\n'
 

@@ -255,7 +255,7 @@ class Matcher:
         return self._history.dropped + len(self._history)
 
     def regrouping_is_due(self) -> bool:
-        """Return whether it is time to check which markers move together."""
+        """Return whether it is time to check which markers move as one body."""
         return self._frames >= self._next_regrouping
 
     def regroup(self, loose: np.ndarray) -> np.ndarray:

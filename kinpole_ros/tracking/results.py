@@ -20,7 +20,7 @@ _COMMON = '', 'window not full'
 _OF_MARKERS = np.array(
     [
         *_COMMON,
-        'markers too close together for their noise',
+        'markers too close for their noise',
         'noise not known yet',
         'too few markers seen, or all at one place',
     ],

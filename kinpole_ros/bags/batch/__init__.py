@@ -209,7 +209,7 @@ def _rows(
         with ExitStack() as locks, started as crew:
             yield from _submit(jobs, counts, crew, bar, locks, numbers)
     finally:
-        # Killed workers of our own leave parts; others finish what they began.
+        # Local workers were killed and leave parts; those of a cluster finish their jobs.
         if is_local:
             for number in set(numbers.values()):
                 if isinstance(jobs[number].root, Path):

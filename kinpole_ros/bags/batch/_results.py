@@ -8,6 +8,7 @@ import glob
 import hashlib
 import json
 import os
+import shutil
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, nullcontext, suppress
 from dataclasses import dataclass
@@ -17,9 +18,10 @@ from typing import Any
 
 from kinpole_ros import __version__
 from kinpole_ros.bags import BagError, Replayed, bag_files, warnings_of
-from kinpole_ros.bags._replay import replay_stretch
+from kinpole_ros.bags._replay import equal_stretches, replay_stretch
 from kinpole_ros.bags._replayed import concatenate_outcomes
-from kinpole_ros.bags._stretches import equal_stretches, join_files
+from kinpole_ros.bags._tables import join_parquet
+from kinpole_ros.bags._writer import BagWriter
 from kinpole_ros.bags.batch import _store
 from kinpole_ros.files import lock, read_limited
 from kinpole_ros.files.bounded_yaml import MOST_YAML
@@ -156,8 +158,25 @@ def join_parts(job: Job, outcomes: list[Replayed]) -> Row:
     """Join the results of the stretches of a bag, and return its row."""
     stretches = [job.files(job.folder, number) for number in range(len(outcomes))]
     for kind, target in job.files(job.folder).items():
-        join_files([files[kind] for files in stretches], target, kind)
+        _join_files([files[kind] for files in stretches], target, kind)
     return _name_results(job, job.folder, job.fingerprint(), concatenate_outcomes(outcomes))
+
+
+def _join_files(sources: Sequence[Path], target: Path, kind: str) -> None:
+    """Join the results of stretches, 'mcap', 'parquet' or 'csv', as one replay writes them."""
+    if kind == 'mcap':
+        with BagWriter(target) as writer:
+            for source in sources:
+                writer.append(source)
+    elif kind == 'parquet':
+        join_parquet(sources, target)
+    else:
+        with target.open('wb') as table:
+            for number, source in enumerate(sources):
+                with source.open('rb') as file:
+                    if number:
+                        file.readline()
+                    shutil.copyfileobj(file, table, 1 << 20)
 
 
 def _name_results(job: Job, folder: Path, fingerprint: list[Any], outcome: Replayed) -> Row:
@@ -194,8 +213,7 @@ def _name_results(job: Job, folder: Path, fingerprint: list[Any], outcome: Repla
     for body, poles in outcome.determined.items():
         row[f'{body}_noise'] = outcome.noise[body] if outcome.noise[body] >= 0 else None
         row |= {f'{body}_{pole}_determined': share for pole, share in poles.items()}
-    # If we are stopped from here on, no record says what the results are made of, and they are
-    # made again.
+    # Without a record, results are made again if we are stopped from here on.
     record = folder / f'{name}.json'
     record.unlink(missing_ok=True)
     for kind, part in job.files(folder).items():

@@ -16,7 +16,7 @@ from urllib.parse import unquote, urlsplit
 from kinpole_ros.bags import BagError
 from kinpole_ros.packages import install_command
 
-# The names in stores of what changes with the content of a file.
+# Names in stores of properties that change with the content of a file.
 _VERSIONS = ('ETag', 'etag', 'md5Hash', 'content_md5', 'mtime', 'LastModified', 'created')
 
 

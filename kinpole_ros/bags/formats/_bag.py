@@ -2,7 +2,7 @@
 Bags: of ROS 1, of rosbag2, and of message types that the tracker does not read itself.
 
 Markers and poses are found in messages by the definitions in the bag, so that the packages of the
-types need not be installed. Frames are put together from several topics by their stamps.
+types need not be installed. Frames are assembled from several topics by their stamps.
 """
 
 from array import array
@@ -35,7 +35,7 @@ from kinpole_ros.messages import (
 _SECOND = 1_000_000_000  # ns
 _LARGEST_MESSAGE = 1 << 22  # bytes; as objects these take 20 times as much
 _SAME_FRAME = 0.25  # share of the interval of a topic within which stamps are of one frame
-# Names of types by what they hold: a list of markers or bodies, a body, frames that bodies may be.
+# Kinds of types by name: a list of markers or bodies, one body, or frames of bodies.
 _KINDS = {
     **dict.fromkeys(('Markers', 'RigidBodies', 'NamedPoseArray'), 'tracker'),
     **dict.fromkeys(('PoseStamped', 'PoseWithCovarianceStamped', 'TransformStamped'), 'pose'),

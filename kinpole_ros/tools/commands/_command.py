@@ -1,7 +1,7 @@
 """How a subcommand of `kinpole` is declared: its options, and a docstring that is its --help."""
 
 import argparse
-import inspect
+import textwrap
 from collections.abc import Callable, Iterable
 from typing import Any, NamedTuple
 
@@ -40,7 +40,7 @@ class Command:
         The first paragraph of the docstring of `run` is the summary in `kinpole --help`, and the
         paragraphs from 'Examples:' on stand below the options.
         """
-        text = inspect.getdoc(self.run) or ''
+        text = textwrap.dedent(self.run.__doc__ or '').strip()
         summary, _, details = text.partition('\n\n')
         description, _, examples = details.partition('Examples:')
         summary = ' '.join(summary.split())
