@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from kinpole_ros.linkage._poses import Pose
+from kinpole_ros.linkage._poses import GROUND_NUMBER, Pose
 from kinpole_ros.planar._plane import Complex, Real
 
 # A residual over what noise explains. Lenses, play and noise that is not white make it more than 1;
@@ -266,7 +266,7 @@ def fit_wheel(first: Pose, second: Pose, slot: Joint) -> Rolling | None:
         along=float(np.angle(direction)),
         at=complex(slot.on_other - 1j * direction * radius),
         circle=0.0,
-        arm=-1,
+        arm=GROUND_NUMBER,
         deviation=deviation,
         residual=residual,
         expected=expected,

@@ -201,18 +201,15 @@ def _with_more_markers(
         if frames.stop - frames.start < _MIN_TRACK:
             break
         points = linked.dense(flat, np.array([track]), frames)
-        off, positions = (
-            np.concatenate(values)
-            for values in zip(
-                *(off_body(_part(body.pose, frames), points, noise) for body in bodies), strict=True
-            )
-        )
+        fits = [off_body(_part(body.pose, frames), points, noise) for body in bodies]
+        off = np.concatenate([distance for distance, _ in fits])
         k = int(off.argmin())
         # A short track that may be of two bodies is of neither yet.
         if off[k] > _ON_BODY or np.delete(off, k).min(initial=np.inf) < 2 * _ON_BODY:
             continue
-        if np.abs(positions[k] - shapes[k]).min() > _NEW_MARKER * noise:
-            shapes[k] = np.append(shapes[k], positions[k])
+        position = fits[k][1][0]
+        if np.abs(position - shapes[k]).min() > _NEW_MARKER * noise:
+            shapes[k] = np.append(shapes[k], position)
     grown: list[_Body] = []
     for body, shape in zip(bodies, shapes, strict=True):
         first = _next_number([*grown, *bodies])
