@@ -15,8 +15,8 @@ from kinpole_ros.mechanism._kennedy import deduce, explain, kennedy_centers
 from kinpole_ros.mechanism._loops import LinkageError
 from kinpole_ros.mechanism._mechanism import Driver, Mechanism
 from kinpole_ros.planar import relative_pole
-from kinpole_ros.planar._linear import covariance
-from kinpole_ros.planar._relative import center_offset, kennedy_residual
+from kinpole_ros.planar._poles import center_offset, kennedy_residual
+from kinpole_ros.planar._uncertainty import covariance
 
 pytestmark = pytest.mark.filterwarnings('error')
 

@@ -324,9 +324,7 @@ def drawn(page: Any) -> None:
     page.evaluate('new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)))')
 
 
-def colored(page: Any, selector: str, color: str) -> int:
-    """How many pixels of the canvases of an element are nearly of the color."""
-    code = """([selector, color]) => [...document.querySelectorAll(selector)].reduce(
+COUNT_PIXELS = """([selector, color]) => [...document.querySelectorAll(selector)].reduce(
     (sum, canvas) => {
       const copy = new OffscreenCanvas(canvas.width, canvas.height);
       const context = copy.getContext('2d', { willReadFrequently: true });
@@ -338,8 +336,17 @@ def colored(page: Any, selector: str, color: str) -> int:
       }
       return sum;
     }, 0)"""
-    count: int = page.evaluate(code, [selector, color])
+
+
+def colored(page: Any, selector: str, color: str) -> int:
+    """Count the pixels near the color in all canvases of the selected elements."""
+    count: int = page.evaluate(COUNT_PIXELS, [selector, color])
     return count
+
+
+def await_color(page: Any, selector: str, color: str, above: int) -> None:
+    """Wait until more than `above` pixels are near the color: a live page redraws all the time."""
+    page.wait_for_function(f'(a) => ({COUNT_PIXELS})(a) > {above}', arg=[selector, color])
 
 
 def cell(page: Any, name: str, column: int) -> str:

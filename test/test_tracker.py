@@ -13,10 +13,10 @@ from recordings import SCENES, START, STEP, Record, check, follow, record, two_b
 from stretches import instants, one_frame
 
 from kinpole_ros import planar
+from kinpole_ros.tracking.assignment import MOST_MARKERS
 from kinpole_ros.tracking.estimate import POLE_NAMES, Estimate
 from kinpole_ros.tracking.frame import MarkerFrames
 from kinpole_ros.tracking.parameters import settings_from
-from kinpole_ros.tracking.roster import MOST_MARKERS
 from kinpole_ros.tracking.tracker import Tracker
 
 pytestmark = pytest.mark.filterwarnings('error')
@@ -382,7 +382,7 @@ def test_markers_that_are_named_anew_in_every_frame_do_not_fill_the_memory() -> 
     for k in range(200):
         frame = MarkerFrames(seen.frames[0].stamps + k * STEP, 'w', (f'{k}',), np.ones((1, 1, 3)))
         tracker.add(frame, None)
-    assert len(tracker._roster._places) < 100
+    assert len(tracker._assignment._layouts) < 100
 
 
 def test_reset_forgets_what_was_learned() -> None:

@@ -27,10 +27,10 @@ from kinpole_ros.messages import (
     reader_of,
     theory_of,
 )
+from kinpole_ros.tracking.assignment import MarkerPlaces
 from kinpole_ros.tracking.estimate import MOST_PAIRED_BODIES, POLE_NAMES, Estimate
 from kinpole_ros.tracking.frame import MarkerFrames
 from kinpole_ros.tracking.parameters import Settings
-from kinpole_ros.tracking.roster import MarkerPlaces
 from kinpole_ros.tracking.space import updated
 from kinpole_ros.tracking.tracker import Tracker
 

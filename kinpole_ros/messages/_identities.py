@@ -46,7 +46,7 @@ def identity_lines(tracker: Tracker, counts: Mapping[str, int]) -> Iterator[str]
             f'{_short(repr(marker))} is listed for {named} but moves with {own}, and is taken for '
             f'one of its markers; fix: correct {named}.markers and {own}.markers'
         )
-    for body, how in matcher.differ().items():
+    for body, how in matcher.wrong_shapes().items():
         yield _DIFFER[how].format(body)
     examples = '; '.join(_short(text) for text in list(matcher.notes)[-_MOST_NOTES:])
     examples = f' ({examples})' if examples else ''
@@ -63,8 +63,8 @@ def identity_lines(tracker: Tracker, counts: Mapping[str, int]) -> Iterator[str]
     by_shape = tracker.settings.marker_identity == 'shape'
     if (frames := counts.get(BY_SHAPE)) and not by_shape:
         yield (
-            f'{frames} frames did not have {matcher.whole} points, and their points, which have no '
-            'names, are matched by shape; fix: see that none are missing or added, or set '
+            f'{frames} frames did not have {matcher.full_count} points, and their points, which '
+            'have no names, are matched by shape; fix: see that none are missing or added, or set '
             'marker_identity to shape'
         )
     if ambiguous := counts.get(UNCERTAIN):

@@ -4,7 +4,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from kinpole_ros.planar import grip_of
+from kinpole_ros.planar import procrustes_factors
 from kinpole_ros.planar._plane import ROUNDING, Complex, Real
 
 # A marker farther off than this is an outlier, in standard deviations of residuals.
@@ -85,7 +85,7 @@ class Bodies:
         self.size = 2 * np.sqrt(self.spread / np.maximum(self.known, 1))
         # A place known from N frames adds 1 / N to the variance of its marker.
         self.weights = self.frames / (self.frames + 1.0) / self.relative
-        self.grip = grip_of(self.shape, self.weights)
+        self.grip = procrustes_factors(self.shape, self.weights)
         self.middle = self.grip.mean
         self.mature = self.fits >= MIN_FITS
         usual = OUTLIER_SIGMAS * np.sqrt(np.maximum(self.misfit, TINY**2 * self.spread))

@@ -156,9 +156,9 @@ def freedom_of(bodies: Bodies, residual: Complex) -> Real:
     seen = ~np.isnan(residual)
     if seen.all():
         return np.broadcast_to(bodies.grip.freedom, residual.shape)
-    from kinpole_ros.planar import grip_of
+    from kinpole_ros.planar import procrustes_factors
 
-    return grip_of(bodies.shape, np.where(seen, bodies.weights, 0.0)).freedom
+    return procrustes_factors(bodies.shape, np.where(seen, bodies.weights, 0.0)).freedom
 
 
 def _update_misfit(bodies: Bodies, history: History) -> None:

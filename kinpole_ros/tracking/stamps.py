@@ -65,9 +65,9 @@ class StampHistory:
         self.until_update = FEWEST_SAMPLES
         self._seen = 0
         self._nats = self._speed = 0.0
-        self._stamps = np.zeros(0, np.int64)
-        # Which of the frames were taken, and have poses.
-        self._taken = np.zeros(0, bool)
+        # Stamps of the frames, in parts, and which of them were taken and have poses.
+        self._appended = [(np.zeros(0, np.int64), np.zeros(0, bool))]
+        self._last = 0
         # Whether the next frame shows that stamps are rounded.
         self._slipped = False
         # Frames since the last update, and those taken that were not compared with neighbors yet.
@@ -83,13 +83,16 @@ class StampHistory:
         clock = self.clock
         if self.mode != 'auto' or self.regular or clock is None or not clock.is_even:
             return len(stamps)
-        every = np.concatenate((self._stamps[-1:], stamps)) - clock.origin
-        ticks = np.rint((every - clock.phase) / clock.interval)
-        off = np.abs(every - clock.phase - ticks * clock.interval)[1:]
-        step = np.gcd(round(clock.resolution), every[1:])
+        since = stamps - clock.origin
+        ticks = np.rint((since - clock.phase) / clock.interval)
+        off = np.abs(since - clock.phase - ticks * clock.interval)
+        if np.maximum.reduce(off) <= COARSE / 2:
+            return len(stamps)
+        step = np.gcd(round(clock.resolution), since)
         slips = (step >= COARSE) & (off > COARSE / 2) & (off <= (1 + TOLERANCE) * step)
         # Frames that come sooner than the clock ticks are of another rate.
-        slips &= np.diff(ticks) > 0
+        before = np.rint((self._last - clock.origin - clock.phase) / clock.interval)
+        slips &= np.diff(ticks, prepend=before) > 0
         first = int(slips.argmax()) if slips.any() else len(stamps)
         if not first:
             self._slipped, self.until_update = True, 0
@@ -97,8 +100,8 @@ class StampHistory:
 
     def append(self, stamps: np.ndarray, taken: np.ndarray) -> None:
         """Append frames that have come with `stamps` (T,), ns, of which some are `taken`."""
-        self._stamps = np.concatenate((self._stamps, stamps))
-        self._taken = np.concatenate((self._taken, taken))
+        self._appended.append((stamps, taken))
+        self._last = int(stamps[-1]) if len(stamps) else self._last
         self.until_update -= len(stamps)
         self._seen += len(stamps)
         self._new += len(stamps)
@@ -115,18 +118,19 @@ class StampHistory:
         known. Where frames of the history are `counted` by the motion, the clock is that of these
         counts.
         """
-        stamps = self._stamps[-MEMORY:]
+        stamps, taken = (np.concatenate(parts) for parts in zip(*self._appended, strict=True))
+        stamps, taken = stamps[-MEMORY:], taken[-MEMORY:]
         clock, counts = estimate_clock(stamps, self.clock)
         if counted:
-            which = np.flatnonzero(self._taken[-MEMORY:])
+            which = np.flatnonzero(taken)
             which = which[: len(which) - uncounted][-len(history) :]
             own = history['count'][len(history) - len(which) :]
             clock, counts = clock_of(clock, counts, stamps, which, own)
-        self._stamps = stamps[len(stamps) - len(counts) :]
-        self._taken = self._taken[len(self._taken) - len(counts) :]
+        taken = taken[len(taken) - len(counts) :]
+        self._appended = [(stamps[len(stamps) - len(counts) :], taken)]
         self._count_lost(clock, counts)
         self.clock = clock
-        counts = counts[self._taken]
+        counts = counts[taken]
         counts = counts[: len(counts) - uncounted]
         self._weigh(history, samples, counts, noise)
         self.regular = self._decide()

@@ -11,6 +11,7 @@ from collections.abc import Iterable
 
 import numpy as np
 
+from kinpole_ros.tracking.assignment import MarkerAssignment
 from kinpole_ros.tracking.bodies import Bodies
 from kinpole_ros.tracking.center import Pins, find_hubs
 from kinpole_ros.tracking.corrections import EXCHANGED
@@ -28,7 +29,6 @@ from kinpole_ros.tracking.parameters import Settings, of_poses
 from kinpole_ros.tracking.plane import Plane
 from kinpole_ros.tracking.posed import TiltedTurns, learn_poses
 from kinpole_ros.tracking.results import Results, add_deformation, estimate_of
-from kinpole_ros.tracking.roster import Roster
 from kinpole_ros.tracking.space import Space, SpaceReport
 from kinpole_ros.tracking.stamps import StampState
 from kinpole_ros.tracking.step import (
@@ -80,9 +80,9 @@ class Tracker:
         if hasattr(self, '_step'):
             self._wrong = self.wrong()
         settings = of_poses(self.settings) if self._posed else self.settings
-        self._roster = Roster(settings, self._posed)
-        self._space = Space(self.settings.plane, count, self._roster.width)
-        self._roster.plane = self._space.plane
+        self._assignment = MarkerAssignment(settings, self._posed)
+        self._space = Space(self.settings.plane, count, self._assignment.width)
+        self._assignment.plane = self._space.plane
         # Frames before the plane is known: stamps, times and markers.
         self._early: deque[tuple[int, int, MarkerFrames]] = deque(maxlen=LEARNED_FRAMES)
         self._run_number = next(_run_numbers)
@@ -91,12 +91,12 @@ class Tracker:
 
     def _begin_bodies(self) -> None:
         """Begin with bodies of which nothing is known."""
-        self._known = Bodies(len(self.bodies), self._roster.width)
-        self._history = History(len(self.bodies), self._roster.width)
+        self._known = Bodies(len(self.bodies), self._assignment.width)
+        self._history = History(len(self.bodies), self._assignment.width)
         self._pins = Pins(self._known)
         settings = of_poses(self.settings) if self._posed else self.settings
         self._turns = TiltedTurns(len(self.bodies))
-        self.matcher = Matcher(settings, self._roster, self._known, self._history, self._counts)
+        self.matcher = Matcher(settings, self._assignment, self._known, self._history, self._counts)
         self._step = Step(settings, self._known, self._pins, self._history, self._posed)
         self._frames = self._new = self._counted = 0
         # Searches for the names of markers, in a row, that found none.
@@ -125,12 +125,12 @@ class Tracker:
     @property
     def plane(self) -> Plane | None:
         """The plane of the results; None while it is to be fitted and not known yet."""
-        return self._roster.plane
+        return self._assignment.plane
 
     @property
     def identities(self) -> tuple[str, ...]:
         """The markers that the last message has."""
-        return self._roster.identities
+        return self._assignment.identities
 
     def space(self) -> SpaceReport:
         """How the motion lies in space: its tilt against the plane, and what leaves the plane."""
@@ -168,7 +168,7 @@ class Tracker:
     def erring(self) -> dict[str, dict[str, float]]:
         """Deviations, m, per axis, of markers, by name, that count for less than the others."""
         return {
-            body: {self._roster.markers[b][k]: float(row[k]) for k in np.flatnonzero(row)}
+            body: {self._assignment.markers[b][k]: float(row[k]) for k in np.flatnonzero(row)}
             for b, (body, row) in enumerate(zip(self.bodies, self._known.deviation, strict=True))
         }
 
@@ -182,7 +182,7 @@ class Tracker:
 
     def lacking(self) -> dict[str, list[str]]:
         """Markers by body that the last message has not, where less than two of the body are."""
-        lacks = zip(self.bodies, self._roster.lacking(), strict=False)
+        lacks = zip(self.bodies, self._assignment.absent_of_bodies(), strict=False)
         return {body: names for body, names in lacks if names}
 
     def stamp_state(self) -> StampState | None:
@@ -239,7 +239,7 @@ class Tracker:
                     estimates += self._estimates_so_far()
                     self._begin_again(int(stamps[first]))
             number += len(stamps)
-            self._counts['markers_unknown'] = self._roster.unknown
+            self._counts['markers_unknown'] = self._assignment.unknown
         return estimates + self._estimates_so_far()
 
     def _take_all(
@@ -257,9 +257,9 @@ class Tracker:
         first, count = 0, len(frames.stamps)
         while first < count:
             if self._update_if_due():
-                self.matcher.sort_again(first)
-                self._step.fields.hidden_is_unusual = self.matcher.has_extras
-            if self._roster.plane is not self._space.plane:
+                self.matcher.assign_again(first)
+                self._step.fields.hidden_is_unusual = self.matcher.has_unassigned
+            if self._assignment.plane is not self._space.plane:
                 self._keep(results, numbers)
                 estimates += self._estimates_so_far()
                 self._catch_up()
@@ -267,7 +267,9 @@ class Tracker:
                 self._hand_over(frames.stamps, times)
                 self._step.fields.frame = first
                 results = self._room_for(count - first, order)
-            usual = not self._posed and self._roster.plane is not None and not self._known.exchanged
+            usual = (
+                not self._posed and self._assignment.plane is not None and not self._known.exchanged
+            )
             if not (usual and self.matcher.in_order):
                 code = UNUSUAL
             else:
@@ -280,14 +282,14 @@ class Tracker:
                 self._step.fields.frame = first
                 self._follow(0, results)
         self._keep(results, numbers)
-        if self._posed and self._roster.plane is not None:
+        if self._posed and self._assignment.plane is not None:
             self._space.add(solid)
         return estimates
 
     def _hand_over(self, stamps: np.ndarray, times: tuple[np.ndarray, ...]) -> None:
         """Hand the frames sorted last to the compiled step."""
         came = stamps, *times, self._points, self._heights
-        self._step.hand_over(came, self.matcher.has_extras)
+        self._step.hand_over(came, self.matcher.has_unassigned)
 
     def _follow(self, until_update: int, results: Results) -> int:
         """Take usual frames, and compute what falls due; why it does not go on."""
@@ -321,7 +323,7 @@ class Tracker:
     def _keep(self, results: Results, numbers: np.ndarray) -> None:
         """Keep results for the next estimate; `numbers` are those of the frames handed over."""
         if results.count:
-            due = results.of_instants('due')
+            due = results.column('due')
             due[:] = numbers[due]
             self._results.append(results)
 
@@ -347,21 +349,21 @@ class Tracker:
 
     def _sort(self, frames: MarkerFrames) -> np.ndarray:
         """The markers (T, B, n, 3) of the bodies, m; hands them to the matcher in the plane."""
-        solid = self._roster.sort(frames)
-        if self._roster.width > self._known.width:
+        solid = self._assignment.assign(frames)
+        if self._assignment.width > self._known.width:
             self._widen()
         self._block = frames
         # The matcher corrects both in place.
-        points, heights = self._roster.flat(solid)
+        points, heights = self._assignment.project(solid)
         self._points, self._heights = np.ascontiguousarray(points), np.ascontiguousarray(heights)
-        if self._posed and self._roster.plane is not None:
-            self._tilts = self._roster.tilts(solid)
+        if self._posed and self._assignment.plane is not None:
+            self._tilts = self._assignment.tilts(solid)
         self.matcher.begin(np.asarray(frames.stamps), self._points, self._heights)
         return solid
 
     def _widen(self) -> None:
         """A body of all markers has more of them: begin with those, as of the same frames."""
-        width = self._roster.width
+        width = self._assignment.width
         self._known.widen(width)
         self._history.widen(width)
         self._pins.widen(width)
@@ -383,9 +385,9 @@ class Tracker:
         markers, interval = self._points[k], self._step.fields.interval
         newest = history['time'][-1] if len(history) else time
         goes_on = bool(interval == 0 or time - newest <= GAP * interval)
-        if self._roster.plane is None:
+        if self._assignment.plane is None:
             self._early.append((stamp, time, part_of(self._block, slice(k, k + 1))))
-            if matcher.lacks_order():
+            if matcher.is_incomplete_cloud():
                 solid = np.full_like(solid, np.nan)
             self._append(stamp, time, goes_on)
             for name in ('markers', 'residual', 'angle', 'position', 'heights', 'height'):
@@ -407,7 +409,7 @@ class Tracker:
         row = self._append(stamp, time, goes_on)
         matcher.fits_next(k)
         unusual = self._step.fit(markers, goes_on)
-        if (unusual & NAME_DOUBTFUL or matcher.has_extras) and self._renamed(k, unusual):
+        if (unusual & NAME_DOUBTFUL or matcher.has_unassigned) and self._renamed(k, unusual):
             unusual = self._step.fit(markers, goes_on)
         came = markers
         if unusual & ODD:
@@ -452,14 +454,12 @@ class Tracker:
             unseen = np.isnan(self._points[k])
             if not unseen.any():
                 return False
-            fit = fit_markers(self._known, self._points[k][None])
-            doubtful = self.matcher.doubtful(fit, unseen[None])
-            if doubtful is None or not doubtful.any():
+            if not self.matcher.is_doubtful(fit_markers(self._known, self._points[k]), unseen):
                 return False
         # Bodies that are not rigid stay in doubt, and a search takes long.
         if self._frames < self._next_search:
             return False
-        corrected = self.matcher.correct()
+        corrected = self.matcher.correct_names()
         self._futile = 0 if corrected else self._futile + 1
         self._next_search = self._frames + min(2 ** max(self._futile - 1, 0), MOST_BETWEEN_SEARCHES)
         return corrected
@@ -491,8 +491,8 @@ class Tracker:
         self._early.clear()
         due = self._step.fields.due - (len(self._history) - len(early))
         seen_last = self._step.seen_last
-        self._roster.plane = self._space.plane
-        assert self._roster.plane is not None
+        self._assignment.plane = self._space.plane
+        assert self._assignment.plane is not None
         self._begin_bodies()
         self._timeline.history = self._history
         for stamp, time, frame in early:
@@ -507,7 +507,7 @@ class Tracker:
         self._next_update = self._frames + max(
             1, min(int(self._frames * UPDATE_SHARE), MOST_BETWEEN_UPDATES)
         )
-        if self._roster.plane is None:
+        if self._assignment.plane is None:
             self._drop_old()
             return False
         self._count_new()
@@ -525,7 +525,7 @@ class Tracker:
         if not self._posed:
             self._find_deformed()
         changed = False
-        if self.matcher.look_is_due():
+        if self.matcher.regrouping_is_due():
             regrouped = self.matcher.regroup(self.rigidity_residual() > 0)
             changed = bool(regrouped.any() or self.matcher.withheld.any())
             if regrouped.any():
@@ -548,14 +548,14 @@ class Tracker:
         """Count what the frames since the last update lack, and measure how they lie in space."""
         new = min(self._new - self._counted, len(self._history))
         self._counted = self._new
-        if not new or self._roster.plane is None:
+        if not new or self._assignment.plane is None:
             return
         markers, heights = (self._history[name][-new:] for name in ('markers', 'heights'))
         seen = np.count_nonzero(~np.isnan(markers[..., 0] if self._posed else markers))
-        lacking = self._roster.wanted * new - seen
+        lacking = self._assignment.count * new - seen
         self._counts['markers_not_seen'] += int(lacking)
         if not self._posed:
-            self._space.add(self._roster.plane.in_space(markers, heights))
+            self._space.add(self._assignment.plane.in_space(markers, heights))
 
     def _drop_old(self) -> None:
         """Drop the frames that are neither in the window nor to be learned from."""
