@@ -78,6 +78,29 @@ def _raise_unknown_attribute(record: object, name: str) -> NoReturn:
 
 
 @dataclass(frozen=True)
+class Events:
+    """
+    E instants at which the velocity, acceleration or jerk of a body steps, in the order found.
+
+    `t` (E,) s and `t_sigma` are when; `order` (E,) is that of the lowest derivative that steps, 1
+    for the velocity, as at an impact. By how much, in rad/s^order and m/s^order: `angle_step` (E,)
+    with `angle_step_sigma`, and `step` (E, 2) of the origin of the body's frame with
+    `step_covariance` (E, 2, 2).
+    """
+
+    t: np.ndarray
+    t_sigma: np.ndarray
+    order: np.ndarray
+    angle_step: np.ndarray
+    angle_step_sigma: np.ndarray
+    step: np.ndarray
+    step_covariance: np.ndarray
+
+    def __len__(self) -> int:
+        return len(self.t)
+
+
+@dataclass(frozen=True)
 class BodyMotion:
     """
     The motion of one body at M instants; NaN where undetermined, or beyond `derivative_order`.
@@ -85,6 +108,7 @@ class BodyMotion:
     SI units and rad. Numbers are (M,) and come with NAME_sigma, one standard deviation; vectors are
     (M, 2), along the axes of the plane, and come with NAME_covariance (M, 2, 2). `position` and
     `angle` are those of the body's frame. `missing` (M,) says why nothing is known, '' else.
+    `events` are found a window after they happen.
     """
 
     position: np.ndarray
@@ -110,6 +134,7 @@ class BodyMotion:
     icr_velocity_covariance: np.ndarray
     centrode_curvature: np.ndarray
     centrode_curvature_sigma: np.ndarray
+    events: Events
 
     if not TYPE_CHECKING:
 
@@ -185,7 +210,7 @@ def _table_columns(prefix: str, record: BodyMotion | PairMotion) -> dict[str, np
     columns: dict[str, np.ndarray] = {}
     for name in (field.name for field in fields(record)):
         values = getattr(record, name)
-        if name == 'missing':
+        if name in ('missing', 'events'):
             continue
         if values.ndim == 1:
             columns[f'{prefix}_{name}'] = values
@@ -254,7 +279,7 @@ def track(
     for first in range(0, len(times), _AT_ONCE):
         part = slice(first, first + _AT_ONCE)
         frames = MarkerFrames(times[part], '', names, there[part])
-        found += tracker.add(frames, _order(settings))
+        found += tracker.add(frames, _order(settings), True)
     _warn(_left_out(tracker, found))
     return _tracked(found, settings)
 
@@ -373,10 +398,7 @@ def _tracked(found: list[Estimate], settings: Settings) -> Tracked:
     """Estimates, one after the other, as one record."""
     names = tuple(settings.bodies)
     stamp = np.concatenate([np.empty(0, np.int64), *(one.stamp for one in found)])
-    bodies = _Records(
-        (name, BodyMotion(**_concatenated(BodyMotion, [_body(one, b) for one in found])))
-        for b, name in enumerate(names)
-    )
+    bodies = _Records((name, BodyMotion(**_body_motion(found, b))) for b, name in enumerate(names))
     pairs = _Records(
         (
             (names[j], names[i]),
@@ -385,6 +407,22 @@ def _tracked(found: list[Estimate], settings: Settings) -> Tracked:
         for k, (i, j) in enumerate(measured_pairs(len(names)))
     )
     return Tracked(stamp * 1e-9, stamp, bodies, pairs)
+
+
+def _body_motion(found: list[Estimate], b: int) -> dict[str, Any]:
+    figures = _concatenated(BodyMotion, [_body(one, b) for one in found])
+    events = [event for one in found for event in one.events if event.body == b]
+    covariances = np.array([event.step_covariance for event in events]).reshape(-1, 2, 2)
+    own = Events(
+        np.array([event.stamp for event in events], float) * 1e-9,
+        np.array([event.time_sigma for event in events]),
+        np.array([event.order for event in events], int),
+        np.array([event.angle_step for event in events]),
+        np.array([event.angle_step_sigma for event in events]),
+        to_plane(np.array([event.step for event in events], complex)),
+        covariances,
+    )
+    return {**figures, 'events': own}
 
 
 def _body(estimate: Estimate, b: int) -> dict[str, np.ndarray]:
@@ -432,7 +470,7 @@ def _concatenated(kind: type, parts: list[dict[str, np.ndarray]]) -> dict[str, n
     """The fields of that kind of record, of all parts; NaN where the parts have none."""
     count = sum(len(part['angular_velocity']) for part in parts)
     whole = {}
-    for name in (field.name for field in fields(kind)):
+    for name in (field.name for field in fields(kind) if field.name != 'events'):
         if parts and name in parts[0]:
             whole[name] = np.concatenate([part[name] for part in parts])
         elif name == 'missing':

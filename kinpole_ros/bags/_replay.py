@@ -135,6 +135,7 @@ def replay(
             for row in outputs:
                 writer.add_topic(row.under(f'/{NODE_NAME}'), row.message_type)
             writer.add_topic('/diagnostics', DiagnosticArray)
+        asked = writer is not None or bool(tables) or take is not None
         for parts, log_times, error in _frames(bag, name, kind, reader, report):
             if isinstance(error, Truncated):
                 truncated = error
@@ -156,7 +157,7 @@ def replay(
                     identities = frames.identities
                     absent = _still_absent(absent, identities)
             handed = parts if writer is None else periodic.parts(parts, tracker)
-            known = tracker.add_parts(handed, order if stretch.is_known else None)
+            known = tracker.add_parts(handed, order if stretch.is_known else None, asked)
             if last - looked >= _SECOND:
                 looked, space = last, updated(space, tracker.space())
             if writer is not None:

@@ -21,6 +21,12 @@ from kinpole_ros.tracking.estimate import (
 )
 from kinpole_ros.tracking.parameters import Settings
 
+# Of the event of a body that was found with an instant: when it was, and by how much the derivative
+# of this order steps, of the angle and of the origin of the body's frame.
+EVENT_COLUMNS = (
+    *('event_t', 'event_t_sigma', 'event_order', 'event_angle_step', 'event_angle_step_sigma'),
+    *('event_step_x', 'event_step_y', 'event_step_x_sigma', 'event_step_y_sigma'),
+)
 # Rows in a group of a Parquet file, which are held in memory.
 _GROUP = 8192
 
@@ -31,8 +37,9 @@ def column_names(bodies: tuple[str, ...], order: int) -> list[str]:
 
     Of every body x, y, angle, the rates and curvature each with the column NAME_sigma behind it,
     and the poles and the ICR's velocity as NAME_x, NAME_y and their sigmas; of every pair the
-    relative rate and center. SI units, sigma is one standard deviation. x and y are along the axes
-    of the plane: those of the frame in xy, yz and zx, else what `messages.plane_words` says.
+    relative rate and center. Last come the EVENT_COLUMNS of every body. SI units, sigma is one
+    standard deviation. x and y are along the axes of the plane: those of the frame in xy, yz and
+    zx, else what `messages.plane_words` says.
     """
     numbers = [*RATE_NAMES[:order], *(['centrode_curvature'] if order >= 3 else [])]
     vectors = [*POLE_NAMES[:order], *(['icr_velocity'] if order >= 2 else [])]
@@ -42,7 +49,7 @@ def column_names(bodies: tuple[str, ...], order: int) -> list[str]:
         names += _names(body, numbers, vectors)
     for i, j in measured_pairs(len(bodies)):
         names += _names(f'{bodies[j]}_wrt_{bodies[i]}', ['angular_velocity'], ['icr'])
-    return names
+    return names + [f'{body}_{name}' for body in bodies for name in EVENT_COLUMNS]
 
 
 def figures(estimate: Estimate, order: int) -> np.ndarray:
@@ -63,9 +70,27 @@ def figures(estimate: Estimate, order: int) -> np.ndarray:
     pairs = (shape[0], len(measured_pairs(shape[1])))
     of_pairs = [_number(estimate.relative_rate, pairs), _vector(estimate.relative_icr, pairs)]
     return np.concatenate(
-        [np.concatenate(part, axis=-1).reshape(shape[0], -1) for part in (of_bodies, of_pairs)],
+        [
+            *(
+                np.concatenate(part, axis=-1).reshape(shape[0], -1)
+                for part in (of_bodies, of_pairs)
+            ),
+            _events(estimate, shape).reshape(shape[0], -1),
+        ],
         axis=1,
     )
+
+
+def _events(estimate: Estimate, shape: tuple[int, int]) -> np.ndarray:
+    """The EVENT_COLUMNS of all bodies, (T, B, columns)."""
+    found = np.full((*shape, len(EVENT_COLUMNS)), np.nan)
+    for instant, event in zip(estimate.instants_of_events(), estimate.events, strict=True):
+        sigmas = np.sqrt(np.diag(event.step_covariance))
+        found[instant, event.body] = (
+            *(event.stamp * 1e-9, event.time_sigma, event.order),
+            *(event.angle_step, event.angle_step_sigma, event.step.real, event.step.imag, *sigmas),
+        )
+    return found
 
 
 def _names(prefix: str, numbers: list[str], vectors: list[str]) -> Iterator[str]:

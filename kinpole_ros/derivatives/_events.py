@@ -27,9 +27,9 @@ _SETS = ((1,), (1, 2), (2,), (2, 3), (3,))
 _RIVALS = ((0,), (4,), (4, 5), (5,), (5, 6))
 # Columns of the angle, and of the two coordinates of the point.
 _SIGNALS = (slice(0, 1), slice(1, 3))
-# Degrees of polynomials without a step, and how many fewer are taken with one: what few degrees do
-# not explain shall not be explained by a step.
-_HIGHEST, _FEWER = 12, 4
+# Degrees of polynomials with a step. Without one they are at least so many higher, and one for so
+# many samples: what those do not explain shall not be explained by a step.
+_SIMPLEST, _FEWER, _SAMPLES = 8, 4, 7
 # Samples after the event in the shortest window, and blocks in the longest.
 _SHORTEST, _MOST_BLOCKS = 8, 64
 # A window has so many times as many samples before the middle as after it.
@@ -40,6 +40,8 @@ _KNOWN = 30.0
 _STEP_COST, _DEGREE_COST = 2.4, 1.0
 # Logarithm of the evidence that an event must have, and have more than its rivals.
 _ENOUGH, _AHEAD = 11.0, 3.0
+# Of an acceleration and of a jerk: smooth motion looks more like steps of these.
+_ENOUGH_OF = {1: _ENOUGH, 2: 15.0, 3: 20.0}
 # Residuals beside the step must not exceed the noise by more than this many standard deviations of
 # their mean square.
 _MISFIT = 4.0
@@ -103,7 +105,8 @@ class _Window:
         self.time, self.starts, self.after, self.block = time, starts, after, block
         self.root = np.sqrt(np.diff(np.append(starts, len(time))))[:, None]
         self.count = len(starts)
-        self.highest = min(_HIGHEST, self.count // 2 - 2)
+        self.highest = min(max(_SIMPLEST + _FEWER, self.count // _SAMPLES), self.count // 2 - 2)
+        self.simplest = min(_SIMPLEST, self.highest - _FEWER)
         self.middle, self.half = float(time.mean()), float(np.ptp(time)) / 2
         self.basis, _ = np.linalg.qr(self.join(self.powers(time)))
         self._steps: dict[tuple, _Steps] = {}
@@ -137,7 +140,6 @@ class _Window:
             self._steps[key] = self.steps(np.array(places), orders)
         return self._steps[key]
 
-
     def near(self, offset: float, reach: float) -> tuple[float, ...]:
         """Places at most `reach` from `offset`, and one more to either side."""
         far = np.ceil(reach / self.block) + 1
@@ -147,25 +149,26 @@ class _Window:
 
     def directions(self, places: tuple[float, ...]) -> Real:
         """
-        Unit vectors (degrees, P, 3, n) along what polynomials leave of steps of all orders.
+        Unit vectors (degrees, P, 5, n) along what polynomials leave of the steps of _DIRECTIONS.
 
-        Each is without those of the orders before.
+        Each is without what the step before it in the same set has.
         """
         if places not in self._directions:
             steps = self.steps_at(places, _ORDERS)
-            degrees = slice(1, self.highest - _FEWER + 1)
+            degrees = slice(1, self.simplest + 1)
             columns = np.moveaxis(steps.columns, 0, -1).swapaxes(0, 1)  # (P, K, n)
             explained = np.einsum('dkp,nd->dpkn', steps.along, self.basis, optimize=True)
             rest = columns - np.cumsum(explained, axis=0)[degrees]
-            whole = np.sqrt((columns**2).sum(axis=-1))
-            found = np.zeros_like(rest)
-            for k in range(len(_ORDERS)):
-                own = rest[:, :, k]
-                for _ in range(2):
-                    for j in range(k):
-                        own = own - found[:, :, j] * (found[:, :, j] * own).sum(-1, keepdims=True)
+            least = np.sqrt(_ROUNDING * (columns**2).sum(axis=-1, keepdims=True))
+            found = np.empty((*rest.shape[:2], len(_DIRECTIONS), rest.shape[-1]))
+            for k, (row, before) in enumerate(_DIRECTIONS):
+                own = rest[:, :, row]
+                if before is not None:
+                    other = found[:, :, before]
+                    for _ in range(2):
+                        own = own - other * (other * own).sum(axis=-1, keepdims=True)
                 size = np.sqrt((own**2).sum(axis=-1, keepdims=True))
-                seen = size > np.sqrt(_ROUNDING) * whole[:, k, None]
+                seen = size > least[:, row]
                 found[:, :, k] = np.where(seen, own / np.where(seen, size, 1.0), 0.0)
             self._directions[places] = found
         return self._directions[places]
@@ -194,7 +197,7 @@ class _Fit:
         squares = np.maximum((samples**2).sum(axis=0) - np.cumsum(along**2, axis=0), 0.0)
         if white:
             squares += np.arange(window.count - 1, window.count - len(squares) - 1, -1)[:, None]
-        with_step = slice(1, window.highest - _FEWER + 1)
+        with_step = slice(1, window.simplest + 1)
         self.squares, self.cost, self.number, self.smooth = [], [], [], []
         self.least = float(squares[with_step.stop - 1].sum() / (3 * (self.count - with_step.stop)))
         for part in _SIGNALS:
@@ -222,11 +225,12 @@ class _Fit:
         `product` is that of `product`, if it is known.
         """
         size = self.product(steps) if product is None else product
-        left = steps.left[1 : self.window.highest - _FEWER + 1]
+        left = steps.left[1 : self.window.simplest + 1]
         factor: list[list[Real]] = []
         explained: list[Real] = []
         for i, row in enumerate(rows):
-            own, value, lower = left[:, row, row], size[:, row], []
+            own, value = left[:, row, row], size[:, row]
+            lower: list[Real] = []
             for j in range(i):
                 shared = left[:, row, rows[j]].copy()
                 for m in range(j):
@@ -247,7 +251,7 @@ class _Fit:
         shape = steps.columns.shape
         whole = steps.columns.reshape(len(self.samples), -1).T @ self.samples
         by_degree = np.cumsum(steps.along[..., None] * self.along[:, None, None], axis=0)
-        by_degree = by_degree[1 : self.window.highest - _FEWER + 1]
+        by_degree = by_degree[1 : self.window.simplest + 1]
         return np.asarray(whole.reshape(*shape[1:], 3) - by_degree)
 
     def _gains(self, squares: list[Real]) -> list[Real]:
@@ -266,22 +270,12 @@ class _Fit:
         product = self.product(steps)
         return np.stack([_of_both(self.evidence(steps, rows, product)) for rows in sets])
 
-    def bound(self, steps: _Steps) -> Real:
-        """Bound (P,) of the gains of all sets of steps: what all explain at the cost of one."""
-        explained = sum(self._explained(steps, range(len(_ORDERS))))
-        parts = []
-        for k, part in enumerate(_SIGNALS):
-            left = np.maximum(self.squares[k][:, None] - explained[..., part].sum(axis=-1), 0.0)
-            value = -self.number[k] * np.log(_KNOWN + left) - self.cost[k][:, None]
-            parts.append(value - self.smooth[k] - _STEP_COST)
-        return _of_both(parts)
-
     def pulse(self) -> float:
         """Gain of the likeliest single sample that is off."""
         basis = self.window.basis
         residual = self.samples - np.cumsum(basis.T[:, :, None] * self.along[:, None], axis=0)
         left = 1 - np.cumsum(basis.T**2, axis=0)
-        rows = slice(1, self.window.highest - _FEWER + 1)
+        rows = slice(1, self.window.simplest + 1)
         square = residual[rows] ** 2 / np.maximum(left[rows], _ROUNDING)[..., None]
         return float(_of_both(self._gains([square])).max())
 
@@ -293,6 +287,9 @@ def _of_both(evidence: list[Real]) -> Real:
 
 _ORDERS = (1, 2, 3)
 _ROWS = tuple(tuple(order - 1 for order in one) for one in _SETS)
+# Rows of steps, each without another of the directions, and which of them the sets have.
+_DIRECTIONS = ((0, None), (1, 0), (1, None), (2, 2), (2, None))
+_DIRECTIONS_OF = ((0,), (0, 1), (2,), (2, 3), (4,))
 _RIVAL_ORDERS = tuple(sorted({order for one in _RIVALS for order in one}))
 _RIVAL_ROWS = tuple(tuple(_RIVAL_ORDERS.index(order) for order in one) for one in _RIVALS)
 
@@ -409,7 +406,7 @@ def _is_even(task: _Task, rows: slice, after: int) -> bool:
 
 
 def _screened(tasks: Sequence[_Task | None], after: float) -> dict[int, tuple[set[int], list[int]]]:
-    """By task the lengths of windows that may show an event, and of all; without tasks that have none."""
+    """By task the lengths of windows that may show an event, if there are any, and of all."""
     groups: dict[tuple[int, int, int], list[int]] = {}
     lengths = {k: _lengths(task, after) for k, task in enumerate(tasks) if task is not None}
     likely: dict[int, set[int]] = {}
@@ -424,8 +421,10 @@ def _screened(tasks: Sequence[_Task | None], after: float) -> dict[int, tuple[se
                 continue
             fit = _fit_of(task, length)
             if fit is not None:
-                steps = fit.window.steps(np.array(fit.window.near(task.offset, task.reach)), _ORDERS)
-                if fit.bound(steps).max() > _ENOUGH:
+                steps = fit.window.steps(
+                    np.array(fit.window.near(task.offset, task.reach)), _ORDERS
+                )
+                if fit.gain(steps, _ROWS).max() > _ENOUGH:
                     likely.setdefault(k, set()).add(length)
     for (length, offset, reach), members in groups.items():
         window = _even_window(length, _block_of(length))
@@ -434,35 +433,40 @@ def _screened(tasks: Sequence[_Task | None], after: float) -> dict[int, tuple[se
             task = tasks[k]
             assert task is not None
             samples.append(window.join(task.samples[_rows_of(task, length)]))
-        bounds = _even_bounds(window, window.near(offset, reach), np.stack(samples, axis=1))
-        for k, bound in zip(members, bounds.tolist(), strict=True):
-            if bound > _ENOUGH:
+        gains = _even_gains(window, window.near(offset, reach), np.stack(samples, axis=1))
+        for k, gain in zip(members, gains.tolist(), strict=True):
+            if gain > _ENOUGH:
                 likely.setdefault(k, set()).add(length)
     return {k: (likely[k], lengths[k]) for k in sorted(likely)}
 
 
-def _even_bounds(window: _Window, near: tuple[float, ...], samples: Real) -> Real:
-    """Bounds (S,) of the gains of events near the middle, of samples (n, S, 3)."""
+def _even_gains(window: _Window, near: tuple[float, ...], samples: Real) -> Real:
+    """Gains (S,) of the likeliest events near the middle, of samples (n, S, 3), as `_Fit.gain`."""
     count, number, _ = samples.shape
     flat = samples.reshape(count, -1)
     along = (window.basis.T @ flat).reshape(-1, number, 3)
     directions = window.directions(near)
-    high, places = directions.shape[0], directions.shape[1]
+    high, places, rows, _ = directions.shape
     explained = (directions.reshape(-1, count) @ flat) ** 2
-    explained = explained.reshape(high, places, 3, number, 3).sum(axis=2)
+    explained = explained.reshape(high, places, rows, number, 3)
     left = np.maximum((flat**2).sum(axis=0).reshape(number, 3) - np.cumsum(along**2, axis=0), 0.0)
     each = 0.5 * np.log1p(along**2) + _DEGREE_COST
-    total = np.zeros((places, number))
+    total = np.zeros((len(_SETS), places, number))
     for part in _SIGNALS:
         signals = part.stop - part.start
         cost, half = np.cumsum(each[..., part].sum(axis=-1), axis=0), signals * count
         half = (_KNOWN + half) / 2
         rest = left[..., part].sum(axis=-1)
         smooth = _log_sum((-half * np.log(_KNOWN + rest) - cost)[1:])
-        less = np.maximum(rest[1 : high + 1, None] - explained[..., part].sum(axis=-1), 0.0)
-        value = -half * np.log(_KNOWN + less) - cost[1 : high + 1, None]
-        total += np.logaddexp(_log_sum(value) - smooth - _STEP_COST, 0.0) - np.log(2)
-    return np.asarray(total.max(axis=0))
+        squares = explained[..., part].sum(axis=-1)
+        costs = signals * np.log1p(squares / signals) / 2 + _STEP_COST
+        for k, chosen in enumerate(_DIRECTIONS_OF):
+            used = list(chosen)
+            less = rest[1 : high + 1, None] - squares[:, :, used].sum(axis=2)
+            value = -half * np.log(_KNOWN + np.maximum(less, 0.0)) - cost[1 : high + 1, None]
+            value -= costs[:, :, used].sum(axis=2)
+            total[k] += np.logaddexp(_log_sum(value) - smooth, 0.0) - np.log(2)
+    return np.asarray(total.max(axis=(0, 1)))
 
 
 def _block_of(after: int) -> int:
@@ -521,7 +525,8 @@ def _search(fit: _Fit, shorter: list[_Fit], offset: float, reach: float) -> _Fou
         (_refine(fit, k, every[int(np.where(close, gains[k], -np.inf).argmax())], step), k)
         for k in np.flatnonzero(top > 0.7 * top.max() - 15).tolist()
     )[::-1]
-    for (gain, place, sigma), k in found:
+    for refined, k in found:
+        gain, place, sigma = refined
         degrees = [
             1 + int(one[:, 0].argmax())
             for one in fit.evidence(window.steps(np.array([place]), _ORDERS), _ROWS[k])
@@ -532,12 +537,12 @@ def _search(fit: _Fit, shorter: list[_Fit], offset: float, reach: float) -> _Fou
             break
     else:
         return None
-    if abs(place - offset) > reach or gain < _ENOUGH:
+    if abs(place - offset) > reach or gain < _ENOUGH_OF[order]:
         return None
     noise = max(1.0, (shorter or [fit])[-1].least)
     if (misfit > noise * (1 + _MISFIT * np.sqrt(2 / (fit.count * np.array((1, 2)))))).any():
         return None
-    if max(degrees) > window.highest - _FEWER - (1 if shorter else 2):
+    if max(degrees) > window.simplest - (1 if shorter else 2):
         return None
     if order > 1 and not _is_simple(fit, place, k, degrees, gain, rival):
         return None
@@ -572,7 +577,7 @@ def _sizes(
     columns = window.steps(np.array([place]), orders).columns[:, :, 0]
     size, sigma, misfit = np.empty(3), np.empty(3), []
     for part, degree in zip(_SIGNALS, degrees, strict=True):
-        degree = min(degree + _MORE_DEGREES, window.highest - _FEWER)
+        degree = min(degree + _MORE_DEGREES, window.simplest)
         design = np.concatenate((columns, window.basis[:, : degree + 1]), axis=1)
         inverse = np.linalg.pinv(design)
         found = inverse @ fit.samples[:, part]
@@ -592,9 +597,7 @@ def _is_simple(
     return bool(simple and _of_both(simple)[0] >= _ENOUGH and rival < _RIVAL_SHARE * gain)
 
 
-def _is_confirmed(
-    fit: _Fit, shorter: _Fit, place: float, k: int, degrees: list[int]
-) -> bool:
+def _is_confirmed(fit: _Fit, shorter: _Fit, place: float, k: int, degrees: list[int]) -> bool:
     """Whether a shorter window shows what the curve with the step lets expect of it."""
     window, other = fit.window, shorter.window
     if not other.time[0] + 3 < place < other.time[-1] - 3:

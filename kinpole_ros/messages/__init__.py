@@ -13,6 +13,7 @@ from kinpole_ros.messages._diagnostics import (
     unseen,
 )
 from kinpole_ros.messages._drawing import COLORS, nothing_drawn
+from kinpole_ros.messages._events import read_event
 from kinpole_ros.messages._identities import identity_lines
 from kinpole_ros.messages._markers import (
     INPUT_TYPE_NAMES,
@@ -95,6 +96,7 @@ __all__ = [
     'outputs_of',
     'plane_words',
     'poses_data',
+    'read_event',
     'read_markers',
     'read_state',
     'reader_of',

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from kinpole_ros.messages._drawing import scene
+from kinpole_ros.messages._events import events
 from kinpole_ros.messages._loci import Build, Trail, centrode
 from kinpole_ros.messages._rows import At, Figures, Found, both, each
 from kinpole_ros.messages._stack import TF, frame_poses, frames, joint_states
@@ -61,6 +62,7 @@ class Output(NamedTuple):
     instants: the indices of instants, in order, and a serialized message for each. There is none of
     an instant at which nothing is determined, or nothing due to be drawn. What people look at is
     built every so many seconds at most, `every`, of the clock on the wall; all else of every frame.
+    Only for those `of_events` are events searched for.
     """
 
     topic: str
@@ -68,6 +70,7 @@ class Output(NamedTuple):
     order: int
     build: Build
     every: float = 0.0
+    of_events: bool = False
 
     def under(self, node: str) -> str:
         """The whole name of the topic, of a node of this name; one of all nodes has its own."""
@@ -124,6 +127,7 @@ def result_outputs(
         for name, frame in (('fixed', None), ('moving', frame_names[b])):
             locus = centrode(b, given, trails[b], frame)
             outputs.append(Output(f'{body}/centrode/{name}', Path, 1, locus))
+        outputs.append(Output(f'{body}/event', PointCloud2, 1, events(b, given), of_events=True))
     pairs = measured_pairs(count)
     firsts = np.array([i for i, _ in pairs], int)
     center = both(len(pairs), partial(_points, lambda e: e.relative_icr, given, firsts))

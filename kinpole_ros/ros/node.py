@@ -280,6 +280,7 @@ class KinpoleNode(SettableNode):
         now = time.monotonic()
         viewed = self._viewed if now >= self._view_due else []
         order = max((output.order for output, _ in (*self._wanted, *viewed)), default=None)
+        events = any(output.of_events for output, _ in self._wanted)
         read, messages, dropped = self.source.take(message, info)
         self._tracker.counts['dropped'] += dropped
         last: Estimate | None = None
@@ -292,7 +293,7 @@ class KinpoleNode(SettableNode):
                 self._note('message', str(frames))
                 continue
             self._stamps.extend(frames.stamps.tolist())
-            for estimate in self._tracker.add(frames, order):
+            for estimate in self._tracker.add(frames, order, events):
                 self._latest = self._drawn = estimate
                 _publish(self._wanted, estimate)
                 last = estimate

@@ -17,6 +17,7 @@ from kinpole_ros.tracking.center import Pins, find_hubs
 from kinpole_ros.tracking.corrections import EXCHANGED
 from kinpole_ros.tracking.deformation import TISSUE, deformed_freedom
 from kinpole_ros.tracking.estimate import Estimate
+from kinpole_ros.tracking.events import BodyEvent, EventSearch
 from kinpole_ros.tracking.fit import correct_frame, fit_markers
 from kinpole_ros.tracking.frame import MarkerFrames, part_of
 from kinpole_ros.tracking.history import History
@@ -88,6 +89,8 @@ class Tracker:
         self._run_number = next(_run_numbers)
         self._begin_bodies()
         self._timeline = Timeline(self.settings, self._counts, self._history, before)
+        self._event_search = EventSearch(self._window, count)
+        self._events: list[BodyEvent] = []
 
     def _begin_bodies(self) -> None:
         """Begin with bodies of which nothing is known."""
@@ -191,21 +194,27 @@ class Tracker:
 
     # Frames.
 
-    def add(self, frames: MarkerFrames, order: int | None) -> list[Estimate]:
+    def add(self, frames: MarkerFrames, order: int | None, events: bool = False) -> list[Estimate]:
         """
         Take frames; return what is now known, stamped `lag` earlier.
 
-        `order` is the highest derivative wanted now (1 to 4), None for no estimates at all. A stamp
+        `order` is the highest derivative wanted now (1 to 4), None for no estimates at all. With
+        `events` estimates have those that were found since the last ones. A stamp
         seen already is left out, and so is a frame that comes late: before the newest, within the
         window. Everything starts anew with another frame_id, and with a stamp farther from the
         newest than the window.
         """
-        return self.add_parts((frames,), order)
+        return self.add_parts((frames,), order, events)
 
-    def add_parts(self, parts: Iterable[MarkerFrames], order: int | None) -> list[Estimate]:
+    def add_parts(
+        self, parts: Iterable[MarkerFrames], order: int | None, events: bool = False
+    ) -> list[Estimate]:
         """The same of frames in parts. Instants are `due` by the number of the frame in all."""
         estimates: list[Estimate] = []
         self._results: list[Results] = []
+        self._events_wanted = events
+        if not events:
+            self._event_search.forget()
         number = 0
         for frames in parts:
             stamps = np.asarray(frames.stamps)
@@ -256,6 +265,7 @@ class Tracker:
         results = self._room_for(len(frames.stamps), order)
         first, count = 0, len(frames.stamps)
         while first < count:
+            self._search_events(first, numbers)
             if self._update_if_due():
                 self.matcher.assign_again(first)
                 self._step.fields.hidden_is_unusual = self.matcher.has_unassigned
@@ -281,10 +291,19 @@ class Tracker:
                 first += 1
                 self._step.fields.frame = first
                 self._follow(0, results)
+        self._search_events(first, numbers)
         self._keep(results, numbers)
         if self._posed and self._assignment.plane is not None:
             self._space.add(solid)
         return estimates
+
+    def _search_events(self, first: int, numbers: np.ndarray) -> None:
+        """Search for events before what follows from other frames changes; `first` comes next."""
+        if not self._events_wanted or first == 0:
+            return
+        hub = np.where(np.isfinite(self._pins.center), 0.0, self._known.hub)
+        for event in self._event_search.search(self._history, self._known, hub, first - 1):
+            self._events.append(event._replace(due=int(numbers[max(event.due, 0)])))
 
     def _hand_over(self, stamps: np.ndarray, times: tuple[np.ndarray, ...]) -> None:
         """Hand the frames sorted last to the compiled step."""
@@ -345,7 +364,8 @@ class Tracker:
         if not results:
             return []
         about = self._frame_id, self.bodies, self._run_number, self.plane, self._posed
-        return [estimate_of(results, *about)]
+        events, self._events = self._events, []
+        return [estimate_of(results, *about, tuple(events))]
 
     def _sort(self, frames: MarkerFrames) -> np.ndarray:
         """The markers (T, B, n, 3) of the bodies, m; hands them to the matcher in the plane."""
