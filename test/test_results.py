@@ -122,7 +122,7 @@ def turned(q: Any, vector: np.ndarray) -> np.ndarray:
 def test_the_topics_are_those_of_the_interface() -> None:
     one = ['odom', *RATE_NAMES, *POLE_NAMES, *(f'{pole}/with_covariance' for pole in POLE_NAMES)]
     alone = [*RATE_NAMES, 'icr_velocity', 'centrode_curvature']
-    one += ['icr_velocity', 'centrode_curvature', 'centrode/fixed', 'centrode/moving']
+    one += ['icr_velocity', 'centrode_curvature', 'centrode/fixed', 'centrode/moving', 'event']
     one += [f'{topic}/deviation' for topic in alone]
     pair = ['coupler/wrt/crank/icr', 'coupler/wrt/crank/angular_velocity']
     pair += [f'{topic}/deviation' for topic in pair]

@@ -25,6 +25,8 @@ from kinpole_ros.planar._plane import Real
 _SETS = ((1,), (1, 2), (2,), (2, 3), (3,))
 # What may look like an event and is none: poses that jump, and motion that sets in gradually.
 _RIVALS = ((0,), (4,), (4, 5), (5,), (5, 6))
+# Numbers of samples that may be off.
+_PULSES = (1, 2, 3)
 # Columns of the angle, and of the two coordinates of the point.
 _SIGNALS = (slice(0, 1), slice(1, 3))
 # Degrees of polynomials with a step. Without one they are at least so many higher, and one for so
@@ -105,7 +107,7 @@ class _Window:
         self.time, self.starts, self.after, self.block = time, starts, after, block
         self.root = np.sqrt(np.diff(np.append(starts, len(time))))[:, None]
         self.count = len(starts)
-        self.highest = min(max(_SIMPLEST + _FEWER, self.count // _SAMPLES), self.count // 2 - 2)
+        self.highest = min(max(_SIMPLEST + _FEWER, self.count // _SAMPLES), self.count // 2)
         self.simplest = min(_SIMPLEST, self.highest - _FEWER)
         self.middle, self.half = float(time.mean()), float(np.ptp(time)) / 2
         self.basis, _ = np.linalg.qr(self.join(self.powers(time)))
@@ -271,13 +273,20 @@ class _Fit:
         return np.stack([_of_both(self.evidence(steps, rows, product)) for rows in sets])
 
     def pulse(self) -> float:
-        """Gain of the likeliest single sample that is off."""
-        basis = self.window.basis
-        residual = self.samples - np.cumsum(basis.T[:, :, None] * self.along[:, None], axis=0)
-        left = 1 - np.cumsum(basis.T**2, axis=0)
+        """Gain of the likeliest run of up to three samples that are off by the same."""
         rows = slice(1, self.window.simplest + 1)
-        square = residual[rows] ** 2 / np.maximum(left[rows], _ROUNDING)[..., None]
-        return float(_of_both(self._gains([square])).max())
+        basis = self.window.basis
+        residual = self.samples - np.cumsum(basis.T[:, :, None] * self.along[:, None], axis=0)[rows]
+        gains = []
+        for length in _PULSES:
+            ends = slice(length, None), slice(None, -length)
+            sums = np.cumsum(np.pad(basis, ((1, 0), (0, 0))), axis=0)
+            sums = sums[ends[0]] - sums[ends[1]]
+            left = np.maximum(length - np.cumsum(sums.T**2, axis=0)[rows], _ROUNDING)
+            off = np.cumsum(np.pad(residual, ((0, 0), (1, 0), (0, 0))), axis=1)
+            off = off[:, ends[0]] - off[:, ends[1]]
+            gains.append(_of_both(self._gains([off**2 / left[..., None]])).max())
+        return float(max(gains))
 
 
 def _of_both(evidence: list[Real]) -> Real:
@@ -542,9 +551,12 @@ def _search(fit: _Fit, shorter: list[_Fit], offset: float, reach: float) -> _Fou
     noise = max(1.0, (shorter or [fit])[-1].least)
     if (misfit > noise * (1 + _MISFIT * np.sqrt(2 / (fit.count * np.array((1, 2)))))).any():
         return None
-    if max(degrees) > window.simplest - (1 if shorter else 2):
+    # No shorter window says whether more degrees would explain it.
+    if not shorter and _simple_gain(fit, place, k, degrees, window.simplest - 1) < _ENOUGH:
         return None
-    if order > 1 and not _is_simple(fit, place, k, degrees, gain, rival):
+    if order > 1 and (
+        rival > _RIVAL_SHARE * gain or _simple_gain(fit, place, k, degrees, _SIMPLE) < _ENOUGH
+    ):
         return None
     if shorter and not _is_confirmed(fit, shorter[0], place, k, degrees):
         return None
@@ -587,14 +599,11 @@ def _sizes(
     return size, sigma, np.array(misfit)
 
 
-def _is_simple(
-    fit: _Fit, place: float, k: int, degrees: list[int], gain: float, rival: float
-) -> bool:
-    """Whether signals on simple curves alone show the event, and clearly."""
-    steps = fit.window.steps(np.array([place]), _ORDERS)
-    parts = fit.evidence(steps, _ROWS[k])
-    simple = [one for one, degree in zip(parts, degrees, strict=True) if degree <= _SIMPLE]
-    return bool(simple and _of_both(simple)[0] >= _ENOUGH and rival < _RIVAL_SHARE * gain)
+def _simple_gain(fit: _Fit, place: float, k: int, degrees: list[int], most: int) -> float:
+    """Gain of the signals whose likeliest curve beside the event has at `most` this degree."""
+    parts = fit.evidence(fit.window.steps(np.array([place]), _ORDERS), _ROWS[k])
+    simple = [one for one, degree in zip(parts, degrees, strict=True) if degree <= most]
+    return float(_of_both(simple)[0]) if simple else 0.0
 
 
 def _is_confirmed(fit: _Fit, shorter: _Fit, place: float, k: int, degrees: list[int]) -> bool:
