@@ -108,7 +108,6 @@ class BodyMotion:
     SI units and rad. Numbers are (M,) and come with NAME_sigma, one standard deviation; vectors are
     (M, 2), along the axes of the plane, and come with NAME_covariance (M, 2, 2). `position` and
     `angle` are those of the body's frame. `missing` (M,) says why nothing is known, '' else.
-    `events` are found a window after they happen.
     """
 
     position: np.ndarray
@@ -134,7 +133,6 @@ class BodyMotion:
     icr_velocity_covariance: np.ndarray
     centrode_curvature: np.ndarray
     centrode_curvature_sigma: np.ndarray
-    events: Events
 
     if not TYPE_CHECKING:
 
@@ -163,7 +161,8 @@ class Tracked:
     The motion of bodies at M instants: `tracked['crank'].angular_velocity` (M,), and so on.
 
     `stamp` (M,) int64, ns, and the same as `t` (M,), s. `pairs` are relative motions by names
-    (j, i), i before j in `bodies`. A name that is missing raises an
+    (j, i), i before j in `bodies`. `events` are those of each body, as far as the window after them
+    is known. A name that is missing raises an
     `UnknownNameError`, a KeyError that lists the names.
     """
 
@@ -171,6 +170,7 @@ class Tracked:
     stamp: np.ndarray
     bodies: Mapping[str, BodyMotion]
     pairs: Mapping[tuple[str, str], PairMotion]
+    events: Mapping[str, Events]
 
     def __getitem__(self, body: str) -> BodyMotion:
         return self.bodies[body]
@@ -210,7 +210,7 @@ def _table_columns(prefix: str, record: BodyMotion | PairMotion) -> dict[str, np
     columns: dict[str, np.ndarray] = {}
     for name in (field.name for field in fields(record)):
         values = getattr(record, name)
-        if name in ('missing', 'events'):
+        if name == 'missing':
             continue
         if values.ndim == 1:
             columns[f'{prefix}_{name}'] = values
@@ -398,7 +398,10 @@ def _tracked(found: list[Estimate], settings: Settings) -> Tracked:
     """Estimates, one after the other, as one record."""
     names = tuple(settings.bodies)
     stamp = np.concatenate([np.empty(0, np.int64), *(one.stamp for one in found)])
-    bodies = _Records((name, BodyMotion(**_body_motion(found, b))) for b, name in enumerate(names))
+    bodies = _Records(
+        (name, BodyMotion(**_concatenated(BodyMotion, [_body(one, b) for one in found])))
+        for b, name in enumerate(names)
+    )
     pairs = _Records(
         (
             (names[j], names[i]),
@@ -406,23 +409,21 @@ def _tracked(found: list[Estimate], settings: Settings) -> Tracked:
         )
         for k, (i, j) in enumerate(measured_pairs(len(names)))
     )
-    return Tracked(stamp * 1e-9, stamp, bodies, pairs)
+    events = _Records((name, _events(found, b)) for b, name in enumerate(names))
+    return Tracked(stamp * 1e-9, stamp, bodies, pairs, events)
 
 
-def _body_motion(found: list[Estimate], b: int) -> dict[str, Any]:
-    figures = _concatenated(BodyMotion, [_body(one, b) for one in found])
+def _events(found: list[Estimate], b: int) -> Events:
     events = [event for one in found for event in one.events if event.body == b]
-    covariances = np.array([event.step_covariance for event in events]).reshape(-1, 2, 2)
-    own = Events(
+    return Events(
         np.array([event.stamp for event in events], float) * 1e-9,
-        np.array([event.time_sigma for event in events]),
+        np.array([event.time_sigma for event in events], float),
         np.array([event.order for event in events], int),
-        np.array([event.angle_step for event in events]),
-        np.array([event.angle_step_sigma for event in events]),
+        np.array([event.angle_step for event in events], float),
+        np.array([event.angle_step_sigma for event in events], float),
         to_plane(np.array([event.step for event in events], complex)),
-        covariances,
+        np.array([event.step_covariance for event in events]).reshape(-1, 2, 2),
     )
-    return {**figures, 'events': own}
 
 
 def _body(estimate: Estimate, b: int) -> dict[str, np.ndarray]:
@@ -470,7 +471,7 @@ def _concatenated(kind: type, parts: list[dict[str, np.ndarray]]) -> dict[str, n
     """The fields of that kind of record, of all parts; NaN where the parts have none."""
     count = sum(len(part['angular_velocity']) for part in parts)
     whole = {}
-    for name in (field.name for field in fields(kind) if field.name != 'events'):
+    for name in (field.name for field in fields(kind)):
         if parts and name in parts[0]:
             whole[name] = np.concatenate([part[name] for part in parts])
         elif name == 'missing':
