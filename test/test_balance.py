@@ -5,7 +5,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from kinpole_ros.mechanism._assembly import GROUND, Revolute, assemble
+from kinpole_ros.mechanism._assembly import assemble
+from kinpole_ros.mechanism._joints import GROUND, Revolute
 from kinpole_ros.mechanism._mechanism import Driver, Mechanism
 from kinpole_ros.mechanism._statics import Force, Torque, efforts
 from kinpole_ros.planar._balance import Port, balancing_effort, measured_balance, port_power

@@ -180,7 +180,7 @@ def found_by(frames: MarkerFrames, sizes: Sequence[int]) -> list[tuple[int, Body
         for estimate in tracker.add(part, 1, True):
             for instant, event in zip(estimate.instants_of_events(), estimate.events, strict=True):
                 found.append((int(estimate.stamp[instant]), event))
-        tracker.settle()
+        tracker.learn_if_due()
         first, k = first + size, k + 1
     return found
 

@@ -19,8 +19,7 @@ from kinpole_ros.messages import (
     WITH_TF,
     DiagnosticsMaker,
     Output,
-    diagnostics_data,
-    nothing_drawn,
+    deletion_of_all,
     result_outputs,
     type_name,
 )
@@ -367,7 +366,7 @@ def test_markers_keep_their_names_and_are_deleted_when_gone() -> None:
 
 
 def test_all_that_was_drawn_is_taken_away_by_one_marker() -> None:
-    array = deserialize_message(nothing_drawn(5_000_000_006, FRAME), MarkerArray)
+    array = deserialize_message(deletion_of_all(5_000_000_006, FRAME), MarkerArray)
     assert [marker.action for marker in array.markers] == [Marker.DELETEALL]
     assert stamp_of(array) == 5_000_000_006
     assert array.markers[0].header.frame_id == FRAME
@@ -631,7 +630,7 @@ def test_diagnostics_are_those_of_rclpy_with_padding_zero(length: int) -> None:
         DiagnosticStatus(level=DiagnosticStatus.WARN, name=e, hardware_id=a),
         DiagnosticStatus(name=a, values=pairs[1:]),
     ]
-    data, again = diagnostics_data(array), serialize_message(array)
+    data, again = kinpole_ros.messages.serialize_message(array), serialize_message(array)
     assert len(data) == len(again)
     for place in np.flatnonzero(np.frombuffer(data, 'u1') != np.frombuffer(again, 'u1')):
         assert data[place] == 0

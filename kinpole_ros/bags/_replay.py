@@ -182,7 +182,7 @@ def replay(
         counts = tracker.counts
         if counts['unreadable'] and not counts['frames']:
             raise BagError(f'{bag}: no message on {name} can be read: {problem}')
-        lacking = reader.lacking() if isinstance(reader, PoseReader) else ''
+        lacking = reader.unseen_names() if isinstance(reader, PoseReader) else ''
         if lacking and not counts['frames']:
             raise BagError(f'{bag}: on {name} {lacking}')
     space = updated(space, tracker.space())

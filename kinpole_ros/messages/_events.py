@@ -7,10 +7,14 @@ each number, as the topic `state` has. It is stamped with the time of the event.
 
 import numpy as np
 
-from kinpole_ros.messages._cdr_writer import Writer
-from kinpole_ros.messages._loci import Build, Built
-from kinpole_ros.messages._markers import stamp_to_ns
-from kinpole_ros.messages._types import PointCloud2, PointField, deserialize_message
+from kinpole_ros.messages._cdr import Writer
+from kinpole_ros.messages._quantities import Build, Built
+from kinpole_ros.messages._types import (
+    PointCloud2,
+    PointField,
+    deserialize_message,
+    stamp_to_ns,
+)
 from kinpole_ros.tracking.estimate import Estimate
 from kinpole_ros.tracking.events import BodyEvent
 from kinpole_ros.tracking.plane import Plane

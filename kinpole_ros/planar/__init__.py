@@ -5,7 +5,7 @@ Derivatives of poses or landmarks come in; rates, poles, centrodes and their fir
 go out. Public functions say whether a vector is an array (..., 2) or a complex number x + iy.
 Written as complex numbers, the matrix R of the seeds (rotation by +90 degrees) is the factor i, and
 their 2 x 2 matrices B, H and G are single complex numbers. The seeds are the course notes listed in
-docs/seeds.md. Functions raise ValueError for arrays whose shapes do not fit.
+docs/course_notes.md. Functions raise ValueError for arrays whose shapes do not fit.
 """
 
 from kinpole_ros.planar._balance import Port, measured_balance

@@ -59,8 +59,8 @@ class EventSearch:
         self._anew = False
         self._last = [-window] * bodies
 
-    def forget(self) -> None:
-        """Go on with the frames that come next."""
+    def pause(self) -> None:
+        """Go on only with frames that come after the next call of `search`."""
         self._next, self._anew = None, True
 
     def search(

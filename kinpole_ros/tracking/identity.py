@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from kinpole_ros.planar._plane import Complex, Real
-from kinpole_ros.tracking.levels import RECENT, SURE
+from kinpole_ros.tracking.thresholds import N_SIGMA, RECENT_FRAMES
 
 # A point is taken for a predicted marker if the second nearest point is this many times as far.
 _DISTANCE_RATIO = 2.0
@@ -225,7 +225,11 @@ def predict_poses(
     if not len(stamps):
         nowhere = np.full(position.shape[1], complex(np.nan, np.nan))
         return nowhere, nowhere
-    stamps, position, angle = stamps[-RECENT:], position[-RECENT:], angle[-RECENT:]
+    stamps, position, angle = (
+        stamps[-RECENT_FRAMES:],
+        position[-RECENT_FRAMES:],
+        angle[-RECENT_FRAMES:],
+    )
     body = np.arange(position.shape[1])
     # Rows from 1 on; 0 is none.
     rows = np.where(np.isfinite(angle), np.arange(1, len(stamps) + 1)[:, None], 0)
@@ -233,7 +237,7 @@ def predict_poses(
     before = np.where(rows < last, rows, 0).max(axis=0)
     seconds = (stamps - now) * 1e-9
     # One frame alone has no interval.
-    memory = 1.01 * RECENT * (seconds[-1] - seconds[0]) / max(len(stamps) - 1, 1) or np.inf
+    memory = 1.01 * RECENT_FRAMES * (seconds[-1] - seconds[0]) / max(len(stamps) - 1, 1) or np.inf
     age, step = -seconds[last - 1], seconds[last - 1] - seconds[before - 1]
     moved = position[last - 1, body] - position[before - 1, body]
     turned = angle[last - 1, body] - angle[before - 1, body]
@@ -458,7 +462,7 @@ def _likeliest(b: int, candidates: Candidates, shape: Complex, expected: Expecte
     best = score == score.max()
     # Residuals far beyond the noise are wrong where another candidate has smaller ones.
     least = candidates.variance.min(where=best, initial=np.inf)
-    best &= candidates.variance <= max(SURE**2 * expected.variance, _DISTANCE_RATIO**2 * least)
+    best &= candidates.variance <= max(N_SIGMA**2 * expected.variance, _DISTANCE_RATIO**2 * least)
     candidates, agree, off = candidates.at(best), agree[best], off[best]
     if len(agree) > 1 and (agree == agree.max()).sum() == 1:
         return candidates.at(agree == agree.max())

@@ -24,8 +24,15 @@ from kinpole_ros.tracking.identity import (
     merge_names,
     predict_poses,
 )
-from kinpole_ros.tracking.levels import FEW, KEPT, LITTLE, RECENT, RUNNING, SURE
 from kinpole_ros.tracking.parameters import Settings
+from kinpole_ros.tracking.thresholds import (
+    CONFIRMING_FRAMES,
+    MEMORY_FRAMES,
+    MIN_SAMPLES,
+    N_SIGMA,
+    NEGLIGIBLE,
+    RECENT_FRAMES,
+)
 
 # What is counted in `Tracker.counts`.
 OTHERS, RENAMED, REGROUPED = 'markers_of_others', 'markers_renamed', 'markers_regrouped'
@@ -95,9 +102,9 @@ class Matcher:
         # Frames that were arranged by shape, and in how many of them each body was found.
         self._arranged = 0
         self._times_found = np.zeros(count, int)
-        self._next_regrouping, self._regroupings = FEW, 0
+        self._next_regrouping, self._regroupings = MIN_SAMPLES, 0
         # Variances (m^2) of the best fits of bodies that were searched for.
-        self._variances: deque[float] = deque(maxlen=KEPT)
+        self._variances: deque[float] = deque(maxlen=MEMORY_FRAMES)
         self._frame = 0
         self._arranged_this_frame = False
 
@@ -110,7 +117,9 @@ class Matcher:
     def in_order(self) -> bool:
         """Whether the markers of the last frames are taken to be as their names say."""
         is_full = len(self._assignment.identities) == self.full_count
-        return not self._nameless or (is_full and not self._by_shape and self._arranged >= FEW)
+        return not self._nameless or (
+            is_full and not self._by_shape and self._arranged >= MIN_SAMPLES
+        )
 
     @property
     def has_unassigned(self) -> bool:
@@ -161,7 +170,7 @@ class Matcher:
         if not self._nameless:
             return False
         restarts = False
-        if self._arranged < FEW:
+        if self._arranged < MIN_SAMPLES:
             restarts = self._update_full_count() and not self.has_shape.all()
             self._arranged += 1
         is_full = len(self._assignment.identities) == self.full_count
@@ -259,12 +268,12 @@ class Matcher:
             Bodies that have to begin again.
 
         """
-        self._next_regrouping = self._frames + min(self._frames // 2, KEPT)
+        self._next_regrouping = self._frames + min(self._frames // 2, MEMORY_FRAMES)
         loose = loose & ~self.has_shape & ~self.withheld
         tried_enough = self._regroupings > 2 * len(loose)
         if loose.sum() < 2 or tried_enough or self._by_shape or not len(self._history):
             return np.zeros(len(loose), bool)
-        order, confused = group(self._history['markers'][-KEPT:], loose)
+        order, confused = group(self._history['markers'][-MEMORY_FRAMES:], loose)
         self.withheld[confused] = True
         self._withholds = bool(self.withheld.any())
         if order is None:
@@ -286,12 +295,12 @@ class Matcher:
             given, learned, name = self.given[b], self._bodies.shape[b], self._names[b]
             markers = given[~np.isnan(given)]
             size = np.abs(markers - markers.mean()).max()
-            limit = max(SURE * float(np.nan_to_num(self._bodies.limit[b])), LITTLE * size)
+            limit = max(N_SIGMA * float(np.nan_to_num(self._bodies.limit[b])), NEGLIGIBLE * size)
             indices = np.where(np.isnan(given), -1, np.arange(len(given)))
             if not fit_points(learned, np.nan_to_num(given), indices)[2] <= limit:
                 mirrored = fit_points(learned, np.nan_to_num(given.conj()), indices)[2] <= limit
                 found[name] = 'mirrored' if mirrored else 'other'
-            elif self._by_shape and self._frames >= FEW and not self._times_found[b]:
+            elif self._by_shape and self._frames >= MIN_SAMPLES and not self._times_found[b]:
                 found[name] = 'mirrored' if self._fits_mirrored(b) else 'nowhere'
         return found
 
@@ -342,7 +351,7 @@ class Matcher:
         has_shape = (~np.isnan(shapes)).sum(axis=1) >= 2
         named = np.where(self._layout.rows < len(points), self._layout.rows, -1)
         # While the order is learned, names go before shapes.
-        learns_order = is_full and self._arranged < FEW and not self.disordered
+        learns_order = is_full and self._arranged < MIN_SAMPLES and not self.disordered
         names = np.where(self.has_shape[:, None] | (not learns_order), -1, named)
         fits = np.zeros(len(has_shape), bool)
         if learns_order:
@@ -368,9 +377,9 @@ class Matcher:
 
     def _check_order(self, in_order: np.ndarray) -> None:
         """Withhold bodies if points come in random order; `in_order` (B,) is of one frame."""
-        if self._by_shape and self._arranged < FEW and not in_order.all():
+        if self._by_shape and self._arranged < MIN_SAMPLES and not in_order.all():
             self._disordered_frames += 1
-            if self._disordered_frames >= RUNNING:
+            if self._disordered_frames >= CONFIRMING_FRAMES:
                 self.disordered = True
                 self.withheld |= ~self.has_shape
                 self._withholds = True
@@ -389,7 +398,7 @@ class Matcher:
             shapes = np.where(self.withheld[:, None], np.nan, shapes)
         # Whether right or wrong, most of the best fits err by no more than the noise.
         variance = np.inf
-        if len(self._variances) >= FEW:
+        if len(self._variances) >= MIN_SAMPLES:
             variance = float(np.median(self._variances))
         expected = Expected(*self._predict(k), named, fits, variance, self._pins)
         found = match(points, shapes, self._bodies.limit, expected)
@@ -402,7 +411,7 @@ class Matcher:
         count = len(self._history)
         if count and self._history['stamp'][-1] == self._stamps[k]:
             count -= 1
-        rows = slice(max(count - RECENT, 0), count)
+        rows = slice(max(count - RECENT_FRAMES, 0), count)
         stamps, position, angle = (
             self._history[name][rows] for name in ('stamp', 'position', 'angle')
         )

@@ -24,7 +24,7 @@ from kinpole_ros.tracking.clock import (
     estimate_clock,
 )
 from kinpole_ros.tracking.history import History
-from kinpole_ros.tracking.levels import FEW, SURE
+from kinpole_ros.tracking.thresholds import MIN_SAMPLES, N_SIGMA
 
 # Neighbors on each side that predict a pose.
 _SIDE = 3
@@ -151,7 +151,7 @@ class StampHistory:
         assert self.clock is not None
         held = min(samples, len(counts), self._unweighed + _SIDE)
         centers = held - UNSETTLED - 2 * _SIDE
-        if self._seen < FEW or centers < 1:
+        if self._seen < MIN_SAMPLES or centers < 1:
             return
         self._unweighed = UNSETTLED + _SIDE
         rows = slice(len(history) - held, len(history) - UNSETTLED)
@@ -173,7 +173,7 @@ class StampHistory:
         if abs(self._nats) > DECISIVE_NATS:
             self._by_motion = self._nats > 0
         rounded = clock.is_rounded or self._slipped
-        rounded = rounded and self._seen >= FEW and self._nats > -DECISIVE_NATS
+        rounded = rounded and self._seen >= MIN_SAMPLES and self._nats > -DECISIVE_NATS
         self._slipped = False
         # Frames are not late by windows: then it is no clock.
         return (self._by_motion or rounded) and clock.largest < self._window
@@ -246,7 +246,7 @@ def _evidence(times: Real, signals: Real, variance: Real) -> tuple[float, float]
     # By the better of the two, for no polynomial follows every motion.
     scale = np.maximum((squares.sum(axis=1) / number).min(axis=0), 1.0)
     # None counts for more than an outlier would.
-    cost = np.minimum(squares / scale, SURE**2)
+    cost = np.minimum(squares / scale, N_SIGMA**2)
     # What neighbors predict is correlated: there is half as much evidence as predictions.
     nats = float((cost[0] - cost[1]).sum() / 2) / 2
     rate = np.diff(signals, axis=0) ** 2 / np.where(variance[1:] > 0, variance[1:], np.nan)

@@ -10,9 +10,9 @@ from kinpole_ros.derivatives import Call, go_on, new_call, pass_tables
 from kinpole_ros.tracking.bodies import UNSTEADY, Bodies
 from kinpole_ros.tracking.center import Pins
 from kinpole_ros.tracking.history import History
-from kinpole_ros.tracking.levels import SURE
 from kinpole_ros.tracking.parameters import Settings
 from kinpole_ros.tracking.results import NOISE_UNKNOWN, TOO_NOISY, Results
+from kinpole_ros.tracking.thresholds import N_SIGMA
 
 # A pose is wrong beyond this many standard deviations of what poses are off the cubic through their
 # neighbors; the newest, which no pose follows yet, beyond three times as many off every polynomial
@@ -88,7 +88,7 @@ class Step:
             newest_far=NEWEST_FAR,
             near=NEAR,
             gap=GAP,
-            sure=SURE,
+            sure=N_SIGMA,
         )
         self._frames = byref(self.fields)
         for name in _COUNTED:
