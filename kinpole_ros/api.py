@@ -6,7 +6,7 @@ The same pipeline as that of node and replay, so the figures are the same too.
 
 import warnings
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
 from difflib import get_close_matches
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn, TypeVar
@@ -170,7 +170,7 @@ class Tracked:
     stamp: np.ndarray
     bodies: Mapping[str, BodyMotion]
     pairs: Mapping[tuple[str, str], PairMotion]
-    events: Mapping[str, Events]
+    events: Mapping[str, Events] = field(default_factory=dict)
 
     def __getitem__(self, body: str) -> BodyMotion:
         return self.bodies[body]

@@ -77,6 +77,10 @@ def _body(record: Record, body: str) -> Json:
             packed[name] = _point(columns, body, name)
     if (body, 'icr_velocity') in columns:
         packed['icr_velocity'] = _velocity(columns, body)
+    first = int(record.stamp[0])
+    packed['events'] = [
+        [round((stamp - first) * 1e-9, 6), order] for stamp, order in record.events.get(body, [])
+    ]
     packed['theory'] = {
         name: rounded(columns[body, f'{name}_theory'], columns[body, f'{name}_sigma'])
         for name in RATE_NAMES
