@@ -208,7 +208,7 @@ class Tracked:
 def _table_columns(prefix: str, record: BodyMotion | PairMotion) -> dict[str, np.ndarray]:
     """The numbers of a record as columns (M,), named as in tables."""
     columns: dict[str, np.ndarray] = {}
-    for name in (field.name for field in fields(record)):
+    for name in (one.name for one in fields(record)):
         values = getattr(record, name)
         if name == 'missing':
             continue
@@ -471,7 +471,7 @@ def _concatenated(kind: type, parts: list[dict[str, np.ndarray]]) -> dict[str, n
     """The fields of that kind of record, of all parts; NaN where the parts have none."""
     count = sum(len(part['angular_velocity']) for part in parts)
     whole = {}
-    for name in (field.name for field in fields(kind)):
+    for name in (one.name for one in fields(kind)):
         if parts and name in parts[0]:
             whole[name] = np.concatenate([part[name] for part in parts])
         elif name == 'missing':
