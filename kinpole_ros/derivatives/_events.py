@@ -41,9 +41,9 @@ _KNOWN = 30.0
 # What a size costs besides the logarithm of how far it exceeds its noise: of a step, of a degree.
 _STEP_COST, _DEGREE_COST = 2.4, 1.0
 # Logarithm of the evidence that an event must have, and have more than its rivals.
-_ENOUGH, _AHEAD = 11.0, 3.0
+_ENOUGH, _AHEAD = 18.0, 3.0
 # Of an acceleration and of a jerk: smooth motion looks more like steps of these.
-_ENOUGH_OF = {1: _ENOUGH, 2: 15.0, 3: 20.0}
+_ENOUGH_OF = {1: _ENOUGH, 2: 20.0, 3: 24.0}
 # Residuals beside the step must not exceed the noise by more than this many standard deviations of
 # their mean square.
 _MISFIT = 4.0
