@@ -117,8 +117,8 @@ def test_there_is_less_than_one_false_event_in_1000_s_of_smooth_motion() -> None
 
 
 def test_accelerations_that_step_are_found_with_their_order() -> None:
-    exact, errors = poses_of('reversing drive', 1e-3, 10.0)
-    found = events_in(exact + errors, 1e-3)
+    exact, errors = poses_of('reversing drive', 3e-4, 10.0)
+    found = events_in(exact + errors, 3e-4)
     expected = np.arange(0.31, 9.65, 0.31)[2:]
     off = np.abs(np.array([event.time for event in found])[:, None] - expected)
     assert (off.min(axis=0) < 1 / RATE).mean() > 0.9 and (off.min(axis=1) < 1 / RATE).all()

@@ -48,8 +48,10 @@ _ENOUGH_OF = {1: _ENOUGH, 2: 20.0, 3: 24.0}
 # their mean square.
 _MISFIT = 4.0
 # An event of order 2 or 3 is less distinct from smooth motion: its rivals must have less than this
-# share of its evidence, and polynomials of at most this degree count beside it.
+# share of its evidence, and signals whose polynomials have at most this degree must show it.
 _RIVAL_SHARE, _SIMPLE = 0.65, 4
+# Evidence that simple signals must have by themselves.
+_ENOUGH_SIMPLE = 11.0
 # The lowest order must exceed its noise by this, as a sum of squares of all signals.
 _STANDS_OUT = 25.0
 # In a window half as long there must be this share of the evidence expected there, less an offset.
@@ -552,10 +554,11 @@ def _search(fit: _Fit, shorter: list[_Fit], offset: float, reach: float) -> _Fou
     if (misfit > noise * (1 + _MISFIT * np.sqrt(2 / (fit.count * np.array((1, 2)))))).any():
         return None
     # No shorter window says whether more degrees would explain it.
-    if not shorter and _simple_gain(fit, place, k, degrees, window.simplest - 1) < _ENOUGH:
+    if not shorter and _simple_gain(fit, place, k, degrees, window.simplest - 1) < _ENOUGH_SIMPLE:
         return None
     if order > 1 and (
-        rival > _RIVAL_SHARE * gain or _simple_gain(fit, place, k, degrees, _SIMPLE) < _ENOUGH
+        rival > _RIVAL_SHARE * gain
+        or _simple_gain(fit, place, k, degrees, _SIMPLE) < _ENOUGH_SIMPLE
     ):
         return None
     if shorter and not _is_confirmed(fit, shorter[0], place, k, degrees):
