@@ -3,10 +3,18 @@
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from kinpole_ros.api import BodyMotion, PairMotion, Tracked, UnknownNameError, replay, track
+    from kinpole_ros.api import (
+        BodyMotion,
+        Events,
+        PairMotion,
+        Tracked,
+        UnknownNameError,
+        replay,
+        track,
+    )
 
 __version__ = '0.1.0'
-__all__ = ['BodyMotion', 'PairMotion', 'Tracked', 'UnknownNameError', 'replay', 'track']
+__all__ = ['BodyMotion', 'Events', 'PairMotion', 'Tracked', 'UnknownNameError', 'replay', 'track']
 
 
 def __getattr__(name: str) -> Any:

@@ -6,7 +6,7 @@ The pipeline is that of node and replay, so the results are the same.
 
 import warnings
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
 from difflib import get_close_matches
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn, TypeVar
@@ -81,6 +81,29 @@ class _Motion:
 
 
 @dataclass(frozen=True)
+class Events:
+    """
+    E instants at which the velocity, acceleration or jerk of a body steps, in the order found.
+
+    `t` (E,) s and `t_sigma` are when; `order` (E,) is that of the lowest derivative that steps, 1
+    for the velocity, as at an impact. By how much, in rad/s^order and m/s^order: `angle_step` (E,)
+    with `angle_step_sigma`, and `step` (E, 2) of the origin of the body's frame with
+    `step_covariance` (E, 2, 2).
+    """
+
+    t: np.ndarray
+    t_sigma: np.ndarray
+    order: np.ndarray
+    angle_step: np.ndarray
+    angle_step_sigma: np.ndarray
+    step: np.ndarray
+    step_covariance: np.ndarray
+
+    def __len__(self) -> int:
+        return len(self.t)
+
+
+@dataclass(frozen=True)
 class BodyMotion(_Motion):
     """
     The motion of one body at M instants; NaN where undetermined, or beyond `derivative_order`.
@@ -131,7 +154,8 @@ class Tracked:
     The motion of bodies at M instants: `tracked['crank'].angular_velocity` (M,), and so on.
 
     `stamp` (M,) int64, ns, and the same as `t` (M,), s. `pairs` are relative motions by names
-    (j, i), i before j in `bodies`. A name that is missing raises an
+    (j, i), i before j in `bodies`. `events` are those of each body, as far as the window after them
+    is known. A name that is missing raises an
     `UnknownNameError`, a KeyError that lists the names.
     """
 
@@ -139,6 +163,7 @@ class Tracked:
     stamp: np.ndarray
     bodies: Mapping[str, BodyMotion]
     pairs: Mapping[tuple[str, str], PairMotion]
+    events: Mapping[str, Events] = field(default_factory=dict)
 
     def __getitem__(self, body: str) -> BodyMotion:
         return self.bodies[body]
@@ -176,7 +201,7 @@ class Tracked:
 def _table_columns(prefix: str, record: BodyMotion | PairMotion) -> dict[str, np.ndarray]:
     """Return the numbers of a record as columns (M,), named as in tables."""
     columns: dict[str, np.ndarray] = {}
-    for name in (field.name for field in fields(record)):
+    for name in (one.name for one in fields(record)):
         values = getattr(record, name)
         if name == 'missing':
             continue
@@ -247,7 +272,7 @@ def track(
     for first in range(0, len(times), _BLOCK_FRAMES):
         part = slice(first, first + _BLOCK_FRAMES)
         frames = MarkerFrames(times[part], '', names, positions[part])
-        estimates += tracker.add(frames, settings.derivative_order or 4)
+        estimates += tracker.add(frames, settings.derivative_order or 4, True)
     _warn(_losses(tracker, estimates))
     return _tracked(estimates, settings)
 
@@ -370,6 +395,20 @@ def _tracked(estimates: list[Estimate], settings: Settings) -> Tracked:
         stamp,
         _records(BodyMotion, names, [_body_arrays(one) for one in estimates]),
         _records(PairMotion, pairs, [_pair_arrays(one) for one in estimates]),
+        _Records((name, _events(estimates, b)) for b, name in enumerate(names)),
+    )
+
+
+def _events(found: list[Estimate], b: int) -> Events:
+    events = [event for one in found for event in one.events if event.body == b]
+    return Events(
+        np.array([event.stamp for event in events], float) * 1e-9,
+        np.array([event.time_sigma for event in events], float),
+        np.array([event.order for event in events], int),
+        np.array([event.angle_step for event in events], float),
+        np.array([event.angle_step_sigma for event in events], float),
+        to_plane(np.array([event.step for event in events], complex)),
+        np.array([event.step_covariance for event in events]).reshape(-1, 2, 2),
     )
 
 
@@ -379,7 +418,7 @@ def _records(
     """Return a record for each key from blocks of arrays (T, keys, ...); NaN for those missing."""
     count = sum(len(block['angular_velocity']) for block in blocks)
     arrays = {}
-    for name in (field.name for field in fields(kind)):  # type: ignore[arg-type]
+    for name in (one.name for one in fields(kind)):  # type: ignore[arg-type]
         if blocks and name in blocks[0]:
             arrays[name] = np.concatenate([block[name] for block in blocks])
         elif name == 'missing':

@@ -153,7 +153,7 @@ def test_every_topic_of_the_documentation_has_its_deviation_or_covariance(
     # Of scenes with loads: test_theory.py has it with its deviation.
     plain.add('balance')
     # With all deviations in them; the first is sent by a live node alone, to pages.
-    plain |= {VIEW, STATE}
+    plain |= {VIEW, STATE, '<body>/event'}
     plain |= {f'<body>/centrode/{name}' for name in ('fixed', 'moving')}
     with_it = {f'{package}/msg/{kind}' for package, kind in COVARIANT}
     for name in listed:

@@ -27,7 +27,8 @@ class Known:
     def __init__(self, instants: int, bodies: tuple[str, ...], seed: int = 0) -> None:
         draw = np.random.default_rng(seed)
         shape = (instants, len(bodies))
-        self.bodies = bodies
+        self.bodies, self.events = bodies, ()
+        self.instants_of_events = list
         self.stamp = np.arange(instants) * 1_000_000 + 1_700_000_000_123_456_789
         self.missing = np.where(draw.random(shape) < 0.2, 'no markers', '')
         self.position = draw.standard_normal((5, *shape)) * 1e-3 + 1j

@@ -186,6 +186,7 @@ class _Replaying:
                 for kind, table in (('csv', CsvTable), ('parquet', ParquetTable))
                 if kind in files
             ]
+            needs_events = writer is not None or bool(tables) or take is not None
             blocks = frame_blocks(self._bag, self._topic, self._kind, self._reader, report)
             for frames, log_times, error in blocks:
                 self._note(error)
@@ -194,7 +195,7 @@ class _Replaying:
                 self._stretch.update(self._share, frames[0].stamps)
                 if self._stretch.is_over:
                     break
-                for estimate in self._track(frames, log_times, writer):
+                for estimate in self._track(frames, log_times, writer, needs_events):
                     self._totals.add_estimate(estimate)
                     for table in tables:
                         table.add(estimate)
@@ -212,7 +213,11 @@ class _Replaying:
             self._diagnostics.trouble['message'] = str(error)
 
     def _track(
-        self, frames: list[MarkerFrames], log_times: np.ndarray, writer: BagWriter | None
+        self,
+        frames: list[MarkerFrames],
+        log_times: np.ndarray,
+        writer: BagWriter | None,
+        needs_events: bool,
     ) -> Sequence[Estimate]:
         """Return the estimates that the stretch has from these frames, and write their messages."""
         stretch, diagnostics = self._stretch, self._diagnostics
@@ -220,7 +225,8 @@ class _Replaying:
         for part in frames:
             self._totals.add_frames(part)
         handed = frames if writer is None else diagnostics.split(frames, self._tracker)
-        estimates = self._tracker.add_parts(handed, self._order if stretch.is_estimated else None)
+        order = self._order if stretch.is_estimated else None
+        estimates = self._tracker.add_parts(handed, order, needs_events)
         self._totals.update_space()
         if writer is not None:
             # An estimate is logged with the frames that made it due. Messages that are not written

@@ -23,6 +23,12 @@ from kinpole_ros.tracking.estimate import (
 from kinpole_ros.tracking.parameters import Settings
 
 _GROUP_ROWS = 8192  # of a Parquet file, which are in memory at once
+# The event of a body that was found with an instant: its time, and the step of the derivative of
+# this order, of the angle and of the origin of the body's frame.
+EVENT_COLUMNS = (
+    *('event_t', 'event_t_sigma', 'event_order', 'event_angle_step', 'event_angle_step_sigma'),
+    *('event_step_x', 'event_step_y', 'event_step_x_sigma', 'event_step_y_sigma'),
+)
 
 
 def column_names(bodies: tuple[str, ...], order: int) -> list[str]:
@@ -31,8 +37,9 @@ def column_names(bodies: tuple[str, ...], order: int) -> list[str]:
 
     Of every body x, y, angle, the rates and curvature each with the column NAME_sigma behind it,
     and the poles and the ICR's velocity as NAME_x, NAME_y and their sigmas; of every pair the
-    relative rate and center. SI units, sigma is one standard deviation. x and y are along the axes
-    of the plane: those of the frame in xy, yz and zx, else those of `messages.plane_words`.
+    relative rate and center. Last come the EVENT_COLUMNS of every body. SI units, sigma is one
+    standard deviation. x and y are along the axes of the plane: those of the frame in xy, yz and
+    zx, else those of `messages.plane_words`.
     """
     numbers = [*RATE_NAMES[:order], *(['centrode_curvature'] if order >= 3 else [])]
     vectors = [*POLE_NAMES[:order], *(['icr_velocity'] if order >= 2 else [])]
@@ -42,7 +49,19 @@ def column_names(bodies: tuple[str, ...], order: int) -> list[str]:
         names += _names(body, numbers, vectors)
     for i, j in measured_pairs(len(bodies)):
         names += _names(f'{bodies[j]}_wrt_{bodies[i]}', ['angular_velocity'], ['icr'])
-    return names
+    return names + [f'{body}_{name}' for body in bodies for name in EVENT_COLUMNS]
+
+
+def _events(estimate: Estimate, shape: tuple[int, int]) -> np.ndarray:
+    """Return the EVENT_COLUMNS of all bodies, (T, B, columns)."""
+    columns = np.full((*shape, len(EVENT_COLUMNS)), np.nan)
+    for instant, event in zip(estimate.instants_of_events(), estimate.events, strict=True):
+        sigmas = np.sqrt(np.diag(event.step_covariance))
+        columns[instant, event.body] = (
+            *(event.stamp * 1e-9, event.time_sigma, event.order),
+            *(event.angle_step, event.angle_step_sigma, event.step.real, event.step.imag, *sigmas),
+        )
+    return columns
 
 
 def _names(prefix: str, numbers: list[str], vectors: list[str]) -> Iterator[str]:
@@ -72,6 +91,7 @@ def table_rows(estimate: Estimate, order: int) -> np.ndarray:
         _vector_columns(estimate.relative_icr, pairs),
     ]
     blocks = [np.concatenate(columns, axis=-1) for columns in (body_columns, pair_columns)]
+    blocks.append(_events(estimate, shape))
     return np.concatenate([block.reshape(count, -1) for block in blocks], axis=1)
 
 

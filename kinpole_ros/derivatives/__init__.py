@@ -4,6 +4,7 @@ Poses on a clock to their derivatives with covariances, by Gaussian processes an
 Knows neither markers nor rigid bodies nor ROS: a pose is an angle and a point of the plane.
 """
 
+from kinpole_ros.derivatives._events import Event, Samples, find_events
 from kinpole_ros.derivatives._models import FEWEST_SAMPLES
 from kinpole_ros.derivatives._poses import (
     Call,
@@ -20,9 +21,12 @@ __all__ = [
     'FEWEST_SAMPLES',
     'Call',
     'Derivatives',
+    'Event',
     'Poses',
+    'Samples',
     'Windows',
     'derive_poses',
+    'find_events',
     'go_on',
     'new_call',
     'pass_tables',

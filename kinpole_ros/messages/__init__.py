@@ -12,6 +12,7 @@ from kinpole_ros.messages._body_faults import (
 from kinpole_ros.messages._cdr import serialize_message, with_zero_padding
 from kinpole_ros.messages._diagnostics import RECEIVED, RESTARTS, DiagnosticsMaker
 from kinpole_ros.messages._drawing import COLORS, deletion_of_all
+from kinpole_ros.messages._events import read_event
 from kinpole_ros.messages._faults import identity_lines, jitter_fault, plane_words, tilt_fault
 from kinpole_ros.messages._markers import read_markers, to_message
 from kinpole_ros.messages._poses import AUTO_TYPES, PoseReader, kind_of, poses_data, reader_of
@@ -89,6 +90,7 @@ __all__ = [
     'outputs_of',
     'plane_words',
     'poses_data',
+    'read_event',
     'read_markers',
     'read_state',
     'reader_of',

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from kinpole_ros.messages._drawing import Trail, centrode, drawing
+from kinpole_ros.messages._events import events
 from kinpole_ros.messages._joints import frames, joint_states
 from kinpole_ros.messages._quantities import (
     Build,
@@ -64,7 +65,8 @@ class Output(NamedTuple):
     `order` is the highest derivative it needs. `build` makes the messages of an estimate: indices
     of instants, in order, and a serialized message for each. An instant at which nothing is
     determined, or no drawing is due, has none. `interval`, s of wall time, is the least time
-    between messages for a display; 0: every frame.
+    between messages for a display; 0: every frame. Events are searched for only if a topic needs
+    them: `of_events`.
     """
 
     topic: str
@@ -72,6 +74,7 @@ class Output(NamedTuple):
     order: int
     build: Build
     interval: float = 0.0
+    of_events: bool = False
 
     def under(self, node: str) -> str:
         """Return the full name of the topic of a node of this name."""
@@ -180,6 +183,8 @@ def _add_bodies(
         for name, frame in (('fixed', None), ('moving', frame_names[b])):
             locus = centrode(b, given, trails[b], frame)
             table.add(f'{body}/centrode/{name}', Path, 1, locus)
+        event = Output(f'{body}/event', PointCloud2, 1, events(b, given), of_events=True)
+        table.rows.append(event)
 
 
 def _add_pairs(table: _Table, bodies: Sequence[str], given: Plane) -> None:

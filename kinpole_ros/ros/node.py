@@ -223,6 +223,7 @@ class KinpoleNode(ParameterNode):
         now = time.monotonic()
         displays = self.results.due_displays(now)
         order = self.results.highest_order(displays)
+        needs_events = self.results.need_events
         results, messages, lost = self.source.take(message, info)
         self._tracker.counts['dropped'] += lost
         last: Estimate | None = None
@@ -235,7 +236,7 @@ class KinpoleNode(ParameterNode):
                 self._note('message', str(frames))
                 continue
             self._stamps.extend(frames.stamps.tolist())
-            for estimate in self._tracker.add(frames, order):
+            for estimate in self._tracker.add(frames, order, needs_events):
                 self._latest = last = estimate
                 self.results.publish(estimate)
         if displays and last is not None:

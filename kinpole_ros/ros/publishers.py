@@ -99,6 +99,11 @@ class ResultPublishers:
         """Return the highest derivative that is read; None where no topic is."""
         return max((output.order for output, _ in (*self._frame_rows, *displays)), default=None)
 
+    @property
+    def need_events(self) -> bool:
+        """Whether a topic of events is read."""
+        return any(output.of_events for output, _ in self._frame_rows)
+
     def publish(self, estimate: Estimate) -> None:
         """Publish the topics of every frame."""
         self._drawn = estimate

@@ -13,6 +13,7 @@ from typing import NamedTuple, TypeVar
 import numpy as np
 
 from kinpole_ros import planar
+from kinpole_ros.tracking.events import BodyEvent
 from kinpole_ros.tracking.plane import Plane
 from kinpole_ros.tracking.quantities import (
     CURVATURE,
@@ -127,6 +128,8 @@ class Estimate:
         Another number each time a tracker starts anew, with other frames of the bodies.
     plane : Plane or None
         Where all this lies in `frame_id`; None for the plane that the parameters name.
+    events : tuple of BodyEvent
+        Events that were found with these instants: see `instants_of_events`.
 
     """
 
@@ -154,8 +157,10 @@ class Estimate:
         run: int = 0,
         plane: Plane | None = None,
         frame_poses: Callable[[], FramePoses] | None = None,
+        events: tuple[BodyEvent, ...] = (),
     ) -> None:
         self._column = column
+        self.events = events
         self.frame_id = frame_id
         self.bodies = bodies
         self.run = run
@@ -202,7 +207,10 @@ class Estimate:
             return part
 
         make = self._make_frame_poses and partial(self._frame_poses_at, instant)
-        one = Estimate(column, self.frame_id, self.bodies, self.run, self.plane, make)
+        shared = self.frame_id, self.bodies, self.run, self.plane, make
+        found_with = zip(self.events, self.instants_of_events(), strict=True)
+        events = tuple(event for event, number in found_with if number == instant)
+        one = Estimate(column, *shared, events)
         # Quantities of all instants are not computed again for one.
         one._poles = {order: _at(instant, pole) for order, pole in self._poles.items()}
         for name, quantity in vars(self).items():
@@ -219,6 +227,13 @@ class Estimate:
     def frame_poses(self) -> FramePoses | None:
         """Poses fitted to single frames; None if they are not available."""
         return self._make_frame_poses and self._make_frame_poses()
+
+    def instants_of_events(self) -> list[int]:
+        """With which of the instants (T,) each of `events` was found."""
+        if not self.events:
+            return []
+        found = np.searchsorted(np.atleast_1d(self.due), [event.due for event in self.events])
+        return np.minimum(found, np.size(self.due) - 1).tolist()
 
     def _frame_poses_at(self, instant: int) -> FramePoses:
         assert self.frame_poses is not None

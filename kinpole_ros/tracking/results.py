@@ -12,6 +12,7 @@ from kinpole_ros.derivatives import FEWEST_SAMPLES
 from kinpole_ros.tracking.bodies import Bodies
 from kinpole_ros.tracking.deformation import deformation_covariance, hold_hidden
 from kinpole_ros.tracking.estimate import INSTANT_AXIS, Estimate, FramePoses
+from kinpole_ros.tracking.events import BodyEvent
 from kinpole_ros.tracking.history import History
 from kinpole_ros.tracking.plane import Plane
 
@@ -167,6 +168,7 @@ def estimate_of(
     run: int,
     plane: Plane | None,
     posed: bool,
+    events: tuple[BodyEvent, ...] = (),
 ) -> Estimate:
     """Return results, of one instant after the other, as one estimate."""
 
@@ -193,4 +195,4 @@ def estimate_of(
         angle, position, middle, noise = map(stored, names)
         return FramePoses(angle, position, turned, placed, middle, noise)
 
-    return Estimate(column, frame_id, bodies, run, plane, frame_poses)
+    return Estimate(column, frame_id, bodies, run, plane, frame_poses, events)

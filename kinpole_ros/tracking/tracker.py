@@ -17,6 +17,7 @@ from kinpole_ros.tracking.center import Pins, find_hubs
 from kinpole_ros.tracking.corrections import EXCHANGED, correct_frame
 from kinpole_ros.tracking.deformation import TISSUE, deformed_freedom
 from kinpole_ros.tracking.estimate import Estimate
+from kinpole_ros.tracking.events import BodyEvent, EventSearch
 from kinpole_ros.tracking.frame import MarkerFrames, part_of
 from kinpole_ros.tracking.history import History
 from kinpole_ros.tracking.learn import MOVED_FRAMES, NOISE_FRAMES, freedom_of, learn
@@ -86,6 +87,8 @@ class Tracker:
         self._run_number = next(_run_numbers)
         self._start_bodies()
         self._timeline = Timeline(self.settings, self._counts, self._history, before)
+        self._event_search = EventSearch(self._window, count)
+        self._events: list[BodyEvent] = []
 
     def _start_bodies(self) -> None:
         """Start with bodies of which nothing is known."""
@@ -193,7 +196,7 @@ class Tracker:
 
     # Frames.
 
-    def add(self, frames: MarkerFrames, order: int | None) -> list[Estimate]:
+    def add(self, frames: MarkerFrames, order: int | None, events: bool = False) -> list[Estimate]:
         """
         Take frames, and return the results that are complete, which are stamped `lag` earlier.
 
@@ -207,6 +210,8 @@ class Tracker:
             Frames of one layout, in the order in which they came.
         order : int or None
             The highest derivative needed, 1 to 4; None for no results.
+        events : bool
+            Whether the results have the events found since those before.
 
         Returns
         -------
@@ -214,12 +219,17 @@ class Tracker:
             Empty if no result is complete.
 
         """
-        return self.add_parts((frames,), order)
+        return self.add_parts((frames,), order, events)
 
-    def add_parts(self, parts: Iterable[MarkerFrames], order: int | None) -> list[Estimate]:
+    def add_parts(
+        self, parts: Iterable[MarkerFrames], order: int | None, events: bool = False
+    ) -> list[Estimate]:
         """Take several parts, as `add` takes one; `due` counts the frames of all of them."""
         estimates: list[Estimate] = []
         self._results: list[Results] = []
+        self._events_needed = events
+        if not events:
+            self._event_search.pause()
         number = 0
         for frames in parts:
             stamps = np.asarray(frames.stamps)
@@ -272,6 +282,7 @@ class Tracker:
         results = self._reserve_results(len(frames.stamps), order)
         first, count = 0, len(frames.stamps)
         while first < count:
+            self._search_events(first, numbers)
             if self._update_if_due():
                 self.matcher.assign_again(first)
                 self._step.fields.hidden_is_unusual = self.matcher.has_unassigned
@@ -301,10 +312,20 @@ class Tracker:
                 first += 1
                 self._step.fields.frame = first
                 self._follow(0, results)
+        self._search_events(first, numbers)
         self._keep_results(results, numbers)
         if self._posed and self._assignment.plane is not None:
             self._space.add(in_space)
         return estimates
+
+    def _search_events(self, first: int, numbers: np.ndarray) -> None:
+        """Search for events in the history, to which the frames before `first` were appended."""
+        if not self._events_needed or first == 0:
+            return
+        bodies = self._calibration
+        hub = np.where(np.isfinite(self._pins.center), 0.0, bodies.hub)
+        for event in self._event_search.search(self._history, bodies, hub, first - 1):
+            self._events.append(event._replace(due=int(numbers[max(event.due, 0)])))
 
     def _pass_frames(self, stamps: np.ndarray, times: tuple[np.ndarray, ...]) -> None:
         """Pass the last frames to the compiled step."""
@@ -365,7 +386,8 @@ class Tracker:
         if not results:
             return []
         about = self._frame_id, self.bodies, self._run_number, self.plane, self._posed
-        return [estimate_of(results, *about)]
+        events, self._events = self._events, []
+        return [estimate_of(results, *about, tuple(events))]
 
     def _assign(self, frames: MarkerFrames) -> np.ndarray:
         """Assign markers (T, B, n, 3), m, to the bodies, and pass them to the matcher."""

@@ -16,6 +16,7 @@ from kinpole_ros.tools.plot._style import (
     BAND,
     BLACK,
     ESTIMATE,
+    EVENT,
     FIXED,
     GREEN,
     LINK,
@@ -105,10 +106,11 @@ def _draw(figure: Any, bag: str, results: Results, exact: dict[str, dict[str, Se
             strip.set_xlabel('t (s)')
     for axes in columns:
         figure.align_ylabels(axes)
-    _add_legend(figure, bool(results.relative), bool(exact))
+    has_events = any(len(body.events) for body in bodies)
+    _add_legend(figure, bool(results.relative), bool(exact), has_events)
 
 
-def _add_legend(figure: Any, relative: bool, exact: bool) -> None:
+def _add_legend(figure: Any, relative: bool, exact: bool, events: bool) -> None:
     from matplotlib.lines import Line2D
     from matplotlib.patches import Patch
 
@@ -138,6 +140,9 @@ def _add_legend(figure: Any, relative: bool, exact: bool) -> None:
             symbol('D', 'relative instant center', 'white', GREEN),
             Line2D([], [], label='its locus', **RELATIVE),
         ]
+    if events:
+        label = 'event: velocity, acceleration or jerk steps'
+        handles.append(Line2D([], [], label=label, **EVENT))
     if exact:
         handles.append(Line2D([], [], label='exact answer', **THIN))
         handles.append(Line2D([], [], label='error, in the band', **THIN))

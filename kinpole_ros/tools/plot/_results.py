@@ -13,12 +13,13 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from kinpole_ros.bags import BagError, Truncated, message_class, read_messages, topics
-from kinpole_ros.messages import DRAWING, deserialize_message, stamp_to_ns
+from kinpole_ros.messages import DRAWING, deserialize_message, read_event, stamp_to_ns
 from kinpole_ros.tracking.plane import AXES, Plane, as_parameter, plane_along, plane_of, upward
 
 POLES = ('icr', 'iap', 'ijp', 'isp')
 _ODOMETRY = 'nav_msgs/msg/Odometry'
 _MARKER_ARRAY = 'visualization_msgs/msg/MarkerArray'
+_EVENT = 'sensor_msgs/msg/PointCloud2'
 _CURVATURE = 'centrode_curvature'
 # Topics of a body whose vector is along the normal of the plane, and stands for a number.
 _NUMBERS = ('angular_acceleration', 'angular_jerk', _CURVATURE, 'angular_snap')
@@ -61,7 +62,8 @@ class Body(NamedTuple):
     `position` (T,) is complex, m, with `sigma` (T,) of one coordinate, and `velocity`, m/s; `angle`
     (T,), rad; `rate` and `rate_sigma` (T,), rad/s; `size`, m, is twice the root mean square
     distance of the markers from their mean, NaN if unknown; `outline` (n,) are the markers in the
-    body's frame as they were drawn last, complex, m.
+    body's frame as they were drawn last, complex, m. `events` (E,), ns, are the instants at which a
+    derivative steps, and `event_orders` (E,) which.
     """
 
     name: str
@@ -75,6 +77,8 @@ class Body(NamedTuple):
     velocity: np.ndarray
     sigma: np.ndarray
     outline: np.ndarray
+    events: np.ndarray
+    event_orders: np.ndarray
 
 
 class Results(NamedTuple):
@@ -133,6 +137,7 @@ def read_results(
     to_read = {f'{prefix}/{name}' for prefix in prefixes for name in ('odom', *names)}
     with_covariance = {t for t in to_read & set(kinds) if t.endswith('/with_covariance')}
     to_read -= {topic.removesuffix('/with_covariance') for topic in with_covariance}
+    to_read |= {f'{prefix}/event' for prefix in prefixes}
     to_read |= {*relative, *(f'{topic}/deviation' for topic in relative)}
     to_read |= {f'{prefix.rpartition("/")[0]}/{DRAWING}' for prefix in prefixes}
     rows, drawings, cut = _read_rows(bag, to_read, progress)
@@ -154,7 +159,9 @@ def read_results(
             none = np.empty(0, int), np.empty((0, 3))
             series.setdefault(_CURVATURE, _series(none, plane, is_number=True))
         drawn = outlines.get(prefix, (0, np.empty((0, 3))))
-        bodies.append(_body(body_names[prefix], pose_rows, plane, series, drawn))
+        body = _body(body_names[prefix], pose_rows, plane, series, drawn)
+        events, orders = rows.get(f'{prefix}/event', (np.empty(0, np.int64), np.empty((0, 1))))
+        bodies.append(body._replace(events=events, event_orders=orders[:, 0].astype(int)))
     centers = {
         (body_names[j], body_names[i]): _with_deviation(
             _series(rows[topic], plane, is_number=False), rows.get(f'{topic}/deviation'), plane
@@ -307,6 +314,8 @@ def _body(name: str, rows: Rows, plane: Plane, series: dict[str, Series], drawn:
         plane.project(values[:, 37:40])[0] * np.exp(1j * angle),
         np.sqrt(np.maximum(variance, 0)),
         (corners - position[at]) * np.exp(-1j * angle[at]),
+        np.empty(0, np.int64),
+        np.empty(0, int),
     )
 
 
@@ -364,6 +373,9 @@ def _read_rows(
         for message in read_messages(bag, names, progress):
             if message.type_name == _MARKER_ARRAY:
                 drawings.setdefault(message.topic, deque(maxlen=_DRAWINGS)).append(message.data)
+            elif message.type_name == _EVENT:
+                stamp, numbers = read_event(message.data)
+                rows.setdefault(message.topic, {})[stamp] = [numbers['order']]
             elif make_row := _ROWS.get(message.type_name):
                 decoded = decode(message.type_name, message.data)
                 # A bag played in a loop repeats stamps: the last message counts.

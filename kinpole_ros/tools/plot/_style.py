@@ -22,6 +22,7 @@ FIXED: dict[str, Any] = {'color': '#7db4e6', 'linestyle': '-', 'linewidth': 3.5}
 MOVING: dict[str, Any] = {'color': '#a83200', 'linestyle': '--', 'linewidth': 1.3}
 RELATIVE: dict[str, Any] = {'color': GREEN, 'linestyle': '-.', 'linewidth': 0.7}
 BAND: dict[str, Any] = {'color': BLUE, 'alpha': 0.3, 'linewidth': 0.8}
+EVENT: dict[str, Any] = {'color': '#c00000', 'linewidth': 1.6, 'zorder': 6}
 THIN: dict[str, Any] = {'color': BLACK, 'linewidth': 0.7}
 ESTIMATE: dict[str, Any] = {'color': '#4c9be0', 'linewidth': 2.6}
 LINK: dict[str, Any] = {'facecolor': '#f2d9a0', 'edgecolor': '#8a6d00', 'linewidth': 1.2}

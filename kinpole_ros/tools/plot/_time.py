@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from kinpole_ros.tools.plot._results import Body, Series
-from kinpole_ros.tools.plot._style import BAND, BLUE, ESTIMATE, GRAY, THIN, breaks_of, broken
+from kinpole_ros.tools.plot._style import BAND, BLUE, ESTIMATE, EVENT, GRAY, THIN, breaks_of, broken
 
 # Positive values that spread over more than this factor have a logarithmic axis.
 _LOG_FACTOR = 30
@@ -105,6 +105,8 @@ def draw_panel(axis: Any, strip: Any, body: Body, panel: Panel, start: int, inst
         one.tick_params(labelsize=8)
     axis.ticklabel_format(useOffset=False)
     axis.set_ylabel(panel.label)
+    for event in ((body.events - start) * 1e-9).tolist():
+        axis.axvline(event, 0.9, 1.0, **EVENT)
     share = len(panel.series.stamp) / len(body.stamp) if panel.series is not None else 0.0
     if share < 0.9:
         percent = f'{share:.0%}' if share >= 0.01 else 'less than 1%'

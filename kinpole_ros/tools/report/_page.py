@@ -133,6 +133,10 @@ def _body(record: Record, body: str) -> Json:
         for (subject, name), values in columns.items()
         if subject == body and name.endswith('_withheld')
     }
+    first = int(record.stamp[0])
+    packed['events'] = [
+        [round((stamp - first) * 1e-9, 6), order] for stamp, order in record.events.get(body, [])
+    ]
     return packed
 
 

@@ -5,7 +5,8 @@ They come from the estimates of a replay, from the messages of a bag of results,
 scene; the page does not know which.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
+from types import MappingProxyType
 from typing import NamedTuple, TypeAlias
 
 import numpy as np
@@ -37,6 +38,7 @@ class Record(NamedTuple):
     the reason why it is undetermined, where that is known; rates with `_theory` from a scene; of a
     pair (j, i) `icr` with `icr_covariance`.
     `sizes` are diameters, m, and `outlines` markers (n,) in the frame of a body from an index on.
+    `events` by body are stamps, ns, and orders of the derivatives that step.
     """
 
     stamp: np.ndarray
@@ -46,6 +48,7 @@ class Record(NamedTuple):
     sizes: dict[str, float]
     outlines: dict[str, list[tuple[int, np.ndarray]]]
     along: tuple[str, str]
+    events: Mapping[str, list[tuple[int, int]]] = MappingProxyType({})
 
 
 class Collector:
@@ -57,12 +60,16 @@ class Collector:
         self._most, self._step, self._count = most, 1, 0
         self._blocks: list[Columns] = []
         self._bodies: tuple[str, ...] = ()
+        self._events: dict[str, list[tuple[int, int]]] = {}
 
     def add(self, estimate: Estimate) -> None:
         """Append the instants of an estimate."""
         self._bodies = estimate.bodies
         sampled = slice(-self.total % self._step, None, self._step)
         self.total += len(estimate)
+        for event in estimate.events:
+            own = self._events.setdefault(estimate.bodies[event.body], [])
+            own.append((event.stamp, event.order))
         columns = _estimate_columns(estimate)
         if self._theory is not None:
             for body, rates in theory_rates(self._theory, estimate).items():
@@ -85,7 +92,8 @@ class Collector:
             size = columns.pop((body, 'size'))
             sizes[body] = float(np.nanmedian(size)) if np.isfinite(size).any() else float('nan')
             outlines[body] = list(_outlines(run, columns.pop((body, 'shape'))))
-        return Record(stamp, self.total, self._bodies, columns, sizes, outlines, along)
+        about = self._bodies, columns, sizes, outlines, along, self._events
+        return Record(stamp, self.total, *about)
 
 
 def _concatenate(blocks: list[Columns]) -> Columns:

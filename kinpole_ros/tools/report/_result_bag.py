@@ -58,7 +58,11 @@ def read_record(
         for body in results.bodies
     }
     notes = ['the bag is cut off; what follows is not shown'] if results.cut else []
-    record = Record(stamp, total, names, columns, sizes, outlines, results.along)
+    events = {
+        body.name: list(zip(body.events.tolist(), body.event_orders.tolist(), strict=True))
+        for body in results.bodies
+    }
+    record = Record(stamp, total, names, columns, sizes, outlines, results.along, events)
     return record, notes + diagnostics.notes
 
 

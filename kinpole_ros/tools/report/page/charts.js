@@ -2,6 +2,7 @@
 
 const [LEFT, RIGHT, TOP, BOTTOM] = [58, 92, 6, 20];
 const REASON_COLORS = ['#98a1aa', '#d9a441', '#7d6aa8', '#b5654a', '#3f8f86', INK];
+const [EVENT_COLOR, EVENT_TICK] = ['#c00000', 9]; // and pixels
 const [ROW, GAP] = [13, 3]; // of the chart of withheld quantities, pixels
 
 function chartSpecs(data) {
@@ -9,7 +10,7 @@ function chartSpecs(data) {
   for (const name of [...RATES, 'icr_velocity', 'centrode_curvature']) {
     const series = data.bodies.filter((body) => body[name]).map((body) => ({
       name: body.name, bodies: [body.name], color: body.color, ...body[name],
-      theory: body.theory[name],
+      theory: body.theory[name], events: body.events ?? [],
     })).filter(({ value }) => data.live || value.some(isFinite));
     const [title, unit] = QUANTITIES[name];
     if (series.length) specs.push({ name, title, unit, series });
@@ -44,6 +45,9 @@ function makeCharts(element, page, data) {
     if (!data.live && !spec.series.some(({ sigma }) => sigma?.some(isFinite))) {
       notes.push(note(data.solved ? 'solved' : 'no deviations in this bag'));
     }
+    if (spec.series.some(({ events }) => events?.length)) {
+      notes.push(note('red ticks: velocity, acceleration or jerk steps'));
+    }
     if (spec.series.some(({ theory }) => theory)) notes.push(note(`dashed: theory of ${data.scene}`));
     const chart = { ...spec, ...addChart(element, spec.name, spec.title, notes), isVisible: true };
     return Object.assign(chart, { draw: () => draw(chart), drawCursor: () => drawCursor(chart) });
@@ -77,6 +81,10 @@ function makeCharts(element, page, data) {
     context.rect(LEFT, TOP, width - LEFT - RIGHT, height - TOP - BOTTOM);
     context.clip();
     for (const one of series) drawSeries(context, data, one, first, last, x, y);
+    context.fillStyle = EVENT_COLOR;
+    for (const { events } of series) {
+      for (const [time] of events ?? []) context.fillRect(x(time) - 1, TOP, 2, EVENT_TICK);
+    }
     context.restore();
     drawEndNames(context, chart, series, last);
     drawCursor(chart);

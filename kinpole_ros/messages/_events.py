@@ -1,0 +1,95 @@
+"""
+Events of a body: the topic `<body>/event`, a message for each of them.
+
+A sensor_msgs/PointCloud2 has one point, where the origin of the body's frame was, and a field for
+each number, as the topic `state` has. It is stamped with the time of the event.
+"""
+
+import numpy as np
+
+from kinpole_ros.messages._cdr import Writer
+from kinpole_ros.messages._quantities import Build, Built
+from kinpole_ros.messages._types import (
+    PointCloud2,
+    PointField,
+    deserialize_message,
+    stamp_to_ns,
+)
+from kinpole_ros.tracking.estimate import Estimate
+from kinpole_ros.tracking.events import BodyEvent
+from kinpole_ros.tracking.plane import Plane
+
+# Viewers of clouds look for x, y and z as float32.
+_POINT = np.dtype(
+    [
+        *((name, '<f4') for name in 'xyz'),
+        ('order', '<u4'),
+        *((name, '<f8') for name in ('time_deviation', 'angle_step', 'angle_step_deviation')),
+        *((f'step_{end}', '<f8') for end in ('x', 'y', 'xx', 'xy', 'yy')),
+    ]
+)
+_KINDS = {'<f4': PointField.FLOAT32, '<u4': PointField.UINT32, '<f8': PointField.FLOAT64}
+
+
+def events(body: int, given: Plane) -> Build:
+    """
+    Build the messages of the events of a body.
+
+    `given` is the plane of estimates that do not say where they lie.
+    """
+
+    def build(estimate: Estimate) -> Built:
+        instants, messages = [], []
+        for instant, event in zip(estimate.instants_of_events(), estimate.events, strict=True):
+            if event.body == body:
+                instants.append(instant)
+                messages.append(_message(event, estimate.frame_id, estimate.plane or given))
+        return instants, messages
+
+    return build
+
+
+def _message(event: BodyEvent, frame_id: str, plane: Plane) -> bytes:
+    point = np.zeros(1, _POINT)
+    place = plane.in_space(np.array([event.place]), np.array([event.height]))[0]
+    (xx, xy), (_, yy) = event.step_covariance
+    point[0] = (
+        *place,
+        event.order,
+        event.time_sigma,
+        event.angle_step,
+        event.angle_step_sigma,
+        event.step.real,
+        event.step.imag,
+        *(xx, xy, yy),
+    )
+    writer = Writer()
+    writer.header(event.stamp, frame_id)
+    writer.pack('III', 1, 1, len(_POINT.names or ()))
+    for name in _POINT.names or ():
+        kind, offset = _POINT.fields[name][:2]
+        writer.string(name)
+        writer.pack('I', offset)
+        writer.data += bytes((_KINDS[kind.str],))
+        writer.pack('I', 1)
+    writer.data += b'\0'  # little endian
+    writer.pack('III', _POINT.itemsize, _POINT.itemsize, _POINT.itemsize)
+    return bytes(writer.data + point.tobytes() + b'\1')
+
+
+def read_event(data: bytes) -> tuple[int, dict[str, float]]:
+    """
+    Read a message of the topic: the stamp of the event, ns, and its numbers by their fields.
+
+    Raises ValueError for another cloud, as RuntimeError where rclpy cannot read it.
+    """
+    cloud = deserialize_message(data, PointCloud2)
+    content = bytes(cloud.data)
+    if [field.name for field in cloud.fields] != list(_POINT.names or ()):
+        raise ValueError('its fields are not those of a topic `event`')
+    if cloud.is_bigendian or len(content) != _POINT.itemsize:
+        raise ValueError(f'it has {len(content)} bytes of data for one event')
+    point = np.frombuffer(content, _POINT)[0]
+    return stamp_to_ns(cloud.header.stamp), {
+        name: point[name].item() for name in _POINT.names or ()
+    }

@@ -1,0 +1,162 @@
+"""Events of the bodies: instants at which their velocity, acceleration or jerk steps."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from kinpole_ros.derivatives import Event, Samples, find_events
+from kinpole_ros.tracking.bodies import Bodies
+from kinpole_ros.tracking.history import History
+
+# Frames after which the poses of those before are sure: see `wrong_before_last` in _step.c.
+_SETTLED = 6
+# Places are searched a share of the window at a time, when motion has gone on for a window.
+_SHARE = 8
+_BEFORE = 2
+
+
+class BodyEvent(NamedTuple):
+    """
+    An event of the body of number `body`: the derivative of this `order` steps.
+
+    stamp, time_sigma : int, ns, and float, s
+        When, by the stamps of the frames, and the standard deviation.
+    angle_step, angle_step_sigma : float, rad/s^order
+        By how much the derivative of the angle steps.
+    step, step_covariance : complex, m/s^order, and (2, 2)
+        By how much that of the origin of the body's frame steps.
+    place, height : complex and float, m
+        Where that origin was.
+    due : int
+        The frame, of those given to the tracker in one call, with which the event was found.
+    """
+
+    body: int
+    stamp: int
+    time_sigma: float
+    order: int
+    angle_step: float
+    angle_step_sigma: float
+    step: complex
+    step_covariance: np.ndarray
+    place: complex
+    height: float
+    due: int
+
+
+class EventSearch:
+    """
+    Finds the events of bodies in their poses, each once, a `window`, ns, after it.
+
+    An event follows from the frames around it alone, so it is the same whether these came one by
+    one or many at once.
+    """
+
+    def __init__(self, window: int, bodies: int) -> None:
+        self._window, self._share = window, window // _SHARE
+        # Where the search goes on, ns; the last event of each body, ns.
+        self._next: int | None = None
+        self._anew = False
+        self._last = [-window] * bodies
+
+    def pause(self) -> None:
+        """Go on only with frames that come after the next call of `search`."""
+        self._next, self._anew = None, True
+
+    def search(
+        self, history: History, bodies: Bodies, hub: np.ndarray, due: int
+    ) -> list[BodyEvent]:
+        """
+        Search where the frames that have come allow it; the newest is number `due` of its call.
+
+        `hub` (B,) are the points of the bodies that stand for their positions.
+        """
+        time = history['time']
+        if len(time) <= _SETTLED:
+            return []
+        if self._next is None:
+            # Shares begin at multiples of their length, wherever the search begins.
+            begin = int(time[-1 if self._anew else 0]) + self._window
+            self._next = -(-begin // self._share) * self._share
+            self._last = [self._next - self._window] * len(self._last)
+        settled = int(time[-1 - _SETTLED]) - self._window - self._share
+        if self._next > settled:
+            return []
+        begins = np.arange(self._next, settled + 1, self._share)
+        self._next = int(begins[-1]) + self._share
+        asked: list[tuple[int, int, slice]] = []
+        samples: list[Samples] = []
+        whole = _poses(history, bodies, hub)
+        for begin in begins.tolist():
+            first, last = np.searchsorted(
+                time,
+                (begin - _BEFORE * self._window - self._share, begin + self._window + self._share),
+            )
+            rows = slice(int(first), int(last))
+            if last - first < 2:
+                continue
+            since = (time[rows] - begin) * 1e-9
+            for b in np.flatnonzero(np.isfinite(bodies.noise)).tolist():
+                values, variance = whole[0][rows, b], whole[1][rows, b]
+                asked.append((begin, b, rows))
+                samples.append(Samples(since, values, variance, 0.0, self._share * 1e-9))
+        found = []
+        events = find_events(samples, self._window * 1e-9)
+        for (begin, b, rows), event in zip(asked, events, strict=True):
+            at = begin if event is None else begin + round(event.time * 1e9)
+            if event is None or at - self._last[b] < self._share // 2:
+                continue
+            self._last[b] = at
+            # The frame that showed it: the sixth after a window after the places.
+            ready = begin + self._window + self._share
+            with_frame = int(np.searchsorted(time, ready)) + _SETTLED
+            number = due - (len(time) - 1 - with_frame)
+            found.append(_body_event(event, b, at, rows, history, hub[b], number))
+        return found
+
+
+def _poses(history: History, bodies: Bodies, hub: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Angles and hubs (N, B, 3), and their variances (N, B, 2), infinite for those not known."""
+    angle, turns = history['angle'], history['turns']
+    position = history['position'] + hub * np.exp(1j * angle)
+    values = np.stack((angle + 2 * np.pi * turns, position.real, position.imag), axis=-1)
+    information = np.moveaxis(history['information'] * bodies.scale, 1, -1)
+    turned, placed = information[..., 0], information[..., 1]
+    with np.errstate(divide='ignore', invalid='ignore'):
+        # Farther from the middle of the markers the error of the angle tells more.
+        near = np.maximum(1 / placed - np.abs(bodies.middle) ** 2 / turned, 0.0)
+        far = near + np.abs(hub - bodies.middle) ** 2 / turned
+        far = np.where(hub == 0, 1 / placed, far)
+        variance = np.stack((1 / turned, far), axis=-1) * bodies.noise[:, None] ** 2
+    known = (information > 0).all(axis=-1) & np.isfinite(values).all(axis=-1)
+    return values, np.where(known[..., None], variance, np.inf)
+
+
+def _body_event(
+    event: Event, body: int, at: int, rows: slice, history: History, hub: complex, due: int
+) -> BodyEvent:
+    """An event of the hub of a body as one of the origin of its frame."""
+    time, angle = history['time'][rows], history['angle'][rows, body]
+    position, height = history['position'][rows, body], history['height'][rows, body]
+    seen = np.flatnonzero(np.isfinite(angle))
+    near = seen[np.abs(time[seen] - at).argmin()]
+    # The origin lies at -arm from the hub.
+    arm = hub * np.exp(1j * float(angle[near]))
+    turned, x, y = event.step.tolist()
+    along = np.array((arm.imag, -arm.real))
+    covariance = np.diag(event.step_sigma[1:] ** 2)
+    covariance += event.step_sigma[0] ** 2 * np.outer(along, along)
+    late = int(np.median(history['stamp'][rows] - time))
+    return BodyEvent(
+        body,
+        at + late,
+        event.time_sigma,
+        event.order,
+        turned,
+        float(event.step_sigma[0]),
+        complex(x, y) - 1j * turned * arm,
+        covariance,
+        complex(position[near]),
+        float(height[near]),
+        due,
+    )
