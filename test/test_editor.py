@@ -279,3 +279,18 @@ def test_scenes_of_vectors_and_reports_have_no_editor(page, tmp_path: Path) -> N
     page.wait_for_selector('html[data-ready]')
     assert page.locator('#edit').is_hidden()
     assert 'makeSolver' not in file.read_text()
+
+
+def test_belts_are_drawn_between_their_wheels(page, tmp_path: Path) -> None:
+    source = tmp_path / 'drives.yaml'
+    source.write_text(DRIVES)
+    file, data = written(tmp_path, str(source))
+    belt, rope = data['belts']
+    assert belt['closed'] and not rope['closed']
+    assert [end['radius'] for end in (*belt['ends'], *rope['ends'])] == [0.02, -0.05, 0.01, 0.0]
+    page.goto(file.as_uri())
+    page.wait_for_selector('html[data-ready]')
+    with_belts = page.locator('#stage canvas').nth(1).screenshot()
+    page.get_by_role('button', name='bodies', exact=True).click()
+    drawn(page)
+    assert page.locator('#stage canvas').nth(1).screenshot() != with_belts

@@ -1,6 +1,8 @@
 """Bags of other storages, and messages of trackers, are read by the definitions in the bag."""
 
+import bz2
 import sqlite3
+import struct
 from collections.abc import Callable
 from functools import cache
 from pathlib import Path
@@ -9,10 +11,12 @@ from typing import Any
 
 import numpy as np
 import pytest
+import zstandard
 from rosbags.rosbag1 import Writer as Ros1Writer
 from rosbags.rosbag2 import StoragePlugin
 from rosbags.rosbag2 import Writer as Ros2Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+from test_formats import peak_memory
 
 from kinpole_ros.bags import BagError, import_points, read_messages, replay, topics
 from kinpole_ros.messages import PoseReader, deserialize_message
@@ -298,3 +302,24 @@ def test_a_bag_without_markers_says_what_it_has(tmp_path):
         writer.write(link, 1, store.serialize_cdr(message, 'std_msgs/msg/String'))
     with pytest.raises(BagError, match=r'only /said \(std_msgs/msg/String\); fix: record one'):
         import_points(tmp_path / 'run', tmp_path / 'out.mcap')
+
+
+def test_a_bomb_in_a_bag_takes_little_memory(tmp_path):
+    """A chunk of ROS 1, and messages of rosbag2, that unpack to far more than they are."""
+    records = bytearray(b'#ROSBAG V2.0\n')
+    packed = bz2.compress(bytes(300 << 20))
+    for part in (b'\x04\0\0\0op=\x05\x0f\0\0\0compression=bz2', packed):
+        records += struct.pack('<I', len(part)) + part
+    (tmp_path / 'run.bag').write_bytes(records)
+    path = write_bag(tmp_path, 'pose array', 'db3') / 'bag.db3'
+    with sqlite3.connect(path) as file:
+        bomb = zstandard.ZstdCompressor().compress(bytes(31 << 20))
+        file.execute('UPDATE messages SET data = ?', [bomb])
+        for _ in range(5):
+            file.execute('INSERT INTO messages (topic_id, timestamp, data) SELECT topic_id, '
+                         'timestamp, data FROM messages')  # fmt: skip
+    file.close()
+    for bag in (tmp_path / 'run.bag', path):
+        peak, complaint = peak_memory(bag)
+        assert peak < 400
+        assert 'fix: ' in complaint

@@ -488,7 +488,7 @@ def test_the_scenes_of_the_docs_can_be_used(tmp_path: Path) -> None:
     text = (Path(__file__).parents[1] / 'docs' / 'scenes.md').read_text(encoding='utf-8')
     blocks = re.findall(r'```yaml\n(.*?)```', text, re.DOTALL)
     scenes = [block for block in blocks if 'ros__parameters' not in block]
-    assert len(scenes) == 2
+    assert len(scenes) == 3
     for block in scenes:
         path = tmp_path / 'crank.yaml'
         path.write_text(block)

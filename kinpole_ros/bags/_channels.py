@@ -105,7 +105,7 @@ class Channels:
                 if (chosen := self._chosen[channel_id]) is not None:
                     data = records[start + MESSAGE.size : end]
                     if data.startswith(ZSTD_MAGIC):  # rosbag2 compressed message by message
-                        data = _unpacked_message(data, room)
+                        data = unpacked_message(data, room)
                         room -= len(data)
                     found.append(BagMessage(*chosen, data, log_time))
             elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
@@ -128,7 +128,8 @@ def description(opcode: int, body: bytes) -> Schema | Channel:
     return Schema.read(stream) if opcode == Opcode.SCHEMA else Channel.read(stream)
 
 
-def _unpacked_message(data: bytes, room: int) -> bytes:
+def unpacked_message(data: bytes, room: int) -> bytes:
+    """Unpack a message that rosbag2 compressed, to so many bytes at most."""
     claimed = zstandard.frame_content_size(data)
     if claimed > room:
         raise ValueError(f'a message that claims to be {claimed} bytes unpacked')

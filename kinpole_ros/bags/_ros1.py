@@ -7,13 +7,13 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import BinaryIO, NamedTuple
 
-from kinpole_ros.bags._files import BagError
+from kinpole_ros.bags._files import BagError, Truncated
 from kinpole_ros.bags._layout import unpack_lz4
 from kinpole_ros.files import open_regular, printable
 
 _MAGIC = b'#ROSBAG V2.0\n'
 _MESSAGE, _CHUNK, _CONNECTION = 2, 5, 7  # kinds of records
-_LARGEST = 1 << 27  # bytes of a record, and of a chunk unpacked
+_LARGEST = 1 << 26  # bytes of a record, and of a chunk unpacked
 _SIZE = struct.Struct('<I')
 
 
@@ -31,7 +31,7 @@ def ros1_messages(path: Path) -> Iterator[Ros1Message]:
     """
     Yield the messages of a bag in file order.
 
-    Raises BagError at the place where the bag is cut or damaged.
+    Raises Truncated at the place where the bag is cut or damaged.
     """
     connections: dict[bytes, tuple[str, str, str]] = {}
     with open_regular(path) as file:
@@ -43,18 +43,18 @@ def ros1_messages(path: Path) -> Iterator[Ros1Message]:
                 if kind != _CHUNK:
                     yield from _messages(kind, fields, data, connections)
                     continue
-                for inner, content in _records(io.BytesIO(_unpacked(fields, data))):
+                for inner, content in _records(io.BytesIO(_unpack(fields, data))):
                     yield from _messages(inner[b'op'][0], inner, content, connections)
         except (struct.error, LookupError, ValueError, OSError, EOFError, RuntimeError) as error:
             why = printable(str(error)[:80]) or type(error).__name__
-            raise BagError(
+            raise Truncated(
                 f'{path} is cut off or damaged before byte {file.tell()} ({why}); '
                 f'fix: `rosbag reindex {path}`'
             ) from error
 
 
 def _records(file: BinaryIO) -> Iterator[tuple[dict[bytes, bytes], bytes]]:
-    """Fields of the header and the data of each record."""
+    """Yield the fields of the header and the data of each record."""
     while start := file.read(_SIZE.size):
         header = _read(file, *_SIZE.unpack(start))
         yield _fields(header), _read(file, *_SIZE.unpack(file.read(_SIZE.size)))
@@ -79,7 +79,7 @@ def _fields(header: bytes) -> dict[bytes, bytes]:
     return fields
 
 
-def _unpacked(fields: dict[bytes, bytes], data: bytes) -> bytes:
+def _unpack(fields: dict[bytes, bytes], data: bytes) -> bytes:
     how = fields[b'compression']
     if how == b'bz2':
         return bz2.BZ2Decompressor().decompress(data, _LARGEST)

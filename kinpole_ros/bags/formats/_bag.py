@@ -5,9 +5,11 @@ Markers and poses are found in messages by the definitions in the bag, so that t
 types need not be installed. Frames are put together from several topics by their stamps.
 """
 
-from collections.abc import Callable, Iterator
+from array import array
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import suppress
 from functools import partial
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -31,6 +33,7 @@ from kinpole_ros.messages import (
 )
 
 _SECOND = 1_000_000_000  # ns
+_LARGEST_MESSAGE = 1 << 22  # bytes; as objects these take 20 times as much
 _SAME_FRAME = 0.25  # share of the interval of a topic within which stamps are of one frame
 # Names of types by what they hold: a list of markers or bodies, a body, frames that bodies may be.
 _KINDS = {
@@ -41,35 +44,37 @@ _KINDS = {
 _MARKERS = {name.replace('/msg/', '/'): key for key, name in ROS_TYPE_NAMES.items()}
 _IN_MM = ('vicon_bridge/Markers',)  # by no convention of ROS
 # Those that bags of before ROS 2 Iron do not define.
-_MARKER = 'int8 id_type\nint32 marker_index\nstring marker_name\ngeometry_msgs/Point translation\n'
-_BODY = 'string rigid_body_name\n{0}/Marker[] markers\ngeometry_msgs/Pose pose\n'
-_HEAD = 'std_msgs/Header header\nuint32 frame_number\n'
 _MESSAGES = {
-    **{
-        f'{package}/{name}': text.format(package)
-        for package in ('mocap4r2_msgs', 'mocap_msgs')
-        for name, text in (
-            ('Marker', _MARKER),
-            ('Markers', _HEAD + '{0}/Marker[] markers\n'),
-            ('RigidBody', _BODY),
-            ('RigidBodies', _HEAD + '{0}/RigidBody[] rigidbodies\n'),
-        )
-    },
+    'mocap4r2_msgs/Marker': 'int8 id_type\nint32 marker_index\nstring marker_name\n'
+    'geometry_msgs/Point translation\n',
+    'mocap4r2_msgs/Markers': 'std_msgs/Header header\nuint32 frame_number\nMarker[] markers\n',
+    'mocap4r2_msgs/RigidBody': 'string rigid_body_name\nMarker[] markers\n'
+    'geometry_msgs/Pose pose\n',
+    'mocap4r2_msgs/RigidBodies': 'std_msgs/Header header\nuint32 frame_number\n'
+    'RigidBody[] rigidbodies\n',
     'motion_capture_tracking_interfaces/NamedPose': 'string name\ngeometry_msgs/Pose pose\n',
     'motion_capture_tracking_interfaces/NamedPoseArray': 'std_msgs/Header header\n'
-    'motion_capture_tracking_interfaces/NamedPose[] poses\n',
+    'NamedPose[] poses\n',
 }
 
 
-class _Seen(NamedTuple):
-    """Markers or poses in T messages of one layout, of one source."""
+class _Observation(NamedTuple):
+    """Markers or poses of one source in a message."""
 
     source: str  # topic, or body
+    names: tuple[str, ...]
+    stamp: int  # ns
+    values: list[float]  # 3 for each marker, or 7 for each body
+
+
+class _Series(NamedTuple):
+    """Markers or poses in T messages of one layout, of one source."""
+
+    source: str
+    names: tuple[str, ...]
     stamps: np.ndarray  # (T,), ns
     log_times: np.ndarray
-    names: tuple[str, ...]
-    points: np.ndarray  # (T, n, 3)
-    turns: np.ndarray | None = None  # (T, n, 4), quaternions x, y, z, w
+    values: np.ndarray  # (T, n, 3), points, or (T, n, 7), with quaternions x, y, z, w
 
 
 def _recognizes(file: File) -> bool:
@@ -81,31 +86,32 @@ def _recognizes(file: File) -> bool:
 
 
 def _read(file: File, wanted: Wanted) -> Points:
-    seen: list[_Seen] = []
-    size = 0
-    for part in _of_ros1(file) if file.head.startswith(ROS1_MAGIC) else _of_ros2(file):
-        seen.append(part)
-        size += part.points.size + 20
-        check_cells(file.path, size)
-    if not seen:
-        raise BagError(f'{file.path} has no messages that can be read; fix: record again')
-    if not any(part.stamps.any() for part in seen):
+    is_ros1 = file.head.startswith(ROS1_MAGIC)
+    types, definitions = (_describe_ros1 if is_ros1 else described)(file.path)
+    topics = _choose_topics(file, types)
+    if not is_ros1 and _kind(types[topics[0]]) == 'markers':
+        parts, _ = read_frames(file.path, topics[0], report=lambda e: file.notes.append(str(e)))
+        series = [_Series('', one.identities, one.stamps, one.stamps, one.points) for one in parts]
+    else:
+        series = _read_series(
+            file, topics, _make_decoder(file, types, topics, definitions, is_ros1)
+        )
+    if not any(part.stamps.any() for part in series):
         file.notes.append(f'{file.path} has no stamps in its messages: log times are taken')
-        seen = [part._replace(stamps=part.log_times) for part in seen]
-    stamps, rows = _frames(seen)
-    markers, bodies = (_columns(seen, posed) for posed in (False, True))
+        series = [part._replace(stamps=part.log_times) for part in series]
+    stamps, rows = _group_into_frames(series)
+    markers, bodies = (_number_columns(series, width) for width in (3, 7))
     names = list(markers or bodies)
     check_names(file.path, names)
     check_cells(file.path, len(stamps) * (3 * len(names) + 7 * len(bodies)))
     points = np.full((len(stamps), len(names), 3), np.nan)
     poses = np.full((len(stamps), len(bodies), 7), np.nan)
-    for part, row in zip(seen, rows, strict=True):
-        if part.turns is None or not markers:
+    for part, row in zip(series, rows, strict=True):
+        if not markers or part.values.shape[-1] == 3:
             columns = [(markers or bodies)[name] for name in part.names]
-            points[row[:, None], columns] = part.points
-        if part.turns is not None:
-            columns = [bodies[name] for name in part.names]
-            poses[row[:, None], columns] = np.concatenate((part.points, part.turns), axis=-1)
+            points[row[:, None], columns] = part.values[..., :3]
+        if part.values.shape[-1] == 7:
+            poses[row[:, None], [bodies[name] for name in part.names]] = part.values
     points[~np.isfinite(points).all(axis=-1)] = np.nan
     poses[~(np.isfinite(poses).all(axis=-1) & poses[..., 3:].any(axis=-1))] = np.nan
     return Points(
@@ -120,25 +126,27 @@ def _read(file: File, wanted: Wanted) -> Points:
     )
 
 
-def _columns(seen: list[_Seen], posed: bool) -> dict[str, int]:
-    """The column of each marker, or of each body with a pose."""
-    parts = (part.names for part in seen if (part.turns is not None) == posed)
+def _number_columns(series: list[_Series], width: int) -> dict[str, int]:
+    """Number the markers, which have 3 values each, or the bodies, which have 7."""
+    parts = (part.names for part in series if part.values.shape[-1] == width)
     names = dict.fromkeys(name for part in dict.fromkeys(parts) for name in part)
     return {name: column for column, name in enumerate(names)}
 
 
-def _frames(seen: list[_Seen]) -> tuple[np.ndarray, list[np.ndarray]]:
+def _group_into_frames(series: list[_Series]) -> tuple[np.ndarray, list[np.ndarray]]:
     """
-    Stamps of frames, and the frame of each message of each part.
+    Put messages into frames: the stamps of these, and the frame of each message of each series.
 
     A frame has one message of each source, none later than a share of the shortest interval.
     """
-    stamps = np.concatenate([part.stamps for part in seen])
-    sources = list(dict.fromkeys(part.source for part in seen))
+    stamps = np.concatenate([part.stamps for part in series])
+    sources = list(dict.fromkeys(part.source for part in series))
     if len(sources) == 1:
         found, rows = np.unique(stamps, return_inverse=True)
     else:
-        number = np.repeat([sources.index(p.source) for p in seen], [len(p.stamps) for p in seen])
+        number = np.repeat(
+            [sources.index(p.source) for p in series], [len(p.stamps) for p in series]
+        )
         steps = [np.diff(np.unique(stamps[number == k])) for k in range(len(sources))]
         most = _SAME_FRAME * min((float(np.median(step)) for step in steps if len(step)), default=0)
         starts: list[int] = []
@@ -152,25 +160,25 @@ def _frames(seen: list[_Seen]) -> tuple[np.ndarray, list[np.ndarray]]:
             members.add(int(number[event]))
             rows[event] = len(starts) - 1
         found = np.array(starts, np.int64)
-    return found, np.split(rows, np.cumsum([len(part.stamps) for part in seen])[:-1])
+    return found, np.split(rows, np.cumsum([len(part.stamps) for part in series])[:-1])
 
 
 def _kind(type_name: str) -> str | None:
-    """What messages of a type hold, None where that is nothing for us."""
-    short = _short(type_name)
+    """Return what messages of a type hold, None where that is neither markers nor poses."""
+    short = _short_type(type_name)
     if short in _MARKERS:
         return 'markers'
     return None if short in _IN_MM else _KINDS.get(short.rpartition('/')[2])
 
 
-def _short(type_name: str) -> str:
-    """Package and name of a type, without what stands between them in ROS 2."""
+def _short_type(type_name: str) -> str:
+    """Return package and name of a type, without the msg between them of ROS 2."""
     return f'{type_name.partition("/")[0]}/{type_name.rpartition("/")[2]}'
 
 
-def _chosen(file: File, types: dict[str, str]) -> list[str]:
+def _choose_topics(file: File, types: dict[str, str]) -> list[str]:
     """
-    The topics to be read: those of trackers, else the one of markers, else those of poses.
+    Choose the topics to read: those of trackers, else the one of markers, else those of poses.
 
     Notes what is left out, and raises BagError where there is nothing or no telling.
     """
@@ -199,8 +207,8 @@ def _chosen(file: File, types: dict[str, str]) -> list[str]:
     )
 
 
-def _store(types: set[str], definitions: dict[str, str], is_ros1: bool) -> Any:
-    """A store of message types, as defined in the bag, or else as known here."""
+def _make_store(types: set[str], definitions: dict[str, str], is_ros1: bool) -> Any:
+    """Make a store of message types as the bag defines them, or else as known here."""
     # Only bags need it.
     from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_typestore
 
@@ -221,75 +229,96 @@ def _store(types: set[str], definitions: dict[str, str], is_ros1: bool) -> Any:
     return store
 
 
-def _of_ros2(file: File) -> Iterator[_Seen]:
-    types, definitions = described(file.path)
-    topics = _chosen(file, types)
-    if _kind(types[topics[0]]) == 'markers':
-        parts, _ = read_frames(file.path, topics[0], report=lambda e: file.notes.append(str(e)))
-        for frames in parts:
-            yield _Seen('', frames.stamps, frames.stamps, frames.identities, frames.points)
-        return
-    read = _reader(file, {types[topic] for topic in topics}, definitions, is_ros1=False)
-    names = _topic_names(topics)
-    try:
-        for message in read_messages(file.path, topics):
-            yield from read(message, message.type_name, names[message.topic])
-    except Truncated as error:
-        file.notes.append(str(error))
-
-
-def _of_ros1(file: File) -> Iterator[_Seen]:
+def _describe_ros1(path: Path) -> tuple[dict[str, str], dict[str, str]]:
+    """Collect the types of topics, and their definitions, as far as a bag of ROS 1 goes."""
     types: dict[str, str] = {}
     definitions: dict[str, str] = {}
-    problem = ''
     try:
-        for message in ros1_messages(file.path):
+        for message in ros1_messages(path):
             types[message.topic] = message.type_name
             definitions[message.type_name] = message.definition
-    except BagError as error:
+    except Truncated:
         if not types:
             raise
-        problem = str(error)
-    topics = _chosen(file, types)
-    read = _reader(file, {types[topic] for topic in topics}, definitions, is_ros1=True)
-    names = _topic_names(topics)
+    return types, definitions
+
+
+def _make_decoder(
+    file: File,
+    types: dict[str, str],
+    topics: list[str],
+    definitions: dict[str, str],
+    is_ros1: bool,
+) -> Callable[[Ros1Message | BagMessage], Any]:
+    """Return a function that decodes the messages on these topics."""
+    names = {types[topic] for topic in topics}
     try:
-        for message in ros1_messages(file.path):
-            if message.topic in topics:
-                name = message.type_name.replace('/', '/msg/')
-                yield from read(message, name, names[message.topic])
-    except BagError as error:
-        if str(error) != problem:
-            raise
-        file.notes.append(problem)
-
-
-def _reader(
-    file: File, types: set[str], definitions: dict[str, str], is_ros1: bool
-) -> Callable[[BagMessage | Ros1Message, str, str], list[_Seen]]:
-    """What finds markers or poses in a message of one of these types; it raises BagError."""
-
-    def fail(what: str, error: Exception) -> BagError:
-        why = shown(' '.join(str(error).split()))
-        return BagError(f'{file.path}: {what} cannot be read ({why}); fix: record again')
-
-    try:
-        store = _store(types, definitions, is_ros1)
+        store = _make_store(names, definitions, is_ros1)
     except Exception as error:  # of the parser, and of names that are none
-        raise fail(f'the definition of {shown(", ".join(types))}', error) from error
-    decode = store.deserialize_ros1 if is_ros1 else store.deserialize_cdr
-
-    def read(message: BagMessage | Ros1Message, name: str, topic: str) -> list[_Seen]:
-        try:
-            return list(_parts(file, decode(message.data, name), name, topic, message.log_time))
-        except Exception as error:  # of the reading of bytes, and where a type is defined otherwise
-            raise fail(f'a message of {name}', error) from error
-
-    return read
+        raise BagError(
+            f'{file.path}: the definition of {shown(", ".join(sorted(names)))} cannot be read '
+            f'({shown(" ".join(str(error).split()))}); fix: record again'
+        ) from error
+    if is_ros1:
+        return lambda one: store.deserialize_ros1(one.data, one.type_name.replace('/', '/msg/'))
+    return lambda one: store.deserialize_cdr(one.data, one.type_name)
 
 
-def _topic_names(topics: list[str]) -> dict[str, str]:
-    """Short names of topics: what differs of /vrpn/arm/pose and /vrpn/rod/pose."""
+def _read_series(
+    file: File, topics: list[str], decode: Callable[[Ros1Message | BagMessage], Any]
+) -> list[_Series]:
+    """Read the messages of these topics; those that cannot be read are left out, and noted."""
+    names = _shorten_topics(topics)
+    found: dict[tuple[Any, ...], tuple[array[int], array[int], array[float]]] = {}
+    fault, fault_count, size = '', 0, 0
+    messages: Iterable[Ros1Message | BagMessage] = (
+        ros1_messages(file.path)
+        if file.head.startswith(ROS1_MAGIC)
+        else read_messages(file.path, topics)
+    )
+    try:
+        for message in messages:
+            if message.topic not in names:
+                continue
+            try:
+                if len(message.data) > _LARGEST_MESSAGE:
+                    raise ValueError(f'{len(message.data)} bytes')
+                parts = list(_observations(file, decode(message), message, names[message.topic]))
+            except Exception as error:  # of the bytes, and where a type is not as its name says
+                fault_count += 1
+                why = shown(' '.join(str(error).split()))
+                fault = fault or f'{shown(message.type_name)} ({why})'
+                continue
+            for source, markers, stamp, values in parts:
+                key = source, markers, len(values) // len(markers)
+                rows = found.setdefault(key, (array('q'), array('q'), array('d')))
+                rows[0].append(stamp)
+                rows[1].append(message.log_time)
+                rows[2].extend(values)
+                size += len(values) + 2
+            check_cells(file.path, size)
+    except Truncated as error:
+        file.notes.append(str(error))
+    left_out = f'{fault_count} messages cannot be read, the first of {fault}'
+    if not found:
+        what = left_out if fault else 'the topics are empty'
+        raise BagError(f'{file.path} has no markers or poses: {what}; fix: record again')
+    if fault:
+        file.notes.append(f'{file.path}: {left_out}')
+    return [
+        _Series(
+            source,
+            markers,
+            np.frombuffer(stamps, np.int64),
+            np.frombuffer(log_times, np.int64),
+            np.frombuffer(values).reshape(len(stamps), len(markers), width),
+        )
+        for (source, markers, width), (stamps, log_times, values) in found.items()
+    ]
+
+
+def _shorten_topics(topics: list[str]) -> dict[str, str]:
+    """Shorten topics to the part that differs: arm and rod of /vrpn/arm/pose and /vrpn/rod/pose."""
     parts = {topic: topic.strip('/').split('/') for topic in topics}
     rows = list(parts.values())
     if len(rows) == 1:
@@ -304,36 +333,39 @@ def _topic_names(topics: list[str]) -> dict[str, str]:
     return {topic: '/'.join(row[first : len(row) - last]) for topic, row in parts.items()}
 
 
-def _parts(file: File, message: Any, type_name: str, topic: str, log_time: int) -> Iterator[_Seen]:
-    """Markers or poses in a decoded message."""
-    times, kind = np.array([log_time]), _kind(type_name)
+def _observations(
+    file: File, content: Any, message: Ros1Message | BagMessage, topic: str
+) -> Iterator[_Observation]:
+    """Yield the markers or poses in the decoded content of a message."""
+    kind = _kind(message.type_name)
     if kind == 'markers':
         with suppress(MessageError):
-            cls = MARKER_TYPES[_MARKERS[_short(type_name)]]
-            frames = read_markers(_converted(message, cls))
-            yield _Seen('', frames.stamps, times, frames.identities, frames.points)
+            frames = read_markers(_convert(content, MARKER_TYPES[_MARKERS[message.type_name]]))
+            if frames.identities:
+                stamp, values = int(frames.stamps[0]), frames.points.ravel().tolist()
+                yield _Observation('', frames.identities, stamp, values)
         return
-    items = [message]
+    items = [content]
     if kind != 'pose':
-        items = next(value for value in vars(message).values() if isinstance(value, list))
+        items = next(value for value in vars(content).values() if isinstance(value, list))
     # The bodies of a tracker are of one instant, others each of its own.
     for group in [items][: len(items)] if kind == 'tracker' else [[item] for item in items]:
-        stamp = (group[0] if kind == 'tf' else message).header.stamp
-        stamps = np.array([stamp.sec * _SECOND + stamp.nanosec])
-        if not 0 <= stamps[0] < 2**31 * _SECOND:
-            continue
+        stamp = (group[0] if kind == 'tf' else content).header.stamp
+        nanoseconds = int(stamp.sec) * _SECOND + int(stamp.nanosec)
+        if not 0 <= nanoseconds < 2**31 * _SECOND:
+            raise MessageError(f'its stamp is {stamp.sec} s')
         notes: list[str] = []
         names = [topic if kind == 'pose' else _name(one, k) for k, one in enumerate(group)]
         names = number_names(file.path, names, notes)
         file.notes += [note for note in notes if note not in file.notes]
-        values = np.array([[_place(one) for one in group]], float)
-        turns = values[..., 3:] if values.shape[-1] == 7 else None
-        source = topic if kind == 'tracker' else names[0]
-        yield _Seen(source, stamps, times, tuple(names), values[..., :3], turns)
+        values = [float(number) for one in group for number in _coordinates(one)]
+        yield _Observation(
+            topic if kind == 'tracker' else names[0], tuple(names), nanoseconds, values
+        )
 
 
 def _name(item: Any, index: int) -> str:
-    """The name that a marker or body says, else its number, else its place."""
+    """Return the name in the message of a marker or body, else its number, else its place."""
     values = {k: value for k, value in vars(item).items() if not k.startswith('__')}
     if values.get('id_type') == 1:  # of mocap4r2: the number is meant
         return str(item.marker_index)
@@ -342,8 +374,8 @@ def _name(item: Any, index: int) -> str:
     return next(named, next(numbers, str(index)))
 
 
-def _place(item: Any) -> list[float]:
-    """The point of a marker, or the point and quaternion of a body."""
+def _coordinates(item: Any) -> list[float]:
+    """Return the point of a marker, or the point and quaternion of a body."""
     if hasattr(item, 'translation') and not hasattr(item, 'rotation'):
         return [item.translation.x, item.translation.y, item.translation.z]
     pose = getattr(item, 'pose', None) or item.transform
@@ -353,8 +385,8 @@ def _place(item: Any) -> list[float]:
     return [point.x, point.y, point.z, turn.x, turn.y, turn.z, turn.w]
 
 
-def _converted(message: Any, cls: type) -> Any:
-    """The message in a class of ours, field by field; the fields that it lacks have defaults."""
+def _convert(message: Any, cls: type) -> Any:
+    """Convert a message to a class of ours; the fields that it lacks have defaults."""
     values = {}
     for name, kind in fields(cls).items():
         value = getattr(message, name, None)
@@ -362,7 +394,7 @@ def _converted(message: Any, cls: type) -> Any:
             continue
         base = kind.partition('[')[0]
         if '/' in base:
-            convert = partial(_converted, cls=message_class(base))
+            convert = partial(_convert, cls=message_class(base))
             value = [convert(one) for one in value] if '[' in kind else convert(value)
         elif kind == 'uint8[]':
             value = octets(bytes(value))

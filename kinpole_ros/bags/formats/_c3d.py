@@ -52,8 +52,8 @@ def _recognizes(file: File) -> bool:
 def _read(file: File, wanted: Wanted) -> Points:
     try:
         processor = file.data[_BLOCK * (file.data[0] - 1) + 3]
-        header = _header(file.data, processor)
-        parameters = _parameters(file.data, processor)
+        header = _read_header(file.data, processor)
+        parameters = _read_parameters(file.data, processor)
     except (struct.error, IndexError, ValueError) as error:
         raise BagError(f'{file.path} is not a C3D file that can be read; {_FIX}') from error
 
@@ -64,7 +64,7 @@ def _read(file: File, wanted: Wanted) -> Points:
     scale = next(iter(numbers('POINT:SCALE')), header.scale)
     rate = next(iter(numbers('POINT:RATE')), 0.0) or header.rate
     first, claimed = _frame_range(header, numbers)
-    seen = _frames(file, header, processor, scale, claimed)
+    seen = _read_frames(file, header, processor, scale, claimed)
     frames = first + np.arange(len(seen))
     whole, is_amid = _frames_before_zeros(seen)
     if whole < len(seen):
@@ -75,32 +75,33 @@ def _read(file: File, wanted: Wanted) -> Points:
             'have them'
         )
         seen, frames = seen[:whole], frames[:whole]
-    labels = _labels(parameters, 'POINT:LABELS')[: header.points]
+    labels = _read_labels(parameters, 'POINT:LABELS')[: header.points]
     labels += [''] * (header.points - len(labels))
     left_out = {
-        name for what in _NO_POINTS for name in _labels(parameters, f'POINT:{what}') if name
+        name for what in _NO_POINTS for name in _read_labels(parameters, f'POINT:{what}') if name
     }
     kept = [index for index, label in enumerate(labels) if label not in left_out]
     names = [labels[index] or f'point {index + 1}' for index in kept]
     names = number_names(file.path, names, file.notes)
     points = seen[:, kept, :3].astype(float) * (1.0 if scale < 0 else scale)
     points[seen[:, kept, 3] < 0] = np.nan
-    unit = next(iter(_labels(parameters, 'POINT:UNITS')), '')
+    unit = next(iter(_read_labels(parameters, 'POINT:UNITS')), '')
     times = None if wanted.rate is not None else frame_times(frames, rate)
     return Points(names, points, frames, times, unit)
 
 
-def _header(data: bytes, processor: int) -> _Header:
+def _read_header(data: bytes, processor: int) -> _Header:
+    """Read the first block."""
     order = '>' if processor == _MIPS else '<'
     points, analog, first, last = struct.unpack_from(f'{order}4H', data, 2)
     (start,) = struct.unpack_from(f'{order}H', data, 16)
-    scale = float(_floats(data[12:16], processor)[0])
-    rate = float(_floats(data[20:24], processor)[0])
+    scale = float(_to_floats(data[12:16], processor)[0])
+    rate = float(_to_floats(data[20:24], processor)[0])
     return _Header(points, analog, first, last, scale, start, rate)
 
 
-def _parameters(data: bytes, processor: int) -> dict[str, _Parameter]:
-    """The parameters by GROUP:NAME; raises where they are cut off."""
+def _read_parameters(data: bytes, processor: int) -> dict[str, _Parameter]:
+    """Read the parameters by GROUP:NAME; raises where they are cut off."""
     order = '>' if processor == _MIPS else '<'
     place = _BLOCK * (data[0] - 1) + 4
     groups: dict[int, str] = {}
@@ -123,7 +124,8 @@ def _parameters(data: bytes, processor: int) -> dict[str, _Parameter]:
     return {f'{groups.get(number, "")}:{name}': value for number, name, value in found}
 
 
-def _floats(data: bytes, processor: int) -> np.ndarray:
+def _to_floats(data: bytes, processor: int) -> np.ndarray:
+    """Convert bytes to float32."""
     if processor == _DEC:
         # The halves are exchanged, and the exponent is larger by 2.
         halves = np.frombuffer(data, '<u2').reshape(-1, 2)[:, ::-1]
@@ -134,7 +136,7 @@ def _floats(data: bytes, processor: int) -> np.ndarray:
 def _numbers(parameter: _Parameter, processor: int) -> list[float]:
     data = parameter.data
     if parameter.kind == 4:
-        found = _floats(data[: len(data) // 4 * 4], processor)
+        found = _to_floats(data[: len(data) // 4 * 4], processor)
     elif parameter.kind == 2:
         found = np.frombuffer(data[: len(data) // 2 * 2], '>u2' if processor == _MIPS else '<u2')
     else:
@@ -149,8 +151,8 @@ def _text(data: bytes) -> str:
         return data.decode('cp1252', 'replace').strip('\0 ')
 
 
-def _labels(parameters: dict[str, _Parameter], parameter: str) -> list[str]:
-    """A list of names, which goes on in NAME2, NAME3 where it has more than 255."""
+def _read_labels(parameters: dict[str, _Parameter], parameter: str) -> list[str]:
+    """Read a list of names, which goes on in NAME2, NAME3 where it has more than 255."""
     names: list[str] = []
     for number in ('', *map(str, range(2, 300))):
         found = parameters.get(f'{parameter}{number}')
@@ -164,7 +166,7 @@ def _labels(parameters: dict[str, _Parameter], parameter: str) -> list[str]:
 
 
 def _frame_range(header: _Header, numbers: Callable[[str], list[float]]) -> tuple[int, int]:
-    """Number of the first frame and how many there are; counts beyond 16 bits are parameters."""
+    """Return the first frame number and the number of frames; parameters hold large counts."""
     first, count = header.first, (header.last - header.first + 1) % 65536
     counts = [count, *numbers('POINT:FRAMES')[:1], *numbers('POINT:LONG_FRAMES')[:1]]
     start, end = numbers('TRIAL:ACTUAL_START_FIELD'), numbers('TRIAL:ACTUAL_END_FIELD')
@@ -176,8 +178,10 @@ def _frame_range(header: _Header, numbers: Callable[[str], list[float]]) -> tupl
     return first, int(max(number for number in known if np.isfinite(number)))
 
 
-def _frames(file: File, header: _Header, processor: int, scale: float, claimed: int) -> np.ndarray:
-    """The points (T, n, 4) of all frames as the file has them: x, y, z and a residual."""
+def _read_frames(
+    file: File, header: _Header, processor: int, scale: float, claimed: int
+) -> np.ndarray:
+    """Read the points (T, n, 4) of all frames as the file has them: x, y, z and a residual."""
     check_cells(file.path, 4 * header.points * claimed)
     data = file.data[_BLOCK * (header.start - 1) :] if header.start else b''
     size = 4 if scale < 0 else 2
@@ -194,7 +198,7 @@ def _frames(file: File, header: _Header, processor: int, scale: float, claimed: 
     values: np.ndarray
     data = data[: size * words * claimed]
     if scale < 0:
-        values = _floats(data, processor)
+        values = _to_floats(data, processor)
     else:
         values = np.frombuffer(data, '>i2' if processor == _MIPS else '<i2')
     return values.reshape(claimed, words)[:, : 4 * header.points].reshape(claimed, -1, 4)

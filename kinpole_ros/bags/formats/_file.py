@@ -98,7 +98,7 @@ class File:
 
     @cached_property
     def data(self) -> bytes:
-        """All its bytes."""
+        """Read all its bytes."""
         try:
             return read_limited(self.path, MOST)
         except OSError as error:

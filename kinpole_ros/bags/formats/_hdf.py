@@ -39,7 +39,7 @@ def errors_of_hdf(file: File, program: str, fix: str) -> Iterator[None]:
 
 def own_item(file: File, group: Any, name: str, fix: str) -> Any:
     """
-    A group or dataset of a group, whose bytes are in that file.
+    Return a group or dataset of a group, whose bytes are in that file.
 
     Raises BagError for links and storage that lead to other files, and where a row or a chunk alone
     unpacks to more than `_CHUNK`.

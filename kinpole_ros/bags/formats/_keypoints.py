@@ -11,6 +11,7 @@ import errno
 import json
 import re
 from collections.abc import Iterable, Iterator
+from functools import lru_cache
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -24,7 +25,7 @@ from kinpole_ros.files import read_limited
 _MOST_JSON = 32 << 20  # bytes of a file
 # Bytes of memory that what begins with a mark takes at most, and of all of these in a file.
 _OBJECT_BYTES = {b'{': 240, b'[': 88, b',': 64}
-_MOST_BYTES = 250 << 20
+_MOST_BYTES = 150 << 20
 _SCANNED = 10_000  # files of a folder that are looked at until one is of a frame
 _ARMS = 'RShoulder RElbow RWrist LShoulder LElbow LWrist'
 _LEGS = 'RHip RKnee RAnkle LHip LKnee LAnkle'
@@ -45,7 +46,7 @@ _FIX = 'give the folder of _keypoints.json that OpenPose wrote, or keypoints in 
 _MALFORMED = (ValueError, TypeError, LookupError, AttributeError, OverflowError, RecursionError)
 
 
-class _Found(NamedTuple):
+class _Person(NamedTuple):
     """The points of one person in one frame."""
 
     frame: int
@@ -62,7 +63,7 @@ def _recognizes(file: File) -> bool:
 
 
 def _frame_files(folder: Path, most: int | None = None) -> Iterator[tuple[int, Path]]:
-    """The files of a folder whose names end in a number, or one and _keypoints, and .json."""
+    """Yield the files of a folder named ...NUMBER.json or ...NUMBER_keypoints.json."""
     for count, path in enumerate(folder.iterdir()):
         if count == most:
             return
@@ -71,17 +72,17 @@ def _frame_files(folder: Path, most: int | None = None) -> Iterator[tuple[int, P
 
 
 def _read(file: File, wanted: Wanted) -> Points:
-    found: list[_Found] = []
+    persons: list[_Person] = []
     size = 0
-    for one in _all_found(file):
-        found.append(one)
-        size += one.values.size
+    for one in _persons(file):
+        persons.append(one)
+        size += 2 * one.values.size + 20
         check_cells(file.path, size)
-    found.sort(key=lambda one: one.frame)
-    frames = np.array(sorted({one.frame for one in found}), np.int64)
+    persons.sort(key=lambda one: one.frame)
+    frames = np.array(sorted({one.frame for one in persons}), np.int64)
     names: dict[str, dict[str, int]] = {}
     count = 0
-    for one in found:
+    for one in persons:
         of_person = names.setdefault(one.person, {})
         for name in one.names:
             if name not in of_person:
@@ -92,7 +93,7 @@ def _read(file: File, wanted: Wanted) -> Points:
     check_cells(file.path, 3 * len(frames) * count)
     points = np.full((len(frames), count, 3), np.nan)
     least = wanted.likelihood or 0.0
-    for one in found:
+    for one in persons:
         x, y, _, confidence = one.values.T
         unseen = (confidence < least) | (confidence <= 0) | ((x == 0) & (y == 0))
         columns = [names[one.person][name] for name in one.names]
@@ -115,9 +116,9 @@ def _read(file: File, wanted: Wanted) -> Points:
     return Points(listed, points, frames, None, '' if in_space else 'px', y_down=not in_space)
 
 
-def _all_found(file: File) -> Iterable[_Found]:
+def _persons(file: File) -> Iterable[_Person]:
     if not file.is_folder:
-        content = _parsed(file.path)
+        content = _parse(file.path)
         try:
             if isinstance(content, dict) and 'people' in content:
                 yield from _of_openpose(0, content)
@@ -135,12 +136,12 @@ def _all_found(file: File) -> Iterable[_Found]:
             raise BagError(f'{path}: frame {number} is there twice; fix: a folder for each video')
         before = number
         try:
-            yield from _of_openpose(number, _parsed(path))
+            yield from _of_openpose(number, _parse(path))
         except _MALFORMED as error:
             raise _malformed(path) from error
 
 
-def _parsed(path: Path) -> Any:
+def _parse(path: Path) -> Any:
     try:
         data = read_limited(path, _MOST_JSON)
         if sum(size * data.count(mark) for mark, size in _OBJECT_BYTES.items()) > _MOST_BYTES:
@@ -158,7 +159,7 @@ def _malformed(path: Path) -> BagError:
     return BagError(f'{path} is not JSON of keypoints; fix: {_FIX}')
 
 
-def _of_openpose(number: int, frame: dict[str, Any]) -> Iterator[_Found]:
+def _of_openpose(number: int, frame: dict[str, Any]) -> Iterator[_Person]:
     for index, person in enumerate(frame['people']):
         (tracked,) = person.get('person_id') or [-1]
         who = f'person_{index}' if tracked == -1 else f'track_{tracked}'
@@ -170,10 +171,10 @@ def _of_openpose(number: int, frame: dict[str, Any]) -> Iterator[_Found]:
         for part, by_axes in lists.items():
             axes = max(by_axes)
             values = np.array(by_axes[axes], float).reshape(-1, int(axes) + 1)
-            yield _found(number, who, '' if part == 'pose' else f'{part}.', None, values)
+            yield _person(number, who, '' if part == 'pose' else f'{part}.', None, values)
 
 
-def _of_coco(content: Any) -> Iterator[_Found]:
+def _of_coco(content: Any) -> Iterator[_Person]:
     images, categories = {}, {}
     annotations = content
     if isinstance(content, dict):
@@ -193,24 +194,32 @@ def _of_coco(content: Any) -> Iterator[_Found]:
         track = next((one[k] for k in ('track_id', 'instance_id', 'idx') if k in one), None)
         who = f'person_{counts[number] - 1}' if track is None else f'track_{shown(str(track))}'
         names = categories.get(one.get('category_id'))
-        yield _found(number, who, '', names, np.array(one['keypoints'], float).reshape(-1, 3))
+        yield _person(number, who, '', names, np.array(one['keypoints'], float).reshape(-1, 3))
 
 
 def _number_in(name: str, key: Any) -> int:
-    """The last number in the name of an image, or the number of the image itself."""
+    """Return the last number in the name of an image, or the number of the image itself."""
     match = re.search(r'([0-9]{1,15})[^0-9]*$', name.rpartition('.')[0] or name)
     return int(match[1]) if match else int(key)
 
 
-def _found(number: int, who: str, prefix: str, names: Any, values: np.ndarray) -> _Found:
+def _person(number: int, who: str, prefix: str, names: Any, values: np.ndarray) -> _Person:
     if not -(2**53) < number < 2**53:
         raise ValueError('a frame of no number')
     if values.shape[1] == 3:
         values = np.insert(values, 2, 0.0, axis=1)
-    known = names if names is not None else [] if prefix else _NAMES.get(len(values), '').split()
-    if len(known) != len(values) or len(set(known)) < len(known):
-        known = [f'{"" if prefix else "point "}{k}' for k in range(len(values))]
-    return _Found(number, who, tuple(f'{prefix}{name}' for name in known), values)
+    known = tuple(map(str, names)) if names is not None else None
+    return _Person(number, who, _point_names(prefix, known, len(values)), values)
+
+
+@lru_cache(maxsize=64)
+def _point_names(prefix: str, known: tuple[str, ...] | None, count: int) -> tuple[str, ...]:
+    """Name the points of a part of a person, by one tuple for all frames."""
+    if known is None:
+        known = () if prefix else tuple(_NAMES.get(count, '').split())
+    if len(known) != count or len(set(known)) < count:
+        known = tuple(f'{"" if prefix else "point "}{k}' for k in range(count))
+    return tuple(f'{prefix}{name}' for name in known)
 
 
 FORMAT = Format(

@@ -82,7 +82,7 @@ def _read(file: File, wanted: Wanted) -> Points:
 
 
 def _columns(sheet: Sheet, header: Sequence[str]) -> dict[str, list[int]]:
-    """Columns X and Y by OBJECT/POINT."""
+    """Find columns X and Y by OBJECT/POINT."""
     columns: dict[str, list[int]] = {}
     for column, title in enumerate(header[:-1]):
         if match := _X.fullmatch(title):
@@ -97,7 +97,7 @@ def _columns(sheet: Sheet, header: Sequence[str]) -> dict[str, list[int]]:
 
 
 def _of_angles(file: File, angles: dict[str, int], wanted: Wanted) -> Points:
-    """Bodies at the origin, in m, that are turned by the angles; these are in degrees."""
+    """Make a body at the origin of each angle, which is in degrees unless its name says rad."""
     sheet = file.sheet
     numbers = sheet.column(0, 1, 'Time')
     frames, times, why = _clock(sheet, numbers)
@@ -121,7 +121,7 @@ def _of_angles(file: File, angles: dict[str, int], wanted: Wanted) -> Points:
 
 
 def _clock(sheet: Sheet, numbers: np.ndarray) -> tuple[np.ndarray, np.ndarray | None, str]:
-    """Numbers of frames and their times, s, or why there are none, from the column Time."""
+    """Return numbers of frames and their times, s, or why there are none, from the column Time."""
     steps = np.diff(numbers)
     step = float(steps.min(initial=np.inf))
     if not step > 0:
@@ -141,7 +141,7 @@ def _clock(sheet: Sheet, numbers: np.ndarray) -> tuple[np.ndarray, np.ndarray | 
 
 
 def _unknown_unit(step: float, times: np.ndarray) -> str:
-    """Why times that go on by so much are not in seconds, rounded to milliseconds; '' if so."""
+    """Say why times with this step are not in seconds, rounded to milliseconds; '' if they are."""
     if step < 1 and np.abs(times * 1e3 - np.rint(times * 1e3)).max(initial=0.0) < 1e-2:
         return ''
     return (
@@ -151,12 +151,12 @@ def _unknown_unit(step: float, times: np.ndarray) -> str:
 
 
 def _text_tracks(file: File) -> Iterator[_Track]:
-    """The trajectories of a text: empty lines between them, and maybe # NAME above them."""
+    """Yield the trajectories of a text: empty lines between them, and maybe # NAME above them."""
     track = _Track('', [], [])
     lines = file.data.decode('utf-8-sig', 'replace').splitlines()
     for number, line in enumerate([*lines, ''], start=1):
         if line.strip() and not line.startswith('#'):
-            _add(file, track, line.split(), f'line {number}')
+            _append_row(file, track, line.split(), f'line {number}')
             continue
         if track.times:
             yield track
@@ -166,7 +166,7 @@ def _text_tracks(file: File) -> Iterator[_Track]:
 
 
 def _excel_tracks(file: File) -> tuple[list[_Track], str]:
-    """The trajectories of an .xml, and their unit."""
+    """Read the trajectories of an .xml, and their unit."""
     space = f'{{{_EXCEL.decode()}}}'
     name, units = '', {''}
     track = None
@@ -177,7 +177,7 @@ def _excel_tracks(file: File) -> tuple[list[_Track], str]:
             track = _Track(name, [], [])
             tracks.append(track)
         elif track is not None and len(cells) == 3:
-            _add(file, track, [cells[2], *cells[:2]], f'row {number}')
+            _append_row(file, track, [cells[2], *cells[:2]], f'row {number}')
         else:
             track = None
             if len(cells) == 2 and cells[0].startswith('Label'):
@@ -187,8 +187,8 @@ def _excel_tracks(file: File) -> tuple[list[_Track], str]:
     return [track for track in tracks if track.times], max(units) if len(units) < 3 else ''
 
 
-def _add(file: File, track: _Track, cells: list[str], where: str) -> None:
-    """Take a row, of time and places, into a trajectory."""
+def _append_row(file: File, track: _Track, cells: list[str], where: str) -> None:
+    """Append a row, of time and places, to a trajectory."""
     places = [number_or_inf(cell.replace(',', '.')) for cell in cells[1:]]
     if (
         not places
@@ -203,7 +203,7 @@ def _add(file: File, track: _Track, cells: list[str], where: str) -> None:
 
 
 def _seconds(time: str) -> float:
-    """Seconds of h:mm:ss:cc or [h:][mm:]ss.xx; infinity for what is neither."""
+    """Convert h:mm:ss:cc or [h:][mm:]ss.xx to seconds; infinity for what is neither."""
     parts = time.replace(',', '.').split(':')
     if len(parts) == 4:
         parts[2:] = [f'{parts[2]}.{parts[3]}']
@@ -215,7 +215,7 @@ def _seconds(time: str) -> float:
 
 def _of_tracks(file: File, tracks: Sequence[_Track], unit: str, wanted: Wanted) -> Points:
     """
-    Points of trajectories, each of whose rows is a frame or more after the row before.
+    Put trajectories into frames; each row is at least one frame after the row before.
 
     Times are often rounded to hundredths of a second, so that frames may seem to share one.
     """

@@ -31,7 +31,7 @@ def _recognizes(file: File) -> bool:
 
 
 def _row_with(sheet: Sheet, titles: Sequence[str], columns: range) -> int | None:
-    """The first row of the head that has one of these titles in one of these columns."""
+    """Find the first row of the head that has one of these titles in one of these columns."""
     for row in range(1, min(12, len(sheet))):
         if any(sheet.cell(row, column) in titles for column in columns):
             return row
@@ -78,12 +78,12 @@ def _read(file: File, wanted: Wanted) -> Points:
         lines=lines,
         time_column='Time (Seconds)',
         bodies=list(bodies),
-        poses=_poses(sheet, bodies, axes + 1) if bodies else None,
+        poses=_read_poses(sheet, bodies, axes + 1) if bodies else None,
     )
 
 
 def _body_columns(sheet: Sheet, types: int, titles: int, axes: int) -> dict[str, list[int]]:
-    """Columns X, Y, Z, W of the rotation and X, Y, Z of the position of each rigid body."""
+    """Find columns X, Y, Z, W of the rotation and X, Y, Z of the position of each rigid body."""
     found: dict[str, dict[str, list[int]]] = {}
     for column in range(2, len(sheet.head(axes))):
         if sheet.cell(types, column) == 'Rigid Body':
@@ -96,8 +96,8 @@ def _body_columns(sheet: Sheet, types: int, titles: int, axes: int) -> dict[str,
     return {name: row for name, row in rows.items() if len(row) == 7}
 
 
-def _poses(sheet: Sheet, bodies: dict[str, list[int]], first: int) -> np.ndarray:
-    """Poses (T, B, 7); what was not seen has no numbers, or only zeros."""
+def _read_poses(sheet: Sheet, bodies: dict[str, list[int]], first: int) -> np.ndarray:
+    """Read poses (T, B, 7); a body that was not seen has no numbers, or only zeros."""
     columns = [column for row in bodies.values() for column in (*row[4:], *row[:4])]
     titles = [f'{name} {number}' for name in bodies for number in range(1, 8)]
     poses = sheet.numbers(columns, titles, first).reshape(-1, len(bodies), 7)

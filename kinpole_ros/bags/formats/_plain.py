@@ -47,13 +47,13 @@ def _is_anipose(file: File) -> bool:
 
 
 def _header(sheet: Sheet) -> list[str]:
-    """Names of columns; numpy puts a # before the first."""
+    """Return the names of columns; numpy puts a # before the first."""
     return [name.removeprefix('#').strip() for name in sheet.head(0)]
 
 
 def _axes_by_marker(header: Sequence[str]) -> tuple[dict[str, dict[str, int]], str]:
     """
-    Columns by marker and axis, in the order of the header, and the unit that they say, else ''.
+    Find columns by marker and axis, in the order of the header, and the unit in them, else ''.
 
     Where no column is named NAME_x, those with x and y in another writing count.
     """
@@ -131,7 +131,7 @@ def _read(file: File, wanted: Wanted) -> Points:
 
 
 def _of_anipose(file: File, names: list[str], columns: list[list[int]], wanted: Wanted) -> Points:
-    """Points by the number of their frame, less those of little score where that is wanted."""
+    """Read points by the number of their frame, less those of little score where that is wanted."""
     sheet = file.sheet
     header = _header(sheet)
     number = (header.index('fnum'), 'fnum')

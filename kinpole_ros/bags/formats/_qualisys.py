@@ -42,7 +42,7 @@ def _recognizes(file: File) -> bool:
 
 def _read(file: File, wanted: Wanted) -> Points:
     sheet, path = file.sheet, file.path
-    about, first = _head(sheet)
+    about, first = _read_head(sheet)
     key = next((key for key in _WIDTHS if any(about.get(key, []))), None)
     if key is None:
         kind = ' '.join(about.get('DATA_INCLUDED', []))
@@ -81,13 +81,13 @@ def _read(file: File, wanted: Wanted) -> Points:
     places = range(begin, begin + width * len(names))
     titles = [f'{name} {number}' for name in names for number in range(1, width + 1)]
     values = sheet.numbers(places, titles, first).reshape(len(points), len(names), width)
-    poses = _poses(values)
+    poses = _to_poses(values)
     points[np.isnan(poses[..., 0])] = np.nan
     return replace(found, bodies=names, poses=poses)
 
 
-def _head(sheet: Sheet) -> tuple[dict[str, list[str]], int]:
-    """Values by key, and the row at which frames begin."""
+def _read_head(sheet: Sheet) -> tuple[dict[str, list[str]], int]:
+    """Read values by key, and the row at which frames begin."""
     about: dict[str, list[str]] = {}
     row = 0
     while (key := sheet.cell(row, 0)) and key.replace('_', '').isalpha() and key.isupper():
@@ -99,7 +99,7 @@ def _head(sheet: Sheet) -> tuple[dict[str, list[str]], int]:
 
 
 def _columns(sheet: Sheet, first: int, key: str, count: int) -> tuple[int, int]:
-    """Where the numbers of `count` markers or bodies begin in a row, and how many each has."""
+    """Find the column at which `count` markers or bodies begin, and the numbers of each."""
     cells = len(sheet.head(first))
     for width in _WIDTHS[key]:
         for begin in (0, 2):
@@ -112,8 +112,8 @@ def _columns(sheet: Sheet, first: int, key: str, count: int) -> tuple[int, int]:
     )
 
 
-def _poses(values: np.ndarray) -> np.ndarray:
-    """Poses (T, B, 7) from the numbers (T, B, n) of bodies; NaN where a body was not tracked."""
+def _to_poses(values: np.ndarray) -> np.ndarray:
+    """Convert the numbers (T, B, n) of bodies to poses (T, B, 7), NaN where one was not tracked."""
     if values.shape[-1] > 7:
         # The matrix is written column by column.
         turns = values[..., -9:].reshape(*values.shape[:-1], 3, 3).swapaxes(-1, -2)
@@ -127,12 +127,12 @@ def _poses(values: np.ndarray) -> np.ndarray:
         tracked &= values[..., 6] >= 0
     poses = np.full((*values.shape[:-1], 7), np.nan)
     poses[tracked, :3] = values[tracked, :3]
-    poses[tracked, 3:] = _quaternions(turns[tracked])
+    poses[tracked, 3:] = _to_quaternions(turns[tracked])
     return poses
 
 
 def _turn_about(axis: int, degrees: np.ndarray) -> np.ndarray:
-    """Rotation matrices (..., 3, 3) about a coordinate axis."""
+    """Make rotation matrices (..., 3, 3) about a coordinate axis."""
     turn = np.zeros((*degrees.shape, 3, 3))
     i, j = (axis + 1) % 3, (axis + 2) % 3
     turn[..., axis, axis] = 1
@@ -142,11 +142,11 @@ def _turn_about(axis: int, degrees: np.ndarray) -> np.ndarray:
     return turn
 
 
-def _quaternions(turns: np.ndarray) -> np.ndarray:
+def _to_quaternions(turns: np.ndarray) -> np.ndarray:
     """
-    The unit quaternions x, y, z, w (N, 4) nearest to rotation matrices (N, 3, 3), w not negative.
+    Convert rotation matrices (N, 3, 3) to unit quaternions x, y, z, w (N, 4), w not negative.
 
-    Each is the eigenvector of the largest eigenvalue of Bar-Itzhack's symmetric matrix
+    A quaternion is the eigenvector of the largest eigenvalue of Bar-Itzhack's symmetric matrix
     (Journal of Guidance, Control, and Dynamics 23(6), 2000).
     """
     (a, b, c), (d, e, f), (g, h, i) = np.moveaxis(turns, 0, -1)

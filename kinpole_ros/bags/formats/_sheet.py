@@ -224,7 +224,7 @@ class Sheet:
             done += len(block)
 
     def numbers(self, columns: Sequence[int], names: Sequence[str], first: int) -> np.ndarray:
-        """Numbers (T, columns) from row `first` on, as `blocks` has them."""
+        """Read numbers (T, columns) from row `first` on, as `blocks` has them."""
         count = max(0, len(self) - first)
         check_cells(self.path, count * len(columns))
         numbers = np.empty((count, len(columns)))
@@ -296,7 +296,7 @@ class Sheet:
         self, names_row: int, axes_row: int, columns: Sequence[int]
     ) -> dict[str, list[int]]:
         """
-        Columns X, Y, Z of each marker, by its name, which stands above X at least.
+        Find columns X, Y, Z of each marker, by its name, which stands above X at least.
 
         Names that are there several times are numbered. Raises BagError for other axes.
         """

@@ -94,9 +94,9 @@ def _names(animals: Sequence[str], nodes: Sequence[str]) -> list[str]:
 
 
 def _of_hdf(file: File, wanted: Wanted) -> Points:
-    """Points of an analysis .h5; scores (tracks, nodes, frames) are left out where not wanted."""
+    """Read an analysis .h5; scores (tracks, nodes, frames) count where a likelihood is given."""
     content = open_hdf(file)
-    nodes, animals = (_texts(file, content, name) for name in ('node_names', 'track_names'))
+    nodes, animals = (_read_texts(file, content, name) for name in ('node_names', 'track_names'))
     places = own_item(file, content, 'tracks', _FIX)
     check_cells(file.path, 2 * places.size)
     # Whether MATLAB's order is meant, which is the reverse.
@@ -120,7 +120,7 @@ def _of_hdf(file: File, wanted: Wanted) -> Points:
     return Points(names, points.reshape(len(frames), -1, 3), frames, None, 'px', y_down=True)
 
 
-def _texts(file: File, content: Any, name: str) -> list[str]:
+def _read_texts(file: File, content: Any, name: str) -> list[str]:
     item = own_item(file, content, name, _FIX)
     if item.size > MOST_COLUMNS or item.dtype.itemsize * item.size > _MOST_NAMES:
         raise ValueError('names that are not')

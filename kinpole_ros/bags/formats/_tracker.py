@@ -97,7 +97,7 @@ def _read(file: File, wanted: Wanted) -> Points:
 
 
 def _of_project(file: File, wanted: Wanted) -> Points:
-    """The tracks of a .trk in the user's axes."""
+    """Read the tracks of a .trk in the user's axes."""
     root = file.xml('fix: save it again')
     tracks: list[tuple[str, dict[int, list[float]]]] = []
     for item in _objects(root, '.PointMass'):
@@ -140,7 +140,7 @@ def _objects(root: Element, ending: str) -> list[Element]:
 def _by_frame(
     file: File, item: Element, keys: Sequence[str], default: Sequence[float]
 ) -> dict[int, list[float]]:
-    """Numbers by the frame that they are of, from the framedata of an object."""
+    """Read numbers by frame, from the framedata of an object."""
     found = {}
     for row in (row for data in item if data.get('name') == 'framedata' for row in data):
         index = row.get('name', '')[1:-1]

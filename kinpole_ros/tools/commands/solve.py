@@ -73,7 +73,12 @@ def add(commands: Any) -> None:
         help="Poisson's decomposition: translation with the point A and rotation about it against "
         'the same with B, from time 0 to --at or the end of --time, and of the velocities there',
     )
-    solve.add_argument('--html', metavar='FILE.html', help='the linkage in motion, as in a report')
+    solve.add_argument(
+        '--html',
+        metavar='FILE.html',
+        help='the linkage in motion, as in a report; its points can be dragged, and the scene '
+        'saved',
+    )
     solve.add_argument(
         '--pitch',
         nargs=3,

@@ -7,6 +7,7 @@ report's.
 
 from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -61,6 +62,7 @@ def write_page(
         'notes': [],
         'scene': printable(scene.name),
         'deviations': [],
+        'belts': _belts(scene),
         'work': work_lines(here) if acting(here).all else [],
         'solved': True,
         'exact': deviations is None,
@@ -129,6 +131,25 @@ def _record(solved: Solved, deviations: Mapping[tuple[str, str], np.ndarray]) ->
             for part in (values.real, values.imag):
                 part[np.abs(part) < _ZERO * size] = 0.0
     return Record(stamp, count, mechanism.bodies, columns, sizes, outlines, ('x', 'y'))
+
+
+def _belts(scene: Scene) -> list[dict[str, Any]]:
+    """The belts, by their wheels: which body, where in its frame, and how large."""
+    bodies = scene.mechanism.bodies
+    return [
+        {
+            'ends': [
+                {'body': body if body in bodies else '', 'at': [z.real, z.imag], 'radius': radius}
+                for body, z, radius in (
+                    (belt.one, belt.a, belt.radii[0]),
+                    (belt.other, belt.b, belt.radii[1]),
+                )
+            ],
+            'closed': belt.carrier is not None,
+        }
+        for belt in scene.mechanism.assembly.joints
+        if isinstance(belt, Belt)
+    ]
 
 
 def _rims(scene: Scene, body: str) -> list[tuple[complex, float]]:

@@ -13,7 +13,7 @@ function makeEditor({ data, page, stage, redraw, play }) {
   const ground = edit.size;
   const original = edit.points.map((point) => [...point]);
   const history = [];
-  let [dragged, moves] = [null, 0];
+  let [dragged, undone, moves] = [null, null, 0];
   const [button, undoing] = [by('edit'), by('undo')];
   const element = by('stage');
   document.documentElement.dataset.edit = 'yes';
@@ -35,11 +35,21 @@ function makeEditor({ data, page, stage, redraw, play }) {
     }
   }
 
-  // Solves all instants; false, and nothing changed, where the loops do not close at the cursor.
-  function solveAgain() {
+  // The scene's own pins; a report has only those that it sees.
+  const pins = () => edit.joints.filter(({ terms }) => !terms.length).map(({ a, b }) => {
+    const ends = [a, b].map((point) => edit.points[point]);
+    const still = ends.find(([body]) => body === ground);
+    const moving = ends.filter(([body]) => body !== ground);
+    const at = (still ? [still] : ends).map((point) => point.slice(2, 4));
+    return { bodies: moving.map(([body]) => data.bodies[body].name), at };
+  });
+  data.joints = pins();
+
+  // Solves all instants from one on; false, and nothing changed, where the loops do not close there.
+  function solveAgain(from = page.k) {
     data.lost = [];
     const every = page.dragging ? CLOSED_EACH : 1;
-    if (!solver.solveAll(page.k, (k) => fill(data, solver, k), (k) => lose(data, k), every)) return false;
+    if (!solver.solveAll(from, (k) => fill(data, solver, k), (k) => lose(data, k), every)) return false;
     data.edited = true;
     data.bodies.forEach((body, b) => {
       const own = edit.points.filter(([of]) => of === b);
@@ -47,15 +57,10 @@ function makeEditor({ data, page, stage, redraw, play }) {
       const rims = rimsOf(body).flatMap(([u, v, r]) => [[u, v], [u + r, v]]);
       body.outlines = [[0, [...own.map(([, , u, v]) => [u, v]), ...rims]]];
       body.missing = data.lost.map((k) => [k, k + 1, 'the loops do not close']);
-      body.withheld = {};
+      const pinned = body.icr_velocity.value.includes(0);
+      body.withheld = pinned ? { centrode_curvature: [[0, data.n, 'the ICR stands still']] } : {};
     });
-    data.joints = edit.joints.filter(({ terms }) => !terms.length).map(({ a, b }) => {
-      const ends = [a, b].map((point) => edit.points[point]);
-      const still = ends.find(([body]) => body === ground);
-      const moving = ends.filter(([body]) => body !== ground);
-      const at = (still ? [still] : ends).map((point) => point.slice(2, 4));
-      return { bodies: moving.map(([body]) => data.bodies[body].name), at };
-    });
+    data.joints = pins();
     stage.view.held = true;
     stage.reshape();
     redraw(moves % READ_EACH ? (moves % LINES_EACH ? 'pose' : 'shape') : 'rest');
@@ -91,7 +96,7 @@ function makeEditor({ data, page, stage, redraw, play }) {
     event.stopImmediatePropagation();
     element.setPointerCapture(event.pointerId);
     page.dragging = true;
-    history.push(copy());
+    undone = copy();
   }
 
   function onMove(event) {
@@ -102,6 +107,7 @@ function makeEditor({ data, page, stage, redraw, play }) {
     movePoint(dragged, stage.plane(event.clientX - box.left, event.clientY - box.top));
     const closes = solveAgain();
     if (!closes) restore(before);
+    else if (history.at(-1) !== undone) history.push(undone);
     tell(closes ? '' : 'the loops do not close there');
   }
 
@@ -109,7 +115,7 @@ function makeEditor({ data, page, stage, redraw, play }) {
     if (!dragged) return;
     page.dragging = false;
     dragged = null;
-    undoing.disabled = false;
+    undoing.disabled = !history.length;
     moves = 0;
     solveAgain();
     stage.learn();
@@ -121,7 +127,8 @@ function makeEditor({ data, page, stage, redraw, play }) {
     undoing.disabled = !history.length;
     tell('');
     moves = 0;
-    if (isFinite(solver.values[page.k][0])) solveAgain();
+    const closed = (k) => isFinite(solver.values[k][0]);
+    solveAgain(closed(page.k) ? page.k : solver.values.findIndex((row, k) => closed(k)));
   }
 
   function save() {

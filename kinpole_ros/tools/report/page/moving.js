@@ -12,6 +12,7 @@ function makeMoving(stage) {
     for (const body of here) if (on('moving')) drawMoving(context, body, k);
     toScreen(context);
     if (on('outlines')) drawJoints(context, here, k);
+    if (on('outlines')) for (const belt of data.belts ?? []) drawBelt(context, belt, k);
     for (const body of here) if (on('velocities')) drawVelocities(context, body, k);
     if (on('relative')) drawRelative(context, k);
     for (const name of [...POLES].reverse()) {
@@ -91,6 +92,26 @@ function makeMoving(stage) {
       context.fill();
       context.stroke();
     }
+  }
+
+  // The strands of a belt, each on the same sides of its wheels as the radii are.
+  function drawBelt(context, { ends, closed }, k) {
+    const [a, b] = ends.map(({ body, at }) => (body ? place(data.byName[body], k, at) : at));
+    const [x, y] = [b[0] - a[0], b[1] - a[1]];
+    context.strokeStyle = '#1c2127';
+    context.lineWidth = 1.6;
+    context.beginPath();
+    for (const side of closed ? [1, -1] : [1]) {
+      const [first, last] = ends.map(({ radius }) => side * radius);
+      const length = Math.sqrt(x * x + y * y - (first - last) ** 2);
+      const square = x * x + y * y;
+      // The direction of the strand, (x + i y) / (length + i (first - last)).
+      const c = (x * length + y * (first - last)) / square;
+      const s = (y * length - x * (first - last)) / square;
+      context.moveTo(...screen(a[0] - first * s, a[1] + first * c));
+      context.lineTo(...screen(b[0] - last * s, b[1] + last * c));
+    }
+    context.stroke();
   }
 
   function drawVelocities(context, body, k) {
