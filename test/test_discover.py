@@ -362,7 +362,7 @@ def test_bodies_whose_markers_are_never_seen_together_are_none():
     tracks = frames.points[:, :2, 0] + 1j * frames.points[:, :2, 1]
     tracks[::2, 0], tracks[1::2, 1] = np.nan, np.nan
     assert not fit_body(tracks).seen.any()
-    groups = Groups([[0, 1]], [], [], np.zeros((2, 2)), 1.0)
+    groups = Groups([[0, 1]], [], [])
     assert settle(tracks, groups) == (groups._replace(bodies=[], single=[0, 1]), [])
 
 

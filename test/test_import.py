@@ -147,7 +147,7 @@ def test_a_column_that_may_not_be_the_times_is_asked_for(tmp_path):
     assert [stamp for stamp, _ in import_text(tmp_path, text)] == [1_000_000_000]
 
 
-@pytest.mark.parametrize('command', ['discover', 'fit', 'replay', 'report', 'plot', 'batch'])
+@pytest.mark.parametrize('command', ['discover', 'fit', 'replay', 'plot', 'batch'])
 def test_a_table_in_place_of_a_bag_is_sent_to_import(tmp_path, capsys, monkeypatch, command):
     monkeypatch.chdir(tmp_path)
     Path('film.csv').write_text('t,a_x,a_y\n1,0,0\n')
@@ -155,7 +155,6 @@ def test_a_table_in_place_of_a_bag_is_sent_to_import(tmp_path, capsys, monkeypat
     scene = ['no_such_scene'] if command == 'fit' else []
     words = {
         'replay': ['--csv', 'o.csv'],
-        'report': ['--output', 'o.html'],
         'plot': ['--output', 'o.png'],
         'batch': ['--config', 'config.yaml', '--output', 'o'],
     }

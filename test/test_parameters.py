@@ -80,7 +80,7 @@ WRONG = [
     ('marker_identity', ['name', 0, None], 'auto, index, id, ns, ns_id'),
     (
         'plane',
-        ['xz', 'XY', '', 1, None, [0, 0, 0], [0.0, 1.0], [1.0] * 4, ['x', 'y', 'z'], [True, 0, 0]],
+        ['zz', 'XY', '', 1, None, [0, 0, 0], [0.0, 1.0], [1.0] * 4, ['x', 'y', 'z'], [True, 0, 0]],
         'xy, yz, zx, fit, or a normal [x, y, z]',
     ),
     ('plane', [[float('nan'), 0, 1], [float('inf'), 0, 1], ['xy'], [0, [1], 0]], 'a normal'),

@@ -235,6 +235,29 @@ def test_a_report_under_a_name_that_browsers_do_not_open_is_refused(tmp_path, ca
     assert not (tmp_path / name).exists()
 
 
+def test_a_report_of_a_bag_finds_its_bodies(tmp_path, capsys) -> None:
+    output = tmp_path / 'a.html'
+    assert main(['report', str(BAG), '--output', str(output), '--set', 'window:=0.2']) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert [line.split(':')[0] for line in lines[:3]] == ['plane', 'unit', 'bodies']
+    assert 'crank of' in lines[2]
+    assert f'kinpole discover {BAG} --output rig.yaml' in lines[2]
+    assert lines[3].startswith('window 0.2 s')
+
+
+def test_a_report_of_a_table_imports_it(tmp_path, capsys) -> None:
+    t = np.arange(300) / 100
+    rows = np.stack((t, 100 * np.cos(5 * t), 100 * np.sin(5 * t), 0 * t, 0 * t), axis=1)
+    table, output = tmp_path / 'film.csv', tmp_path / 'a.html'
+    np.savetxt(table, rows, delimiter=',', header='t,tip_x,tip_y,hub_x,hub_y', comments='')
+    words = ['report', str(table), '--scale', '0.001', '--output', str(output)]
+    assert main(words) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[0].startswith('file: 300 frames of 2 markers (table, 1 unit = 0.001 m)')
+    assert len([line for line in lines if 'to change: ' in line]) == 5
+    assert output.exists()
+
+
 def test_a_report_says_that_it_took_all_markers_as_one_body(tmp_path, capsys) -> None:
     output = tmp_path / 'a.html'
     assert main(['report', str(BAG), '--output', str(output)]) == 0

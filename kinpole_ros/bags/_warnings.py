@@ -30,8 +30,9 @@ _FIXES = {
         'move them farther from each other, or set the parameter noise'
     ),
     'plane not known yet': (
-        'it is found when bodies have moved in two directions of it, by more than their noise; '
-        'record such a motion, or set plane: [x, y, z], its normal'
+        'it is found when bodies have moved in two directions of it, by more than their noise, and '
+        'after 100 frames or more where they leave any plane; record such a motion, or set plane: '
+        '[x, y, z], its normal, as kinpole discover gives it'
     ),
     'window not full': f'raise the parameter window: it must hold {FEWEST_SAMPLES} frames with it',
 }

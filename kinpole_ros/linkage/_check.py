@@ -17,6 +17,7 @@ _SECONDS = 2.0
 # Drafts that are tried, and noises that the markers of a good one are off at the first frame.
 _MOST_DRAFTS = 6
 _CLOSE = 5.0
+_EXPLAINED = 20.0  # noises that a draft that is worth writing is off: play and lenses add
 
 
 class Checked(NamedTuple):
@@ -24,20 +25,29 @@ class Checked(NamedTuple):
     How a draft does: `problem` says why it cannot be loaded or moved, '' if it can.
 
     `first` is the rms distance of its markers from those measured at the first frame, `later` over
-    the first 2 s, m: the drivers are fits, too.
+    the first 2 s, m: the drivers are fits, too. `noise` is that of the markers.
     """
 
     problem: str
     first: float
     later: float
+    noise: float = 0.0
+
+    @property
+    def explains(self) -> bool:
+        """Whether it can be moved, and is as far off the first frame as the noise makes it."""
+        return not self.problem and not self.first > _EXPLAINED * self.noise
 
 
 def draft(linkage: Linkage, about: str = '') -> tuple[str, Checked] | None:
     """
     The scene of a linkage as text, by the first drivers with which it moves as measured, and how.
 
-    The best of those tried if none does; None where nothing is connected to the ground.
+    The best of those tried if none does; None where nothing is connected to the ground, or bodies
+    leave the plane.
     """
+    if linkage.space is not None:
+        return None
     best: tuple[str, Checked] | None = None
     for text in islice(draft_scenes(linkage, about), _MOST_DRAFTS):
         checked = check_draft(text, linkage)
@@ -58,6 +68,7 @@ def _usual_noise(linkage: Linkage) -> float:
 
 def check_draft(text: str, linkage: Linkage) -> Checked:
     """Load a draft from its text, and compare."""
+    noise = _usual_noise(linkage)
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / 'draft.yaml'
         path.write_text(text, encoding='utf-8')
@@ -69,7 +80,7 @@ def check_draft(text: str, linkage: Linkage) -> Checked:
             frames = frames[:: max(1, len(frames) // _LATER)]
             motion = scene.motion(seconds[frames])
         except (LinkageError, SceneError) as error:
-            return Checked(str(error).replace(f'{path}: ', ''), np.nan, np.nan)
+            return Checked(str(error).replace(f'{path}: ', ''), np.nan, np.nan, noise)
     off = []
     for name, places in scene.markers.items():
         number = linkage.names.index(name)
@@ -79,8 +90,8 @@ def check_draft(text: str, linkage: Linkage) -> Checked:
         columns = [known[marker] for marker in scene.marker_names[name]]
         off.append(np.abs(flat - linkage.tracks[frames][:, columns]))
     if not off:
-        return Checked('', np.nan, np.nan)
+        return Checked('', np.nan, np.nan, noise)
     square = np.concatenate(off, axis=1) ** 2
     with np.errstate(invalid='ignore'):
         first = float(np.sqrt(np.nanmean(square[0])))
-        return Checked('', first, float(np.sqrt(np.nanmean(square))))
+        return Checked('', first, float(np.sqrt(np.nanmean(square))), noise)

@@ -7,7 +7,7 @@ import numpy as np
 
 from kinpole_ros.linkage._columns import medians
 from kinpole_ros.linkage._identify import Bodies, identify
-from kinpole_ros.linkage._joints import Joint, fit_pin, fit_slide
+from kinpole_ros.linkage._joints import GIVES, Joint, fit_pin, fit_slide
 from kinpole_ros.linkage._model import GROUND_NUMBER, Linkage
 from kinpole_ros.linkage._names import body_names, marker_names
 from kinpole_ros.linkage._places import connected, make_places
@@ -15,38 +15,48 @@ from kinpole_ros.linkage._plane import scale_of
 from kinpole_ros.linkage._poses import GROUND, Pose, ground
 from kinpole_ros.linkage._record import Record, Stamps, gather
 from kinpole_ros.linkage._rolling import Rolling, fit_gear, fit_wheel
+from kinpole_ros.linkage._space import tree_of
 from kinpole_ros.tracking.estimate import MOST_PAIRED_BODIES
 from kinpole_ros.tracking.frame import MarkerFrames
 
 # Times the noise a pin may leave over without doubt.
 _DOUBTFUL = 1.5
+# Two places nearer than this share of a body's size are one, even without noise.
+_SAME_PLACE = 1e-5
 # Share of the points that may be of no body: passing others, they cannot always be identified.
 _LEFT_OVER = 0.03
 
 
 def discover(
-    parts: Sequence[MarkerFrames], progress: Callable[[float], None] | None = None
+    parts: Sequence[MarkerFrames],
+    progress: Callable[[float], None] | None = None,
+    normal: np.ndarray | None = None,
 ) -> Linkage:
     """
     The linkage whose markers `parts` hold, in order; identities need not be right.
+
+    The plane has this `normal` (3,), or is found from the motion.
 
     Raises UndiscoveredError, with the fix, where there is too little to find anything.
     """
     record, stamps = gather(parts)
     most = None if progress is None else (lambda share: progress(0.8 * share))
-    found = identify(record, most)
+    found = identify(record, normal, most)
     return _linkage_from(record, stamps, found)
 
 
 def _linkage_from(record: Record, stamps: Stamps, found: Bodies) -> Linkage:
     scale = scale_of(max(pose.size for pose in found.poses))
-    found = _in_order(found)
+    if found.space is None:
+        found = _in_order(found)
     poses = [_scaled(pose, scale) for pose in found.poses]
     standing = ground(len(record.stamps))
     bodies = {**dict(enumerate(poses)), GROUND_NUMBER: standing}
     notes: list[str] = []
     names = body_names([[found.labels[k] for k in body] for body in found.groups.bodies])
-    pins = _pins(bodies, names, notes)
+    # Joints of a plane say nothing of bodies that leave it.
+    is_planar = found.space is None
+    pins = _pins(bodies, names, notes, found.is_soft) if is_planar else []
     freedom = 3 * len(poses) - 2 * _independent(pins)
     # Where more is held than lets it move, what fits worst is no pin but nearly one.
     while freedom < 1 and pins and pins[-1].ratio > _DOUBTFUL:
@@ -56,7 +66,8 @@ def _linkage_from(record: Record, stamps: Stamps, found: Bodies) -> Linkage:
     joints: list[Joint] = list(pins)
     rolling: list[Rolling] = []
     pinned = {frozenset((joint.one, joint.other)) for joint in pins}
-    slides = _slides(bodies, pinned)
+    # On skin anything seems to slide a little.
+    slides = [] if found.is_soft else _slides(bodies, pinned)
     for joint, is_only_one in slides:
         held = 2 if joint.kind in ('trammel', 'slide') else 1
         # With one that holds more, nothing could move.
@@ -78,17 +89,23 @@ def _linkage_from(record: Record, stamps: Stamps, found: Bodies) -> Linkage:
                 f'{one} on {other}: a line on either of them fits, and which it is cannot be told '
                 'from so little motion; fix: move them farther, or correct the draft'
             )
-    for gear in _gears(bodies, pins):
+    for gear in [] if found.is_soft else _gears(bodies, pins):
         if freedom > 1:
             rolling.append(gear)
             freedom -= 1
-    if len(poses) > MOST_PAIRED_BODIES + 1:
+    if is_planar and len(poses) > MOST_PAIRED_BODIES + 1:
         notes.append(
             f'joints of each of the {len(poses)} bodies are sought with the ground and the '
             f'{MOST_PAIRED_BODIES} nearest bodies only'
         )
-    _note_loose(joints, rolling, names, notes)
+    if is_planar:
+        _note_loose(joints, rolling, names, notes)
     _note_exchanged(record, notes)
+    if found.ordered and record.doubted:
+        notes.append(
+            'names of markers that pass each other seem to be exchanged; the bodies are rigid by '
+            'them, so they are taken as they are'
+        )
     _note_left_over(record, found, notes)
     return Linkage(
         names,
@@ -110,6 +127,7 @@ def _linkage_from(record: Record, stamps: Stamps, found: Bodies) -> Linkage:
         make_places(bodies, joints, rolling),
         freedom,
         notes,
+        found.space,
     )
 
 
@@ -173,22 +191,26 @@ def _scaled(pose: Pose, scale: float) -> Pose:
     )
 
 
-def _pins(bodies: dict[int, Pose], names: list[str], notes: list[str]) -> list[Joint]:
-    pins = []
+def _pins(
+    bodies: dict[int, Pose], names: list[str], notes: list[str], is_soft: bool
+) -> list[Joint]:
+    pins: list[Joint] = []
     for one, other in _candidates({k: bodies[k] for k in range(len(names))}):
-        joint, turns = fit_pin(bodies[one], bodies[other], (one, other))
+        joint, turns = fit_pin(bodies[one], bodies[other], (one, other), GIVES * is_soft)
         if joint is not None:
             pins.append(joint)
-        elif not turns:
+        elif not turns and not is_soft:
             notes.append(
                 f'{names[one]} and {names[other]} do not turn against each other: whether a pin '
                 'joins them, and where, cannot be determined'
             )
+    if is_soft:
+        pins = tree_of(pins, len(names))
     for one in range(len(names)):
         joint, turns = fit_pin(bodies[one], bodies[GROUND_NUMBER], (one, GROUND_NUMBER))
         if joint is not None:
             pins.append(joint)
-        elif not turns:
+        elif not turns and not is_soft:
             notes.append(
                 f'{names[one]} does not turn: it has no pin to the ground that can be seen'
             )
@@ -242,7 +264,8 @@ def _gears(bodies: dict[int, Pose], pins: Sequence[Joint]) -> list[Rolling]:
         for other, center, same, there, deviation in sides:
             if one in (GROUND_NUMBER, other) or same != arm:
                 continue
-            if abs(at - there) < 10 * deviation:
+            # Two wheels on one axle.
+            if abs(at - there) < max(10 * deviation, _SAME_PLACE * bodies[arm].size):
                 continue
             if any({g.one, g.other} == {one, other} for g in found):
                 continue

@@ -20,6 +20,10 @@ _PLAY = 0.002
 # Deviations of the relative turn without which no point of it is determined.
 _TURNS = 6.0
 _FEWEST = 50
+# Share of its distances from the markers that a joint of bodies under skin may give.
+GIVES = 0.022
+# Deviation of the place of a pin in its slot, over the sizes of the bodies, that says nothing.
+_VAGUE = 0.05
 
 
 class Joint(NamedTuple):
@@ -52,9 +56,13 @@ class Joint(NamedTuple):
         return self.residual / self.expected if self.expected > 0 else np.inf
 
 
-def fit_pin(one: Pose, other: Pose, numbers: tuple[int, int]) -> tuple[Joint | None, bool]:
+def fit_pin(
+    one: Pose, other: Pose, numbers: tuple[int, int], gives: float = 0.0
+) -> tuple[Joint | None, bool]:
     """
     The pin of two bodies, None where they have none; and whether they turn enough to tell.
+
+    It may give by this share of its distances from their markers.
 
     A pin is z_i + e^{iθ_i} p_i = z_j + e^{iθ_j} p_j, linear in both its places. The noise of the
     angles shrinks the means of e^{iθ} by known factors, which are taken out.
@@ -88,7 +96,8 @@ def fit_pin(one: Pose, other: Pose, numbers: tuple[int, int]) -> tuple[Joint | N
     deviation = max(residual, expected) * float(np.sqrt(1 / left / both.sum()))
     relative = np.exp(-1j * b) * offset
     moved = float(np.sqrt(np.var(relative))) + float(np.sqrt(turned)) * one.size
-    fits = residual < _FITS * expected + _PLAY * moved
+    given = gives * (abs(on_one) + abs(on_other))
+    fits = residual < max(_FITS * expected + _PLAY * moved, given)
     # What is farther than the model can say is parallel motion.
     reach = 50 * (one.size + other.size + float(np.abs(relative).max()))
     if not fits or abs(on_one) > reach:
@@ -163,6 +172,8 @@ def fit_slide(one: Pose, other: Pose, numbers: tuple[int, int]) -> Joint | None:
         return None
     inverse = np.linalg.inv(rows.T @ rows)
     deviation = max(residual, expected) * float(np.sqrt(inverse[0, 0] + inverse[1, 1]))
+    if deviation > _VAGUE * (one.size + other.size):
+        return None
     middle = normal * d + direction * float(np.median(along))
     line = max(residual, expected) * float(np.sqrt(inverse[2, 2]))
     return Joint(

@@ -1,9 +1,12 @@
 """What was found, as lines to print."""
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from kinpole_ros.linkage._check import Checked
 from kinpole_ros.linkage._model import Linkage
+from kinpole_ros.linkage._space import main_axis, out_of_plane
 
 # Intervals that stamps are uneven by that cost more than noise does.
 _UNEVEN = 0.02
@@ -13,22 +16,7 @@ _DOUBTFUL = 2.0, 100.0
 
 def table(linkage: Linkage, checked: Checked | None) -> list[str]:
     """Lines for a terminal: input, bodies, joints, lengths, and what could not be determined."""
-    lines = [*_input(linkage), '']
-    rows: list[tuple[str, ...]] = [('body', 'markers', 'noise', 'seen', 'turns')]
-    for name, markers, pose in zip(linkage.names, linkage.markers, linkage.poses, strict=True):
-        turned = float(np.ptp(pose.angle[pose.seen]))
-        rows.append(
-            (
-                name,
-                ' '.join(markers),
-                f'{pose.noise * 1e3:.2g} mm',
-                f'{float(pose.seen.mean()):.0%}',
-                f'{turned / 2 / np.pi:.1f} rev'
-                if turned > 2 * np.pi
-                else f'{np.degrees(turned):.1f} deg',
-            )
-        )
-    lines += _columns(rows)
+    lines = [*_input(linkage), '', *_columns(_bodies(linkage))]
     if linkage.fixed:
         lines.append(f'markers that stand still: {_marked(linkage, linkage.fixed)}')
     if linkage.single:
@@ -36,7 +24,7 @@ def table(linkage: Linkage, checked: Checked | None) -> list[str]:
             f'markers of no body: {_marked(linkage, linkage.single)} (alone on theirs, loose, or '
             'exchanged with others: then set marker_identity: shape)'
         )
-    lines += ['', *_joints(linkage)]
+    lines += ['', *(_joints(linkage) if linkage.space is None else _space_joints(linkage))]
     lengths = linkage.lengths()
     if lengths:
         rows = [('length', 'of', 'mm', 'deviation')]
@@ -50,11 +38,94 @@ def table(linkage: Linkage, checked: Checked | None) -> list[str]:
             for one in lengths
         ]
         lines += ['', *_columns(rows)]
-    lines += ['', f'degrees of freedom, by these joints: {linkage.freedom}']
+    if linkage.space is None:
+        lines += ['', f'degrees of freedom, by these joints: {linkage.freedom}']
     lines += [f'note: {note}' for note in linkage.notes]
     if checked is not None:
         lines.append(_closing(checked))
     return lines
+
+
+def _bodies(linkage: Linkage) -> list[tuple[str, ...]]:
+    rows: list[tuple[str, ...]] = [('body', 'markers', 'noise', 'seen', 'turns')]
+    for name, markers, pose in zip(linkage.names, linkage.markers, linkage.poses, strict=True):
+        turned = float(np.ptp(pose.angle[pose.seen]))
+        turns = f'{np.degrees(turned):.1f} deg'
+        if turned > 2 * np.pi:
+            turns = f'{turned / 2 / np.pi:.1f} rev'
+        seen = f'{float(pose.seen.mean()):.0%}'
+        rows.append((name, ' '.join(markers), f'{pose.noise * 1e3:.2g} mm', seen, turns))
+    if linkage.space is None:
+        return rows
+    head = (*rows[0], 'axis', 'axis off the normal', 'turns out', 'leaves by')
+    normal = linkage.plane.normal
+    result = [head]
+    for row, body, solid in zip(rows[1:], linkage.columns, linkage.space.solid, strict=True):
+        if solid is None:
+            spread = float(
+                linkage.space.spread[np.ix_(body, body)][np.triu_indices(len(body), 1)].max()
+            )
+            noise = _mm(spread / 2**0.5, linkage)
+            result.append((*row[:2], noise, row[3], '', '(on one line)', '', '', ''))
+            continue
+        axis = main_axis(solid)
+        off, turned, about = out_of_plane(solid, normal)
+        tilt = f'{_degrees_between(axis, normal):.1f} deg'
+        turns = f'{np.degrees(np.hypot(turned, about)):.1f} deg rms'
+        out = f'{np.degrees(turned):.1f} deg rms', f'{_mm(off, linkage)} rms'
+        noise = _mm(solid.noise, linkage)
+        result.append((*row[:2], noise, row[3], turns, _vector(axis), tilt, *out))
+    return result
+
+
+def _mm(value: float, linkage: Linkage) -> str:
+    """A length in units of the source, in mm."""
+    value *= linkage.scale * 1e3
+    return f'{value:.0f} mm' if value >= 100 else f'{value:.2g} mm'
+
+
+def _vector(axis: np.ndarray) -> str:
+    axis = axis * np.sign(axis[np.abs(axis).argmax()])
+    return '[' + ', '.join(f'{value + 0.0:.2f}' for value in axis.round(2)) + ']'
+
+
+def _degrees_between(one: np.ndarray, other: np.ndarray) -> float:
+    return float(np.degrees(np.arccos(min(abs(float(one @ other)), 1.0))))
+
+
+def _leaves(linkage: Linkage) -> str:
+    """How far bodies leave the plane that is nearest to their motion."""
+    assert linkage.space is not None
+    solid = [pose for pose in linkage.space.solid if pose is not None]
+    out = [out_of_plane(pose, linkage.plane.normal) for pose in solid]
+    far = _mm(max(off for off, _, _ in out), linkage)
+    turned = np.degrees(max(turned for _, turned, _ in out))
+    return f'bodies leave any plane by up to {far} rms, and turn out of it by {turned:.2g} deg'
+
+
+def _space_joints(linkage: Linkage) -> list[str]:
+    """Joints in space: the center by the nearest marker of the first body, and a hinge's axis."""
+    assert linkage.space is not None
+    rows: list[tuple[str, ...]] = [('joint in space', 'of', 'center', 'axis', 'left over')]
+    for joint in linkage.space.joints:
+        pose = linkage.space.solid[joint.one]
+        assert pose is not None
+        off = np.linalg.norm(pose.shape - joint.on_one, axis=1)
+        near = int(off.argmin())
+        axis = '-'
+        if joint.axis is not None:
+            tilt = _degrees_between(joint.axis, linkage.plane.normal)
+            axis = f'{_vector(joint.axis)}, {tilt:.1f} deg off the normal'
+        rows.append(
+            (
+                'ball' if joint.axis is None else 'hinge',
+                f'{linkage.names[joint.one]} {linkage.names[joint.other]}',
+                f'{_mm(off[near], linkage)} off {linkage.markers[joint.one][near]}',
+                axis,
+                f'{_mm(joint.residual, linkage)} rms',
+            )
+        )
+    return _columns(rows) if len(rows) > 1 else ['joints in space: none that the data show']
 
 
 def _input(linkage: Linkage) -> list[str]:
@@ -69,13 +140,21 @@ def _input(linkage: Linkage) -> list[str]:
         frames += f'; {stamps.lost} frames lost'
     if stamps.dropped:
         frames += f'; {stamps.dropped} left out, as repeated'
-    if not plane.determined:
-        where = 'cannot be determined, since all moves along one line: xy is taken'
-    elif plane.name:
-        where = f'{plane.name}, to {plane.tilt:.2g} deg'
-    else:
+    where = plane.name
+    if not where:
         normal = ', '.join(f'{value:.4f}' for value in plane.normal)
         where = f'normal [{normal}], {plane.tilt:.1f} deg off the nearest axis'
+    if plane.source == 'given':
+        where += ', as given'
+    elif plane.source == 'layout':
+        where += (
+            ', in which the markers lie nearest: the motion, along one line, does not show it; '
+            'fix: name it with --plane, or move the rig farther'
+        )
+    elif plane.name:
+        where += f', to {plane.tilt:.2g} deg'
+    if linkage.space is not None:
+        where = f'not one: {_leaves(linkage)}; nearest to all of it is {where}'
     out = f'; markers leave it by {plane.spread * linkage.scale * 1e3:.2g} mm rms'
     names = 'hold' if linkage.ordered else 'none, or they do not hold: identified by shape'
     return [
@@ -174,7 +253,7 @@ def _closing(checked: Checked) -> str:
     )
 
 
-def _columns(rows: list[tuple[str, ...]]) -> list[str]:
+def _columns(rows: Sequence[tuple[str, ...]]) -> list[str]:
     widths = [max(len(row[k]) for row in rows) for k in range(len(rows[0]))]
     return [
         '  '.join(f'{cell:<{width}}' for cell, width in zip(row, widths, strict=True)).rstrip()

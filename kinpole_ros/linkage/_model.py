@@ -10,6 +10,7 @@ from kinpole_ros.linkage._plane import Plane
 from kinpole_ros.linkage._poses import GROUND, Pose
 from kinpole_ros.linkage._record import Stamps
 from kinpole_ros.linkage._rolling import Rolling
+from kinpole_ros.linkage._space import SpaceBodies
 
 GROUND_NUMBER = -1  # of the ground, where bodies go by number
 # What the name of a point ends with that a line goes through: any point of it would do.
@@ -47,7 +48,9 @@ class Linkage(NamedTuple):
     `names` are those of the bodies, `poses` their motion over the record's `seconds` (T,), and
     `markers` their markers' names, `columns` their columns of `tracks` (T, N). `joints` and
     `rolling` are between bodies by number, -1 for the ground. `places` are the points of the
-    joints. `freedom` is Gruebler's count, `notes` what could not be determined, and why.
+    joints. `freedom` is Gruebler's count, `notes` what could not be determined, and why. `space`
+    are the bodies and joints in space, in units of the source, where they do not move in one
+    plane: then there are no joints in the plane.
     """
 
     names: list[str]
@@ -69,6 +72,7 @@ class Linkage(NamedTuple):
     places: list[Place]
     freedom: int
     notes: list[str]
+    space: SpaceBodies | None = None
 
     def name(self, number: int) -> str:
         """Name of a body, the ground's too."""

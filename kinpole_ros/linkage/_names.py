@@ -6,7 +6,8 @@ from itertools import takewhile
 from kinpole_ros.linkage._identify import Bodies
 from kinpole_ros.linkage._poses import GROUND
 
-_BODY = re.compile(r'[A-Za-z_][A-Za-z0-9_]*')
+_BODY = re.compile(r'[A-Za-z_][A-Za-z0-9_]+')
+_OTHER = re.compile(r'[.:/ -]+')
 
 
 def body_names(labels: list[list[str]]) -> list[str]:
@@ -23,7 +24,7 @@ def _common(labels: list[str]) -> str:
     # Of texts in order, what first and last begin with all do.
     both = zip(min(parts), max(parts), strict=False)
     name = ''.join(a for a, _ in takewhile(lambda pair: pair[0] == pair[1], both))
-    name = name.rstrip('0123456789').rstrip('_-/ ')
+    name = _OTHER.sub('_', name.rstrip('0123456789').rstrip('_-/. '))
     return name if _BODY.fullmatch(name) else ''
 
 

@@ -43,6 +43,8 @@ class Record(NamedTuple):
     frame_id: str
     # From which frames on which two names were exchanged; here they are not.
     exchanged: tuple[tuple[int, str, str], ...] = ()
+    # The columns' names where they seem to change from frame to frame.
+    doubted: tuple[str, ...] = ()
 
     def steps(self) -> np.ndarray:
         """Number of each frame (T,), counted in intervals: one that was lost is counted too."""
@@ -120,7 +122,7 @@ def gather(parts: Sequence[MarkerFrames]) -> tuple[Record, Stamps]:
         )
     _check_seen(record)
     if names and not _names_hold(record):
-        record = record._replace(names=())
+        record = record._replace(names=(), doubted=names)
     if record.names:
         points, found = correct_exchanges(record.points, record.steps())
         named = tuple((frame, names[one], names[other]) for frame, one, other in found)

@@ -27,15 +27,12 @@ class Groups(NamedTuple):
     """
     `bodies` are lists of columns, largest first; a column on the axis of a pin may be in two.
 
-    `fixed` are columns that stand still and `single` those that are rigid with nothing. `ratio`
-    (n, n) is the spread of each distance over its noise, `limit` what was taken for rigid.
+    `fixed` are columns that stand still and `single` those that are rigid with nothing.
     """
 
     bodies: list[list[int]]
     fixed: list[int]
     single: list[int]
-    ratio: Real
-    limit: float
 
 
 def group(tracks: Complex, noise: Real) -> Groups:
@@ -65,7 +62,7 @@ def group(tracks: Complex, noise: Real) -> Groups:
     bodies = _merge(cliques, ratio, limit)
     held = {k for body in bodies for k in body}
     single = [k for k in range(count) if k not in held and not standing[k]]
-    return Groups(bodies, fixed, single, ratio, limit)
+    return Groups(bodies, fixed, single)
 
 
 def _spreads(rows: Real) -> Real:

@@ -9,6 +9,7 @@ from kinpole_ros.linkage._poses import Pose
 
 _FITS = 3.0  # times the noise that a model may leave over, as in _joints
 _FEWEST = 50  # frames
+_LARGEST_WHEEL = 10.0  # radius over the size of what is marked on it: else it hardly turns
 
 
 class Rolling(NamedTuple):
@@ -55,6 +56,8 @@ def fit_wheel(one: Pose, other: Pose, slot: Joint) -> Rolling | None:
     if rate > 0:
         direction = -direction
     radius = abs(float(rate))
+    if radius > _LARGEST_WHEEL * one.size:
+        return None
     at = slot.on_other - 1j * direction * radius
     deviation = max(residual, expected) / float(np.std(theta) * np.sqrt(len(theta)))
     return Rolling(

@@ -35,9 +35,13 @@ _FEW = 0.02
 _SELDOM = 0.2
 
 
-def order_points(record: Record, progress: Callable[[float], None] | None) -> tuple[Complex, Plane]:
+def order_points(
+    record: Record, normal: np.ndarray | None, progress: Callable[[float], None] | None
+) -> tuple[Complex, Plane]:
     """
     Tracks (T, N), complex, NaN for none, of a record of points in no order, and their plane.
+
+    The plane is that with the `normal` (3,), or that of the motion.
 
     Raises UndiscoveredError where the points cannot be followed.
     """
@@ -67,7 +71,7 @@ def order_points(record: Record, progress: Callable[[float], None] | None) -> tu
                     'no two points can be followed for half a second; fix: give the markers '
                     'names, or take more frames a second'
                 )
-            plane = fit_plane(solid)
+            plane = fit_plane(solid, normal)
             flat = plane.project(part.points)
         poses, same, tracks = _found_again(_split(tracks, shapes), same, tracks)
         shapes, more = _add_markers(poses, found, plane.project(left), noise)

@@ -17,7 +17,7 @@ import yaml
 from kinpole_ros.files import cut, cut_line, read_limited
 from kinpole_ros.files.bounded_yaml import MOST_YAML, load_yaml
 from kinpole_ros.tracking._ros_yaml import RosLoader
-from kinpole_ros.tracking.plane import AXES, FIT, PlaneSetting
+from kinpole_ros.tracking.plane import AXES, FIT, PlaneSetting, canonical_name
 
 # Of the types of messages, those that carry poses of bodies and not markers.
 POSE_TYPES = ('pose_stamped', 'body_poses', 'tf')
@@ -117,7 +117,7 @@ def _number(lowest: float, highest: float) -> Callable[[Any], float]:
 
 def _plane(value: Any) -> PlaneSetting:
     if isinstance(value, str):
-        return _one_of(*AXES, FIT)(value)
+        return _one_of(*AXES, FIT)(canonical_name(value))
     number = _number(-1e300, 1e300)
     x, y, z = (number(component) for component in value)
     if not (x or y or z):
@@ -235,8 +235,8 @@ PARAMETERS: Mapping[str, Parameter] = {
     ),
     'plane': Parameter(
         'xy',
-        'Plane of the motion, in the frame of the markers: by name, as its normal [x, y, z] of any '
-        'length, or fit, to find it from the motion.',
+        'Plane of the motion, in the frame of the markers: by name (xz is zx), as its normal '
+        '[x, y, z] of any length, or fit, to find it from the motion.',
         _plane,
         'one of xy, yz, zx, fit, or a normal [x, y, z] of three numbers, not all 0',
     ),

@@ -14,6 +14,7 @@ import numpy as np
 PlaneSetting: TypeAlias = str | tuple[float, float, float]
 # Columns of a marker that span the plane, and the one along its normal.
 AXES = {'xy': (0, 1, 2), 'yz': (1, 2, 0), 'zx': (2, 0, 1)}
+NORMALS = {'xy': (0.0, 0.0, 1.0), 'yz': (1.0, 0.0, 0.0), 'zx': (0.0, 1.0, 0.0)}
 FIT = 'fit'
 # A component of a fitted normal below this may be noise, and does not decide about its sign.
 _LEVEL = 0.1
@@ -79,12 +80,17 @@ class Plane(NamedTuple):
         return names[self.axes] if self.axes in names else as_parameter(self.normal)
 
 
+def canonical_name(name: str) -> str:
+    """The name of a plane of the axes whichever of its two axes is named first."""
+    return name if name in AXES else next((k for k in AXES if k[::-1] == name), name)
+
+
 def plane_of(setting: PlaneSetting) -> Plane | None:
     """The plane that the parameter `plane` names; None for one that is to be fitted."""
     if setting == FIT:
         return None
     if isinstance(setting, str):
-        return plane_along(np.eye(3)[AXES[setting][2]])
+        return plane_along(NORMALS[setting])
     return plane_along(np.array(setting))
 
 

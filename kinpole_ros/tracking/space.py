@@ -21,8 +21,10 @@ _AT_ONCE = 4 * GROUP
 _STRAIGHT = 0.03
 # The cosine to the normal from which on a line is as good as along it.
 _UPRIGHT = 0.95
-# rad. A plane is fitted when its normal is known so well.
-_KNOWN = np.radians(0.05)
+# rad. A plane is fitted when its normal is known so well; the second is for a motion that leaves
+# any plane, of which the normal is never known better. That shows after so many frames.
+_KNOWN, _NEARLY_KNOWN = np.radians(0.05), np.radians(5)
+_NOT_PLANAR_FRAMES = 6 * GROUP
 # rad. What rounds to 3 deg is worth a warning, if it is known to 1 deg at three deviations.
 TILTED, _TILT_KNOWN = np.radians(2.5), np.radians(1 / 3)
 # A body that leaves the plane may seem not to be rigid: the distances of its markers in space
@@ -116,8 +118,19 @@ class Space:
         self._scatter.add(every[:done].reshape(groups, GROUP, *every.shape[1:]))
         if self.plane is None and self._scatter.look():
             normal, line, deviation = self._motion(None)
-            if normal is not None and not line and deviation < _KNOWN:
+            known = _KNOWN if normal is None or self._is_planar(normal) else _NEARLY_KNOWN
+            if normal is not None and not line and deviation < known:
                 self.plane = plane_along(upward(normal))
+
+    def _is_planar(self, normal: np.ndarray) -> bool:
+        """Whether the motion of late leaves planes of this normal by no more than its noise."""
+        kept = self._scatter.kept
+        if kept.count.sum() < _NOT_PLANAR_FRAMES * np.count_nonzero(kept.count.any(axis=0)):
+            return True
+        off = normal @ self._scatter.about_means().sum((0, 1)) @ normal / kept.count.sum()
+        noise = normal @ kept.rough.sum((0, 1)) @ normal / max(kept.rough_count.sum(), 1)
+        least = LITTLE * np.nanmean(self._scatter.size())
+        return bool(off <= max(SURE**2 * noise, least**2))
 
     def report(self) -> SpaceReport:
         """How the motion of late lies in space."""

@@ -20,6 +20,8 @@ def add(commands: Any) -> None:
         description='Finds which markers make which rigid body, in which plane and unit, and what\n'
         'joins the bodies: pins, slides, wheels and gears, with places, lengths and deviations.\n'
         'Needs two or more markers a body, in motion. Names, order and dropouts do not matter.\n'
+        'Bodies that do not move in one plane, as those of a walk, are listed with their axes and\n'
+        'joints in space; they need names, and three markers each.\n'
         'Prints a table; writes a parameter file for replay and the node, and a draft scene for\n'
         'solve and simulate, where names and drivers are a first guess.',
         epilog='examples:\n'
@@ -49,6 +51,12 @@ def add(commands: Any) -> None:
         metavar='S',
         help='use the first S seconds of a bag (60), or S seconds of a live topic (20)',
     )
+    discover.add_argument(
+        '--plane',
+        default='auto',
+        metavar='P',
+        help='plane to take: xy, yz, zx or its normal nx,ny,nz (auto: that of the motion)',
+    )
     discover.add_argument('--output', metavar='RIG.yaml', help='parameter file to write')
     discover.add_argument('--scene', metavar='SCENE.yaml', help='draft scene to write')
     discover.add_argument('--plot', metavar='FILE.png', help='picture of what was found')
@@ -72,6 +80,7 @@ def run(options: argparse.Namespace) -> int:
             options.plot,
             progress,
             troubles.append,
+            options.plane,
         )
     print('\n'.join(map(printable, lines)))
     return reported('discover', troubles)

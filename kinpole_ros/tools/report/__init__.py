@@ -18,12 +18,23 @@ from kinpole_ros.linkage.theory import DeviationSummary
 from kinpole_ros.mechanism import load_scene
 from kinpole_ros.messages import theory_of
 from kinpole_ros.tools.report._pack import embedded, pack
+from kinpole_ros.tools.report._prepare import Points, prepared
 from kinpole_ros.tools.report._record import Collector, Record, joints_of
 from kinpole_ros.tools.report._results import has_results, read_record, words_of
 from kinpole_ros.tracking.parameters import Settings
 from kinpole_ros.tracking.plane import XY, as_parameter, plane_of
 
-__all__ = ['Record', 'joints_of', 'pack', 'page', 'report', 'settings_for', 'words_of']
+__all__ = [
+    'Points',
+    'Record',
+    'joints_of',
+    'pack',
+    'page',
+    'prepared',
+    'report',
+    'settings_for',
+    'words_of',
+]
 
 _PAGE = Path(__file__).parent / 'page'
 # In this order: each uses those before it.
