@@ -13,7 +13,6 @@ from kinpole_ros.compiled import library, pass_array
 from kinpole_ros.derivatives._models import FLAT, models_of, slopes_of, stencils_of
 from kinpole_ros.planar._plane import Complex, Real
 
-_EFFORTS = 'low', 'normal', 'high'
 _ARRAYS = (
     *('time', 'windows', 'left_out', 'angle', 'turns', 'position', 'angle_information'),
     *('position_information', 'noise', 'tables', 'results'),
@@ -71,7 +70,7 @@ class _Table(Structure):
     """`Table` of _window.h."""
 
     _fields_: ClassVar[Any] = [
-        *((name, c_longlong) for name in ('count', 'block', 'flags', 'orders')),
+        *((name, c_longlong) for name in ('count', 'block', 'exact', 'orders')),
         ('at', c_double),
         *((name, c_void_p) for name in ('integers', 'numbers')),
     ]
@@ -82,7 +81,7 @@ class _Call(Structure):
 
     _fields_: ClassVar[Any] = [
         *((name, c_longlong) for name in ('frames', 'bodies', 'instants', 'next', 'orders')),
-        *((name, c_longlong) for name in ('effort', 'table_count')),
+        ('table_count', c_longlong),
         ('window', c_double),
         ('flat', c_double),
         *((name, POINTER(c_char)) for name in _ARRAYS),
@@ -118,8 +117,8 @@ def derive_poses(
     Differentiate poses at the instants of `windows`, up to `order`.
 
     `left_out` (T, B) is how many of the newest frames of each window do not count, `noise` (T, B)
-    the deviation of a sample with information of 1, and `window`, s, the longest there is. With low
-    `effort` no window is taken for two parts, with high effort there are twice as many processes.
+    the deviation of a sample with information of 1, and `window`, s, the longest there is. `effort`
+    makes no difference any more.
     """
     (instants, bodies), (frames,), orders = noise.shape, poses.time.shape, order + 1
     shapes = [array.shape for array in (*poses[1:], *windows, left_out)]
@@ -127,7 +126,7 @@ def derive_poses(
         raise ValueError(f'shapes do not fit to {frames} frames and noise {noise.shape}: {shapes}')
     results = np.empty((3 * orders + 2 * orders**2 + 2, instants, bodies))
     call = _Call(
-        *(frames, bodies, instants, 0, orders, _EFFORTS.index(effort), 0, window, FLAT),
+        *(frames, bodies, instants, 0, orders, 0, window, FLAT),
         pass_array(poses.time, np.int64),
         pass_array(np.array(windows), np.int64),
         pass_array(left_out, np.int64),
@@ -161,7 +160,7 @@ def derive_poses(
 def _make(lacking: _Table) -> None:
     """Make what the library lacks for a kind of window."""
     global _tables
-    window = lacking.count, lacking.block, bool(lacking.flags & 1), bool(lacking.flags & 2)
+    window = lacking.count, lacking.block, bool(lacking.exact)
     none = np.empty(0, np.int64)
     if lacking.orders > 0:
         made = none, stencils_of(*window, lacking.orders, lacking.at)

@@ -41,23 +41,11 @@
 #define SETTLED 0.05
 /* While samples are moved the noise counts for so many samples: it is more than was measured. */
 #define KNOWN_MEANWHILE 1.0
-/* How much of a window is the newer part, if it is of two motions. */
-static const double newer_parts[] = {0.3, 0.46, 0.7};
-#define NEWER_PARTS 3
-/* How probable it is that a window is of two motions. */
-#define PARTS_PRIOR 0.5
-/* Another part has to be worth so many flat priors of a parameter. */
-#define WORTH 4
-/* A part needs so many samples, one more than a window. */
-#define FEWEST_OF_PART (FEWEST_SAMPLES + 1)
-
-enum { LOW_EFFORT, NORMAL_EFFORT, HIGH_EFFORT };
-
 /* What is made once for a kind of window, of so many samples each the mean of a block: models if
    `orders` is 0, slopes if it is -1, or stencils of an instant so many samples from the middle.
-   `flags` are 1 for samples that are all but exact and 2 for twice as many processes. */
+   `exact` says that samples are all but exact. */
 typedef struct {
-    long long count, block, flags, orders;
+    long long count, block, exact, orders;
     double at;
     const long long *integers;
     const double *numbers;
@@ -68,7 +56,7 @@ typedef struct {
    oldest and newest frames. Signals before `next` are done; `lacking` is the table to make before
    the next call. */
 typedef struct {
-    long long frames, bodies, instants, next, orders, effort, table_count;
+    long long frames, bodies, instants, next, orders, table_count;
     double window, flat; /* s; logarithm of the deviation of a flat prior */
     const long long *time, *windows, *left_out;
     const double *angle, *turns, *position, *angle_information, *position_information, *noise;
@@ -87,7 +75,7 @@ typedef struct {
 enum { NO_MEMORY = -2, NO_FRAMES, DONE, LACKING };
 
 /* A buffer of a thread that lives as long as it does. */
-enum { OF_GRID, OF_CELLS, OF_WINDOW, OF_MODELS, BUFFERS };
+enum { OF_GRID, OF_CELLS, OF_WINDOW, OF_MODELS, OF_SETS, BUFFERS };
 static void *
 buffer(int which, size_t size)
 {
