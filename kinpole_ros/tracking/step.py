@@ -93,7 +93,7 @@ class Step:
         self._frames = byref(self.fields)
         for name in _COUNTED:
             setattr(self.fields, name, getattr(self, name).ctypes.data)
-        self._call = new_call(settings.window, 0, settings.effort)
+        self._call = new_call(settings.window, 0)
         self._arrays: dict[str, np.ndarray] = {}
         self._came: tuple[np.ndarray, ...] = ()
         self.bind(bodies, history)
