@@ -30,7 +30,7 @@ ifneq ($(AMENT_PREFIX_PATH),)
 KIND := $(shell "$(BASE)" -c 'import rclpy' 2>/dev/null && echo ros)
 endif
 demo_EXTRAS := plot
-test_EXTRAS := batch,cluster,formats,parquet,plot,test
+test_EXTRAS := batch,cluster,formats,pandas,parquet,plot,test
 docs_EXTRAS := docs,plot
 ifeq ($(KIND),ros)
 # numpy and the other packages of that ROS are used, so there is no lock.
@@ -88,8 +88,9 @@ bags: .venv/demo-$(READY)  ## simulate the bags in bags/ again
 	    --output bags/$$scene.mcap || exit 1; \
 	done
 
-fuzz: .venv/test-$(READY)  ## read 10,000 corrupted bags and 100,000 corrupted messages; kill each command 20 times; spoil rigs
+fuzz: .venv/test-$(READY)  ## read 10,000 corrupted bags, corrupted captures, and 100,000 corrupted messages; kill each command 20 times; spoil rigs
 	@$(RUN) test/fuzz_bags.py
+	@$(RUN) test/fuzz_captures.py
 	@$(RUN) test/fuzz_messages.py
 	@OPENBLAS_NUM_THREADS=1 $(RUN) test/fuzz_kills.py
 	@PYTHONPATH=. OPENBLAS_NUM_THREADS=1 $(RUN) test/fuzz_rigs.py
@@ -100,8 +101,8 @@ UV := .venv/bin/uv pip compile setup.py - --universal --python-version 3.10 --ge
 lock: .venv/test-$(READY)  ## choose the newest versions for requirements/, with their hashes
 	@mkdir -p out
 	@echo 'setuptools>=64' | $(UV) --upgrade --output-file out/lock.txt $(addprefix --extra , \
-	  batch cluster docs formats parquet plot ros test)
-	@for target in 'demo plot' 'test batch cluster formats parquet plot test' 'docs docs plot'; do \
+	  batch cluster docs formats pandas parquet plot ros test)
+	@for target in 'demo plot' 'test batch cluster formats pandas parquet plot test' 'docs docs plot'; do \
 	  set -- $$target; file=$$1; shift; echo 'setuptools>=64' | $(UV) --constraint out/lock.txt \
 	    --output-file requirements/$$file.txt --extra ros $$(printf -- '--extra %s ' "$$@") \
 	    || exit 1; \

@@ -1,5 +1,6 @@
 """kinpole discover: from markers alone to bodies, joints, lengths and files that work."""
 
+import shlex
 from itertools import combinations
 from pathlib import Path
 from typing import Any
@@ -590,3 +591,21 @@ def test_joints_are_sought_between_near_bodies_only() -> None:
         assert all((k, k + 1) in pairs[count] for k in range(count - 1) if k % 10 < 9)
     assert len(pairs[20]) == 210
     assert len(pairs[200]) < 2.3 * len(pairs[100])
+
+
+def test_a_filmed_double_pendulum_has_two_pins(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The real recording of the repository, with the figures that its page gives."""
+    told = (ROOT / 'examples' / 'double_pendulum' / 'README.md').read_text(encoding='utf-8')
+    (line,) = [line for line in told.splitlines() if line.startswith('kinpole report')]
+    _, _, file, *figures = shlex.split(line)
+    bag = str(tmp_path / 'pendulum.mcap')
+    assert main(['import', str(ROOT / file), *figures, '--output', bag]) == 0
+    capsys.readouterr()
+    assert main(['discover', bag]) == 0
+    text = ' '.join(capsys.readouterr().out.split())
+    assert 'pin O body_1 ground' in text
+    assert 'pin A body_1 body_2' in text
+    assert 'O-A body_1 90.96' in text
+    assert 'A-blue body_2 69.5' in text

@@ -7,12 +7,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from test_discover import START, rotation
+from test_discover import START, rotation, shuffled
 
 from kinpole_ros.bags import import_points, read_frames
-from kinpole_ros.linkage import Linkage, UndiscoveredError, discover, draft, table
+from kinpole_ros.linkage import Checked, Linkage, UndiscoveredError, discover, draft, table
 from kinpole_ros.tools.discover import discover_rig
 from kinpole_ros.tracking.frame import MarkerFrames
+from kinpole_ros.tracking.parameters import settings_from
+from kinpole_ros.tracking.space import Space
 
 DATA = Path(__file__).parents[2] / 'shared' / 'data'
 RATE, NOISE = 100, 2e-4
@@ -121,6 +123,53 @@ def test_a_chain_that_sways_is_not_planar_and_its_joints_are_in_space(seed, soft
     assert 'degrees of freedom' not in lines
 
 
+def test_a_body_on_a_fixed_ball_joint_has_its_center():
+    rng = np.random.default_rng(1)
+    t = np.arange(600) / RATE
+    turns = turned(0.5 * np.sin(2 * np.pi * np.array([0.41, 0.27, 0.33]) * t[:, None]))
+    shape, center = 0.1 * rng.normal(size=(5, 3)) - [0, 0, 0.3], np.array([1.0, 2.0, 0.5])
+    points = center + np.einsum('tij,nj->tni', turns, shape)
+    points += NOISE * rng.normal(size=points.shape)
+    stamps = START + np.rint(t * 1e9).astype(np.int64)
+    found = discover([MarkerFrames(stamps, 'world', tuple('abcde'), points)])
+    assert found.space is not None
+    (joint,) = found.space.joints
+    assert found.name(joint.other) == 'ground'
+    assert np.abs(joint.on_other - center).max() < 1e-3
+    assert 'body_1 ground' in '\n'.join(table(found, None))
+
+
+def test_several_walkers_are_kept_apart():
+    walkers = []
+    for k in range(4):
+        frames = leg(0.2, 0.003, 20, seed=k)
+        points = frames.points[25 * k : 25 * k + 500] * (1 + 0.05 * k) + [0, 1.5 * k, 0]
+        names = tuple(f'{name}_{k}' for name in frames.identities)
+        walkers.append((names, points))
+    stamps = leg(0.0).stamps[:500]
+    names = tuple(name for own, _ in walkers for name in own)
+    points = np.concatenate([own for _, own in walkers], axis=1)
+    found = discover([MarkerFrames(stamps, 'world', names, points)])
+    assert len(found.names) == 16
+    assert all(len({name[-1] for name in markers}) == 1 for markers in found.markers)
+    assert found.space is not None
+    assert len(found.space.joints) == 12
+
+
+def test_a_film_of_a_chain_on_skin_has_its_segments_and_pins():
+    """A camera shows what sways as bodies that are not quite rigid: nothing slides or rolls."""
+    frames = leg(0.05, 0.002, hidden=0.0)
+    points = frames.points[..., [0, 2, 1]] * [1, 1, 0]
+    found = discover([frames._replace(points=points)])
+    names = segments(found)
+    assert found.space is None
+    assert found.plane.name == 'xy'
+    assert {joint.kind for joint in found.joints} == {'pin'}
+    assert not found.rolling
+    pins = {frozenset(names.get(k, '') for k in (j.one, j.other)) for j in found.joints}
+    assert {frozenset(pair) for pair in pairwise(LEG)} <= pins
+
+
 def test_a_hinge_has_its_axis_and_a_ball_joint_its_center():
     """A plate that turns anyhow, an arm on a hinge of it, and a hand on a ball joint of the arm."""
     rng = np.random.default_rng(3)
@@ -164,6 +213,28 @@ def test_a_hinge_has_its_axis_and_a_ball_joint_its_center():
     assert distances == pytest.approx(np.linalg.norm(true, axis=1), abs=5 * NOISE)
 
 
+@pytest.mark.parametrize(
+    'checked, words',
+    [
+        (Checked('', 1e-4, 1e-4, 1e-4), '(1.0 x noise), 0.1 mm over 2 s'),
+        (Checked('', 1e-4, 1e-2, 1e-4), 'its drivers are a first guess'),
+        (Checked('', 1e-2, 1e-2, 1e-4), 'does not explain the markers'),
+        (Checked('no loop', np.nan, np.nan, 1e-4), 'does not close: no loop'),
+    ],
+)
+def test_a_draft_is_said_to_explain_the_markers_or_not(checked, words):
+    line = table(discover([leg(0.0, hidden=0.0)]), checked)[-1]
+    assert words in line
+    assert checked.explains == (checked.first < 1e-3)
+
+
+def test_points_without_names_that_leave_any_plane_are_refused_with_the_reason():
+    with pytest.raises(
+        UndiscoveredError, match=r'leave any plane by .*fix: give the markers names'
+    ):
+        discover(shuffled(leg(0.2, hidden=0.0)))
+
+
 def test_markers_that_stand_still_are_said_to():
     points = leg(0.2, hidden=0.0).points[:1] + 1e-4 * np.random.default_rng(0).normal(
         size=(300, 16, 3)
@@ -195,6 +266,22 @@ def test_a_line_does_not_show_its_plane_and_one_may_be_given(tmp_path):
 def test_a_bad_plane_is_refused(plane):
     with pytest.raises(ValueError, match='auto, xy, yz, zx or a normal'):
         discover_rig('none.mcap', plane=plane)
+
+
+def test_a_plane_to_be_fitted_settles_on_a_motion_that_leaves_any_plane():
+    frames = leg(0.15, 0.003, 20, hidden=0.0)
+    space = Space('fit', 4, 4)
+    solid = frames.points.reshape(len(frames.stamps), 4, 4, 3)
+    for first in range(0, len(solid), 16):
+        space.add(solid[first : first + 16])
+    assert space.plane is not None
+    assert degrees_between(space.plane.normal, rotation(20)[:, 1]) < 8
+    assert (space.report().off_plane > 0.01).any()
+
+
+@pytest.mark.parametrize('name, plane', [('xz', 'zx'), ('yx', 'xy'), ('zy', 'yz'), ('zx', 'zx')])
+def test_a_plane_may_be_named_by_its_axes_in_either_order(name, plane):
+    assert settings_from({'plane': name}).plane == plane
 
 
 # --- real captures ------------------------------------------------------------------------------

@@ -361,7 +361,7 @@ class TestOneNode:
             'window': (-1.0, 'Parameter window out of range Min: 1e-06, Max: 3600.0'),
             'method': ('poses', "parameter method is 'poses'; it must be one of pose, landmarks"),
             'lag': (0.5, 'parameter lag is 0.5 s; it must be less than window, 0.3 s'),
-            'plane': ('xz', "parameter plane is 'xz'; it must be one of xy, yz, zx"),
+            'plane': ('zz', "parameter plane is 'zz'; it must be one of xy, yz, zx"),
             'derivative_order': (9, 'auto, 1, 2, 3 or 4'),
             'noise': ('low', 'a number from 0 to 1e+06 m'),
             **({} if WITH_TF else {'publish_tf': (True, 'tf2_msgs is not installed; install')}),
@@ -800,7 +800,7 @@ def test_told_to_stop_node_and_recorder_end_at_once_and_the_recording_is_whole(
 REFUSED = [
     (['-p', 'windows:=0.3'], 'unknown parameter windows; known are '),
     (['-p', 'window:=-1.0'], 'parameter window is -1.0; it must be a number from 1e-06 to'),
-    (['-p', 'plane:=xz'], 'one of xy, yz, zx'),
+    (['-p', 'plane:=zz'], 'one of xy, yz, zx'),
     (['-p', 'autostart:=5'], 'parameter autostart is 5; it must be true or false'),
     (['-p', 'bodies:=[]'], 'parameter bodies has no value'),
     (['-p', "marker_topic:='a b'"], "parameter marker_topic is 'a b'"),

@@ -18,7 +18,7 @@ from typing import Any, cast
 import numpy as np
 import pytest
 from rclpy.node import Node
-from test_report import BLUE, GREEN, RED, cell, colored
+from test_report import BLUE, GREEN, RED, await_color, cell
 
 from kinpole_ros.bags import BagWriter, read_messages, replay
 from kinpole_ros.messages import STATE, VIEW, String, live_outputs, serialize_message, view_of
@@ -436,8 +436,8 @@ def test_page_waits_for_a_node_shows_it_and_asks_for_no_more(browser, results, w
             await_motion(page)
             page.locator('#about', has_text='markers at 100 Hz').wait_for()
             for color in (BLUE, RED, GREEN):
-                assert colored(page, '#stage canvas', color) > 100
-                assert colored(page, '[data-name=angular_velocity] canvas', color) > 20
+                await_color(page, '#stage canvas', color, above=100)
+                await_color(page, '[data-name=angular_velocity] canvas', color, above=20)
             value, spread = cell(page, 'angular_velocity', 0).split('±')
             assert abs(float(value) - 2 * np.pi) < 3 * float(spread) < 0.3
             # One topic is asked for, whatever is shown.
@@ -446,7 +446,7 @@ def test_page_waits_for_a_node_shows_it_and_asks_for_no_more(browser, results, w
             assert not page.locator('.chart[data-name=angular_jerk]').is_visible()
             page.locator('#rates button', has_text='jerk').click()
             page.locator('.chart[data-name=angular_jerk]').wait_for()
-            assert colored(page, '[data-name=angular_jerk] canvas', BLUE) > 20
+            await_color(page, '[data-name=angular_jerk] canvas', BLUE, above=20)
             # The last seconds can be looked through, and nothing is asked for meanwhile.
             page.keyboard.press('l')
             await_readers(watcher, f'/kinpole/{VIEW}', False)
@@ -483,8 +483,8 @@ def test_page_shows_a_bag_of_results_that_is_played(browser, replayed, watcher) 
             await_readers(watcher, f'/kinpole/{STATE}', True)
             # A body is a circle there, for its outline is not known.
             for color in (BLUE, RED, GREEN):
-                assert colored(page, '#stage canvas', color) > 0
-                assert colored(page, '[data-name=angular_velocity] canvas', color) > 20
+                await_color(page, '#stage canvas', color, above=0)
+                await_color(page, '[data-name=angular_velocity] canvas', color, above=20)
             value, spread = cell(page, 'angular_velocity', 0).split('±')
             assert abs(float(value) - 2 * np.pi) < 3 * float(spread) < 0.3
         view.send_signal(signal.SIGTERM)

@@ -17,7 +17,7 @@ _SECONDS = 2.0
 # Drafts that are tried, and noises that the markers of a good one are off at the first frame.
 _MOST_DRAFTS = 6
 _CLOSE = 5.0
-_EXPLAINED = 20.0  # noises that a draft that is worth writing is off: play and lenses add
+_EXPLAINED = 6.0  # noises that a draft that is worth writing is off, at most
 
 
 class Checked(NamedTuple):
@@ -32,6 +32,11 @@ class Checked(NamedTuple):
     first: float
     later: float
     noise: float = 0.0
+
+    @property
+    def drives(self) -> bool:
+        """Whether its drivers move it as measured for a while."""
+        return not self.later > _EXPLAINED * self.noise
 
     @property
     def explains(self) -> bool:

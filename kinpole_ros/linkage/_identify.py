@@ -11,16 +11,8 @@ from kinpole_ros.linkage._poses import Pose, fit_body
 from kinpole_ros.linkage._record import Record, UndiscoveredError
 from kinpole_ros.linkage._rigid import Groups, group
 from kinpole_ros.linkage._settle import settle
-from kinpole_ros.linkage._space import (
-    SolidPose,
-    SpaceBodies,
-    distance_spreads,
-    find_bodies,
-    mean_of,
-    out_of_plane,
-    soft_bodies,
-    turn_scatter,
-)
+from kinpole_ros.linkage._solid import SolidPose, mean_of, out_of_plane, turn_scatter
+from kinpole_ros.linkage._space import SpaceBodies, distance_spreads, find_bodies, soft_bodies
 from kinpole_ros.linkage._unordered import order_points
 
 _SHAPELESS = 0.03  # noise over the size of a body by which its names are not trusted

@@ -5,8 +5,9 @@ from collections.abc import Sequence
 import numpy as np
 
 from kinpole_ros.linkage._check import Checked
-from kinpole_ros.linkage._model import Linkage
-from kinpole_ros.linkage._space import main_axis, out_of_plane
+from kinpole_ros.linkage._model import GROUND_NUMBER, Linkage
+from kinpole_ros.linkage._solid import main_axis, out_of_plane
+from kinpole_ros.tracking.plane import NORMALS
 
 # Intervals that stamps are uneven by that cost more than noise does.
 _UNEVEN = 0.02
@@ -112,6 +113,10 @@ def _space_joints(linkage: Linkage) -> list[str]:
         assert pose is not None
         off = np.linalg.norm(pose.shape - joint.on_one, axis=1)
         near = int(off.argmin())
+        center = f'{_mm(off[near], linkage)} off {linkage.markers[joint.one][near]}'
+        if joint.other == GROUND_NUMBER:
+            x, y, z = joint.on_other * linkage.scale * 1e3
+            center += f', at {x:.0f}, {y:.0f}, {z:.0f} mm'
         axis = '-'
         if joint.axis is not None:
             tilt = _degrees_between(joint.axis, linkage.plane.normal)
@@ -119,8 +124,8 @@ def _space_joints(linkage: Linkage) -> list[str]:
         rows.append(
             (
                 'ball' if joint.axis is None else 'hinge',
-                f'{linkage.names[joint.one]} {linkage.names[joint.other]}',
-                f'{_mm(off[near], linkage)} off {linkage.markers[joint.one][near]}',
+                f'{linkage.name(joint.one)} {linkage.name(joint.other)}',
+                center,
                 axis,
                 f'{_mm(joint.residual, linkage)} rms',
             )
@@ -143,7 +148,8 @@ def _input(linkage: Linkage) -> list[str]:
     where = plane.name
     if not where:
         normal = ', '.join(f'{value:.4f}' for value in plane.normal)
-        where = f'normal [{normal}], {plane.tilt:.1f} deg off the nearest axis'
+        nearest = list(NORMALS)[int(np.abs(list(NORMALS.values()) @ plane.normal).argmax())]
+        where = f'normal [{normal}], {plane.tilt:.1f} deg off {nearest}'
     if plane.source == 'given':
         where += ', as given'
     elif plane.source == 'layout':
@@ -247,10 +253,15 @@ def _closing(checked: Checked) -> str:
         return f'the draft scene does not close: {checked.problem}'
     if not np.isfinite(checked.first):
         return 'the draft scene closes'
-    return (
-        f'the draft scene closes: its markers are {checked.first * 1e3:.2g} mm rms off those '
-        f'measured at the first frame, {checked.later * 1e3:.2g} mm over 2 s'
+    off = (
+        f'its markers are {checked.first * 1e3:.2g} mm rms off those measured at the first frame '
+        f'({checked.first / max(checked.noise, 1e-9):.1f} x noise), {checked.later * 1e3:.2g} mm '
+        'over 2 s'
     )
+    if not checked.explains:
+        return f'the draft scene closes, but does not explain the markers: {off}'
+    drives = '' if checked.drives else ': lengths fit, but its drivers are a first guess'
+    return f'the draft scene closes: {off}{drives}'
 
 
 def _columns(rows: Sequence[tuple[str, ...]]) -> list[str]:

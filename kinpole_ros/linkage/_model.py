@@ -10,9 +10,9 @@ from kinpole_ros.linkage._plane import Plane
 from kinpole_ros.linkage._poses import GROUND, Pose
 from kinpole_ros.linkage._record import Stamps
 from kinpole_ros.linkage._rolling import Rolling
+from kinpole_ros.linkage._solid import GROUND_NUMBER
 from kinpole_ros.linkage._space import SpaceBodies
 
-GROUND_NUMBER = -1  # of the ground, where bodies go by number
 # What the name of a point ends with that a line goes through: any point of it would do.
 LINE = '_line'
 

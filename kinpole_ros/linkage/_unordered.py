@@ -11,7 +11,7 @@ from collections.abc import Callable
 import numpy as np
 
 from kinpole_ros.linkage._follow import follow
-from kinpole_ros.linkage._plane import Plane, fit_plane, noise_of
+from kinpole_ros.linkage._plane import Plane, fit_plane, noise_in_space, noise_of
 from kinpole_ros.linkage._poses import Pose, fit_body, off_body
 from kinpole_ros.linkage._record import Record, UndiscoveredError
 from kinpole_ros.linkage._rigid import group
@@ -24,6 +24,8 @@ _LEAST_WINDOW = 0.5
 # Frames in which bodies are looked for; they are followed through all others after that.
 _STRETCH = 4000
 _ROUNDS = 6
+# Noises, and share of the least extent in the plane, that points without names may leave it by.
+_OUT_NOISE, _OUT = 10.0, 0.2
 # Tracks that are looked at for more markers of a body: the longest, of so many frames or more.
 _MOST_TRACKS = 200
 _SHORTEST = 30
@@ -72,6 +74,15 @@ def order_points(
                     'names, or take more frames a second'
                 )
             plane = fit_plane(solid, normal)
+            noises = noise_in_space(solid)
+            noises = noises[np.isfinite(noises)]
+            usual = float(np.median(noises)) if len(noises) else 0.0
+            if plane.spread > max(_OUT_NOISE * usual, _OUT * plane.across):
+                raise UndiscoveredError(
+                    f'the points leave any plane by {plane.spread / plane.size:.0%} of their way, '
+                    'and have no names that hold: without names they are followed in a plane only; '
+                    'fix: give the markers names'
+                )
             flat = plane.project(part.points)
         poses, same, tracks = _found_again(_split(tracks, shapes), same, tracks)
         shapes, more = _add_markers(poses, found, plane.project(left), noise)

@@ -16,7 +16,7 @@ from kinpole_ros.tracking.clock import LOSS_NATS, MAX_PENDING, TOLERANCE, UNSETT
 # Paths that are looked at: those that are likeliest, within so many nats.
 MOST_PATHS, SURE_NATS = 32, 20.0
 # A count is sure if it is wrong with this probability.
-UNSURE = 1 / 100
+WRONG = 1 / 100
 # Frames that are ahead of the clock by more than so many ticks are of another rate.
 MOST_AHEAD = 1
 # The highest degree of the polynomials that the motion is held against.
@@ -34,6 +34,8 @@ class Counter:
 
     def __init__(self, clock: Clock, count: int) -> None:
         self.count, self.noise = count, np.nan
+        # Of a frame that was lost.
+        self._loss_nats = LOSS_NATS
         # Coordinates of the markers of the pending frames, and of some before them.
         self._values: deque[Real] = deque(maxlen=UNSETTLED + MAX_PENDING + 1)
         self._before = np.zeros(0, np.int64)
@@ -101,9 +103,15 @@ class Counter:
         paths = self._paths[order]
         weights = np.exp(costs[order[0]] - costs[order])
         doubt = weights @ (paths != paths[0]) / weights.sum()
-        sure = (doubt < UNSURE).nonzero()[0]
+        sure = (doubt < WRONG).nonzero()[0]
         known = max(int(sure[-1]) + 1 if len(sure) else 0, number - MAX_PENDING)
         return self._settle(known, paths, self._costs[order])
+
+    def learn_losses(self, counts: np.ndarray) -> None:
+        """Learn from `counts` (T,) how often a frame is lost."""
+        if len(counts):
+            lost = max(int(counts[-1] - counts[0]) + 1 - len(counts), 0)
+            self._loss_nats = math.log((len(counts) + lost + math.exp(LOSS_NATS)) / (lost + 1))
 
     def take_pending(self) -> np.ndarray:
         """Count all that are pending as is likeliest; returns the counts."""
@@ -125,7 +133,7 @@ class Counter:
         lost = np.unique(np.concatenate((before, np.arange(least, most + 1))))
         path, which = ((lost >= before[:, None]) & (lost <= most)).nonzero()
         more = lost[which] - before[path]
-        self._costs = self._costs[path] + LOSS_NATS * np.minimum(more, 2)
+        self._costs = self._costs[path] + self._loss_nats * np.minimum(more, 2)
         # No frame tells more: a driver hangs for once about as often as frames are lost.
         self._costs += np.minimum((most - lost[which]) * self._late_nats, LOSS_NATS)
         self._paths = np.column_stack((self._paths[path], lost[which]))
@@ -153,12 +161,12 @@ class Counter:
         newest = self._values[-1]
         pending = self.pending
         values = list(self._values)[-(pending + len(self._before)) :]
-        alike = [k for k, one in enumerate(values) if one.shape == newest.shape]
-        values = np.array([values[k] for k in alike])
+        same_layout = [k for k, one in enumerate(values) if one.shape == newest.shape]
+        values = np.array([values[k] for k in same_layout])
         before = np.broadcast_to(self._before, (len(self._paths), len(self._before)))
         sure = self.count + np.arange(1, pending + 1) + self._paths
         counts = np.concatenate((before, sure), axis=1)[:, -len(self._values) :]
-        counts = counts[:, alike] - counts[0, -1]
+        counts = counts[:, same_layout] - counts[0, -1]
         seen = ~np.isnan(values)
         deviation = self.noise if self.noise > 0 else np.finfo(float).tiny ** 0.5
         costs = np.zeros(len(counts))

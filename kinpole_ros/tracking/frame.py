@@ -4,7 +4,6 @@ The one thing every input becomes: the markers of some instants, as arrays witho
 Poses of bodies that come as such are points with axes.
 """
 
-from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -34,13 +33,3 @@ def part_of(frames: MarkerFrames, part: slice | np.ndarray) -> MarkerFrames:
     """Some of the frames."""
     axes = None if frames.axes is None else frames.axes[part]
     return frames._replace(stamps=frames.stamps[part], points=frames.points[part], axes=axes)
-
-
-def concatenated(parts: Sequence[MarkerFrames]) -> MarkerFrames:
-    """Frames that are of one layout, one after the other."""
-    stamps, points = (
-        np.concatenate([getattr(part, name) for part in parts]) for name in ('stamps', 'points')
-    )
-    axes = [part.axes for part in parts if part.axes is not None]
-    whole = np.concatenate(axes) if axes else None
-    return parts[0]._replace(stamps=stamps, points=points, axes=whole)

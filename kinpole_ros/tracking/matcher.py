@@ -81,7 +81,7 @@ class Matcher:
         self._next_look, self._groupings = FEW, 0
         # Variances (m^2) of the ways that fit best, of bodies that were searched for of late.
         self._variances: deque[float] = deque(maxlen=KEPT)
-        self._first = self._end = 0
+        self._frame = 0
         self._matched_here = False
 
     @property
@@ -115,50 +115,45 @@ class Matcher:
         if self._withholds:
             points[:, self.withheld] = np.nan
 
-    def lacks_order(self, frames: int) -> bool:
+    def lacks_order(self) -> bool:
         """
-        Whether the frames sorted last are points without names, more or fewer than all there are.
+        Whether a frame of those sorted last has points without names, more or fewer than usual.
 
         While the plane is not known they cannot be matched by shape. How many there are is learned.
         """
         if not (self._may_be_nameless and self._layout.indexed):
             return False
-        for _ in range(min(frames, FEW)):
-            self._is_whole_anew()
+        self._is_whole_anew()
         return len(self._roster.identities) != self._whole
 
-    def arrange(self, first: int, most: int) -> tuple[int, bool]:
+    def arrange(self, k: int) -> bool:
         """
-        Match frames from `first` on by shape, where names mean nothing: of how many, up to `most`.
+        Match frame `k` by shape, where names mean nothing.
 
-        Also whether all bodies have to begin anew, since frames up to now were not as they seemed.
+        Returns whether all bodies have to begin anew, since frames were not as they seemed.
         """
         self._matched_here = False
         self._roster.in_order = True
         if not self._nameless:
-            return most, False
+            return False
         anew = False
         if self._arranged < FEW:
-            most = 1
             anew = self._is_whole_anew() and not self.has_shape.all()
             self._arranged += 1
         whole = len(self._roster.identities) == self._whole
         self._roster.in_order = whole and not self._by_shape
         if self._roster.in_order:
-            return most, anew
-        if anew or (self._shapes.known < 2).any():
-            most = 1
+            return anew
         in_order = not self.disordered
-        for k in range(first, first + most):
-            self._match_by_shape(k, whole, anew)
-        self._counts[BY_SHAPE] += most
+        self._match_by_shape(k, whole, anew)
+        self._counts[BY_SHAPE] += 1
         self._matched_here = True
         # What was seen before it was known to be in any order was of no body.
-        return most, anew or (in_order and self.disordered)
+        return anew or (in_order and self.disordered)
 
-    def fits_next(self, first: int, end: int) -> None:
-        """Frames from `first` up to `end` are fitted next."""
-        self._first, self._end = first, end
+    def fits_next(self, k: int) -> None:
+        """Frame `k` of those sorted last is fitted next."""
+        self._frame = k
 
     def sort_again(self, first: int) -> None:
         """Sort the frames from `first` on anew, since names stand for others."""
@@ -171,7 +166,7 @@ class Matcher:
         """Which frames (T,) have points without a marker where one is `unseen` (T, B, n)."""
         if not len(self._layout.extras) or self._by_shape or self._matched_here:
             return None
-        extras = self._roster.extras(self._end - len(unseen), len(unseen))
+        extras = self._roster.extras(self._frame, 1)
         some = ~np.isnan(extras)
         if not some.any():
             return None
@@ -191,7 +186,7 @@ class Matcher:
         alone = len(self._names) == 1 and not len(self._layout.extras)
         if self._by_shape or self._matched_here or alone or self._roster.posed:
             return False
-        k, layout = self._first, self._layout
+        k, layout = self._frame, self._layout
         points, _ = self._roster.all_points(k)
         kept = np.where(layout.place < len(points), layout.place, -1)
         hidden = (kept >= 0) & np.isnan(np.append(points, np.nan)[kept])

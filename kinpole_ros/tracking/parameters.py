@@ -289,7 +289,7 @@ PARAMETERS: Mapping[str, Parameter] = {
     ),
     'method': _choices(
         'pose',
-        'What is differentiated: the pose fitted to each frame, or each landmark by itself.',
+        'Makes no difference any more: what is differentiated is the pose fitted to each frame.',
         'pose',
         'landmarks',
     ),

@@ -9,7 +9,6 @@ from typing import Any, ClassVar, NamedTuple
 import numpy as np
 
 from kinpole_ros.derivatives import FEWEST_SAMPLES
-from kinpole_ros.planar._plane import Real
 from kinpole_ros.tracking.bodies import Bodies
 from kinpole_ros.tracking.deformation import deformation_covariance, hold_hidden
 from kinpole_ros.tracking.estimate import Estimate, FramePoses
@@ -102,14 +101,14 @@ class Results(Structure):
         return self.array(name)[: self.count]
 
     def derivatives(self) -> tuple[np.ndarray, ...]:
-        """Position, angle, their covariances, span and freedom: see `Derivatives`."""
+        """Position, angle, their covariances, span and freedom at instants: see `Derivatives`."""
         found, orders = self.array('derivatives'), self.orders
         _, instants, bodies = found.shape
         square = orders, orders, instants, bodies
         first, second = 2 * orders, 3 * orders
         third = second + orders**2
         position = found[:first].reshape(orders, instants, bodies, 2).view(complex)[..., 0]
-        return (
+        parts = (
             position,
             found[first:second],
             found[second:third].reshape(square),
@@ -117,6 +116,9 @@ class Results(Structure):
             found[-2],
             found[-1],
         )
+        if self.count == instants:
+            return parts
+        return tuple(part[..., : self.count, :] for part in parts)
 
 
 def add_deformation(
@@ -170,13 +172,15 @@ def estimate_of(
     """Join results as one estimate."""
 
     def joined(name: str) -> np.ndarray:
-        parts = [each.of_instants(name) for each in results]
-        return parts[0] if len(parts) == 1 else np.concatenate(parts)
+        if single is not None:
+            return single.of_instants(name)
+        return np.concatenate([each.of_instants(name) for each in results])
 
-    derivatives: list[Real] = []
-    for parts in zip(*(each.derivatives() for each in results), strict=True):
-        taken = [part[..., : each.count, :] for part, each in zip(parts, results, strict=True)]
-        derivatives.append(taken[0] if len(taken) == 1 else np.concatenate(taken, axis=-2))
+    single = results[0] if len(results) == 1 else None
+    derivatives = results[0].derivatives()
+    if single is None:
+        every = zip(*(each.derivatives() for each in results), strict=True)
+        derivatives = tuple(np.concatenate(parts, axis=-2) for parts in every)
     position, angle, position_covariance, angle_covariance, span, freedom = derivatives
     missing = (_OF_POSES if posed else _OF_MARKERS)[joined('missing')]
     if plane is None:

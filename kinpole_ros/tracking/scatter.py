@@ -13,7 +13,6 @@ import numpy as np
 GROUP = 16
 # Blocks that are kept, of up to so many groups each: the last 4096 frames at most.
 _BLOCKS, _LONGEST = 32, 8
-HISTORY = GROUP * _BLOCKS * _LONGEST
 # A second difference of so many times the median of its marker's is that of an outlier.
 _OUTLIER = 10.0
 

@@ -86,13 +86,6 @@ class Space:
         self._waiting, self._number = [], 0
         self._scatter = Scatter(*self._shape)
 
-    def capacity(self, frames: int) -> int:
-        """How many of so many frames can be taken before something may be learned from them."""
-        if self.plane is not None:
-            return frames
-        self.settle()
-        return min(frames, GROUP - self._number)
-
     def add(self, solid: np.ndarray) -> None:
         """Take frames of markers (T, B, w, 3), m, NaN for none."""
         self.settle()

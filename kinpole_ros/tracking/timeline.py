@@ -186,6 +186,7 @@ class Timeline:
                 counts = np.concatenate((counts[:1], counted, self._counter.take_pending()))
         count = self._counter.count
         self._anchor = clock.origin + round(clock.phase + count * clock.interval), count
+        self._counter.learn_losses(counts)
         history['count'][first:] = counts
         history['time'][first:] = self._times(counts)
         # Frames of another rate.

@@ -47,6 +47,8 @@ from kinpole_ros.tracking.timeline import Timeline
 LEARNED_FRAMES, LEARNED_WINDOWS = 1024, 4
 # Frames between two updates: this share of those that have come, at most so many.
 UPDATE_SHARE, MOST_BETWEEN_UPDATES = 1 / 8, 128
+# Frames between two searches for the names of markers, if those before found none.
+MOST_BETWEEN_SEARCHES = 16
 # Markers that are off by this share of the size of their body are of other bodies: no tissue moves
 # so far.
 OTHER_BODIES = 0.05
@@ -61,7 +63,6 @@ class Tracker:
         self.bodies = tuple(settings.bodies)
         self._counts: Counter[str] = Counter()
         self._window = round(settings.window * 1e9)
-        self._lag = settings.lag * 1e9
         self._frame_id = ''
         # Whether poses come, and not markers.
         self._posed = False
@@ -98,6 +99,8 @@ class Tracker:
         self.matcher = Matcher(settings, self._roster, self._known, self._history, self._counts)
         self._step = Step(settings, self._known, self._pins, self._history, self._posed)
         self._frames = self._new = self._counted = 0
+        # Searches for the names of markers, in a row, that found none.
+        self._futile = self._next_search = 0
         self._next_update = 1
         self._names_changed = False
 
@@ -210,7 +213,7 @@ class Tracker:
                 continue
             posed = frames.axes is not None
             if frames.frame_id != self._frame_id or posed != self._posed:
-                estimates += self._joined_results()
+                estimates += self._estimates_so_far()
                 used = len(self._history) > 0
                 self._counts['frame_changes'] += used
                 anew = used or posed != self._posed
@@ -233,11 +236,11 @@ class Tracker:
                         estimates += self._take_all(part, numbers, order)
                 first += end
                 if anew:
-                    estimates += self._joined_results()
+                    estimates += self._estimates_so_far()
                     self._begin_again(int(stamps[first]))
             number += len(stamps)
             self._counts['markers_unknown'] = self._roster.unknown
-        return estimates + self._joined_results()
+        return estimates + self._estimates_so_far()
 
     def _take_all(
         self, frames: MarkerFrames, numbers: np.ndarray, order: int | None
@@ -247,7 +250,7 @@ class Tracker:
         width = self._known.width
         solid = self._sort(frames)
         if self._known.width > width:
-            estimates += self._joined_results()
+            estimates += self._estimates_so_far()
         times = self._timeline.enter(frames.stamps)
         self._hand_over(frames.stamps, times)
         results = self._room_for(len(frames.stamps), order)
@@ -258,7 +261,7 @@ class Tracker:
                 self._step.fields.hidden_is_unusual = self.matcher.has_extras
             if self._roster.plane is not self._space.plane:
                 self._keep(results, numbers)
-                estimates += self._joined_results()
+                estimates += self._estimates_so_far()
                 self._catch_up()
                 solid = self._sort(frames)
                 self._hand_over(frames.stamps, times)
@@ -316,7 +319,7 @@ class Tracker:
         return Results(frames + waiting, order + 1, known.count, known.width)
 
     def _keep(self, results: Results, numbers: np.ndarray) -> None:
-        """Keep results until they are joined; `numbers` are those of the frames handed over."""
+        """Keep results for the next estimate; `numbers` are those of the frames handed over."""
         if results.count:
             due = results.of_instants('due')
             due[:] = numbers[due]
@@ -334,7 +337,7 @@ class Tracker:
         changed, self._names_changed = self._names_changed, False
         return changed
 
-    def _joined_results(self) -> list[Estimate]:
+    def _estimates_so_far(self) -> list[Estimate]:
         """The results so far as one estimate, if there are any, and begin with none."""
         results, self._results = self._results, []
         if not results:
@@ -382,7 +385,7 @@ class Tracker:
         goes_on = bool(interval == 0 or time - newest <= GAP * interval)
         if self._roster.plane is None:
             self._early.append((stamp, time, part_of(self._block, slice(k, k + 1))))
-            if matcher.lacks_order(1):
+            if matcher.lacks_order():
                 solid = np.full_like(solid, np.nan)
             self._append(stamp, time, goes_on)
             for name in ('markers', 'residual', 'angle', 'position', 'heights', 'height'):
@@ -391,7 +394,7 @@ class Tracker:
             history['information'][-1] = history['turns'][-1] = 0.0
             self._space.add(solid[None])
             return
-        if matcher.is_nameless and matcher.arrange(k, 1)[1]:
+        if matcher.is_nameless and matcher.arrange(k):
             self._begin_anew(np.ones(bodies.count, bool))
         if len(bodies.unmet):
             bodies.begin(markers)
@@ -402,7 +405,7 @@ class Tracker:
         if bodies.exchanged:
             markers[...] = np.take_along_axis(markers, bodies.order, axis=1)
         row = self._append(stamp, time, goes_on)
-        matcher.fits_next(k, k + 1)
+        matcher.fits_next(k)
         unusual = self._step.fit(markers, goes_on)
         if (unusual & NAME_DOUBTFUL or matcher.has_extras) and self._renamed(k, unusual):
             unusual = self._step.fit(markers, goes_on)
@@ -453,7 +456,13 @@ class Tracker:
             doubtful = self.matcher.doubtful(fit, unseen[None])
             if doubtful is None or not doubtful.any():
                 return False
-        return self.matcher.correct()
+        # Bodies that are not rigid stay in doubt, and a search takes long.
+        if self._frames < self._next_search:
+            return False
+        corrected = self.matcher.correct()
+        self._futile = 0 if corrected else self._futile + 1
+        self._next_search = self._frames + min(2 ** max(self._futile - 1, 0), MOST_BETWEEN_SEARCHES)
+        return corrected
 
     def _note_outages(self, stamp: int) -> None:
         """Note which bodies are seen again after a window or more."""

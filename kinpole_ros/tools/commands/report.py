@@ -1,6 +1,7 @@
 """A recording to move through."""
 
 import argparse
+from pathlib import Path
 from typing import Any
 
 from kinpole_ros.files import printable
@@ -26,14 +27,16 @@ def add(commands: Any) -> None:
         epilog='examples:\n'
         '  kinpole report recording.mcap --config rig.yaml --output report.html\n'
         '  kinpole report recording.mcap --scene four_bar --output report.html\n'
-        '  kinpole report walk.trc --output walk.html\n'
+        '  kinpole report walk.trc\n'
         '  kinpole report result.mcap --output report.html\n',
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     report.add_argument(
         'bag', metavar='FILE', help='bag of markers or of results, or a file of points'
     )
-    report.add_argument('--output', metavar='FILE.html', required=True, help='report to write')
+    report.add_argument(
+        '--output', metavar='FILE.html', help='report to write (named as FILE, in this folder)'
+    )
     report.add_argument('--config', metavar='FILE', help='parameter file, as for replay')
     add_set(report)
     report.add_argument('--topic', metavar='T', help="topic of the markers (config's, /markers)")
@@ -61,8 +64,9 @@ def run(options: argparse.Namespace) -> int:
     from kinpole_ros.tracking.parameters import assignments
 
     settings = settings_for(settings_of(options), options.scene)
-    check_outputs([options.config, settings.scene, options.bag], [options.output])
-    check_ending('--output', options.output, 'an HTML page')
+    output = options.output or f'{Path(options.bag).stem}.html'
+    check_outputs([options.config, settings.scene, options.bag], [output])
+    check_ending('--output', output, 'an HTML page')
     assumptions: list[str] = []
     points = Points(options.rate, options.scale, options.y_down)
     changes = assignments(options.set)
@@ -72,11 +76,17 @@ def run(options: argparse.Namespace) -> int:
     ):
         assumptions += ready.assumed
         record = report(
-            ready.bag, options.output, ready.settings, options.topic, progress, assumptions.append
+            ready.bag,
+            output,
+            ready.settings,
+            options.topic,
+            progress,
+            assumptions.append,
+            options.bag,
         )
     thinned = '' if len(record.stamp) == record.total else f' of {record.total}'
     for line in assumptions:
         print(printable(line))
     print(f'{len(record.stamp)}{thinned} instants of {", ".join(record.bodies)}')
-    print(f'written to {options.output}')
+    print(f'written to {output}')
     return 0

@@ -40,8 +40,11 @@ def draw_linkage(linkage: Linkage, output: str | Path, title: str) -> None:
 def _about(linkage: Linkage) -> str:
     plane = linkage.plane
     bodies, joints = len(linkage.names), len(linkage.joints) + len(linkage.rolling)
+    if linkage.space is not None:
+        joints = len(linkage.space.joints)
     parts = [f'{bodies} bod{"y" if bodies == 1 else "ies"}, {joints} joint{"s"[: joints != 1]}']
-    parts.append(f'plane {plane.name}' if plane.name else f'plane tilted by {plane.tilt:.1f} deg')
+    where = f'plane {plane.name}' if plane.name else f'plane tilted by {plane.tilt:.1f} deg'
+    parts.append(where if linkage.space is None else f'not in one plane, projected on: {where}')
     parts.append('markers in m' if linkage.scale == 1 else 'markers in mm')
     if not linkage.ordered:
         parts.append('points without names')

@@ -11,6 +11,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from kinpole_ros import __version__
 from kinpole_ros.bags import BagError, assumed_body, in_place_of, replay, warnings_of
 from kinpole_ros.files import printable
@@ -22,7 +24,7 @@ from kinpole_ros.tools.report._prepare import Points, prepared
 from kinpole_ros.tools.report._record import Collector, Record, joints_of
 from kinpole_ros.tools.report._results import has_results, read_record, words_of
 from kinpole_ros.tracking.parameters import Settings
-from kinpole_ros.tracking.plane import XY, as_parameter, plane_of
+from kinpole_ros.tracking.plane import XY, plane_of
 
 __all__ = [
     'Points',
@@ -83,12 +85,14 @@ def report(
     topic: str | None = None,
     progress: Callable[[float], None] | None = None,
     tell: Callable[[str], None] | None = None,
+    source: str | Path | None = None,
 ) -> Record:
     """
     Write the report of a bag to `output`, an .html file; returns what is in it.
 
     A bag of results is shown as it is, unless a `topic` of markers is named; markers are replayed
-    with `settings` first, and `tell` is called with what the replay assumed. Raises BagError when
+    with `settings` first, and `tell` is called with what the replay assumed. `source` is the file
+    that the bag was made of, if any: the page names it. Raises BagError when
     there is nothing to show, or `output` cannot be written.
     """
     theory: list[DeviationSummary] = []
@@ -100,10 +104,10 @@ def report(
             )
         record, notes = read_record(bag, _most_instants, progress)
     else:
-        record, notes, theory = _replayed(bag, settings, topic, progress, tell)
+        record, notes, theory = _replayed(bag, settings, topic, progress, tell, source or bag)
     data = {
         **pack(record),
-        'title': printable(Path(bag).resolve().name),
+        'title': printable(Path(source or bag).resolve().name),
         'about': _about(record),
         'notes': notes,
         'scene': Path(settings.scene).stem,
@@ -123,23 +127,32 @@ def _replayed(
     topic: str | None,
     progress: Callable[[float], None] | None,
     tell: Callable[[str], None] | None,
+    source: str | Path,
 ) -> tuple[Record, list[str], list[DeviationSummary]]:
     collector = Collector(_most_instants(len(settings.bodies)), theory_of(settings))
     result = replay(bag, settings, topic=topic, progress=progress, take=collector.add)
     notes = warnings_of(result, settings)
-    if assumption := assumed_body(len(result.identities), settings, bag):
+    if assumption := assumed_body(len(result.identities), settings, source):
         notes.insert(0, assumption)
         if tell is not None:
             tell(assumption)
     if result.truncated is not None:
         notes.append(str(result.truncated))
     if not collector.total:
-        raise BagError(f'{bag}: {notes[-1] if notes else "no results"}')
+        raise BagError(f'{source}: {notes[-1] if notes else "no results"}')
     plane = result.space.plane or plane_of(settings.plane) or XY
     along = (plane.name[0], plane.name[1])
     if plane.axes is None:
-        along = (f'along {as_parameter(plane.basis[0])}', f'along {as_parameter(plane.basis[1])}')
+        along = (_axis_name(plane.basis[0], 'e1'), _axis_name(plane.basis[1], 'e2'))
     return collector.record(along), notes, result.scene_deviations
+
+
+def _axis_name(axis: np.ndarray, otherwise: str) -> str:
+    """The axis of the frame that a unit vector (3,) is within 15 deg of, if there is one."""
+    nearest = int(np.abs(axis).argmax())
+    if abs(axis[nearest]) < np.cos(np.radians(15)):
+        return otherwise
+    return f'≈ {"−" if axis[nearest] < 0 else ""}{"xyz"[nearest]}'
 
 
 def page(data: dict[str, Any]) -> str:
