@@ -91,30 +91,36 @@ prepare(const Models *m, long long orders, const Samples *s, Work *w, Set *set)
             }
             x++;
         }
+    find_modes_of_cells(m, set);
     return DONE;
 }
 
 /* Find sets of steps that explain samples better than none do, and the evidence with each. The first
    of `sets` is without steps, its evidence known. `number` is how many sets there are then. */
 static int
-find_sets(const Models *m, const Samples *s, const Work *w, long long orders, long long block,
+find_sets(const Models *m, const Stencils *by, const Samples *s, const Work *w, long long orders, long long block,
           Set *sets, int *number)
 {
     long long cells = sets[0].cells, most = cells + MOST_STEPS, n = m->count;
-    Screen screens[2][2];
+    Screens screens[2];
     size_t of_set = size_of_set(m, orders, most, MOST_STEPS, 2);
-    size_t of_screen = ((2 + 2 * ORDERS + most) * n + most) * sizeof(double);
-    size_t of_spare = (2 + ORDERS) * n * sizeof(double);
-    char *data = buffer(OF_SETS, of_spare + 4 * of_screen + (MOST_SETS - 1) * of_set);
+    size_t of_screens = (2 * ((2 + 4 * ORDERS + most) * n + most) + ORDERS * n + 2 * orders * n) *
+        sizeof(double);
+    size_t of_spare = (1 + ORDERS * MOST_ORDERS) * n * sizeof(double);
+    char *data = buffer(OF_SETS, of_spare + 2 * of_screens + (MOST_SETS - 1) * of_set);
     if (!data)
         return NO_MEMORY;
     double *spare;
-    TAKE(spare, (2 + ORDERS) * n);
-    for (int k = 0; k < 4; k++) {
-        Screen *screen = &screens[k / 2][k % 2];
-        screen->c = k % 2;
-        TAKE(screen->residual, 2 * n), TAKE(screen->explained, ORDERS * n);
-        TAKE(screen->left, ORDERS * n), TAKE(screen->removed, most * n), TAKE(screen->factor, most);
+    TAKE(spare, (1 + ORDERS * MOST_ORDERS) * n);
+    for (int k = 0; k < 2; k++) {
+        TAKE(screens[k].gain, ORDERS * n), TAKE(screens[k].reach, 2 * orders * n);
+        for (int c = 0; c < 2; c++) {
+            Screen *screen = screens[k].of + c;
+            screen->c = c;
+            TAKE(screen->residual, 2 * n), TAKE(screen->sums, 2 * ORDERS * n);
+            TAKE(screen->explained, ORDERS * n), TAKE(screen->left, ORDERS * n);
+            TAKE(screen->removed, most * n), TAKE(screen->factor, most);
+        }
     }
     double best[2] = {sets[0].best[0], sets[0].best[1]};
     int base = 0;
@@ -124,10 +130,11 @@ find_sets(const Models *m, const Samples *s, const Work *w, long long orders, lo
             found[k].value = -INFINITY;
         for (int slow = 0; slow < (event ? 1 : 2); slow++) {
             for (int c = 0; c < 2; c++) {
-                screens[slow][c].model = find_likeliest(m, sets + base, c, slow);
-                screen_steps(m, s, w, sets + base, &screens[slow][c], spare);
+                screens[slow].of[c].model = find_likeliest(m, sets + base, c, slow);
+                screen_steps(m, s, w, sets + base, screens[slow].of + c, spare);
             }
-            find_candidates(m, w, sets + base, screens[slow], found);
+            screens[slow].reached = 0;
+            find_candidates(m, w, sets + base, screens + slow, found);
         }
         double top = -INFINITY, progress = LEAST_PROGRESS;
         for (int k = 0; k < ORDERS; k++)
@@ -140,6 +147,7 @@ find_sets(const Models *m, const Samples *s, const Work *w, long long orders, lo
                 continue;
             data = extend_set(m, s, w, sets + base, found + k, k, orders, block, data, set,
                               spare);
+            find_spread(m, by, sets + base, found + k, k, w->off, spare, set);
             find_evidence(m, s, w, set);
             double more = 0.0;
             for (int c = 0; c < 2; c++)
@@ -175,12 +183,12 @@ derive_even(Call *call, const Window *window, const Samples *s, Found *out)
         return NO_MEMORY;
     find_squares(&m, s, &w);
     find_evidence(&m, s, &w, sets);
-    if (!window->exact && (sets[0].best[0] < -WORTH * call->flat ||
-                           sets[0].best[1] < -WORTH * call->flat * 2))
-        code = find_sets(&m, s, &w, window->orders, window->block, sets, &number);
     long long modes = window->orders * m.rows;
     Stencils by = {window->orders, window->at + (s->count - 1) / 2.0, stencils->numbers,
                    (const Lanes *)(stencils->numbers + modes)};
+    if (!window->exact && (sets[0].best[0] < -WORTH * call->flat ||
+                           sets[0].best[1] < -WORTH * call->flat * 2))
+        code = find_sets(&m, &by, s, &w, window->orders, window->block, sets, &number);
     if (!code)
         differentiate(&m, &by, &w, sets, number, out);
     return code;

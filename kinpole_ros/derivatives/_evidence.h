@@ -18,6 +18,10 @@
 #define LEAST_PROBABLE 1e-8
 /* Models with so much less evidence than others do not count. */
 #define FAR 80.0
+/* With steps, shorter lengths of a spectrum are left out after so much loss of evidence. */
+#ifndef DROP
+#define DROP 30.0
+#endif
 /* Derivatives by which samples are moved: as many as `slopes_of` of _models.py makes. */
 #define SLOPES 4
 #define MOST_KINDS 8
@@ -103,12 +107,10 @@ typedef struct {
     const double *unexplained; /* of steps, (models, 3, count) */
 } Models;
 
-/* The derivative of an `order` from 0 to 3 steps so many samples after the first. Of the step that is
-   an event, the deviation of the place, samples, and the size, by angle and position. */
+/* The derivative of an `order` from 0 to 3 steps so many samples after the first. */
 typedef struct {
     double place;
     int order;
-    double off[2], size[2];
 } Step;
 
 /* How modes (orders, rows) and models (groups, orders, orders) make derivatives. */
@@ -145,10 +147,12 @@ typedef struct {
    samples that count for less than 1, and then the `steps`. Weights of columns, and the roots of what
    these lack, are by angle and position, which are one part if they are equal. Of a step the weight
    is 1, and the root the deviation of its prior. `prior` is the logarithm of that of all steps. */
-typedef struct {
-    long long cells, steps, columns, parts, events, *at, *counts;
+typedef struct Set {
+    long long cells, steps, columns, parts, events, *at, *counts, *skipped;
+    const struct Set *from;
     Step step[MOST_STEPS];
-    double prior, best[2], *values, *vectors, *base, *weight, *root;
+    double prior, best[2], spread[2][MOST_ORDERS][MOST_ORDERS];
+    double *values, *folded, *vectors, *base, *weight, *root;
     Lanes *evidence, *variance, *likely, *counting, *apart, *factors, *errors;
 } Set;
 
@@ -157,7 +161,8 @@ size_of_set(const Models *m, long long orders, long long columns, long long step
 {
     long long pairs = columns * (columns + 1) / 2;
     long long of_lanes = m->groups * (8 + 3 * orders + parts * pairs + 3 * columns);
-    long long of_numbers = steps * m->count + columns * m->rows + pairs + 8 * columns + m->groups;
+    long long of_numbers = steps * (m->count + 2 * m->half) + columns * m->rows + pairs + 8 * columns +
+                           2 * m->groups;
     return 8 * (of_lanes * LANES + of_numbers);
 }
 
@@ -174,9 +179,11 @@ lay_out_set(const Models *m, long long orders, long long columns, long long step
     TAKE(set->likely, 2 * m->groups), TAKE(set->counting, 2 * m->groups);
     TAKE(set->apart, 3 * orders * m->groups), TAKE(set->factors, parts * pairs * m->groups);
     TAKE(set->errors, 3 * columns * m->groups);
-    TAKE(set->values, steps * m->count), TAKE(set->vectors, columns * m->rows);
+    TAKE(set->values, steps * m->count), TAKE(set->folded, steps * 2 * m->half);
+    TAKE(set->vectors, columns * m->rows);
     TAKE(set->base, pairs + 3 * columns), TAKE(set->weight, 2 * columns);
     TAKE(set->root, 2 * columns), TAKE(set->at, columns), TAKE(set->counts, m->groups);
+    TAKE(set->skipped, m->groups), memset(set->skipped, 0, m->groups * sizeof(long long));
     return data;
 }
 
@@ -224,20 +231,30 @@ add_products(const Models *m, const Lanes *table, long long group, const double 
     }
 }
 
-/* The modes (columns, rows) of signals (columns) of `count` samples. */
+/* Sums and differences (2, columns, half) of the samples of signals opposite to each other. */
 static inline void
-find_modes(const Models *m, double *const *signals, long long columns, double *fold, double *modes)
+fold(const Models *m, double *const *signals, long long columns, double *folded)
 {
     long long n = m->count, half = m->half;
     for (long long c = 0; c < columns; c++)
         for (long long t = 0; t < half; t++) {
             double a = signals[c][t], b = signals[c][n - 1 - t];
-            fold[c * half + t] = a + b, fold[(columns + c) * half + t] = a - b;
+            folded[c * half + t] = a + b, folded[(columns + c) * half + t] = a - b;
         }
-    memset(modes, 0, columns * m->rows * sizeof(double));
-    for (long long r = 0; r < m->rows; r += LANES)
-        add(m->panels + r / LANES * half, half, fold + (r < m->odd ? 0 : columns * half), half,
-            columns, (Lanes *)(modes + r), m->rows / LANES);
+}
+
+/* The modes (columns, rows) from `begin` to `end` of folded signals (columns). */
+static inline void
+find_modes(const Models *m, const double *folded, long long columns, long long begin, long long end,
+           double *modes)
+{
+    for (long long r = begin / LANES * LANES; r < end; r += LANES) {
+        for (long long c = 0; c < columns; c++)
+            memset(modes + c * m->rows + r, 0, LANES * sizeof(double));
+        add(m->panels + r / LANES * m->half, m->half,
+            folded + (r < m->odd ? 0 : columns * m->half), m->half, columns, (Lanes *)(modes + r),
+            m->rows / LANES);
+    }
 }
 
 /* Compute the modes of samples, the sums of their squares, and what of these the models leave. */
@@ -249,7 +266,8 @@ find_squares(const Models *m, const Samples *s, Work *w)
         for (long long t = 0; t < m->count; t++)
             w->total[c] += s->x[c][t] * s->x[c][t];
     }
-    find_modes(m, s->x, 3, w->terms, w->modes);
+    fold(m, s->x, 3, w->terms);
+    find_modes(m, w->terms, 3, 0, m->rows, w->modes);
     for (long long i = 0; i < 3 * m->rows; i++)
         w->squares[i] = w->modes[i] * w->modes[i];
     memset(w->left, 0, 3 * m->groups * sizeof(Lanes));
@@ -296,19 +314,25 @@ dot(const double *a, const double *b, long long count)
     return sum;
 }
 
-/* Compute the modes of cells, and the covariance and residuals (pairs + 3 columns) of all columns
-   without any motion. */
+/* Compute the modes of cells. */
 static void
-find_columns(const Models *m, const Samples *s, Set *set)
+find_modes_of_cells(const Models *m, Set *set)
 {
-    long long number = set->columns, cells = set->cells, n = m->count, k = 0;
-    for (long long x = 0; x < cells; x++) {
-        long long at = set->at[x], opposite = n - 1 - at, near = at < opposite ? at : opposite;
+    for (long long x = 0; x < set->cells; x++) {
+        long long at = set->at[x], opposite = m->count - 1 - at;
+        long long near = at < opposite ? at : opposite;
         double even = at == opposite ? 2.0 : 1.0, odd = at > opposite ? -1.0 : 1.0;
         for (long long r = 0; r < m->rows; r++)
             set->vectors[x * m->rows + r] = (r < m->odd ? even : odd) *
                 ((const double *)(m->panels + r / LANES * m->half + near))[r % LANES];
     }
+}
+
+/* Compute the covariance and residuals (pairs + 3 columns) of all columns without any motion. */
+static void
+find_columns(const Models *m, const Samples *s, Set *set)
+{
+    long long number = set->columns, cells = set->cells, n = m->count, k = 0;
     for (long long i = 0; i < number + 3; i++)
         for (long long j = 0; j < (i < number ? i + 1 : number); j++) {
             if (i < cells) {
@@ -401,21 +425,43 @@ add_columns(const Models *m, long long group, const Work *w, const Set *set, Lan
     }
 }
 
+/* Compute the modes of the steps that were added to a set, those of one process. */
+static void
+find_modes_of_steps(const Models *m, long long process, Set *set)
+{
+    long long before = set->from->steps, added = set->steps - before;
+    for (int parity = 0; parity < 2; parity++) {
+        const long long *first = m->first + parity * (m->processes + 1) + process;
+        find_modes(m, set->folded, added, first[0], first[1],
+                   set->vectors + (set->cells + before) * m->rows);
+    }
+}
+
 /* Compute the evidence of models, and the variance of the noise, (2, groups) each, by samples whose
-   squares are found already. The rough spectrum has no steps. */
+   squares are found already. The rough spectrum has no steps. With steps, shorter lengths than one
+   with much less evidence than a longer one of its spectrum have still less, and are left out. */
 static void
 find_evidence(const Models *m, const Samples *s, const Work *w, Set *set)
 {
+    double top[2] = {-INFINITY, -INFINITY};
+    int dropped = 0;
     if (set->columns)
         find_columns(m, s, set);
     set->best[0] = set->best[1] = -INFINITY;
     for (long long g = 0; g < m->groups; g++) {
         Lanes left[3], less[3], logs[2];
         int rough = m->kind[g * LANES] == m->kinds - 1;
-        if (set->steps && rough) {
-            set->evidence[g] = set->evidence[m->groups + g] = all_lanes(-INFINITY);
-            set->variance[g] = set->variance[m->groups + g] = all_lanes(1.0);
-            continue;
+        if (set->steps) {
+            if (g && m->kind[g * LANES] != m->kind[(g - 1) * LANES])
+                top[0] = top[1] = -INFINITY, dropped = 0;
+            dropped |= set->from->skipped[g];
+            set->skipped[g] = dropped || rough;
+            if (set->skipped[g]) {
+                set->evidence[g] = set->evidence[m->groups + g] = all_lanes(-INFINITY);
+                set->variance[g] = set->variance[m->groups + g] = all_lanes(1.0);
+                continue;
+            }
+            find_modes_of_steps(m, g, set);
         }
         memset(less, 0, sizeof less), memset(logs, 0, sizeof logs);
         if (set->columns)
@@ -427,8 +473,9 @@ find_evidence(const Models *m, const Samples *s, const Work *w, Set *set)
                     ((double *)(left + c))[i] = 0.0;
         }
         EACH left[1].part[h] += left[2].part[h];
+        int lower = 1;
         for (int c = 0; c < 2; c++) {
-            double number = w->known + w->seen[c] * (c + 1), *evidence, *variance;
+            double number = w->known + w->seen[c] * (c + 1), *evidence, *variance, most = -INFINITY;
             evidence = (double *)(set->evidence + c * m->groups + g);
             variance = (double *)(set->variance + c * m->groups + g);
             for (int i = 0; i < LANES; i++) {
@@ -436,10 +483,14 @@ find_evidence(const Models *m, const Samples *s, const Work *w, Set *set)
                 evidence[i] = ((const double *)(m->chances + c * m->groups + g))[i] -
                     number / 2 * log(variance[i]) - ((double *)(logs + c))[i] * (c + 1) +
                     set->prior;
-                if (!rough)
-                    set->best[c] = larger(set->best[c], evidence[i]);
+                most = larger(most, evidence[i]);
             }
+            if (!rough)
+                set->best[c] = larger(set->best[c], most);
+            lower &= most < top[c] - DROP;
+            top[c] = larger(top[c], most);
         }
+        dropped = lower;
     }
 }
 
@@ -558,27 +609,6 @@ correct(const Models *m, const Stencils *s, long long group, const Work *w, cons
     }
 }
 
-/* Add to the covariance what an event that is near the instant may be, if it is on the other side. */
-static void
-add_places(const Stencils *s, const Set *set, int c, double weight, Found *out)
-{
-    for (const Step *step = set->step; step < set->step + set->steps; step++) {
-        double since = s->at - step->place;
-        if (!(fabs(since) < step->off[c]))
-            continue;
-        for (int sign = -1; sign <= 1; sign += 2) {
-            double change[MOST_ORDERS];
-            for (int k = 0; k < s->orders; k++)
-                change[k] = k > step->order ? 0.0 : step->size[c] *
-                    (step_since(step->order - k, since + sign * step->off[c]) -
-                     step_since(step->order - k, since));
-            for (int k = 0; k < s->orders; k++)
-                for (int j = 0; j < s->orders; j++)
-                    out->covariance[c][k][j] += weight / 2 * change[k] * change[j];
-        }
-    }
-}
-
 /* Differentiate samples: the mean over all models, with all sets of steps, by their probabilities.
    The disagreement between models is part of the covariance. */
 static void
@@ -590,8 +620,10 @@ differentiate(const Models *m, const Stencils *s, const Work *w, Set *sets, int 
     Lanes mean[3 * MOST_ORDERS], spread[2 * MOST_ORDERS * MOST_ORDERS], parameters[2];
     memset(mean, 0, sizeof mean), memset(spread, 0, sizeof spread);
     memset(parameters, 0, sizeof parameters);
-    for (int n = 0; n < number; n++)
-        for (long long g = 0; g < m->groups; g++) {
+    for (long long g = 0; g < m->groups; g++) {
+        Lanes without[3 * MOST_ORDERS];
+        int known = 0;
+        for (int n = 0; n < number; n++) {
             Set *set = sets + n;
             Lanes noisy[2], *apart = set->apart + g * 3 * orders;
             double any = 0.0;
@@ -607,8 +639,12 @@ differentiate(const Models *m, const Stencils *s, const Work *w, Set *sets, int 
             set->counts[g] = any != 0.0;
             if (!set->counts[g])
                 continue;
-            memset(apart, 0, 3 * orders * sizeof(Lanes));
-            add_products(m, m->share, g, w->modes, 3, s->modes, orders, w->terms, apart);
+            if (!known) {
+                memset(without, 0, 3 * orders * sizeof(Lanes));
+                add_products(m, m->share, g, w->modes, 3, s->modes, orders, w->terms, without);
+            }
+            known = 1;
+            memcpy(apart, without, 3 * orders * sizeof(Lanes));
             for (int c = 0; c < 2; c++) {
                 Lanes all = m->freedom[g];
                 EACH all.part[h] += (double)set->events;
@@ -622,6 +658,7 @@ differentiate(const Models *m, const Stencils *s, const Work *w, Set *sets, int 
             for (long long k = 0; k < 3 * orders; k++)
                 mean[k] = plus(mean[k], set->likely[(k >= orders) * m->groups + g], apart[k]);
         }
+    }
     for (long long k = 0; k < 3 * orders; k++)
         out->mean[k / orders][k % orders] = sum_of(mean[k]);
     for (int n = 0; n < number; n++)
@@ -647,7 +684,9 @@ differentiate(const Models *m, const Stencils *s, const Work *w, Set *sets, int 
             double weight = 0.0;
             for (long long g = 0; g < m->groups; g++)
                 weight += sum_of(sets[n].counting[c * m->groups + g]);
-            add_places(s, sets + n, c, weight, out);
+            for (long long k = 0; k < square; k++)
+                out->covariance[c][k / orders][k % orders] +=
+                    weight * sets[n].spread[c][k / orders][k % orders];
         }
     }
 }

@@ -31,29 +31,41 @@
 /* Standard deviation of the place of an event, samples, at least and at most. */
 #define LEAST_PLACE 0.5
 #define MOST_PLACE 3.0
-/* By how many samples events of each order may be seen late, at least: an acceleration may set in
-   gradually, and is taken for a step then. */
-static const double least_off[ORDERS] = {0.0, 0.5, 2.0};
+/* The power of the evidence by which events at other places count in covariances. */
+#define POWER 0.25
+/* Places of a chance below exp(-this) do not count. */
+#define LEAST_CHANCE 7.0
+/* Other places are looked at if one may be so near to the instant, samples. */
+#define NEAR 20
 /* Steps are screened with the likeliest of all models, and of the slowest of each spectrum. */
 #define SLOWEST 2
 /* A step of which less is left is one that is in the set. */
 #define LEFT_OF_STEP 1e-6
 
 /* The samples of angle (c 0) or position (c 1) as a model with some columns explains them:
-   `residual` (c + 1, count), how much of steps at all places (ORDERS, count) would be `explained`, and
-   how much of the steps themselves is `left`. `removed` (columns, count) are the columns as the
+   `residual` (c + 1, count), its `sums` by steps at all places (ORDERS, count), of the squares of which
+   is `explained`, and how much of the steps themselves is `left`. `removed` (columns, count) are the columns as the
    model leaves them, without those before, and `factor` by how much they are removed. */
 typedef struct {
     int c;
     long long model, columns;
-    double squares, *residual, *explained, *left, *removed, *factor;
+    double squares, *residual, *sums, *explained, *left, *removed, *factor;
 } Screen;
+
+/* Screens of angle and position, and by these how much evidence a step of each order at each place
+   (ORDERS, count) gains, but for what its size costs. `reach` (2, orders, count) are the samples'
+   weights in derivatives at the instant, if `reached`. */
+typedef struct {
+    Screen of[2];
+    double *gain, *reach;
+    int reached;
+} Screens;
 
 /* An event after the sample before `sample` by models that screen it. */
 typedef struct {
     double value, gain;
     long long sample;
-    const Screen *screens;
+    Screens *screens;
 } Candidate;
 
 /* The number of the likeliest model of a set, or of its slow models. */
@@ -182,9 +194,10 @@ screen_steps(const Models *m, const Samples *s, const Work *w, const Set *set, S
     screen->squares = 0.0;
     for (int j = 0; j <= screen->c; j++) {
         screen->squares += dot(screen->residual + j * n, s->x[screen->c + j], n);
-        sum_by_steps(screen->residual + j * n, n, spare);
+        double *sums = screen->sums + j * ORDERS * n;
+        sum_by_steps(screen->residual + j * n, n, sums);
         for (long long k = 0; k < ORDERS * n; k++)
-            screen->explained[k] += spare[k] * spare[k];
+            screen->explained[k] += sums[k] * sums[k];
     }
     screen->squares = larger(screen->squares, 0.0);
     const double *whole = m->unexplained + screen->model * ORDERS * n;
@@ -213,31 +226,92 @@ gain_of(const Screen *screen, const Work *w, long long k)
 /* Find the best place of a step of each order. Gains are ranked by a rational approximation of their
    logarithm. */
 static void
-find_candidates(const Models *m, const Work *w, const Set *set, const Screen *screens,
-                Candidate *best)
+find_candidates(const Models *m, const Work *w, const Set *set, Screens *screens, Candidate *best)
 {
     long long n = m->count;
     double value = 0.0;
-    for (int c = 0; c < 2; c++)
-        value += ((const double *)(set->evidence + c * m->groups))[screens[c].model];
-    for (int order = 0; order < ORDERS; order++) {
-        double most = -1.0;
-        long long at = 0;
-        for (long long k = order * n + EDGE; k <= (order + 1) * n - EDGE; k++) {
-            double rank = 0.0, square;
-            for (int c = 0; c < 2; c++) {
-                double part = explained_of(screens + c, k, &square) /
-                              (screens[c].squares + w->known);
-                part = smaller(part, 1.0);
-                rank += (w->known + w->seen[c] * (c + 1)) * part * (6 - part) / (6 - 4 * part);
-            }
-            if (rank > most)
-                most = rank, at = k;
+    memset(screens->gain, 0, ORDERS * n * sizeof(double));
+    for (int c = 0; c < 2; c++) {
+        const Screen *screen = screens->of + c;
+        double per = 1 / (c + 1.0), all = 1 / (screen->squares + w->known);
+        double number = (w->known + w->seen[c] * (c + 1)) / 2;
+        value += ((const double *)(set->evidence + c * m->groups))[screen->model];
+        for (long long k = 0; k < ORDERS * n; k++) {
+            double square = screen->explained[k] / screen->left[k] * per;
+            double part = smaller((c + 1) * all * square * square / (1 + square), 1.0);
+            screens->gain[k] += number * part * (6 - part) / (6 - 4 * part);
         }
-        double gain = gain_of(screens, w, at) + gain_of(screens + 1, w, at);
+    }
+    for (int order = 0; order < ORDERS; order++) {
+        long long at = order * n + EDGE;
+        for (long long k = at; k <= (order + 1) * n - EDGE; k++)
+            if (screens->gain[k] > screens->gain[at])
+                at = k;
+        double gain = gain_of(screens->of, w, at) + gain_of(screens->of + 1, w, at);
         Candidate one = {value + gain, gain, at - order * n, screens};
         if (one.value > best[order].value)
             best[order] = one;
+    }
+}
+
+/* Find the deviations of the columns that were added to a set for an event of an order, one after the
+   other, as the model of a screen estimates them. */
+static void
+find_sizes(const Models *m, const Screen *screen, Set *set, int order, double *spare)
+{
+    long long n = m->count, begin = set->from->steps, number = set->steps - begin, c = screen->c;
+    long long group = screen->model / LANES, lane = screen->model % LANES;
+    const double *columns = set->values + begin * n;
+    const double *modes = set->vectors + (set->cells + begin) * m->rows;
+    double *weight = set->weight + c * set->columns + set->cells + begin;
+    double *root = set->root + c * set->columns + set->cells + begin, place = LEAST_PLACE;
+    double between[COLUMNS][COLUMNS], square[COLUMNS], along[2][COLUMNS];
+    const double *share = (const double *)(m->share) + lane;
+    find_modes_of_steps(m, group, set);
+    for (int k = 0; k < number; k++) {
+        for (int l = 0; l <= k; l++)
+            between[k][l] = dot(columns + k * n, columns + l * n, n);
+        square[k] = between[k][k];
+        for (int j = 0; j <= c; j++)
+            along[j][k] = dot(columns + k * n, screen->residual + j * n, n);
+    }
+    for (int parity = 0; parity < 2; parity++) {
+        const long long *first = m->first + parity * (m->processes + 1) + group;
+        for (long long r = first[0]; r < first[1]; r++)
+            for (int k = 0; k < number; k++)
+                for (int l = 0; l <= k; l++)
+                    between[k][l] -= share[r * LANES] * modes[k * m->rows + r] *
+                        modes[l * m->rows + r];
+    }
+    for (long long x = 0; x < screen->columns; x++) {
+        for (int k = 0; k < number; k++)
+            spare[k] = dot(columns + k * n, screen->removed + x * n, n);
+        for (int k = 0; k < number; k++)
+            for (int l = 0; l <= k; l++)
+                between[k][l] -= screen->factor[x] * spare[k] * spare[l];
+    }
+    for (int k = 0; k < number; k++) {
+        int each = set->step[begin + k].order;
+        double left = between[k][k] > LEFT_OF_STEP * LEFT_OF_STEP * square[k] ? between[k][k] : 0.0;
+        double size = 0.0;
+        for (int j = 0; j <= c; j++)
+            size += along[j][k] * along[j][k] / (c + 1);
+        root[k] = left > 0.0 ? sqrt(size) / left : 0.0;
+        if (each == order - 1) {
+            double known = root[0] * sqrt((c + 1) * left);
+            place = known > 0.0 ? smaller(larger(1 / known, LEAST_PLACE), MOST_PLACE) : LEAST_PLACE;
+            root[k] = root[0] * place;
+        }
+        if (each == order - 2)
+            root[k] = root[0] * place * place / 2;
+        weight[k] = 1.0;
+        double factor = root[k] * root[k] / (1.0 + root[k] * root[k] * left);
+        for (int l = k + 1; l < number; l++) {
+            for (int i = k + 1; i <= l; i++)
+                between[l][i] -= factor * between[l][k] * between[i][k];
+            for (int j = 0; j <= c; j++)
+                along[j][l] -= factor * between[l][k] * along[j][k];
+        }
     }
 }
 
@@ -257,10 +331,11 @@ extend_set(const Models *m, const Samples *s, const Work *w, const Set *from,
     each[number++] = order + 1;
     long long steps = begin + number, columns = cells + steps;
     data = lay_out_set(m, orders, columns, steps, 2, data, set);
-    set->cells = cells, set->steps = steps, set->events = from->events + 1;
+    set->from = from, set->cells = cells, set->steps = steps, set->events = from->events + 1;
     set->prior = from->prior + log(EVENT_PRIOR / (1 - EVENT_PRIOR) / (ORDERS * n)) - SIZE_COST;
     memcpy(set->at, from->at, cells * sizeof *set->at);
     memcpy(set->step, from->step, sizeof set->step);
+    memcpy(set->spread, from->spread, sizeof set->spread);
     memcpy(set->values, from->values, begin * n * sizeof(double));
     memcpy(set->vectors, from->vectors, from->columns * m->rows * sizeof(double));
     for (int part = 0; part < 2; part++) {
@@ -268,36 +343,94 @@ extend_set(const Models *m, const Samples *s, const Work *w, const Set *from,
         memcpy(set->weight + part * columns, from->weight + there, from->columns * sizeof(double));
         memcpy(set->root + part * columns, from->root + there, from->columns * sizeof(double));
     }
-    double *signals[COLUMNS], *modes = set->vectors + (cells + begin) * m->rows;
+    double *signals[COLUMNS];
     for (int k = 0; k < number; k++) {
         set->step[begin + k] = (Step){.place = candidate->sample - 0.5, .order = each[k]};
         signals[k] = set->values + (begin + k) * n;
         find_values(set->step + begin + k, n, block, signals[k]);
     }
-    find_modes(m, signals, number, w->terms, modes);
-    for (int c = 0; c < 2; c++) {
-        Screen screen = candidate->screens[c];
-        double *weight = set->weight + c * columns + cells + begin;
-        double *root = set->root + c * columns + cells + begin, place = LEAST_PLACE;
-        screen.residual = spare;
-        memcpy(spare, candidate->screens[c].residual, (c + 1) * n * sizeof(double));
-        for (int k = 0; k < number; k++) {
-            double along, left = measure(m, &screen, signals[k], modes + k * m->rows, w->off,
-                                         &along);
-            root[k] = left > 0.0 ? along / left : 0.0;
-            if (each[k] == order - 1) {
-                double known = root[0] * sqrt((c + 1) * left);
-                place = known > 0.0 ? 1 / known : LEAST_PLACE;
-                place = smaller(larger(place, LEAST_PLACE), MOST_PLACE);
-                root[k] = root[0] * place;
-                set->step[begin].size[c] = root[0];
-                set->step[begin].off[c] = smaller(larger(1 / known, least_off[order]), MOST_PLACE);
+    fold(m, signals, number, set->folded);
+    for (int c = 0; c < 2; c++)
+        find_sizes(m, candidate->screens->of + c, set, order, spare);
+    return data;
+}
+
+/* Compute the weights of samples in derivatives by the models of screens, with the columns of a set. */
+static void
+find_reach(const Models *m, const Stencils *by, const Set *set, Screens *screens, Lanes *lanes)
+{
+    long long n = m->count, orders = by->orders;
+    double *weights = screens->reach;
+    memset(weights, 0, 2 * orders * n * sizeof(double));
+    screens->reached = 1;
+    for (long long k = 0; k < 2 * orders; k++, weights += n) {
+        const Screen *screen = screens->of + k / orders;
+        /* Less what the model makes of them. */
+        leave(m, screen->model, by->modes + k % orders * m->rows, weights, lanes, weights);
+        for (long long x = 0; x < screen->columns; x++) {
+            double change;
+            if (x < set->cells)
+                change = weights[set->at[x]];
+            else {
+                const Step *step = set->step + x - set->cells;
+                change = dot(weights, set->values + (x - set->cells) * n, n);
+                if (k % orders <= step->order)
+                    change += step_since(step->order - k % orders, by->at - step->place);
             }
-            if (each[k] == order - 2)
-                root[k] = root[0] * place * place / 2;
-            weight[k] = 1.0;
-            remove_measured(m, &screen, s, left, weight[k], root[k]);
+            change *= screen->factor[x];
+            for (long long t = 0; t < n; t++)
+                weights[t] -= change * screen->removed[x * n + t];
         }
     }
-    return data;
+}
+
+/* Compute the covariance of derivatives that is due to the place of an event, by the models of its
+   screens: as the event may be anywhere, with its chances there. */
+static void
+find_spread(const Models *m, const Stencils *by, const Set *from, const Candidate *candidate,
+            int order, Lanes *lanes, double *spare, Set *set)
+{
+    long long n = m->count, orders = by->orders, places = n - 2 * EDGE + 1, best = 0;
+    Screens *screens = candidate->screens;
+    double *chance = spare, *sums = spare + n, total = 0.0;
+    const double *gain = screens->gain + order * n + EDGE;
+    int near = 0;
+    for (long long k = 0; k < places; k++)
+        best = gain[k] > gain[best] ? k : best;
+    for (long long k = 0; k < places; k++) {
+        double less = POWER * (gain[best] - gain[k]);
+        chance[k] = less > LEAST_CHANCE ? 0.0 : exp(-less);
+        near |= chance[k] > 0.0 && fabs(by->at - (k + EDGE - 0.5)) < NEAR;
+        total += chance[k];
+    }
+    if (!near)
+        return;
+    if (!screens->reached)
+        find_reach(m, by, from, screens, lanes);
+    for (int c = 0; c < 2; c++) {
+        const Screen *screen = screens->of + c;
+        for (long long o = 0; o < orders; o++)
+            sum_by_steps(screens->reach + (c * orders + o) * n, n, sums + o * ORDERS * n);
+        for (int j = 0; j <= c; j++) {
+            double middle[MOST_ORDERS] = {0.0};
+            for (long long i = -1; i < places; i++) {
+                /* About what is found with the event at its best place. */
+                long long k = i < 0 ? best : i, at = order * n + k + EDGE;
+                double off[MOST_ORDERS], square, size;
+                if (chance[k] == 0.0)
+                    continue;
+                explained_of(screen, at, &square);
+                size = screen->sums[j * ORDERS * n + at] / screen->left[at] * square / (1 + square);
+                for (long long o = 0; o < orders; o++) {
+                    double here = o > order ? 0.0 : step_since(order - o, by->at - (k + EDGE - 0.5));
+                    off[o] = size * (here + sums[o * ORDERS * n + at]) - middle[o];
+                }
+                if (i < 0)
+                    memcpy(middle, off, sizeof middle);
+                for (long long o = 0; o < orders; o++)
+                    for (long long p = 0; p < (i < 0 ? 0 : orders); p++)
+                        set->spread[c][o][p] += chance[k] / total / (c + 1) * off[o] * off[p];
+            }
+        }
+    }
 }
