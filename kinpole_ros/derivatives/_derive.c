@@ -122,46 +122,57 @@ find_sets(const Models *m, const Stencils *by, const Samples *s, const Work *w, 
             TAKE(screen->removed, most * n), TAKE(screen->factor, most);
         }
     }
-    double best[2] = {sets[0].best[0], sets[0].best[1]};
-    int base = 0;
-    for (int event = 0; event < MOST_EVENTS; event++) {
-        Candidate found[ORDERS];
-        for (int k = 0; k < ORDERS; k++)
-            found[k].value = -INFINITY;
-        for (int slow = 0; slow < (event ? 1 : 2); slow++) {
-            for (int c = 0; c < 2; c++) {
-                screens[slow].of[c].model = find_likeliest(m, sets + base, c, slow);
-                screen_steps(m, s, w, sets + base, screens[slow].of + c, spare);
-            }
-            screens[slow].reached = 0;
-            find_candidates(m, w, sets + base, screens + slow, found);
+    Candidate found[ORDERS], next[ORDERS];
+    for (int k = 0; k < ORDERS; k++)
+        found[k].value = next[k].value = -INFINITY;
+    for (int slow = 0; slow < 2; slow++) {
+        double value = 0.0;
+        long long model[2];
+        for (int c = 0; c < 2; c++) {
+            model[c] = find_likeliest(m, sets, c, slow);
+            value += ((const double *)(sets->evidence + c * m->groups))[model[c]];
         }
-        double top = -INFINITY, progress = LEAST_PROGRESS;
-        for (int k = 0; k < ORDERS; k++)
-            top = larger(top, found[k].value);
-        int next = -1;
-        for (int k = 0; k < ORDERS; k++) {
-            Set *set = sets + *number;
-            if (!(found[k].gain >= LEAST_GAIN) ||
-                found[k].value < top - (event ? BEHIND_NEXT : BEHIND_FIRST))
-                continue;
-            data = extend_set(m, s, w, sets + base, found + k, k, orders, block, data, set,
-                              spare);
-            find_spread(m, by, sets + base, found + k, k, w->off, spare, set);
-            find_evidence(m, s, w, set);
-            double more = 0.0;
-            for (int c = 0; c < 2; c++)
-                more += larger(set->best[c] - best[c], 0.0);
-            if (more >= progress)
-                progress = more, next = *number;
-            ++*number;
-        }
-        if (next < 0)
+        if (slow && model[0] == screens->of[0].model && model[1] == screens->of[1].model)
             break;
-        base = next;
-        for (int c = 0; c < 2; c++)
-            best[c] = larger(best[c], sets[base].best[c]);
+        for (int c = 0; c < 2; c++) {
+            begin_screen(m, s, w, model[c], screens[slow].of + c);
+            screen_steps(m, s, w, sets, screens[slow].of + c, spare);
+        }
+        screens[slow].reached = 0;
+        find_candidates(m, w, value, screens + slow, found);
     }
+    int first = find_best(found);
+    if (!(found[first].gain >= LEAST_GAIN))
+        return DONE;
+    for (int k = 0; k < ORDERS; k++) {
+        if (!(found[k].gain >= LEAST_GAIN) || found[k].value < found[first].value - BEHIND)
+            continue;
+        Set *set = sets + ++*number - 1;
+        data = extend_set(m, sets, found + k, k, orders, block, data, set, spare);
+        find_spread(m, by, sets, found + k, k, w->off, spare, set);
+        if (k != first)
+            find_evidence(m, s, w, set);
+        else
+            found[k].sample = *number - 1;
+    }
+    /* Another event is looked for by the same models, before all models are asked. */
+    Set *one = sets + found[first].sample, *two = sets + *number;
+    Screens *both = found[first].screens;
+    for (int c = 0; c < 2; c++)
+        screen_steps(m, s, w, one, both->of + c, spare);
+    both->reached = 0;
+    find_candidates(m, w, 0.0, both, next);
+    int second = find_best(next);
+    if (next[second].gain >= LEAST_GAIN) {
+        extend_set(m, one, next + second, second, orders, block, data, two, spare);
+        find_spread(m, by, one, next + second, second, w->off, spare, two);
+        find_evidence(m, s, w, two);
+        ++*number;
+    }
+    if (next[second].gain < SURE_GAIN)
+        find_evidence(m, s, w, one);
+    else
+        sets[found[first].sample] = sets[--*number];
     return DONE;
 }
 

@@ -17,10 +17,10 @@
 #define LEAST_WEIGHT 1e-5
 #define LEAST_PROBABLE 1e-8
 /* Models with so much less evidence than others do not count. */
-#define FAR 80.0
+#define FAR 40.0
 /* With steps, shorter lengths of a spectrum are left out after so much loss of evidence. */
 #ifndef DROP
-#define DROP 30.0
+#define DROP 8.0
 #endif
 /* Derivatives by which samples are moved: as many as `slopes_of` of _models.py makes. */
 #define SLOPES 4
@@ -28,8 +28,8 @@
 /* The weight of the rough spectrum in covariances, over that of another, is at most this. */
 #define ROUGH_SHARE 0.1
 /* Sets of steps that are compared, the empty one first, and the steps of one set. */
-#define MOST_SETS 7
-#define MOST_STEPS 8
+#define MOST_SETS 6
+#define MOST_STEPS 6
 
 /* A compiler breaks up vectors wider than the processor's, and badly, so they are as wide as those.
    */
@@ -425,15 +425,14 @@ add_columns(const Models *m, long long group, const Work *w, const Set *set, Lan
     }
 }
 
-/* Compute the modes of the steps that were added to a set, those of one process. */
+/* Compute the modes of the steps of a set, those of one process. */
 static void
 find_modes_of_steps(const Models *m, long long process, Set *set)
 {
-    long long before = set->from->steps, added = set->steps - before;
     for (int parity = 0; parity < 2; parity++) {
         const long long *first = m->first + parity * (m->processes + 1) + process;
-        find_modes(m, set->folded, added, first[0], first[1],
-                   set->vectors + (set->cells + before) * m->rows);
+        find_modes(m, set->folded, set->steps, first[0], first[1],
+                   set->vectors + set->cells * m->rows);
     }
 }
 

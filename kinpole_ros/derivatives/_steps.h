@@ -9,7 +9,7 @@
 /* Steps of the motion itself, of its first and of its second derivative are looked for. */
 #define ORDERS 3
 /* Columns of an event at most. */
-#define COLUMNS 4
+#define COLUMNS 3
 /* Events that are looked for in a window, one after the other. */
 #define MOST_EVENTS 2
 /* Only windows are searched of which even the likeliest model has less evidence than a line by so
@@ -21,11 +21,10 @@
 #define SIZE_COST 2.4
 /* A candidate has at least so much more evidence by the models that screen it. */
 #define LEAST_GAIN 8.0
-/* Candidates of another order have so much less evidence at most: for the first event, the next. */
-#define BEHIND_FIRST 12.0
-#define BEHIND_NEXT 3.0
-/* Another event is looked for if the last one has so much more evidence by all models. */
-#define LEAST_PROGRESS 1.0
+/* Candidates of another order have so much less evidence at most. */
+#define BEHIND 5.0
+/* A second event that gains so much makes the set without it not count. */
+#define SURE_GAIN 25.0
 /* Events have so many samples on either side. */
 #define EDGE 3
 /* Standard deviation of the place of an event, samples, at least and at most. */
@@ -36,7 +35,7 @@
 /* Places of a chance below exp(-this) do not count. */
 #define LEAST_CHANCE 7.0
 /* Other places are looked at if one may be so near to the instant, samples. */
-#define NEAR 20
+#define NEAR 12
 /* Steps are screened with the likeliest of all models, and of the slowest of each spectrum. */
 #define SLOWEST 2
 /* A step of which less is left is one that is in the set. */
@@ -165,19 +164,15 @@ sum_by_steps(const double *signal, long long count, double *sums)
     }
 }
 
-/* Screen steps at all places with a model and the columns of a set. */
+/* Remove the columns of a set that a screen has not yet, and screen steps at all places. */
 static void
 screen_steps(const Models *m, const Samples *s, const Work *w, const Set *set, Screen *screen,
              double *spare)
 {
     long long n = m->count, part = set->parts > 1 && screen->c > 0;
     Lanes *sums = w->off;
-    screen->columns = 0;
-    for (int j = 0; j <= screen->c; j++)
-        leave(m, screen->model, w->modes + (screen->c + j) * m->rows, s->x[screen->c + j], sums,
-              screen->residual + j * n);
-    memcpy(screen->left, m->unexplained + screen->model * ORDERS * n, ORDERS * n * sizeof(double));
-    for (long long x = 0; x < set->columns; x++) {
+    const double *whole = m->unexplained + screen->model * ORDERS * n;
+    for (long long x = screen->columns; x < set->columns; x++) {
         const double *column = spare;
         double along, weight = set->weight[part * set->columns + x];
         if (x < set->cells)
@@ -200,9 +195,20 @@ screen_steps(const Models *m, const Samples *s, const Work *w, const Set *set, S
             screen->explained[k] += sums[k] * sums[k];
     }
     screen->squares = larger(screen->squares, 0.0);
-    const double *whole = m->unexplained + screen->model * ORDERS * n;
     for (long long k = 0; k < ORDERS * n; k++)
         screen->left[k] = screen->left[k] > LEFT_OF_STEP * whole[k] ? screen->left[k] : INFINITY;
+}
+
+/* Begin to screen with a model. */
+static void
+begin_screen(const Models *m, const Samples *s, const Work *w, long long model, Screen *screen)
+{
+    long long n = m->count;
+    screen->model = model, screen->columns = 0;
+    for (int j = 0; j <= screen->c; j++)
+        leave(m, model, w->modes + (screen->c + j) * m->rows, s->x[screen->c + j], w->off,
+              screen->residual + j * n);
+    memcpy(screen->left, m->unexplained + model * ORDERS * n, ORDERS * n * sizeof(double));
 }
 
 /* How much of the squares a step of the estimated size explains. */
@@ -226,16 +232,14 @@ gain_of(const Screen *screen, const Work *w, long long k)
 /* Find the best place of a step of each order. Gains are ranked by a rational approximation of their
    logarithm. */
 static void
-find_candidates(const Models *m, const Work *w, const Set *set, Screens *screens, Candidate *best)
+find_candidates(const Models *m, const Work *w, double value, Screens *screens, Candidate *best)
 {
     long long n = m->count;
-    double value = 0.0;
     memset(screens->gain, 0, ORDERS * n * sizeof(double));
     for (int c = 0; c < 2; c++) {
         const Screen *screen = screens->of + c;
         double per = 1 / (c + 1.0), all = 1 / (screen->squares + w->known);
         double number = (w->known + w->seen[c] * (c + 1)) / 2;
-        value += ((const double *)(set->evidence + c * m->groups))[screen->model];
         for (long long k = 0; k < ORDERS * n; k++) {
             double square = screen->explained[k] / screen->left[k] * per;
             double part = smaller((c + 1) * all * square * square / (1 + square), 1.0);
@@ -252,6 +256,16 @@ find_candidates(const Models *m, const Work *w, const Set *set, Screens *screens
         if (one.value > best[order].value)
             best[order] = one;
     }
+}
+
+/* The order of the best candidate. */
+static int
+find_best(const Candidate *candidates)
+{
+    int best = 0;
+    for (int k = 1; k < ORDERS; k++)
+        best = candidates[k].value > candidates[best].value ? k : best;
+    return best;
 }
 
 /* Find the deviations of the columns that were added to a set for an event of an order, one after the
@@ -302,8 +316,6 @@ find_sizes(const Models *m, const Screen *screen, Set *set, int order, double *s
             place = known > 0.0 ? smaller(larger(1 / known, LEAST_PLACE), MOST_PLACE) : LEAST_PLACE;
             root[k] = root[0] * place;
         }
-        if (each == order - 2)
-            root[k] = root[0] * place * place / 2;
         weight[k] = 1.0;
         double factor = root[k] * root[k] / (1.0 + root[k] * root[k] * left);
         for (int l = k + 1; l < number; l++) {
@@ -319,15 +331,15 @@ find_sizes(const Models *m, const Screen *screen, Set *set, int order, double *s
    or later, and a step of the next derivative. Sizes are those that the screening models estimate.
    The set is laid out at `data`; returns what comes after it. */
 static char *
-extend_set(const Models *m, const Samples *s, const Work *w, const Set *from,
-           const Candidate *candidate, int order, long long orders, long long block, char *data,
+extend_set(const Models *m, const Set *from, const Candidate *candidate, int order,
+            long long orders, long long block, char *data,
            Set *set, double *spare)
 {
     long long n = m->count, cells = from->cells, begin = from->steps, number = 1;
     /* The next derivative is the last: the other sizes are known then. */
     int each[COLUMNS] = {order};
-    for (int k = order - 1; k >= 0; k--)
-        each[number++] = k;
+    if (order)
+        each[number++] = order - 1;
     each[number++] = order + 1;
     long long steps = begin + number, columns = cells + steps;
     data = lay_out_set(m, orders, columns, steps, 2, data, set);
@@ -343,13 +355,14 @@ extend_set(const Models *m, const Samples *s, const Work *w, const Set *from,
         memcpy(set->weight + part * columns, from->weight + there, from->columns * sizeof(double));
         memcpy(set->root + part * columns, from->root + there, from->columns * sizeof(double));
     }
-    double *signals[COLUMNS];
+    double *signals[MOST_STEPS];
+    for (int k = 0; k < steps; k++)
+        signals[k] = set->values + k * n;
     for (int k = 0; k < number; k++) {
         set->step[begin + k] = (Step){.place = candidate->sample - 0.5, .order = each[k]};
-        signals[k] = set->values + (begin + k) * n;
-        find_values(set->step + begin + k, n, block, signals[k]);
+        find_values(set->step + begin + k, n, block, signals[begin + k]);
     }
-    fold(m, signals, number, set->folded);
+    fold(m, signals, steps, set->folded);
     for (int c = 0; c < 2; c++)
         find_sizes(m, candidate->screens->of + c, set, order, spare);
     return data;
