@@ -17,7 +17,7 @@
 #define LEAST_WEIGHT 1e-5
 #define LEAST_PROBABLE 1e-8
 /* Models with so much less evidence than others do not count. */
-#define FAR 40.0
+#define FAR 50.0
 /* With steps, shorter lengths of a spectrum are left out after so much loss of evidence. */
 #ifndef DROP
 #define DROP 8.0
@@ -148,7 +148,7 @@ typedef struct {
    these lack, are by angle and position, which are one part if they are equal. Of a step the weight
    is 1, and the root the deviation of its prior. `prior` is the logarithm of that of all steps. */
 typedef struct Set {
-    long long cells, steps, columns, parts, events, *at, *counts, *skipped;
+    long long cells, steps, columns, parts, events, *at, *counts;
     const struct Set *from;
     Step step[MOST_STEPS];
     double prior, best[2], spread[2][MOST_ORDERS][MOST_ORDERS];
@@ -162,7 +162,7 @@ size_of_set(const Models *m, long long orders, long long columns, long long step
     long long pairs = columns * (columns + 1) / 2;
     long long of_lanes = m->groups * (8 + 3 * orders + parts * pairs + 3 * columns);
     long long of_numbers = steps * (m->count + 2 * m->half) + columns * m->rows + pairs + 8 * columns +
-                           2 * m->groups;
+                           m->groups;
     return 8 * (of_lanes * LANES + of_numbers);
 }
 
@@ -183,7 +183,6 @@ lay_out_set(const Models *m, long long orders, long long columns, long long step
     TAKE(set->vectors, columns * m->rows);
     TAKE(set->base, pairs + 3 * columns), TAKE(set->weight, 2 * columns);
     TAKE(set->root, 2 * columns), TAKE(set->at, columns), TAKE(set->counts, m->groups);
-    TAKE(set->skipped, m->groups), memset(set->skipped, 0, m->groups * sizeof(long long));
     return data;
 }
 
@@ -453,9 +452,7 @@ find_evidence(const Models *m, const Samples *s, const Work *w, Set *set)
         if (set->steps) {
             if (g && m->kind[g * LANES] != m->kind[(g - 1) * LANES])
                 top[0] = top[1] = -INFINITY, dropped = 0;
-            dropped |= set->from->skipped[g];
-            set->skipped[g] = dropped || rough;
-            if (set->skipped[g]) {
+            if (dropped || rough) {
                 set->evidence[g] = set->evidence[m->groups + g] = all_lanes(-INFINITY);
                 set->variance[g] = set->variance[m->groups + g] = all_lanes(1.0);
                 continue;
@@ -489,7 +486,7 @@ find_evidence(const Models *m, const Samples *s, const Work *w, Set *set)
             lower &= most < top[c] - DROP;
             top[c] = larger(top[c], most);
         }
-        dropped = lower;
+        dropped = lower && m->kind[g * LANES] < m->kinds;
     }
 }
 

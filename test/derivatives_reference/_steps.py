@@ -20,23 +20,24 @@ from kinpole_ros.planar._plane import Real
 
 # Steps of the motion itself, of its first and of its second derivative are looked for.
 _ORDERS = (0, 1, 2)
-# Events that are looked for in a window, one after the other.
-_MOST_EVENTS = 2
 # Flat priors of a parameter by which the likeliest model has less evidence than a line, or more.
 _WORTH = 1
 # How probable an event is, and the logarithm of the part of all sizes that is as large.
 _PRIOR, _SIZE_COST = 0.05, 2.4
-# Evidence that a candidate gains, by which it is at most behind another, and that it is worth.
-_GAIN, _BEHIND_FIRST, _BEHIND_NEXT, _PROGRESS = 8.0, 12.0, 3.0, 1.0
+# Evidence that a candidate gains, by which it is at most behind another, and with which a second
+# event makes the set without it not count.
+_GAIN, _BEHIND, _SURE_GAIN = 8.0, 5.0, 25.0
+# Evidence after the loss of which shorter lengths of a spectrum are left out.
+_DROP = 8.0
 # Samples on either side of an event.
 _EDGE = 3
 # Standard deviation of the place of an event, samples, at least and at most.
 _PLACE = 0.5, 3.0
 # Steps are screened with the likeliest of the slowest processes of each spectrum, too.
 _SLOWEST = 2
-# By how many samples events of an order may be seen late, at least: an acceleration may set in
-# gradually, and is taken for a step then.
-_LEAST_OFF = {0: 0.0, 1: 0.5, 2: 2.0}
+# The power of the evidence of other places, the logarithm of the least chance, and how near to the
+# instant one of them is, samples.
+_POWER, _LEAST_CHANCE, _NEAR = 0.25, 7.0, 12
 _LEFT_OF_STEP = 1e-6
 _ROUNDING = 1e-9
 
@@ -52,35 +53,43 @@ class _Bank(NamedTuple):
     spread: Real
 
 
-class _Event(NamedTuple):
-    """
-    The derivative of an order steps `since` (samples) before the instant; `off` (2,) is the
-    deviation of that and `size` (2,) its size, by angle and position.
-    """
-
-    order: int
-    since: float
-    off: Real
-    size: Real
-
-
 class _Set(NamedTuple):
     """
     Steps by their `columns` (C, n), `here` (C, K), what they are at the instant, and the `roots`
-    (2, C) of the variances of their sizes. `prior` is the logarithm of that of all `events`. By
-    models: `evidence` (M, 2), `variance` (M, 2) of the noise, and of both components,
-    `gain` (M, C, C) and `size` (M, C, c), what is found of sizes, and their covariance.
+    (2, C) of the variances of their sizes. `prior` is the logarithm of that of all `events`, and
+    `spread` (2, K, K) the covariance that is due to their places. By models: `evidence` (M, 2),
+    `variance` (M, 2) of the noise, and of both components, `gain` (M, C, C) and `size` (M, C, c),
+    what is found of sizes, and their covariance.
     """
 
     columns: Real
     here: Real
     roots: Real
     prior: float
-    events: tuple[_Event, ...]
+    events: int
+    spread: Real
     evidence: Real
     variance: Real
     gain: tuple[Real, Real]
     size: tuple[Real, Real]
+
+
+class _Screen(NamedTuple):
+    """What `model` with the columns of a set leaves of samples (n, n), and its `stencil` (K, n)."""
+
+    model: int
+    left: Real
+    stencil: Real
+
+
+class _Candidate(NamedTuple):
+    """An event before the sample `at`, and what one gains at all places (n,), ranked."""
+
+    value: float
+    gain: float
+    at: int
+    rank: Real
+    screens: list[_Screen]
 
 
 def derive_even(window: Window, samples: Real, weights: Real | None) -> Found:
@@ -138,7 +147,7 @@ def _derive_signal(window: Window, samples: Real, weight: Real) -> Found:
     none = np.zeros((len(cells), window.orders))
     empty = _evaluate(
         window, samples, seen, weight[cells].T, np.eye(window.size)[cells], none,
-        np.sqrt(1 - weight[cells].T), 0.0, (), len(cells),
+        np.sqrt(1 - weight[cells].T), 0.0, 0, np.zeros((2, window.orders, window.orders)), len(cells),
     )  # fmt: skip
     sets = _sets(window, samples, seen, weight[cells].T, empty)
     mean, freedom = np.zeros((window.orders, 3)), np.zeros(2)
@@ -164,8 +173,8 @@ def _derive_signal(window: Window, samples: Real, weight: Real) -> Found:
         off = all_ - total
         covariance[:, :, c] += np.einsum('nm,nmkc,nmjc->kj', weights[..., 0], off, off) / (c + 1)
         for one, by in zip(sets, weights[..., 0], strict=True):
-            covariance[:, :, c] += by.sum() * _of_places(one, c, window.orders)
-        events = np.array([len(one.events) for one in sets])
+            covariance[:, :, c] += by.sum() * one.spread[c]
+        events = np.array([one.events for one in sets])
         freedom[c] = np.sum(likely[..., 0] * (modes.freedom + events[:, None]))
     return Found(mean, covariance, freedom, np.zeros(2))
 
@@ -179,7 +188,8 @@ def _evaluate(
     here: Real,
     roots: Real,
     prior: float,
-    events: tuple[_Event, ...],
+    events: int,
+    spread: Real,
     cells: int,
 ) -> _Set:
     """What models say of a window with such columns, the first of which are cells that lack."""
@@ -203,27 +213,42 @@ def _evaluate(
         variance = (square + KNOWN) / number
         log = np.linalg.slogdet(system)[1] / 2
         evidence = modes.chances[:, c, 0] - number / 2 * np.log(variance) - (c + 1) * log + prior
-        if events:
-            evidence[modes.kinds[-1] > 0] = -np.inf
         found.append((evidence, variance, inverse, size))
     evidence, variance, gain, size = zip(*found, strict=True)
+    all_ = np.stack(evidence, 1)
+    if events:
+        all_[_left_out(window, all_)] = -np.inf
     return _Set(
-        columns, here, roots, prior, events, np.stack(evidence, 1), np.stack(variance, 1),
+        columns, here, roots, prior, events, spread, all_, np.stack(variance, 1),
         (gain[0], gain[1]), (size[0], size[1]),
     )  # fmt: skip
 
 
-def _of_places(one: _Set, c: int, orders: int) -> Real:
-    """What may be if events near the instant are on its other side, (K, K)."""
-    found = np.zeros((orders, orders))
-    for event in one.events:
-        if abs(event.since) < event.off[c]:
-            here, *sides = (
-                event.size[c] * _derivatives(event.order, event.since + off, orders)
-                for off in (0.0, event.off[c], -event.off[c])
-            )
-            found += sum(np.outer(side - here, side - here) for side in sides) / 2
-    return found
+def _processes(window: Window) -> list[tuple[int, float, slice]]:
+    """The spectrum and the length of processes, and their models."""
+    layout = _layout(window.size, window.block, window.exact)
+    processes = [member.process for _, members in layout for member in members]
+    amplitudes = (len(modes_of(*window.models).freedom) - 1) // len(processes)
+    return [
+        (one.spectrum, one.length, slice(k * amplitudes, (k + 1) * amplitudes))
+        for k, one in enumerate(processes)
+    ]
+
+
+def _left_out(window: Window, evidence: Real) -> np.ndarray:
+    """Which models (M,) with steps are left out: rough ones, and lengths beyond much worse ones."""
+    out = modes_of(*window.models).kinds[-1] > 0
+    processes = _processes(window)
+    for spectrum in {one for one, _, _ in processes if one >= 0}:
+        top, dropped = np.full(2, -np.inf), False
+        for _, _, models in sorted(
+            (one for one in processes if one[0] == spectrum), key=lambda one: -one[1]
+        ):
+            out[models] |= dropped
+            most = evidence[models].max(axis=0)
+            dropped |= bool((most < top - _DROP).all())
+            top = np.maximum(top, most)
+    return np.asarray(out)
 
 
 def _derivatives(order: int, since: float, orders: int) -> Real:
@@ -234,58 +259,63 @@ def _derivatives(order: int, since: float, orders: int) -> Real:
 
 def _sets(window: Window, samples: Real, seen: Real, lacking: Real, empty: _Set) -> list[_Set]:
     """All sets of steps that count: the empty one, and those that explain samples better."""
-    modes = modes_of(*window.models)
-    smooth = modes.kinds[-1] == 0
-    sets, base, best = [empty], empty, empty.evidence[smooth].max(axis=0)
-    for event in range(_MOST_EVENTS):
-        found: dict[int, tuple[float, float, int, list[Real]]] = {}
-        for allowed in (smooth,) if event else (smooth, _slow(window)):
-            evidence = np.where(allowed[:, None], base.evidence, -np.inf)
-            models = evidence.argmax(axis=0)
-            value = evidence.max(axis=0).sum()
-            screens = [_screen(window, base, lacking, c, models[c]) for c in range(2)]
-            for order, (gain, at) in _candidates(window, samples, seen, screens, models).items():
-                if order not in found or value + gain > found[order][0]:
-                    found[order] = value + gain, gain, at, screens
-        top = max(value for value, *_ in found.values())
-        behind = _BEHIND_NEXT if event else _BEHIND_FIRST
-        progress, following = _PROGRESS, None
-        for order, (value, gain, at, screens) in found.items():
-            if gain < _GAIN or value < top - behind:
-                continue
-            sets.append(_extended(window, samples, seen, lacking, base, order, at, screens))
-            more = np.maximum(sets[-1].evidence.max(axis=0) - best, 0.0).sum()
-            if more >= progress:
-                progress, following = more, sets[-1]
-        if following is None:
+    found: dict[int, _Candidate] = {}
+    before = None
+    for allowed in (modes_of(*window.models).kinds[-1] == 0, _slow(window)):
+        evidence = np.where(allowed[:, None], empty.evidence, -np.inf)
+        models = evidence.argmax(axis=0)
+        if before is not None and (models == before).all():
             break
-        base, best = following, np.maximum(best, following.evidence.max(axis=0))
-    return sets
+        before = models
+        screens = [_screen(window, empty, lacking, c, models[c]) for c in range(2)]
+        value = evidence.max(axis=0).sum()
+        for order, one in _candidates(window, samples, seen, screens, value).items():
+            if order not in found or one.value > found[order].value:
+                found[order] = one
+    first = max(found, key=lambda order: found[order].value)
+    if found[first].gain < _GAIN:
+        return [empty]
+    sets = {
+        order: _extended(window, samples, seen, lacking, empty, order, one)
+        for order, one in found.items()
+        if one.gain >= _GAIN and one.value >= found[first].value - _BEHIND
+    }
+    models = [screen.model for screen in found[first].screens]
+    screens = [_screen(window, sets[first], lacking, c, models[c]) for c in range(2)]
+    others = _candidates(window, samples, seen, screens, 0.0)
+    second = max(others, key=lambda order: others[order].value)
+    all_ = [empty, *(one for order, one in sets.items() if order != first)]
+    if others[second].gain < _SURE_GAIN:
+        all_.append(sets[first])
+    if others[second].gain >= _GAIN:
+        all_.append(
+            _extended(window, samples, seen, lacking, sets[first], second, others[second])
+        )
+    return all_
 
 
 def _slow(window: Window) -> np.ndarray:
     """Which models (M,) are of the slowest processes of the smooth spectra."""
-    modes = modes_of(*window.models)
-    layout = _layout(window.size, window.block, window.exact)
-    processes = [member.process for _, members in layout for member in members]
-    longest = [
-        sum(other.spectrum == one.spectrum and other.length > one.length for other in processes)
-        < _SLOWEST
-        and 0 <= one.spectrum < len(modes.kinds) - 1
-        for one in processes
-    ]
-    amplitudes = (len(modes.freedom) - 1) // len(processes)
-    return np.append(np.repeat(longest, amplitudes), False)
+    modes, processes = modes_of(*window.models), _processes(window)
+    slow = np.zeros(len(modes.freedom), bool)
+    for spectrum, length, models in processes:
+        longer = sum(one == spectrum and other > length for one, other, _ in processes)
+        slow[models] = longer < _SLOWEST and 0 <= spectrum < len(modes.kinds) - 1
+    return slow
 
 
-def _screen(window: Window, base: _Set, lacking: Real, c: int, model: int) -> Real:
-    """What a model with the columns of a set leaves of samples, (n, n)."""
+def _screen(window: Window, base: _Set, lacking: Real, c: int, model: int) -> _Screen:
+    """What a model with the columns of a set leaves of samples, and how it makes derivatives."""
     cells = lacking.shape[1]
     weight = np.concatenate((lacking[c], np.ones(len(base.columns) - cells)))
-    left = _bank_of(window).left[model]
-    for column, root, own in zip(base.columns, base.roots[c], weight, strict=True):
-        left = _removed(left, column, root, own)
-    return left
+    bank = _bank_of(window)
+    left, stencil = bank.left[model], bank.stencil[model]
+    for column, here, root, own in zip(base.columns, base.here, base.roots[c], weight, strict=True):
+        removed = left @ column
+        factor = root**2 / (own + root**2 * (column @ removed))
+        stencil = stencil + np.outer(here - stencil @ column, factor * removed)
+        left = left - factor * np.outer(removed, removed)
+    return _Screen(model, left, stencil)
 
 
 def _removed(left: Real, column: Real, root: float, weight: float) -> Real:
@@ -294,35 +324,66 @@ def _removed(left: Real, column: Real, root: float, weight: float) -> Real:
     return np.asarray(left - root**2 / (weight + root**2 * (column @ own)) * np.outer(own, own))
 
 
+def _square(window: Window, order: int, screen: _Screen, own: Real) -> tuple[Real, Real]:
+    """
+    Of steps before each sample (n,): the squares of their sizes over the variances of these, and
+    their sizes (n, c), as a screen estimates them.
+    """
+    bank, steps = _bank_of(window), _steps(window.size, order)
+    whole = ((steps @ bank.left[screen.model]) * steps).sum(axis=1)
+    whole[whole < _ROUNDING * (steps**2).sum(axis=1)] = np.inf
+    if screen.model == len(bank.left) - 1:
+        whole[:] = np.inf
+    left = ((steps @ screen.left) * steps).sum(axis=1)
+    left = np.where(left > _LEFT_OF_STEP * whole, left, np.inf)
+    along = steps @ screen.left @ own
+    square = (along**2).sum(axis=1) / left / own.shape[1]
+    return square, along * (square / (1 + square) / left)[:, None]
+
+
 def _candidates(
-    window: Window, samples: Real, seen: Real, screens: list[Real], models: Real
-) -> dict[int, tuple[float, int]]:
-    """By order, how much evidence the best step gains, and before which sample it is."""
+    window: Window, samples: Real, seen: Real, screens: list[_Screen], value: float
+) -> dict[int, _Candidate]:
+    """The best step of each order."""
     found = {}
     for order in _ORDERS:
-        steps = _steps(window.size, order)
         rank, gain = np.zeros(window.size), np.zeros(window.size)
         for c in range(2):
             own = samples[:, [0]] if c == 0 else samples[:, 1:]
-            squares = max(float((own * (screens[c] @ own)).sum()), 0.0) + KNOWN
+            squares = max(float((own * (screens[c].left @ own)).sum()), 0.0) + KNOWN
             number = KNOWN + seen[c] * (c + 1)
-            whole = ((steps @ _bank_of(window).left[models[c]]) * steps).sum(axis=1)
-            whole[whole < _ROUNDING * (steps**2).sum(axis=1)] = np.inf
-            if models[c] == len(_bank_of(window).left) - 1:
-                whole[:] = np.inf
-            left = ((steps @ screens[c]) * steps).sum(axis=1)
-            left = np.where(left > _LEFT_OF_STEP * whole, left, np.inf)
-            square = ((steps @ screens[c] @ own) ** 2).sum(axis=1) / left / (c + 1)
+            square, _ = _square(window, order, screens[c], own)
             explained = (c + 1) * square**2 / (1 + square)
             part = np.minimum(explained / squares, 1.0)
-            rank += number * part * (6 - part) / (6 - 4 * part)
+            rank += number / 2 * part * (6 - part) / (6 - 4 * part)
             after = np.maximum(squares - explained, KNOWN)
             gain += np.maximum(
                 number / 2 * np.log(squares / after) - (c + 1) / 2 * np.log1p(square), 0.0
             )
         at = _EDGE + int(rank[_EDGE : window.size - _EDGE + 1].argmax())
-        found[order] = float(gain[at]), at
+        found[order] = _Candidate(value + float(gain[at]), float(gain[at]), at, rank, screens)
     return found
+
+
+def _spread(window: Window, samples: Real, order: int, candidate: _Candidate) -> Real:
+    """The covariance (2, K, K) of derivatives that is due to the place of an event."""
+    spread = np.zeros((2, window.orders, window.orders))
+    places = np.arange(_EDGE, window.size - _EDGE + 1)
+    rank = candidate.rank[places]
+    less = _POWER * (rank.max() - rank)
+    chance = np.where(less > _LEAST_CHANCE, 0.0, np.exp(-less))
+    since = window.at + (window.size - 1) / 2 - (places - 0.5)
+    if not (chance[np.abs(since) < _NEAR] > 0).any():
+        return spread
+    here = np.array([_derivatives(order, each, window.orders) for each in since])
+    for c, screen in enumerate(candidate.screens):
+        own = samples[:, [0]] if c == 0 else samples[:, 1:]
+        _, size = _square(window, order, screen, own)
+        change = here - _steps(window.size, order)[places] @ screen.stencil.T  # (P, K)
+        off = size[places, :, None] * change[:, None]
+        off -= off[rank.argmax()]
+        spread[c] = np.einsum('p,pck,pcj->kj', chance / chance.sum(), off, off) / (c + 1)
+    return spread
 
 
 @lru_cache(maxsize=16)
@@ -338,20 +399,18 @@ def _extended(
     lacking: Real,
     base: _Set,
     order: int,
-    at: int,
-    screens: list[Real],
+    candidate: _Candidate,
 ) -> _Set:
-    """The set with another event before the sample `at`, with sizes as the models estimate."""
-    place = at - 0.5
-    orders = [order, *range(order - 1, -1, -1), order + 1]
+    """The set with another event, with sizes as the screens estimate them."""
+    place = candidate.at - 0.5
+    orders = [order, *([order - 1] if order else []), order + 1]
     columns = [_step(window, each, place) for each in orders]
     instant = window.at + (window.size - 1) / 2 - place
     here = np.array([_derivatives(each, instant, window.orders) for each in orders])
     roots = np.zeros((2, len(orders)))
-    late = np.zeros(2)
-    for c, left in enumerate(screens):
+    for c, screen in enumerate(candidate.screens):
         own = samples[:, [0]] if c == 0 else samples[:, 1:]
-        off = _PLACE[0]
+        left = screen.left
         for k, (each, column) in enumerate(zip(orders, columns, strict=True)):
             some = column @ left @ column
             if each >= order and some > 0:
@@ -361,15 +420,11 @@ def _extended(
                 known = roots[c, 0] * np.sqrt((c + 1) * max(some, 0.0))
                 off = min(max(1 / known, _PLACE[0]), _PLACE[1]) if known > 0 else _PLACE[0]
                 roots[c, k] = roots[c, 0] * off
-                late[c] = (
-                    _PLACE[1] if known == 0 else min(max(1 / known, _LEAST_OFF[order]), _PLACE[1])
-                )
-            elif each == order - 2:
-                roots[c, k] = roots[c, 0] * off**2 / 2
             left = _removed(left, column, roots[c, k], 1.0)
     prior = base.prior + np.log(_PRIOR / (1 - _PRIOR) / (len(_ORDERS) * window.size)) - _SIZE_COST
     return _evaluate(
         window, samples, seen, lacking, np.concatenate((base.columns, columns)),
         np.concatenate((base.here, here)), np.concatenate((base.roots, roots), axis=1), prior,
-        (*base.events, _Event(order, instant, late, roots[:, 0])), lacking.shape[1],
+        base.events + 1, base.spread + _spread(window, samples, order, candidate),
+        lacking.shape[1],
     )  # fmt: skip
